@@ -115,7 +115,12 @@ CALLS: dict[str, Call] = {
     ),
     "total_variation": (
         variation.total_variation,
-        {"image": ones(6, 7, 3), "valid": ones(6, 7).bool()},
+        {
+            "image": ones(6, 7, 3),
+            "valid": ones(6, 7).bool(),
+            "row_weights": ones(5, 7),
+            "column_weights": ones(6, 6),
+        },
     ),
     "convolve": (
         convolution.convolve,
@@ -171,7 +176,12 @@ WRONG: dict[str, dict[str, list[Any]]] = {
         "uncertainty": [ones(5, 7)],
         "valid": [ones(5, 7).bool()],
     },
-    "total_variation": {"image": [ones(6, 7)], "valid": [ones(5, 7).bool(), ones(6, 7)]},
+    "total_variation": {
+        "image": [ones(6, 7)],
+        "valid": [ones(5, 7).bool(), ones(6, 7)],
+        "row_weights": [ones(6, 7), ones(5, 7).double()],
+        "column_weights": [ones(6, 7), ones(7, 6)],
+    },
     "convolve": {"plane": [ones(6, 7, 1)], "weights": [ones(2, 3), ones(9), ones(3, 3).double()]},
     "blur": {"plane": [ones(9)], "sigma_px": [ones(2)]},
 }

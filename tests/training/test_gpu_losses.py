@@ -20,7 +20,7 @@ from mrgs.method.config import make_config
 from mrgs.method.losses import photometric as losses
 from mrgs.method.losses import radiation
 from mrgs.method.losses.photometric import total_loss
-from mrgs.method.losses.smoothness import total_variation
+from mrgs.method.losses.smoothness import similarity_of, total_variation
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms, term_values
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
@@ -67,11 +67,16 @@ def small_programs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shape", "masked", "dssim"),
-    [((5, 8, 3), False, 0.2), ((3, 40, 1), True, 0.2), ((3, 2, 2), True, 0.0)],
+    ("shape", "masked", "dssim", "width"),
+    [
+        ((5, 8, 3), False, 0.2, 0.0),
+        ((3, 40, 1), True, 0.2, 0.0),
+        ((3, 40, 1), True, 0.2, 0.3),
+        ((3, 2, 2), True, 0.0, 0.0),
+    ],
 )
 def test_the_photometric_loss_is_that_of_plain_torch(
-    gpu_device, small_programs, shape, masked, dssim
+    gpu_device, small_programs, shape, masked, dssim, width
 ):
     target = image(*shape, seed=1)
     valid = image(*shape[:2], seed=2) > 0.3 if masked else None
@@ -80,8 +85,8 @@ def test_the_photometric_loss_is_that_of_plain_torch(
         None if valid is None else valid.to(gpu_device),
     )
     assert_same(
-        lambda render: losses.photometric_loss(render, *on_device, dssim),
-        lambda render: losses.photometric_loss.plain(render, target, valid, dssim),
+        lambda render: losses.photometric_loss(render, *on_device, dssim, width),
+        lambda render: losses.photometric_loss.plain(render, target, valid, dssim, width),
         [image(*shape)],
         gpu_device,
     )
@@ -101,12 +106,15 @@ def test_the_radiation_loss_is_that_of_plain_torch(gpu_device, masked):
 
 @pytest.mark.parametrize("shape", [(1, 1, 2), (1, 6, 2), (6, 1, 2), (13, 15, 3)])
 @pytest.mark.parametrize("masked", [False, True])
-def test_the_variation_is_that_of_plain_torch(gpu_device, shape, masked):
+@pytest.mark.parametrize("weighted", [False, True])
+def test_the_variation_is_that_of_plain_torch(gpu_device, shape, masked, weighted):
     valid = image(*shape, seed=1)[..., 0] > 0.3 if masked else None
     on_device = None if valid is None else valid.to(gpu_device)
+    weights = similarity_of(image(*shape, seed=2), 0.3) if weighted else (None, None)
+    there = [None if each is None else each.to(gpu_device, torch.float32) for each in weights]
     assert_same(
-        lambda values: total_variation(values, on_device),
-        lambda values: total_variation.plain(values, valid),
+        lambda values: total_variation(values, on_device, *there),
+        lambda values: total_variation.plain(values, valid, *weights),
         [image(*shape)],
         gpu_device,
     )

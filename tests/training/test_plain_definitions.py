@@ -48,7 +48,7 @@ EDITS = {
     ),
     "photometric_loss": (
         "method/losses/photometric.py",
-        "(1 - dssim) * (x - y).abs()",
+        "(1 - dssim) * _huber(x - y, huber_width)",
         "(1 - dssim) * (x - y).square()",
     ),
     "color_residuals": (

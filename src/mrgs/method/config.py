@@ -23,7 +23,6 @@ Preset = Literal["fast", "default", "paper"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True, thermal_drift=True)
-PLUS_OPAQUE = 0.1
 """What ``mrgs-plus`` has and no published method."""
 
 FITTED_RESIDUALS = 300
@@ -53,8 +52,19 @@ SMOOTHNESS = {
     "smooth_depth": 0.0,
     "smooth_noise": 2e-3,
 }
-"""Weights of L_smooth's parts in the presets for CPUs, and of ``mrgs-plus`` in all: temperatures
-alone, as the noise and the number of their pixels ask for: docs/decisions."""
+"""Weights of L_smooth's parts in the presets for CPUs: temperatures alone, as the noise and the
+number of their pixels ask for: docs/decisions."""
+
+PLUS_LOSS = {
+    **SMOOTHNESS,
+    "smooth_thermal": 0.0,
+    "smooth_alike": 0.5,
+    "smooth_noise": 4e-3,
+    "huber_noise": 1.5,
+    "opaque": 0.1,
+}
+"""The losses of ``mrgs-plus`` in all presets: temperatures are smooth where the colours are, and
+noise counts by its squares: docs/decisions."""
 
 CPU_COARSE = 0.5
 """Share of the training on coarser photos in the presets for CPUs, where photos are large enough:
@@ -223,7 +233,7 @@ def _without_radiation(config: TrainConfig) -> TrainConfig:
 def _plus(config: TrainConfig) -> TrainConfig:
     """Two opacities, temperatures of their own, a model of the thermal camera and L_opaque; without
     embedding, heads, heat transformation and L_boltz, which gain nothing beside them. Start and
-    smoothness are those of the presets for CPUs in all presets."""
+    losses are the same in all presets."""
     return replace(
         config,
         distant_points=True,
@@ -231,7 +241,7 @@ def _plus(config: TrainConfig) -> TrainConfig:
         temperature_sh_degree=None,
         field=replace(config.field, residuals=False),
         radiation=None,
-        loss=replace(config.loss, **SMOOTHNESS, opaque=PLUS_OPAQUE),
+        loss=replace(config.loss, **PLUS_LOSS),
         image_model=PLUS_IMAGE_MODEL,
     )
 

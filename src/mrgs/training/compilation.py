@@ -116,7 +116,8 @@ def _needed(config: TrainConfig) -> dict[str, float]:
     needed = _RASTERIZER | _HARMONICS | _COMPARISON
     if field.residuals:
         needed |= _COLOR_HEAD | _THERMAL_HEAD | (_EXCHANGE if field.neighbours_k > 0 else {})
-    if loss.smooth > 0 and max(loss.smooth_rgb, loss.smooth_thermal, loss.smooth_depth) > 0:
+    parts = (loss.smooth_rgb, loss.smooth_thermal, loss.smooth_alike, loss.smooth_depth)
+    if loss.smooth > 0 and max(parts) > 0:
         needed |= _SMOOTHNESS
     if config.image_model.point_spread:
         needed |= _BLUR

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 from torch import Tensor
@@ -32,6 +30,19 @@ def test_the_noise_is_told_from_the_scene(sigma):
     assert photo_noise(photos) == pytest.approx(sigma, rel=0.05, abs=1e-6)
 
 
+def test_interpolated_noise_is_noise():
+    """A detector of half as many pixels in each direction; between two of them it is less."""
+    generator = torch.Generator().manual_seed(0)
+    detector = 0.02 * torch.randn(1, 1, 60, 80, generator=generator)
+    written = torch.nn.functional.interpolate(detector, scale_factor=2, mode="bilinear")
+    photo = posed_image(0.5 + written[0, 0, :, :, None])
+    assert photo_noise([photo]) == pytest.approx(written.std().item(), rel=0.1)
+
+
+def test_photos_too_small_to_tell_have_no_noise():
+    assert photo_noise([posed_image(torch.rand(6, 80, 1))]) == 0
+
+
 def test_invalid_pixels_do_not_count():
     values, valid = noisy(0.002), torch.ones(60, 80, dtype=torch.bool)
     values[:40], valid[:40] = noisy(0.3)[:40], False
@@ -58,17 +69,22 @@ def test_some_photos_tell_for_all():
 def test_noisy_or_few_temperatures_are_smoothed_more():
     loss = make_config("mrgs-plus", "fast").loss
     assert loss.smooth_noise is not None
-    assert loss.smooth_image(THERMAL, loss.smooth_noise / 2, 1.0) == loss.smooth_thermal
-    assert loss.smooth_image(THERMAL, 4 * loss.smooth_noise, 1.0) == pytest.approx(
-        4 * loss.smooth_thermal
-    )
-    assert loss.smooth_image(THERMAL, 0.0, 3.0) == pytest.approx(3 * loss.smooth_thermal)
-    assert loss.smooth_image(RGB, 0.03, 3.0) == loss.smooth_rgb
+    assert loss.smooth_image(THERMAL, loss.smooth_noise / 2, 1.0) == (0, loss.smooth_alike)
+    noise = loss.smooth_noise + 0.01
+    assert loss.smooth_image(THERMAL, noise, 1.0) == pytest.approx((0.3125, loss.smooth_alike))
+    assert loss.smooth_image(THERMAL, 0.0, 3.0) == pytest.approx((0, 3 * loss.smooth_alike))
+    assert loss.smooth_image(RGB, 0.03, 3.0) == (loss.smooth_rgb, 0)
+
+
+def test_the_smoothness_of_mrgs_grows_in_proportion_to_noise():
+    loss = make_config("mrgs", "fast").loss
+    for noise, times in ((0.0, 1), (0.002, 1), (0.004, 2), (0.032, 16)):
+        expected = times * loss.smooth_thermal, 0
+        assert loss.smooth_image(THERMAL, noise, 1.0) == pytest.approx(expected)
 
 
 def test_as_published_neither_noise_nor_number_matters():
-    assert LossConfig().smooth_image(THERMAL, 0.3, 4.0) == 1
-    assert math.isclose(make_config("mrgs", "paper").loss.smooth_image(THERMAL, 0.1, 4.0), 1)
+    assert LossConfig().smooth_image(THERMAL, 0.3, 4.0) == (1, 0)
 
 
 @pytest.mark.parametrize(

@@ -25,10 +25,14 @@ def as_planes(x: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
 
 
 def plain_l1_dssim(
-    x: torch.Tensor, y: torch.Tensor, weights: torch.Tensor, dssim: float
+    x: torch.Tensor, y: torch.Tensor, weights: torch.Tensor, dssim: float, width: float
 ) -> torch.Tensor:
     x, y = as_planes(x, weights), as_planes(y, weights)
-    return (weights * ((1 - dssim) * (x - y).abs() + dssim * (1 - ssim_map(x, y)))).sum()
+    if width == 0:
+        compared = (x - y).abs()
+    else:
+        compared = torch.nn.functional.huber_loss(x, y, reduction="none", delta=width) / width
+    return (weights * ((1 - dssim) * compared + dssim * (1 - ssim_map(x, y)))).sum()
 
 
 def holed_weights(
@@ -44,14 +48,15 @@ def holed_weights(
     width=st.one_of(st.integers(1, 25), st.sampled_from([171, 520])),
     channels=st.integers(1, 4),
     dssim=st.sampled_from([0.0, 0.2, 1.0]),
+    huber_width=st.sampled_from([0.0, 0.1, 0.5, 3.0]),
     seed=st.integers(0, 100),
 )
-def test_l1_dssim_is_that_of_plain_torch(height, width, channels, dssim, seed):
+def test_l1_dssim_is_that_of_plain_torch(height, width, channels, dssim, huber_width, seed):
     x, y = (image(height, width, channels, seed=seed + k).requires_grad_() for k in (0, 1))
     weights = holed_weights(height, width, seed)
-    expected = plain_l1_dssim(x, y, weights, dssim)
+    expected = plain_l1_dssim(x, y, weights, dssim, huber_width)
     grad_x, grad_y = torch.autograd.grad(expected, (x, y))
-    result = l1_dssim(x, y, weights, dssim)
+    result = l1_dssim(x, y, weights, dssim, huber_width)
     assert result.total == pytest.approx(expected.item())
     torch.testing.assert_close(result.grad_x, grad_x, atol=1e-9, rtol=1e-7)
     torch.testing.assert_close(result.grad_y, grad_y, atol=1e-9, rtol=1e-7)

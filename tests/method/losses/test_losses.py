@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -10,7 +12,7 @@ from mrgs.method.losses.photometric import (
     photometric_loss,
     total_loss,
 )
-from mrgs.method.losses.smoothness import smoothness_loss, total_variation
+from mrgs.method.losses.smoothness import similarity_of, smoothness_loss, total_variation
 from mrgs.method.losses.ssim import ssim_map
 
 
@@ -91,12 +93,29 @@ def test_smoothness_is_the_mean_of_first_differences():
     assert loss.item() == pytest.approx(2.0 * 0.1 + 0.5 * 4 / 8)
 
 
+def test_pixels_are_alike_where_another_image_does_not_change():
+    guide = torch.zeros(3, 4, 3)
+    guide[:, 2:] = torch.tensor([0.0, 0.1, 0.2])
+    rows, columns = similarity_of(guide)
+    assert (rows == 1).all()
+    expected = torch.tensor([1.0, math.exp(-5), 1.0]).expand(3, 3)
+    torch.testing.assert_close(columns, expected)
+    torch.testing.assert_close(similarity_of(guide, 0.25)[1], 0.25 + 0.75 * expected)
+    image = torch.zeros(3, 4, 1)
+    image[:, 2:] = 0.5
+    assert total_variation(image, None, rows, columns).item() == pytest.approx(
+        math.exp(-5) * total_variation(image).item()
+    )
+
+
 @pytest.mark.parametrize("shape", [(1, 1, 2), (1, 6, 2), (6, 1, 2), (40, 15, 3), (40, 15, 1)])
 @pytest.mark.parametrize("masked", [False, True])
-def test_the_variation_is_that_of_plain_torch(shape, masked):
+@pytest.mark.parametrize("weighted", [False, True])
+def test_the_variation_is_that_of_plain_torch(shape, masked, weighted):
     values = image(*shape).requires_grad_()
     valid = image(*shape, seed=1)[..., 0] > 0.3 if masked else None
-    loss, expected = (f(values, valid) for f in (total_variation, total_variation.plain))
+    weights = similarity_of(image(*shape, seed=2), 0.3) if weighted else (None, None)
+    loss, expected = (f(values, valid, *weights) for f in (total_variation, total_variation.plain))
     torch.testing.assert_close(loss, expected)
     gradients = [torch.autograd.grad(3 * value, values)[0] for value in (loss, expected)]
     torch.testing.assert_close(*gradients)
@@ -104,15 +123,27 @@ def test_the_variation_is_that_of_plain_torch(shape, masked):
 
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("dssim", [0.0, 0.2])
-def test_the_photometric_loss_is_that_of_plain_torch(masked, dssim):
+@pytest.mark.parametrize("width", [0.0, 0.2])
+def test_the_photometric_loss_is_that_of_plain_torch(masked, dssim, width):
     render, target = image(70, 25, 3).requires_grad_(), image(70, 25, 3, seed=1)
     valid = image(70, 25, 1, seed=2)[..., 0] > 0.3 if masked else None
     loss, expected = (
-        f(render, target, valid, dssim) for f in (photometric_loss, photometric_loss.plain)
+        f(render, target, valid, dssim, width) for f in (photometric_loss, photometric_loss.plain)
     )
     torch.testing.assert_close(loss, expected)
     gradients = [torch.autograd.grad(value, render)[0] for value in (loss, expected)]
     torch.testing.assert_close(*gradients)
+
+
+@pytest.mark.parametrize("loss", [photometric_loss, photometric_loss.plain])
+def test_a_huber_loss_is_quadratic_below_its_width_and_linear_above(loss):
+    """δ = 0.1: 0.05² / 0.2 and 0.3 − 0.05; the same slope on both sides of δ."""
+    target = torch.zeros(1, 2, 1, dtype=torch.float64)
+    render = torch.tensor([[[0.05], [-0.3]]], dtype=torch.float64, requires_grad=True)
+    value = loss(render, target, None, 0.0, 0.1)
+    assert value.item() == pytest.approx((0.0125 + 0.25) / 2)
+    (gradient,) = torch.autograd.grad(value, render)
+    torch.testing.assert_close(2 * gradient.flatten(), torch.tensor([0.5, -1.0]).double())
 
 
 def test_flat_images_have_no_step():

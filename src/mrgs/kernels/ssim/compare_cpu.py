@@ -179,6 +179,13 @@ def _differentiate_ssim(block, weights, count, scalars):
 
 
 @inner_function()
+def _huber_slope(difference, scalars):
+    """The derivative of the Huber loss; of |x − y|, its sign."""
+    one = scalars[0] + scalars[1]  # a bare 1 would make float32 arithmetic float64
+    return min(max(scalars[4] * difference, -one), one)
+
+
+@inner_function()
 def _add_errors(comparison, row, rows, strip):
     """The row's part of the sum, column by column."""
     width = comparison.x.shape[1]
@@ -186,13 +193,14 @@ def _add_errors(comparison, row, rows, strip):
     x, y = address(comparison.x, at), address(comparison.y, at)
     weights = address(comparison.weights, at % comparison.weights.size)
     errors = address(rows, 4 * rows.shape[1] + RADIUS * comparison.channels)
-    totals, dssim, l1 = (
-        address(comparison.sums, strip * width),
-        comparison.scalars[0],
-        comparison.scalars[1],
-    )
+    totals, scalars = address(comparison.sums, strip * width), comparison.scalars
+    dssim, l1, half_width = scalars[0], scalars[1], scalars[5]
     for i in range(width):
-        totals[i] += weights[i] * (l1 * abs(x[i] - y[i]) + dssim * errors[i])
+        difference = x[i] - y[i]
+        slope = _huber_slope(difference, scalars)
+        totals[i] += weights[i] * (
+            l1 * slope * (difference - half_width * slope) + dssim * errors[i]
+        )
     if comparison.errors.size:
         _copy(errors, address(comparison.errors, at), width)
 
@@ -237,9 +245,8 @@ def _gradient(x, y, weights, block, mean, count, scalars, result):
     l1 = scalars[1]
     zero = l1 - l1
     for i in range(count):
-        step, difference = l1 * weights[i], x[i] - y[i]
-        signed = step if difference > zero else (-step if difference < zero else zero)
-        gradient = signed + block[mean + i] + x[i] * block[SQUARES + i] + y[i] * block[PRODUCT + i]
+        step = l1 * weights[i] * _huber_slope(x[i] - y[i], scalars)
+        gradient = step + block[mean + i] + x[i] * block[SQUARES + i] + y[i] * block[PRODUCT + i]
         result[i] = gradient if weights[i] != zero else zero
 
 

@@ -42,7 +42,7 @@ WINDOW = tuple(WEIGHTS.tolist())
 SIZES = ("height", "width", "channels", "weights_pitch")
 """Arguments that do not trigger a recompilation in Triton."""
 
-SCALARS = ("dssim", "l1", "c1", "c2")
+SCALARS = ("dssim", "l1", "c1", "c2", "steepness", "half_width")
 
 
 @triton.jit
@@ -94,6 +94,8 @@ def compare_kernel(
     l1,
     c1,
     c2,
+    steepness,
+    half_width,
     WINDOW: tl.constexpr,
     STRIP_ROWS: tl.constexpr,
     BLOCK: tl.constexpr,
@@ -109,16 +111,18 @@ def compare_kernel(
             as 0.
         derivatives: receives them, [3 + BY_Y, H, W·C].
         errors: receives 1 − SSIM of each value, [H, W·C]; None if not wanted.
-        totals: receives Σ weights (l1 |x − y| + dssim (1 − SSIM)) of each program, [rows of the
-            grid, its columns].
+        totals: receives Σ weights (l1 H(x − y) + dssim (1 − SSIM)) of each program, with H the
+            Huber loss, [rows of the grid, its columns].
         height: H.
         width: W.
         channels: C.
         weights_pitch: W, or 0 for one row of weights.
         dssim: the share of 1 − SSIM.
-        l1: the share of |x − y|.
+        l1: the share of H.
         c1: SSIM's first stabiliser.
         c2: its second.
+        steepness: 1 / width of H; large for |x − y|.
+        half_width: of H.
     """
     columns = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     nothing = tl.zeros((BLOCK,), tl.int32)  # the interpreter cannot broadcast the truth of one row
@@ -166,7 +170,9 @@ def compare_kernel(
         structure = (2.0 * (product - cross) + c2) * per_variances
         error = 1.0 - luminance * structure
         # A row that is not this strip's may hold half a window: it counts nothing, not even NaN.
-        total += tl.where(mask, weight * (l1 * tl.abs(a - b) + dssim * error), 0.0)
+        slope = tl.minimum(tl.maximum(steepness * (a - b), -1.0), 1.0)
+        huber = slope * (a - b - half_width * slope)
+        total += tl.where(mask, weight * (l1 * huber + dssim * error), 0.0)
         if errors is not None:
             tl.store(errors + at, error, mask=mask)
         scale = -2.0 * dssim * weight
@@ -200,6 +206,7 @@ def gradients_kernel(
     channels,
     weights_pitch,
     l1,
+    steepness,
     WINDOW: tl.constexpr,
     STRIP_ROWS: tl.constexpr,
     BLOCK: tl.constexpr,
@@ -250,12 +257,11 @@ def gradients_kernel(
         counts = weight != 0
         a = tl.load(x + at, mask=mask & counts, other=0.0)
         b = tl.load(y + at, mask=mask & counts, other=0.0)
-        step_l1 = l1 * weight
-        signed = tl.where(a > b, step_l1, tl.where(a < b, -step_l1, 0.0))
-        gradient = signed + by_mean_x + a * by_squares + b * by_product
+        step = l1 * weight * tl.minimum(tl.maximum(steepness * (a - b), -1.0), 1.0)
+        gradient = step + by_mean_x + a * by_squares + b * by_product
         tl.store(gradient_x + at, tl.where(counts, gradient, 0.0), mask=mask)
         if gradient_y is not None:
-            gradient = by_mean_y + b * by_squares + a * by_product - signed
+            gradient = by_mean_y + b * by_squares + a * by_product - step
             tl.store(gradient_y + at, tl.where(counts, gradient, 0.0), mask=mask)
 
 
@@ -263,7 +269,8 @@ class ComparedImages(NamedTuple):
     """The weighted L1 and SSIM of two images, with gradients.
 
     Attributes:
-        total: Σ weights (l1 |x − y| + dssim (1 − SSIM)), float64, on the images' device.
+        total: Σ weights (l1 H(x − y) + dssim (1 − SSIM)) with H the Huber loss, float64, on the
+            images' device.
         gradient_x: its gradient by x, [H, W, C].
         gradient_y: its gradient by y; None if not wanted.
         errors: 1 − SSIM of each value, [H, W, C]; None if not wanted.
@@ -279,7 +286,7 @@ def compare(
     x: Tensor,
     y: Tensor,
     weights: Tensor,
-    scalars: tuple[float, float, float, float],
+    scalars: tuple[float, float, float, float, float, float],
     by_y: bool,
     wants_errors: bool,
 ) -> ComparedImages:
@@ -290,7 +297,8 @@ def compare(
         y: the other image.
         weights: of each pixel, [H, W], or [1, W] for all rows alike; where 0, both images are read
             as 0.
-        scalars: dssim, l1, c1, c2: the shares of 1 − SSIM and of L1, and SSIM's stabilisers.
+        scalars: dssim, l1, c1, c2, steepness, half_width: the shares of 1 − SSIM and of L1, SSIM's
+            stabilisers, and what makes L1 a Huber loss.
         by_y: whether the gradient by y is wanted.
         wants_errors: whether 1 − SSIM of each value is wanted.
 
@@ -334,7 +342,7 @@ def _specs(by_y: bool, wants_errors: bool) -> tuple[KernelSpec, KernelSpec]:
         images | {"totals": "*fp32"} | dict.fromkeys(SCALARS, "fp32"),
         blocks | {"BY_Y": by_y},
     )
-    differentiated = images | {"gradient_x": "*fp32", "l1": "fp32"}
+    differentiated = images | {"gradient_x": "*fp32", "l1": "fp32", "steepness": "fp32"}
     compared, constants = _with_tensor("errors", wants_errors, compared, constants)
     differentiated, blocks = _with_tensor("gradient_y", by_y, differentiated, blocks)
     variant = "structure" if by_y else "l1_dssim"

@@ -20,7 +20,7 @@ def compare(
     x: Float[Tensor, "h w c"],
     y: Float[Tensor, "h w c"],
     weights: Float[Tensor, "h2 w"],
-    scalars: tuple[float, float, float, float],
+    scalars: tuple[float, float, float, float, float, float],
     wants_errors: bool,
 ) -> Dissimilarity:
     """``losses.Compare``.

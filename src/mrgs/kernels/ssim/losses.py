@@ -16,6 +16,12 @@ STRUCTURE_C1 = 1e20
 """Next to this C1 the means do not count: SSIM's luminance term is 1, which leaves the structure
 term, S-SSIM."""
 
+_STRUCTURE = (1.0, 0.0, STRUCTURE_C1, STRUCTURE_C2, 1.0, 0.0)
+"""SSIM's structure term alone, without L1."""
+
+LEAST_WIDTH = 1e-30
+"""A Huber loss of this width has the gradient of |x − y|, also in float32."""
+
 
 class Dissimilarity(NamedTuple):
     """Two images compared.
@@ -35,14 +41,19 @@ class Dissimilarity(NamedTuple):
 
 
 class Compare(Protocol):
-    """A device's kernel: Σ weights (l1 |x − y| + dssim (1 − SSIM))."""
+    """A device's kernel: Σ weights (l1 g (d − h g) + dssim (1 − SSIM)), with d = x − y and g = s d
+    between −1 and 1.
+
+    That is |d| where s is large and h = 0, and the Huber loss of width δ where s = 1 / δ and h = δ
+    / 2.
+    """
 
     def __call__(
         self,
         x: Float[Tensor, "h w c"],
         y: Float[Tensor, "h w c"],
         weights: Float[Tensor, "h2 w"],
-        scalars: tuple[float, float, float, float],
+        scalars: tuple[float, float, float, float, float, float],
         wants_errors: bool,
     ) -> Dissimilarity:
         """Compare two images.
@@ -52,7 +63,8 @@ class Compare(Protocol):
             y: the image to compare with.
             weights: of each pixel, [H, W], or [1, W] for all rows alike; where 0, both images are
                 read as 0.
-            scalars: dssim and l1, the shares of 1 − SSIM and of L1; c1 and c2, SSIM's stabilisers.
+            scalars: dssim and l1, the shares of 1 − SSIM and of L1; c1 and c2, SSIM's stabilisers;
+                s and h.
             wants_errors: whether 1 − SSIM of each value is wanted.
         """
 
@@ -63,10 +75,13 @@ def l1_dssim(
     y: Float[Tensor, "h w c"],
     weights: Float[Tensor, "h2 w"],
     dssim: float,
+    huber_width: float = 0.0,
 ) -> Dissimilarity:
-    """Σ weights ((1 − dssim) |x − y| + dssim (1 − SSIM)) with ``ssim.ssim_map`` at a data range of
-    1; see ``Compare``."""
-    return compare(x, y, weights, (dssim, 1 - dssim, K1**2, K2**2), False)
+    """Σ weights ((1 − dssim) H(x − y) + dssim (1 − SSIM)) with ``ssim.ssim_map`` at a data range of
+    1 and H the Huber loss, |x − y| where its width is 0; see ``Compare``."""
+    steepness, half_width = 1 / max(huber_width, LEAST_WIDTH), huber_width / 2
+    scalars = (dssim, 1 - dssim, K1**2, K2**2, steepness, half_width)
+    return compare(x, y, weights, scalars, False)
 
 
 def structural_dissimilarity(
@@ -77,7 +92,7 @@ def structural_dissimilarity(
 ) -> Dissimilarity:
     """Σ weights (1 − S-SSIM) with ``ssim.structural_similarity``, and 1 − S-SSIM of each value; see
     ``Compare``."""
-    return compare(x, y, weights, (1.0, 0.0, STRUCTURE_C1, STRUCTURE_C2), True)
+    return compare(x, y, weights, _STRUCTURE, True)
 
 
 def photometric_loss(
@@ -86,10 +101,11 @@ def photometric_loss(
     target: Float[Tensor, "h w c"],
     valid: Bool[Tensor, "h w"] | None,
     dssim: float,
+    huber_width: float = 0.0,
 ) -> Float[Tensor, ""]:
     """``mrgs.method.losses.photometric.photometric_loss`` by a fused kernel."""
     weights = _mean_weights(render[:, :, 0], valid) / render.shape[2]
-    compared = l1_dssim(compare, render, target, weights, dssim)
+    compared = l1_dssim(compare, render, target, weights, dssim, huber_width)
     return with_gradients(compared.total, (render, target), (compared.grad_x, compared.grad_y))
 
 

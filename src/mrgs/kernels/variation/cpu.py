@@ -26,7 +26,10 @@ STRIP_ROWS = 16
 
 
 def total_variation(
-    image: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+    image: Float[Tensor, "h w c"],
+    valid: Bool[Tensor, "h w"] | None = None,
+    row_weights: Float[Tensor, "h1 w"] | None = None,
+    column_weights: Float[Tensor, "h w1"] | None = None,
 ) -> Float[Tensor, ""]:
     """``mrgs.method.losses.smoothness.total_variation`` for float32 or float64 on the CPU.
 
@@ -34,11 +37,10 @@ def total_variation(
         ValueError: tensors of other sizes or types.
     """
     require("image", image, (None, None, None), (torch.float32, torch.float64))
-    if valid is not None:
-        require("valid", valid, image.shape[:2], (torch.bool,))
     height, width, channels = image.shape
     pixels = image.detach().contiguous()
-    pairs = [valid_pairs(image, axis, valid) for axis in (0, 1)]
+    given = (row_weights, column_weights)
+    pairs = [valid_pairs(image, axis, valid, weights) for axis, weights in enumerate(given)]
     gradient = torch.empty_like(pixels)
     scales = [1 / max(channels * int(counted), 1) for counted, _ in pairs]
     sums = torch.zeros(math.ceil(height / STRIP_ROWS), width * channels, dtype=torch.float64)

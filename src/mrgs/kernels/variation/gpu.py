@@ -93,25 +93,28 @@ def variation_kernel(
     tl.store(totals + tl.program_id(0), tl.sum(total, axis=0))
 
 
-def total_variation(image: Tensor, valid: Tensor | None = None) -> Tensor:
+def total_variation(
+    image: Tensor,
+    valid: Tensor | None = None,
+    row_weights: Tensor | None = None,
+    column_weights: Tensor | None = None,
+) -> Tensor:
     """``mrgs.method.losses.smoothness.total_variation`` for float32; the host does not wait.
 
     Raises:
         ValueError: tensors of other sizes, types or devices.
     """
     require("image", image, (None, None, None), device=image.device)
-    if valid is not None:
-        require("valid", valid, image.shape[:2], (torch.bool,), image.device)
     weights: list[Tensor | None] = []
     scales = []
-    for axis in (0, 1):
-        counted, pairs = valid_pairs(image, axis, valid)
+    for axis, given in enumerate((row_weights, column_weights)):
+        counted, pairs = valid_pairs(image, axis, valid, given)
         if isinstance(counted, Tensor):  # only the device knows it
             assert pairs is not None
             weights.append(pairs / (image.shape[2] * counted).clamp_min(1))
             scales.append(1.0)
         else:
-            weights.append(None)
+            weights.append(pairs)
             scales.append(1 / max(image.shape[2] * counted, 1))
     value, gradient = sum_differences(image, (weights[0], weights[1]), (scales[0], scales[1]))
     return with_gradients(value, [image], [gradient])

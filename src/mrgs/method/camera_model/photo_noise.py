@@ -13,6 +13,10 @@ from mrgs.scene import Pixels, PosedImage, evenly_spaced
 PHOTOS = 16
 """At most so many photos are read, evenly spread."""
 
+DISTANCE_PX = 3
+"""Between the pixels of a difference. Cameras with few detector pixels write more by interpolation,
+and the noise of one detector pixel is that of several pixels of the photo."""
+
 MEDIAN_OF_NORMAL = 0.6745
 """The median of the absolute value of a standard normal variable."""
 
@@ -21,9 +25,10 @@ def photo_noise(photos: Sequence[PosedImage]) -> float:
     """Standard deviation of the noise of a pixel, in units of the photos' values; 0 without photos.
 
     A second difference along the rows and then along the columns removes whatever is locally a
-    plane, and has 6 times the standard deviation of white noise (J. Immerkær, Fast Noise Variance
-    Estimation, 1996). Its median over all pixels hardly sees edges, which are few. Values in steps,
-    of 8 bits for instance, count as noise of about a quarter of a step or more.
+    plane, and has 6 times the standard deviation of independent noise (J. Immerkær, Fast Noise
+    Variance Estimation, 1996, with neighbours for ``DISTANCE_PX``). Its median over all pixels
+    hardly sees edges, which are few. Values in steps, of 8 bits for instance, count as noise of
+    about a quarter of a step or more.
 
     Args:
         photos: of one modality.
@@ -39,8 +44,15 @@ def photo_noise(photos: Sequence[PosedImage]) -> float:
 
 
 def _second_differences(photo: Pixels) -> Float[Tensor, " n"]:
-    """Of all pixels whose neighbours are in the photo; NaN where one of these is not valid."""
+    """Of all pixels whose neighbours in that distance are in the photo; NaN where one of these is
+    not valid."""
     values = photo.values
     if photo.valid is not None:
         values = torch.where(photo.valid[:, :, None], values, torch.nan)
-    return values.diff(n=2, dim=0).diff(n=2, dim=1).flatten()
+    for axis in (0, 1):
+        steps = max(values.shape[axis] - 2 * DISTANCE_PX, 0)
+        before, here, behind = (
+            values.narrow(axis, k * DISTANCE_PX if steps else 0, steps) for k in range(3)
+        )
+        values = before - 2 * here + behind
+    return values.flatten()

@@ -20,6 +20,10 @@ HALF_COVERED = 0.5
 
 SMALLEST_DEPTH = 1e-6
 
+SMOOTH_PER_NOISE = 31.25
+"""Weight of the temperatures' smoothness for each unit of the thermal photos' noise:
+docs/decisions."""
+
 BEFORE = 0.1
 """Weight of a thermal surface before the colours', which fog may be, or glass."""
 
@@ -33,11 +37,16 @@ class LossConfig:
         smooth: λ_smooth of Eq. 20.
         smooth_rgb: weight of the colours' part of Eq. 18; 1 in the paper.
         smooth_thermal: weight of the temperatures' part; 1 in the paper.
+        smooth_alike: further weight of the temperatures' part between neighbouring pixels of one
+            colour, falling as e^(−d / 0.02) with the mean difference d of the rendered colours; 0
+            in the paper.
         smooth_depth: weight of the depths' part; 1 in the paper.
         smooth_noise: standard deviation of the thermal photos' noise, normalised temperature, above
-            which the temperatures' part grows in proportion to it. The part also grows in
+            which ``smooth_thermal`` grows with it. Both weights of temperatures also grow in
             proportion to the spacing of thermal pixels beside that of colours. None in the paper:
             neither matters.
+        huber_noise: temperatures are compared by a Huber loss of so many standard deviations of the
+            thermal photos' noise, quadratic below and linear above; 0 in the paper: L1.
         opaque: weight of L_opaque; 0 in the paper.
     """
 
@@ -45,27 +54,44 @@ class LossConfig:
     smooth: float = 0.6
     smooth_rgb: float = 1.0
     smooth_thermal: float = 1.0
+    smooth_alike: float = 0.0
     smooth_depth: float = 1.0
     smooth_noise: float | None = None
+    huber_noise: float = 0.0
     opaque: float = 0.0
 
     def smooth_image(
         self, modality: Modality, thermal_noise: float, thermal_spacing: float
-    ) -> float:
-        """Weight of a modality's image in Eq. 18: temperatures have their own, which may depend on
-        how noisy and how few the thermal pixels are (``SceneScale``), all others that of the
-        colours."""
+    ) -> tuple[float, float]:
+        """Weights of a modality's image in Eq. 18: everywhere, and between pixels of one colour.
+
+        Temperatures have their own, which may depend on how noisy and how few the thermal pixels
+        are (``SceneScale``), all others that of the colours.
+        """
         if modality != THERMAL:
-            return self.smooth_rgb
+            return self.smooth_rgb, 0.0
         if self.smooth_noise is None:
-            return self.smooth_thermal
-        return self.smooth_thermal * thermal_spacing * max(1.0, thermal_noise / self.smooth_noise)
+            return self.smooth_thermal, self.smooth_alike
+        noise = max(thermal_noise - self.smooth_noise, 0.0)
+        everywhere = self.smooth_thermal + SMOOTH_PER_NOISE * noise
+        return thermal_spacing * everywhere, thermal_spacing * self.smooth_alike
+
+    def huber_width(self, modality: Modality, thermal_noise: float) -> float:
+        """Below which difference a modality's values are compared by their squares."""
+        return self.huber_noise * thermal_noise if modality == THERMAL else 0.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:
             raise ConfigError(f"dssim must lie between 0 and 1, not {self.dssim}")
-        weights = ("smooth", "smooth_rgb", "smooth_thermal", "smooth_depth", "opaque")
-        require_within(self, weights, 0, MOST_WEIGHT)
+        weights = (
+            "smooth",
+            "smooth_rgb",
+            "smooth_thermal",
+            "smooth_alike",
+            "smooth_depth",
+            "opaque",
+        )
+        require_within(self, (*weights, "huber_noise"), 0, MOST_WEIGHT)
         if self.smooth_noise is not None:
             require_within(self, ["smooth_noise"], 1e-6, 1)
 
@@ -76,10 +102,13 @@ def photometric_loss(
     target: Float[Tensor, "h w c"],
     valid: Bool[Tensor, "h w"] | None,
     dssim: float,
+    huber_width: float = 0.0,
 ) -> Float[Tensor, ""]:
     """L_m for either modality.
 
-    Eq. 17 (L_m), Sec. Total Loss: (1 − λ) L1 + λ L_D-SSIM with L_D-SSIM = 1 − SSIM, as in 3DGS.
+    Eq. 17 (L_m), Sec. Total Loss: (1 − λ) L1 + λ L_D-SSIM with L_D-SSIM = 1 − SSIM, as in 3DGS. Not
+    in the paper: with a width δ, L1 is a Huber loss, d² / 2δ where a difference d is smaller and
+    |d| − δ/2 where it is larger.
 
     Args:
         render: the rendered image.
@@ -87,14 +116,23 @@ def photometric_loss(
         valid: pixels that count, all if None. The others are 0 in both images, and the mean leaves
             them out.
         dssim: λ.
+        huber_width: δ, in the images' units; 0 for L1.
     """
     if valid is not None:
         render, target = (torch.where(valid[:, :, None], image, 0) for image in (render, target))
     x, y = _planes(render), _planes(target)
-    error = (1 - dssim) * (x - y).abs()
+    error = (1 - dssim) * _huber(x - y, huber_width)
     if dssim > 0:
         error = error + dssim * (1 - ssim_map(x, y))
     return masked_mean(error, valid)
+
+
+def _huber(difference: Float[Tensor, "c h w"], width: float) -> Float[Tensor, "c h w"]:
+    """|d| − δ/2, and d² / 2δ where |d| < δ."""
+    size = difference.abs()
+    if width == 0:
+        return size
+    return torch.where(size < width, difference.square() / (2 * width), size - width / 2)
 
 
 def opaqueness_loss(

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.system.operation import operation
+
+CONTRAST = 0.02
+"""Difference of colours, of which 1 is the whole range, that is an edge: docs/decisions."""
+
+Similarity: TypeAlias = tuple[
+    Float[Tensor, "h1 w"] | None,
+    Float[Tensor, "h w1"] | None,
+]
+"""Of the pixels of neighbouring rows, [H − 1, W], and of neighbouring columns, [H, W − 1]; None for
+1."""
 
 
 def smoothness_loss(
@@ -17,6 +29,7 @@ def smoothness_loss(
     extent: float,
     image_weight: float,
     config: LossConfig,
+    similarity: Similarity = (None, None),
 ) -> Float[Tensor, ""]:
     """L_smooth of one modality; the sum over both is Eq. 19 (smooth_total).
 
@@ -30,18 +43,39 @@ def smoothness_loss(
         extent: the scene's extent in scene units.
         image_weight: of the image's part.
         config: has the weight of the depth's part.
+        similarity: of neighbouring pixels, which weighs the differences of the image.
     """
     loss = image.new_zeros(())
     if image_weight > 0:
-        loss = loss + image_weight * total_variation(image, valid)
+        loss = loss + image_weight * total_variation(image, valid, *similarity)
     if config.smooth_depth > 0:
         loss = loss + config.smooth_depth / extent * total_variation(depth[:, :, None], valid)
     return loss
 
 
+@torch.no_grad()
+def similarity_of(guide: Float[Tensor, "h w c"], least: float = 0.0) -> Similarity:
+    """How alike neighbouring pixels are in another image: from 1 for the same colour down to
+    ``least``, by exp(−d / 0.02) with d the mean over the channels of their absolute difference. Not
+    in the paper.
+
+    Args:
+        guide: the other image, of the same pixels, in [0, 1].
+        least: of pixels that have nothing in common.
+    """
+    rows, columns = (
+        guide.diff(dim=axis).abs().mean(dim=2).div(-CONTRAST).exp().mul(1 - least).add(least)
+        for axis in (0, 1)
+    )
+    return rows, columns
+
+
 @operation
 def total_variation(
-    image: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None = None
+    image: Float[Tensor, "h w c"],
+    valid: Bool[Tensor, "h w"] | None = None,
+    row_weights: Float[Tensor, "h1 w"] | None = None,
+    column_weights: Float[Tensor, "h w1"] | None = None,
 ) -> Float[Tensor, ""]:
     """Mean absolute first difference between rows, plus the same between columns.
 
@@ -50,10 +84,15 @@ def total_variation(
     Args:
         image: colours, temperatures, or depths.
         valid: pixels that count, all if None.
+        row_weights: of the differences between neighbouring rows, [H − 1, W]; 1 if None. The mean
+            is over the number of pairs, not over the weights.
+        column_weights: of those between neighbouring columns, [H, W − 1].
     """
     total = image.new_zeros(())
-    for axis in (0, 1):
+    for axis, weights in enumerate((row_weights, column_weights)):
         difference = image.diff(dim=axis).abs()
+        if weights is not None:
+            difference = weights[:, :, None] * difference
         counted = torch.ones_like(difference[:, :, :1], dtype=torch.bool)
         if valid is not None:
             steps = valid.shape[axis] - 1

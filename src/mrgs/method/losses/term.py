@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -14,6 +17,7 @@ from mrgs.method.camera_model.photo_noise import photo_noise
 from mrgs.scene import (
     RGB,
     THERMAL,
+    Blend,
     Camera,
     Gaussians,
     Modality,
@@ -56,7 +60,8 @@ def _pixel_density(photos: Sequence[PosedImage]) -> float:
     return sum((photo.camera.K[0, 0] * photo.camera.K[1, 1]).item() for photo in photos)
 
 
-class LossContext(NamedTuple):
+@dataclass(frozen=True)
+class LossContext:
     """What a loss may look at.
 
     Attributes:
@@ -78,6 +83,26 @@ class LossContext(NamedTuple):
     gaussians: Gaussians
     scale: SceneScale
     render: Callable[[Mapping[Modality, Camera]], Rendering]
+
+    @property
+    def shares_pixels(self) -> bool:
+        """Whether a pixel of the thermal image is the same pixel of the RGB image."""
+        cameras = self.cameras
+        both = RGB in cameras and THERMAL in cameras
+        return both and cameras[RGB].coincides_with(cameras[THERMAL])
+
+    @cached_property
+    def colors_by_thermal_camera(self) -> Blend:
+        """The RGB blend in the pixels of the thermal image. Where the RGB photo's camera is another
+        one, or there is none, it is rendered again, once and without gradient.
+
+        Raises:
+            KeyError: the view has no thermal camera.
+        """
+        if self.shares_pixels:
+            return self.rendering[RGB]
+        with torch.no_grad():
+            return self.render({RGB: self.cameras[THERMAL]})[RGB]
 
 
 class Term(ABC):

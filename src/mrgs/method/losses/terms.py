@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
@@ -23,9 +23,9 @@ from mrgs.method.losses.radiation import (
     normalise_radiation,
     thermal_radiation,
 )
-from mrgs.method.losses.smoothness import smoothness_loss
+from mrgs.method.losses.smoothness import Similarity, similarity_of, smoothness_loss
 from mrgs.method.losses.term import LossContext, Term
-from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality
+from mrgs.scene import RGB, THERMAL, Blend, Modality
 
 
 def configured_terms(
@@ -41,7 +41,7 @@ def configured_terms(
         modalities: each has a photometric term of its own.
     """
     loss, radiation = config.loss, config.radiation
-    terms: list[Term] = [Photometric(modality, loss.dssim) for modality in modalities]
+    terms: list[Term] = [Photometric(modality, loss) for modality in modalities]
     if loss.smooth > 0:
         terms.append(Smoothness(loss))
     if loss.opaque > 0:
@@ -63,20 +63,21 @@ class Photometric(Term):
 
     Args:
         modality: which; also the term's name.
-        dssim: λ of Eq. 17.
+        config: λ of Eq. 17, and the width of a Huber loss.
     """
 
-    def __init__(self, modality: Modality, dssim: float) -> None:
+    def __init__(self, modality: Modality, config: LossConfig) -> None:
         self.name = modality.name
         self._modality = modality
-        self._dssim = dssim
+        self._config = config
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
         photo = context.photos.get(self._modality)
         if photo is None:
             return None
         image = context.observed[self._modality].image
-        return photometric_loss(image, photo.values, photo.valid, self._dssim)
+        width = self._config.huber_width(self._modality, context.scale.thermal_noise)
+        return photometric_loss(image, photo.values, photo.valid, self._config.dssim, width)
 
 
 class Smoothness(Term):
@@ -100,13 +101,21 @@ class Smoothness(Term):
 
     def _of(self, modality: Modality, context: LossContext) -> Float[Tensor, ""]:
         blend, scale = context.rendering[modality], context.scale
+        everywhere, alike = self._config.smooth_image(
+            modality, scale.thermal_noise, scale.thermal_spacing
+        )
+        similarity: Similarity = (None, None)
+        if alike > 0 and RGB in context.gaussians.modalities:
+            colors = context.colors_by_thermal_camera.image
+            similarity = similarity_of(colors, everywhere / (everywhere + alike))
         return smoothness_loss(
             blend.image,
             blend.depth,
             context.photos[modality].valid,
             scale.extent,
-            self._config.smooth_image(modality, scale.thermal_noise, scale.thermal_spacing),
+            everywhere + alike,
             self._config,
+            similarity,
         )
 
 
@@ -129,7 +138,7 @@ class Opaqueness(Term):
         own_opacity = THERMAL in context.gaussians.opacity_logits
         if not own_opacity or THERMAL not in context.cameras:
             return None
-        rgb, thermal = _by_thermal_camera(context)
+        rgb, thermal = context.colors_by_thermal_camera, context.rendering[THERMAL]
         return opaqueness_loss(thermal.alpha, rgb.alpha, thermal.depth, rgb.depth)
 
 
@@ -155,7 +164,7 @@ class Boltzmann(Term):
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
         photo, scale, config = context.photos.get(THERMAL), context.scale, self._config
         by_pixel = config.area == "pixel"
-        if photo is None or (by_pixel and not _share_pixels(context.cameras)):
+        if photo is None or (by_pixel and not context.shares_pixels):
             return None
         image, depth, alpha = context.observed[THERMAL]
         # A depth that is mostly background's is that of no surface, and no photo's temperature.
@@ -177,22 +186,6 @@ class Boltzmann(Term):
             uncertainty,
             valid,
         )
-
-
-def _share_pixels(cameras: Mapping[Modality, Camera]) -> bool:
-    """Whether a pixel of the thermal image is the same pixel of the RGB image."""
-    both = RGB in cameras and THERMAL in cameras
-    return both and cameras[RGB].coincides_with(cameras[THERMAL])
-
-
-def _by_thermal_camera(context: LossContext) -> tuple[Blend, Blend]:
-    """The RGB and the thermal blend, pixel by pixel; where the RGB photo's camera is another one,
-    or there is none, RGB is rendered again without gradient."""
-    cameras, rendering = context.cameras, context.rendering
-    if _share_pixels(cameras):
-        return rendering[RGB], rendering[THERMAL]
-    with torch.no_grad():
-        return context.render({RGB: cameras[THERMAL]})[RGB], rendering[THERMAL]
 
 
 def _surface_depth(blend: Blend) -> Float[Tensor, "h w"]:
