@@ -35,12 +35,13 @@ def test_interpolated_noise_is_noise():
     generator = torch.Generator().manual_seed(0)
     detector = 0.02 * torch.randn(1, 1, 60, 80, generator=generator)
     written = torch.nn.functional.interpolate(detector, scale_factor=2, mode="bilinear")
-    photo = posed_image(0.5 + written[0, 0, :, :, None])
-    assert photo_noise([photo]) == pytest.approx(written.std().item(), rel=0.1)
+    photo, sigma = posed_image(0.5 + written[0, 0, :, :, None]), written.std().item()
+    assert photo_noise([photo], 3) == pytest.approx(sigma, rel=0.1)
+    assert photo_noise([photo]) < 0.6 * sigma
 
 
 def test_photos_too_small_to_tell_have_no_noise():
-    assert photo_noise([posed_image(torch.rand(6, 80, 1))]) == 0
+    assert photo_noise([posed_image(torch.rand(6, 80, 1))], 3) == 0
 
 
 def test_invalid_pixels_do_not_count():
@@ -105,3 +106,14 @@ def test_spacing_of_thermal_pixels(width, thermal_photos, expected):
     points = PointCloud(torch.zeros(4, 3), torch.zeros(4, 3))
     scene = Scene("scene", tuple(views), (), points, None)
     assert SceneScale.of(scene).thermal_spacing == pytest.approx(expected)
+    assert SceneScale.of(scene).thermal_noise == 0
+
+
+@pytest.mark.parametrize(("width", "distance_px"), [(64, 3), (32, 2), (16, 1)])
+def test_photos_coarser_than_the_colours_are_not_interpolated(width, distance_px):
+    generator = torch.Generator().manual_seed(0)
+    heat = torch.rand(width * 3 // 4, width, 1, generator=generator)
+    views = [View("0", {RGB: posed_image(torch.zeros(48, 64, 3)), THERMAL: posed_image(heat)})]
+    points = PointCloud(torch.zeros(4, 3), torch.zeros(4, 3))
+    noise = SceneScale.of(Scene("scene", tuple(views), (), points, None)).thermal_noise
+    assert noise == photo_noise([posed_image(heat)], distance_px)

@@ -13,46 +13,45 @@ from mrgs.scene import Pixels, PosedImage, evenly_spaced
 PHOTOS = 16
 """At most so many photos are read, evenly spread."""
 
-DISTANCE_PX = 3
-"""Between the pixels of a difference. Cameras with few detector pixels write more by interpolation,
-and the noise of one detector pixel is that of several pixels of the photo."""
-
 MEDIAN_OF_NORMAL = 0.6745
 """The median of the absolute value of a standard normal variable."""
 
 
-def photo_noise(photos: Sequence[PosedImage]) -> float:
+def photo_noise(photos: Sequence[PosedImage], distance_px: int = 1) -> float:
     """Standard deviation of the noise of a pixel, in units of the photos' values; 0 without photos.
 
     A second difference along the rows and then along the columns removes whatever is locally a
     plane, and has 6 times the standard deviation of independent noise (J. Immerkær, Fast Noise
-    Variance Estimation, 1996, with neighbours for ``DISTANCE_PX``). Its median over all pixels
+    Variance Estimation, 1996, where it is between neighbours). Its median over all pixels
     hardly sees edges, which are few. Values in steps, of 8 bits for instance, count as noise of
     about a quarter of a step or more.
 
     Args:
         photos: of one modality.
+        distance_px: between the pixels of a difference. Cameras with few detector pixels write more
+            by interpolation, and the noise of one detector pixel is that of several pixels of the
+            photo, which neighbours do not tell.
     """
     chosen = (
         [photos[index].load() for index in evenly_spaced(len(photos), PHOTOS)] if photos else []
     )
-    responses = [_second_differences(photo).abs() for photo in chosen]
+    responses = [_second_differences(photo, distance_px).abs() for photo in chosen]
     found = (
         torch.cat([each[each.isfinite()] for each in responses]) if responses else torch.empty(0)
     )
     return found.median().item() / MEDIAN_OF_NORMAL / 6 if len(found) > 0 else 0.0
 
 
-def _second_differences(photo: Pixels) -> Float[Tensor, " n"]:
+def _second_differences(photo: Pixels, distance_px: int) -> Float[Tensor, " n"]:
     """Of all pixels whose neighbours in that distance are in the photo; NaN where one of these is
     not valid."""
     values = photo.values
     if photo.valid is not None:
         values = torch.where(photo.valid[:, :, None], values, torch.nan)
     for axis in (0, 1):
-        steps = max(values.shape[axis] - 2 * DISTANCE_PX, 0)
+        steps = max(values.shape[axis] - 2 * distance_px, 0)
         before, here, behind = (
-            values.narrow(axis, k * DISTANCE_PX if steps else 0, steps) for k in range(3)
+            values.narrow(axis, k * distance_px if steps else 0, steps) for k in range(3)
         )
         values = before - 2 * here + behind
     return values.flatten()

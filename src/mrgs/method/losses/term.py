@@ -28,6 +28,9 @@ from mrgs.scene import (
     TemperatureRange,
 )
 
+INTERPOLATED_PX = 3
+"""Pixels of a thermal photo this far apart come from detector pixels of their own."""
+
 
 class SceneScale(NamedTuple):
     """What lengths and temperatures are measured by, and how well the latter are known.
@@ -49,10 +52,15 @@ class SceneScale(NamedTuple):
     @classmethod
     def of(cls, scene: Scene) -> SceneScale:
         """The scale of a scene and its training photos."""
-        thermal = scene.train_photos(THERMAL)
-        density = _pixel_density(thermal)
-        spacing = math.sqrt(_pixel_density(scene.train_photos(RGB)) / density) if density else 1.0
-        return cls(scene.extent, scene.temperature, photo_noise(thermal), max(1.0, spacing))
+        rgb, thermal = scene.train_photos(RGB), scene.train_photos(THERMAL)
+        if not thermal:
+            return cls(scene.extent, scene.temperature)
+        spacing = math.sqrt(_pixel_density(rgb) / _pixel_density(thermal))
+        # Of photos as fine as the colours', neighbouring pixels may be interpolated from one.
+        coarseness = spacing * math.sqrt(len(thermal) / max(len(rgb), 1))
+        distance_px = max(1, round(INTERPOLATED_PX / max(coarseness, 1.0)))
+        noise = photo_noise(thermal, distance_px)
+        return cls(scene.extent, scene.temperature, noise, max(1.0, spacing))
 
 
 def _pixel_density(photos: Sequence[PosedImage]) -> float:
