@@ -33,6 +33,14 @@ def posed_image(values: Tensor, valid: Tensor | None = None) -> PosedImage:
     return PosedImage(camera, lambda: Pixels(values, valid))
 
 
+def small_camera(x: float = 0.0) -> Camera:
+    """A camera of 8×6 pixels that looks along z, moved by x."""
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[0, 3] = -x
+    K = torch.tensor([[9.0, 0, 4.0], [0, 9.0, 3.0], [0, 0, 1]], dtype=torch.float64)
+    return Camera(K, viewmat, 8, 6)
+
+
 def ramp_view(
     name: str = "eval_0",
     rgb: bool = True,

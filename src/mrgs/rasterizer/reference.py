@@ -46,14 +46,12 @@ class Splats(NamedTuple):
         means2d: projected centres μ' in pixels, [M, 2].
         covs2d: projected, dilated covariances Σ' in px², [M, 2, 2].
         depths: z in camera coordinates, scene units, [M].
-        depth_slopes: how much z changes from pixel to pixel, [M, 2].
     """
 
     indices: Tensor
     means2d: Tensor
     covs2d: Tensor
     depths: Tensor
-    depth_slopes: Tensor
 
 
 def rasterize(
@@ -192,10 +190,8 @@ def project(
     means2d = perspective(means_camera, K)
     if means2d_offset is not None:
         means2d = means2d + means2d_offset[indices]
-    jacobian = jacobians(means_camera, K, width, height)
-    covs2d = project_covariances(covs, jacobian, viewmat)
-    slopes = depth_slopes(covs, jacobian, covs2d, viewmat)
-    return Splats(indices, means2d, covs2d, means_camera[:, 2], slopes)
+    covs2d = project_covariances(covs, jacobians(means_camera, K, width, height), viewmat)
+    return Splats(indices, means2d, covs2d, means_camera[:, 2])
 
 
 def pixel_centres(width: int, height: int, like: Tensor) -> Float[Tensor, "p 2"]:
@@ -282,15 +278,19 @@ def median_depth(
     Returns:
         scene units, [H, W]; NaN where more than half of the light passes all Gaussians.
     """
-    splats = project(means, quats, scales, viewmat.to(means), K.to(means), width, height)
+    viewmat, K = viewmat.to(means), K.to(means)
+    splats = project(means, quats, scales, viewmat, K, width, height)
     if len(splats.indices) == 0:
         return means.new_full((height, width), torch.nan)
+    covs = covariances(quats, scales)[splats.indices]
+    jacobian = jacobians(to_camera(means, viewmat)[splats.indices], K, width, height)
+    slopes = depth_slopes(covs, jacobian, splats.covs2d, viewmat)
     pixels = pixel_centres(width, height, means)
     chunks = pixels.split(max(1, CHUNK_ELEMENTS // len(splats.indices)))
     opacities = opacities[splats.indices]
     medians = [
         surface_depths(
-            depths_along_rays(chunk, splats),
+            depths_along_rays(chunk, splats, slopes),
             transmittances(alphas(opacities, falloffs(chunk, splats.means2d, splats.covs2d))),
         )
         for chunk in chunks
@@ -307,10 +307,12 @@ def depth_quantiles(depth: Float[Tensor, "h w"], *arguments: Any) -> Float[Tenso
     return known[quarters]
 
 
-def depths_along_rays(pixels: Float[Tensor, "p 2"], splats: Splats) -> Float[Tensor, "p m"]:
+def depths_along_rays(
+    pixels: Float[Tensor, "p 2"], splats: Splats, slopes: Float[Tensor, "m 2"]
+) -> Float[Tensor, "p m"]:
     """z + ∂z/∂x' (x' − μ') of every pixel and Gaussian, never before the near plane."""
     offsets = pixels[:, None] - splats.means2d
-    return (splats.depths + (offsets * splats.depth_slopes).sum(dim=-1)).clamp_min(NEAR_PLANE)
+    return (splats.depths + (offsets * slopes).sum(dim=-1)).clamp_min(NEAR_PLANE)
 
 
 def surface_depths(

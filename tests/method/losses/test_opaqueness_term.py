@@ -13,16 +13,9 @@ from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Opaqueness
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Rendering
 from tests.helpers.gaussians import random_gaussians
-from tests.helpers.views import not_rendered
+from tests.helpers.views import not_rendered, small_camera
 
 HEIGHT, WIDTH = 6, 8
-
-
-def camera(x: float) -> Camera:
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[0, 3] = -x
-    K = torch.tensor([[9.0, 0, WIDTH / 2], [0, 9.0, HEIGHT / 2], [0, 0, 1]], dtype=torch.float64)
-    return Camera(K, viewmat, WIDTH, HEIGHT)
 
 
 def blend(modality: Modality, depth: float, moves: bool = False) -> Blend:
@@ -49,14 +42,14 @@ def loss_of(light: float, heat: Blend) -> Tensor:
 
 
 def test_one_camera_has_both() -> None:
-    both = dict.fromkeys((RGB, THERMAL), camera(0.0))
+    both = dict.fromkeys((RGB, THERMAL), small_camera(0.0))
     heat = blend(THERMAL, 5.0)
     assert Opaqueness(0.1).value(context(both, 2.0, heat)) == loss_of(2.0, heat)
 
 
 @pytest.mark.parametrize("photos", [{RGB, THERMAL}, {THERMAL}], ids=["two cameras", "no RGB photo"])
 def test_light_is_rendered_by_the_thermal_camera(photos: set[Modality]) -> None:
-    cameras = {RGB: camera(0.0), THERMAL: camera(0.2)}
+    cameras = {RGB: small_camera(0.0), THERMAL: small_camera(0.2)}
     asked = []
 
     def render(others: Mapping[Modality, Camera]) -> Rendering:
@@ -75,6 +68,6 @@ def test_light_is_rendered_by_the_thermal_camera(photos: set[Modality]) -> None:
 
 def test_without_a_thermal_photo_or_with_one_opacity_there_is_nothing_to_compare() -> None:
     heat = blend(THERMAL, 5.0)
-    apart = {RGB: camera(0.0), THERMAL: camera(0.2)}
+    apart = {RGB: small_camera(0.0), THERMAL: small_camera(0.2)}
     assert Opaqueness(0.1).value(context({RGB: apart[RGB]}, 2.0, heat)) is None
     assert Opaqueness(0.1).value(context(apart, 2.0, heat, shares_opacity=True)) is None

@@ -16,7 +16,7 @@ from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.method.losses.terms import configured_terms, term_values
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Pixels, Rendering
 from tests.helpers.gaussians import random_gaussians
-from tests.helpers.views import not_rendered
+from tests.helpers.views import not_rendered, small_camera
 
 HEIGHT, WIDTH = 6, 8
 NOISE = 0.01
@@ -24,13 +24,6 @@ NOISE = 0.01
 
 def values(channels: int, seed: int) -> torch.Tensor:
     return torch.rand(HEIGHT, WIDTH, channels, generator=torch.Generator().manual_seed(seed))
-
-
-def camera(x: float = 0.0) -> Camera:
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[0, 3] = -x
-    K = torch.tensor([[9.0, 0, WIDTH / 2], [0, 9.0, HEIGHT / 2], [0, 0, 1]], dtype=torch.float64)
-    return Camera(K, viewmat, WIDTH, HEIGHT)
 
 
 def shown(modality: Modality, seed: int) -> Blend:
@@ -51,11 +44,9 @@ def terms_of(method: str) -> dict[str, Term]:
 
 @pytest.mark.parametrize("method", ["mrgs", "mrgs-plus", "3dgs-rgbt"])
 def test_differences_as_small_as_the_noise_are_squared_in_the_temperatures_alone(method):
-    seen = context(dict.fromkeys((RGB, THERMAL), camera()))
-    config, found = (
-        make_config(method, "fast").loss,
-        term_values(list(terms_of(method).values()), seen),
-    )
+    seen = context(dict.fromkeys((RGB, THERMAL), small_camera()))
+    config = make_config(method, "fast").loss
+    found = term_values(list(terms_of(method).values()), seen)
     widths = {RGB: 0.0, THERMAL: config.huber_noise * NOISE}
     assert (widths[THERMAL] > 0) == (method == "mrgs-plus")
     for modality, width in widths.items():
@@ -67,7 +58,7 @@ def test_differences_as_small_as_the_noise_are_squared_in_the_temperatures_alone
 @pytest.mark.parametrize("noise", [NOISE, 0.0])
 def test_temperatures_may_change_where_the_colours_do(noise):
     seen = replace(
-        context(dict.fromkeys((RGB, THERMAL), camera())), scale=SceneScale(3.0, None, noise)
+        context(dict.fromkeys((RGB, THERMAL), small_camera())), scale=SceneScale(3.0, None, noise)
     )
     everywhere, alike = make_config("mrgs-plus", "fast").loss.smooth_image(THERMAL, noise, 1.0)
     assert (everywhere > 0) == (noise > 0)
@@ -88,7 +79,7 @@ def test_colours_are_rendered_once_by_a_thermal_camera_of_its_own():
         asked.append((dict(cameras), torch.is_grad_enabled()))
         return Rendering({RGB: shown(RGB, 3)})
 
-    cameras = {RGB: camera(), THERMAL: camera(0.2)}
+    cameras = {RGB: small_camera(), THERMAL: small_camera(0.2)}
     seen = context(cameras, render)
     terms = terms_of("mrgs-plus")
     for name in ("smooth", "opaque"):

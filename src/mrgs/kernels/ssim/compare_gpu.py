@@ -78,6 +78,12 @@ def _enter(sums, value, WINDOW: tl.constexpr):
     return sums[0] + a, begun
 
 
+@triton.jit
+def _huber_slope(difference, steepness):
+    """The derivative of the Huber loss; of |x − y|, its sign."""
+    return tl.minimum(tl.maximum(steepness * difference, -1.0), 1.0)
+
+
 @triton.jit(do_not_specialize=SIZES)
 def compare_kernel(
     x,
@@ -170,7 +176,7 @@ def compare_kernel(
         structure = (2.0 * (product - cross) + c2) * per_variances
         error = 1.0 - luminance * structure
         # A row that is not this strip's may hold half a window: it counts nothing, not even NaN.
-        slope = tl.minimum(tl.maximum(steepness * (a - b), -1.0), 1.0)
+        slope = _huber_slope(a - b, steepness)
         huber = slope * (a - b - half_width * slope)
         total += tl.where(mask, weight * (l1 * huber + dssim * error), 0.0)
         if errors is not None:
@@ -257,7 +263,7 @@ def gradients_kernel(
         counts = weight != 0
         a = tl.load(x + at, mask=mask & counts, other=0.0)
         b = tl.load(y + at, mask=mask & counts, other=0.0)
-        step = l1 * weight * tl.minimum(tl.maximum(steepness * (a - b), -1.0), 1.0)
+        step = l1 * weight * _huber_slope(a - b, steepness)
         gradient = step + by_mean_x + a * by_squares + b * by_product
         tl.store(gradient_x + at, tl.where(counts, gradient, 0.0), mask=mask)
         if gradient_y is not None:
