@@ -34,6 +34,7 @@ class Model:
         sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
         temperature_residuals: t̂ of each Gaussian, [N, 1], where it is known beforehand
             (``bake_temperature_residuals``); else None.
+        dilation_px2: of the projected covariances (``rasterizer.contract``).
     """
 
     gaussians: Gaussians
@@ -41,6 +42,7 @@ class Model:
     neighbours: Int64[Tensor, "n k"] | None
     sh_degree: int = 3
     temperature_residuals: Float[Tensor, "n 1"] | None = None
+    dilation_px2: float = contract.DILATION_PX2
 
     def to(self, device: torch.device) -> Model:
         """The same model on a device, to render with; itself if it is there."""
@@ -95,7 +97,7 @@ class Model:
         K, viewmat, _ = camera.tensors(gaussians.means.device)
         return median_depth(
             gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(modality),
-            viewmat, K, camera.width, camera.height,
+            viewmat, K, camera.width, camera.height, self.dilation_px2,
         )  # fmt: skip
 
 
@@ -157,7 +159,7 @@ def render(
     depths: dict[Modality, Tensor] = {}
     points = []
     for camera, modalities in shared_passes(cameras):
-        rows = rows_in_view(model.gaussians, camera)
+        rows = rows_in_view(model, camera)
         layers = [_layer(model, each, camera, rows, degrees.get(each)) for each in modalities]
         raster, projected = _pass(model, layers, camera)
         blends.update(zip(modalities, raster.blends, strict=True))
@@ -208,7 +210,7 @@ def _layer(
 
 
 @torch.no_grad()
-def rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | None:
+def rows_in_view(model: Model, camera: Camera) -> Int64[Tensor, " v"] | None:
     """The Gaussians that the rasterizer may draw, so that the heads need not be evaluated for
     others; None for all.
 
@@ -216,13 +218,13 @@ def rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | 
     On a GPU it is all: the host would have to wait for their number, which costs more than the
     heads of those that are not seen.
     """
-    means = gaussians.means
+    means = model.gaussians.means
     if not means.is_cpu:
         return None
     K, viewmat, _ = camera.tensors(means.device, means.dtype)
     # Rows of x, y and z: strides of three would keep torch from its vectors.
     x, y, z = torch.addmm(viewmat[:3, 3:], viewmat[:3, :3], means.T)
-    largest = gaussians.log_scales.amax(dim=1).exp()
+    largest = model.gaussians.log_scales.amax(dim=1).exp()
     in_view = z >= contract.NEAR_PLANE
     for across, focal, centre, size in (
         (x, K[0, 0], K[0, 2], camera.width),
@@ -231,7 +233,7 @@ def rows_in_view(gaussians: Gaussians, camera: Camera) -> Int64[Tensor, " v"] | 
         slope = across / z
         margin = contract.FRUSTUM_MARGIN * 0.5 * size / focal
         clamped = slope.clamp(-centre / focal - margin, (size - centre) / focal + margin)
-        variance = (largest * focal / z) ** 2 * (1 + clamped**2) + contract.COVARIANCE_DILATION_PX2
+        variance = (largest * focal / z) ** 2 * (1 + clamped**2) + model.dilation_px2
         extent = (2 * math.log(1 / contract.ALPHA_MIN) * variance).sqrt()
         place = focal * slope + centre
         in_view &= (place + extent >= 0) & (place - extent <= size)
@@ -269,5 +271,6 @@ def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, Sc
         camera.width,
         camera.height,
         offset,
+        model.dilation_px2,
     )
     return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))

@@ -12,6 +12,7 @@ from mrgs.rasterizer import reference
 from mrgs.rasterizer.contract import (
     ALPHA_MAX,
     ALPHA_MIN,
+    DILATION_PX2,
     TRANSMITTANCE_MIN,
     Layer,
     Raster,
@@ -38,6 +39,7 @@ class RasterizerScene:
     K: Tensor
     width: int
     height: int
+    dilation_px2: float = DILATION_PX2
 
     def to(self, dtype: torch.dtype) -> RasterizerScene:
         tensors = {name: tensor.to(dtype) for name, tensor in self.tensors.items()}
@@ -63,6 +65,7 @@ class RasterizerScene:
             layers,
             *camera,
             t["means2d_offset"],
+            self.dilation_px2,
         )
 
     @torch.no_grad()
@@ -79,8 +82,9 @@ class RasterizerScene:
         t = self.tensors
         geometry = (t["means"], t["quats"], t["scales"])
         splats = reference.project(
-            *geometry, self.viewmat, self.K, self.width, self.height, t["means2d_offset"]
-        )
+            *geometry, self.viewmat, self.K, self.width, self.height, t["means2d_offset"],
+            self.dilation_px2,
+        )  # fmt: skip
         falloff = reference.falloffs(
             reference.pixel_centres(self.width, self.height, t["means"]),
             splats.means2d,
@@ -120,7 +124,8 @@ def random_scene(
     One in ten lies behind the camera or before the near plane, about a third of the rest outside
     the image. Most project to a few pixels, some to less than one, one in fifteen to more than the
     image; these lie so far off that the clamp in the Jacobian acts on some. Opacities reach below
-    1/255 and above 0.999. Depths keep a distance, so that no rounding can swap two Gaussians.
+    1/255 and above 0.999. Depths keep a distance, so that no rounding can swap two Gaussians. The
+    dilation is that of 3DGS or smaller, by the seed.
     """
     rng = torch.Generator().manual_seed(seed)
 
@@ -161,7 +166,9 @@ def random_scene(
         tensors[f"{modality}.features"] = uniform(0, 1, n, channels)
         tensors[f"{modality}.background"] = uniform(0, 1, channels)
     # Through float32, so that a float32 kernel and the float64 oracle are given the same numbers.
-    return RasterizerScene(tensors, viewmat, K, width, height).to(torch.float32).to(dtype)
+    dilation_px2 = (DILATION_PX2, 0.1, 0.02)[seed % 3]
+    scene = RasterizerScene(tensors, viewmat, K, width, height, dilation_px2)
+    return scene.to(torch.float32).to(dtype)
 
 
 def wide_and_flat(scene: RasterizerScene) -> RasterizerScene:

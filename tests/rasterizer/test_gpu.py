@@ -18,6 +18,7 @@ import torch
 import mrgs.rasterizer
 from mrgs.errors import MrgsError
 from mrgs.rasterizer import Layer, reference
+from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.system import operation
 from tests.helpers.rasterizers import (
     assert_same_bits,
@@ -47,11 +48,14 @@ def rasterize(gpu_device: str) -> Callable:
         width,
         height,
         means2d_offset=None,
+        dilation_px2=DILATION_PX2,
     ):
         layers = [Layer(*(tensor.to(gpu_device) for tensor in layer)) for layer in layers]
         means, quats, scales = (tensor.to(gpu_device) for tensor in (means, quats, scales))
         offset = None if means2d_offset is None else means2d_offset.to(gpu_device)
-        raster = gpu.rasterize(means, quats, scales, layers, viewmat, K, width, height, offset)
+        raster = gpu.rasterize(
+            means, quats, scales, layers, viewmat, K, width, height, offset, dilation_px2
+        )
         blends = tuple(type(blend)(*(image.cpu() for image in blend)) for blend in raster.blends)
         return type(raster)(blends, raster.radii.cpu())
 

@@ -107,7 +107,7 @@ def test_kernel_against_the_plain_definition(seed, modality):
     t = scene.tensors
     arguments = (
         t["means"], t["quats"], t["scales"], t[f"{modality}.opacities"],
-        scene.viewmat, scene.K, scene.width, scene.height,
+        scene.viewmat, scene.K, scene.width, scene.height, scene.dilation_px2,
     )  # fmt: skip
     kernel = cpu.median_depth(*arguments).double()
     exact = reference.median_depth(

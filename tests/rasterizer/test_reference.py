@@ -188,7 +188,9 @@ def test_the_radius_is_where_alpha_reaches_the_threshold_in_the_more_opaque_laye
     scene = random_scene(5)
     raster, t = scene.render(rasterize), scene.tensors
     camera = (scene.viewmat, scene.K, scene.width, scene.height)
-    splats = reference.project(t["means"], t["quats"], t["scales"], *camera, t["means2d_offset"])
+    geometry = (t["means"], t["quats"], t["scales"])
+    dilated = (t["means2d_offset"], scene.dilation_px2)
+    splats = reference.project(*geometry, *camera, *dilated)
     opacity = torch.maximum(t["rgb.opacities"], t["thermal.opacities"])
     seen = raster.radii[splats.indices] > 0
     assert seen.sum() > 20
@@ -228,7 +230,7 @@ def walk_pixel(scene, modality, column, row):
             - t["means2d_offset"][i]
         )
         alpha = t[f"{modality}.opacities"][i] * np.exp(
-            -0.5 * d @ np.linalg.inv(N @ N.T + 0.3 * np.eye(2)) @ d
+            -0.5 * d @ np.linalg.inv(N @ N.T + scene.dilation_px2 * np.eye(2)) @ d
         )
         alpha = min(0.999, alpha)
         if alpha < 1 / 255:

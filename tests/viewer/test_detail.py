@@ -45,7 +45,7 @@ def test_the_whole_is_drawn_from_few_and_a_part_from_more():
     coarse, fine = found.model_for(AROUND), found.model_for(INSIDE)
     assert 200 / LEVEL_FACTOR <= len(coarse.gaussians) <= 200
     assert len(coarse.gaussians) < len(fine.gaussians) <= 3000
-    rows = rows_in_view(fine.gaussians, INSIDE)
+    rows = rows_in_view(fine, INSIDE)
     assert rows is not None
     assert len(rows) < 300  # an estimate: what a coarse one in view stands for may lie beside it
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,6 @@ from mrgs.field import nearest_neighbours
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.start.start_points import model_modalities
-from mrgs.render import Model
 from mrgs.scene import Gaussians, Scene
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint_layout import below
@@ -67,7 +67,7 @@ def join(
     gaussians, facts, cameras = _joined([coarse, *blocks], plan, scene)
     model, image_model = WholeModel.of(coarse, config)
     image_model.load_state_dict(cameras)
-    whole = WholeModel(Model(gaussians, model.field, None, model.sh_degree), image_model)
+    whole = WholeModel(replace(model, gaussians=gaussians, neighbours=None), image_model)
     return JoinedBlocks(whole, tuple(facts))
 
 
@@ -85,14 +85,14 @@ def save(
     Raises:
         RunError: it cannot be written.
     """
-    gaussians, field = joined.whole.model.gaussians, joined.whole.model.field
+    gaussians = joined.whole.model.gaussians
     neighbours = None
     if config.field.neighbours_k > 0:
         neighbours = nearest_neighbours(gaussians.means, config.field.neighbours_k)
     terms = configured_terms(config, (), gaussians.modalities)
     generator = torch.Generator().manual_seed(config.seed)
     state = TrainingState.around(
-        Model(gaussians, field, neighbours), terms, config.densification, config,
+        replace(joined.whole.model, neighbours=neighbours), terms, config.densification, config,
         joined.facts[0].capture, generator,
     )  # fmt: skip
     state.image_model.load_state_dict(joined.whole.image_model.state_dict())

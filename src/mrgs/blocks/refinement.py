@@ -124,7 +124,8 @@ class Refinement:
         chosen = self.start.model.gaussians.rows(self.rows)
         if self.points is not None:
             chosen = chosen.followed_by(self._from_points(self.points, scene, config))
-        model = Model(chosen, self.start.model.field, neighbours=None, sh_degree=0).to(device)
+        model = replace(self.start.model, gaussians=chosen, neighbours=None, sh_degree=0)
+        model = model.to(device)
         terms = configured_terms(config, (), chosen.modalities)
         generator = torch.Generator().manual_seed(config.seed)
         state = TrainingState.around(model, terms, strategy, config, Capture.of(scene), generator)
@@ -237,7 +238,7 @@ def _rows(model: Model, scene: Scene, part: Part, views: Sequence[int]) -> Int64
     kept = part.contains(model.gaussians.means.detach())
     for number in views:
         for camera in scene.train[number].cameras.values():
-            rows = rows_in_view(model.gaussians, camera)
+            rows = rows_in_view(model, camera)
             kept[slice(None) if rows is None else rows] = True
     return kept.nonzero()[:, 0]
 

@@ -15,6 +15,7 @@ from mrgs.export.crs import place_facts
 from mrgs.export.loss import BakingLoss
 from mrgs.export.splats import ThermalScale, temperature_name, value_names
 from mrgs.pictures.values import unit_of
+from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Scene
 from mrgs.system.atomic import write_text
@@ -61,8 +62,8 @@ def facts_of(
         "camera_axes": "OpenCV: x right, y down, z forward",
         "temperature": temperature,
         **_other_facts(baked),
-        "opacities": "for a viewer that adds 0.3 px² to the projected covariance and nothing else "
-        "(3DGS)",
+        "opacities": f"for a viewer that adds {baked.dilation_px2:g} px² to the projected "
+        f"covariance and nothing else; 3DGS and most viewers add {DILATION_PX2:g}",
         "baking_loss_db": None if loss is None else loss_facts(loss),
         "baking": "the view-dependent colour residual is folded into spherical harmonics of "
         "degree 3; what depends on "

@@ -16,6 +16,7 @@ from mrgs.method.density import AdaptiveDensityControl, ConfiguredStrategy
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
+from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within
 from mrgs.system.strict_yaml import read_yaml, write_yaml
 
@@ -66,6 +67,13 @@ PLUS_LOSS = {
 """The losses of ``mrgs-plus`` in all presets: temperatures are smooth where the colours are, and
 noise counts by its squares: docs/decisions."""
 
+PLUS_DILATION_PX2 = 0.1
+"""Of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3, Gaussians are drawn
+more blurred than a pixel sees the scene, and thinner than it is: docs/decisions."""
+
+LEAST_DILATION_PX2 = 0.01
+"""With less, Gaussians between the centres of pixels are not seen."""
+
 CPU_COARSE = 0.5
 """Share of the training on coarser photos in the presets for CPUs, where photos are large enough:
 docs/decisions."""
@@ -91,6 +99,8 @@ class TrainConfig:
         seed: of every random choice.
         sh_every: steps between the degrees of the spherical harmonics.
         shares_opacity: blend both modalities with o_c.
+        dilation_px2: added to the diagonal of the Gaussians' projected covariances; 0.3 px² in 3DGS
+            and the paper.
         temperature_sh_degree: degree of the temperature's spherical harmonics: 0 as published, t_i
             does not depend on the view. None for 3 where thermal photos have no °C, whose greys may
             depend on what else a photo shows (automatic gain), and 0 where they have.
@@ -121,6 +131,7 @@ class TrainConfig:
     seed: int = 0
     sh_every: int = 1_000
     shares_opacity: bool = False
+    dilation_px2: float = DILATION_PX2
     temperature_sh_degree: int | None = 0
     distant_points: bool = False
     photo_temperatures: bool = False
@@ -140,6 +151,7 @@ class TrainConfig:
         require_within(self, ["fitted_residuals"], 0, MOST_STEPS)
         require_within(self, ["seed"], 0, MOST_SEED)
         require_within(self, ["coarse_until"], 0, 1)
+        require_within(self, ["dilation_px2"], LEAST_DILATION_PX2, 1)
         if self.resolution is not None and self.resolution < 16:
             raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
         if self.temperature_sh_degree not in (None, *range(MAX_DEGREE + 1)):
@@ -243,6 +255,7 @@ def _plus(config: TrainConfig) -> TrainConfig:
         radiation=None,
         loss=replace(config.loss, **PLUS_LOSS),
         image_model=PLUS_IMAGE_MODEL,
+        dilation_px2=PLUS_DILATION_PX2,
     )
 
 

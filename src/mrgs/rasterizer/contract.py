@@ -6,9 +6,10 @@ The image model, for the Gaussian i, the pixel centre x' and a layer with opacit
     w_i = α_i · T_i,  T_i = Π_{j<i} (1 − α_j)     front to back in z-depth, ties by index
     image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i,  alpha = 1 − T_end
 
-μ' is the perspective projection, Σ' = J R_w Σ R_wᵀ Jᵀ + 0.3 I the EWA projection (px²). A Gaussian
-is left out of a pixel where α_i < 1/255, and a pixel is finished once T < 1e-4 (the Gaussian that
-brings T below still counts). The depth is not divided by alpha, as in the paper.
+μ' is the perspective projection, Σ' = J R_w Σ R_wᵀ Jᵀ + d I the EWA projection (px²) with the
+dilation d, 0.3 px² in 3DGS. A Gaussian is left out of a pixel where α_i < 1/255, and a pixel is
+finished once T < 1e-4 (the Gaussian that brings T below still counts). The depth is not divided by
+alpha, as in the paper.
 
 J expands the projection to first order about the centre, which means nothing for a Gaussian that
 reaches the plane of the camera: one whose standard deviation along the view's axis exceeds its
@@ -28,8 +29,9 @@ from mrgs.scene import Blend
 NEAR_PLANE = 0.01
 """Gaussians whose centre is closer to the image plane are left out (scene units)."""
 
-COVARIANCE_DILATION_PX2 = 0.3
-"""Added to the diagonal of the projected covariance: a Gaussian is never thinner than a pixel."""
+DILATION_PX2 = 0.3
+"""d of 3DGS: added to the diagonal of the projected covariance, so that a Gaussian is never much
+thinner than a pixel."""
 
 ALPHA_MAX = 0.999
 ALPHA_MIN = 1.0 / 255.0
@@ -87,6 +89,7 @@ class Rasterizer(Protocol):
         width: int,
         height: int,
         means2d_offset: Float[Tensor, "n 2"] | None = None,
+        dilation_px2: float = DILATION_PX2,
     ) -> Raster:
         """Render the layers from one camera.
 
@@ -101,5 +104,6 @@ class Rasterizer(Protocol):
             height: pixels.
             means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the
                 screen-space gradient that densification reads.
+            dilation_px2: d, above 0.
         """
         ...

@@ -23,7 +23,7 @@ from torch.autograd.function import once_differentiable
 from mrgs.rasterizer.contract import (
     ALPHA_MAX,
     ALPHA_MIN,
-    COVARIANCE_DILATION_PX2,
+    DILATION_PX2,
     FRUSTUM_MARGIN,
     NEAR_PLANE,
     SURFACE_TRANSMITTANCES,
@@ -64,6 +64,7 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
+    dilation_px2: float = DILATION_PX2,
 ) -> Raster:
     """Render the layers from one camera; arguments and result as in ``contract.Rasterizer``.
 
@@ -77,7 +78,7 @@ def rasterize(
     if width < 1 or height < 1:
         raise ValueError(f"width and height must be at least 1 pixel, got {width} x {height}")
     viewmat, K = viewmat.to(means), K.to(means)
-    splats = project(means, quats, scales, viewmat, K, width, height, means2d_offset)
+    splats = project(means, quats, scales, viewmat, K, width, height, means2d_offset, dilation_px2)
     opacities = [layer.opacities[splats.indices] for layer in layers]
     radii = torch.zeros_like(means[:, 0]).index_put(
         (splats.indices,), extents_px(splats, opacities, width, height)
@@ -147,11 +148,14 @@ def jacobians(
 
 
 def project_covariances(
-    covs: Float[Tensor, "n 3 3"], jacobian: Float[Tensor, "n 2 3"], viewmat: Float[Tensor, "4 4"]
+    covs: Float[Tensor, "n 3 3"],
+    jacobian: Float[Tensor, "n 2 3"],
+    viewmat: Float[Tensor, "4 4"],
+    dilation_px2: float,
 ) -> Float[Tensor, "n 2 2"]:
-    """Σ' = J R_w Σ R_wᵀ Jᵀ + 0.3 I in px²."""
+    """Σ' = J R_w Σ R_wᵀ Jᵀ + d I in px²."""
     world_to_image = jacobian @ viewmat[:3, :3]
-    dilation = COVARIANCE_DILATION_PX2 * torch.eye(2, dtype=covs.dtype, device=covs.device)
+    dilation = dilation_px2 * torch.eye(2, dtype=covs.dtype, device=covs.device)
     return world_to_image @ covs @ world_to_image.mT + dilation
 
 
@@ -179,6 +183,7 @@ def project(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
+    dilation_px2: float = DILATION_PX2,
 ) -> Splats:
     """Drop what lies before the near plane or reaches the plane of the camera, sort the rest by
     depth (ties by index) and project it."""
@@ -190,7 +195,8 @@ def project(
     means2d = perspective(means_camera, K)
     if means2d_offset is not None:
         means2d = means2d + means2d_offset[indices]
-    covs2d = project_covariances(covs, jacobians(means_camera, K, width, height), viewmat)
+    jacobian = jacobians(means_camera, K, width, height)
+    covs2d = project_covariances(covs, jacobian, viewmat, dilation_px2)
     return Splats(indices, means2d, covs2d, means_camera[:, 2])
 
 
@@ -258,6 +264,7 @@ def median_depth(
     K: Float[Tensor, "3 3"],
     width: int,
     height: int,
+    dilation_px2: float = DILATION_PX2,
 ) -> Float[Tensor, "h w"]:
     """z at which the transmittance T of a layer falls to one half; no gradients.
 
@@ -274,12 +281,13 @@ def median_depth(
         K: intrinsics in pixels, [3, 3].
         width: pixels.
         height: pixels.
+        dilation_px2: d of the projected covariances.
 
     Returns:
         scene units, [H, W]; NaN where more than half of the light passes all Gaussians.
     """
     viewmat, K = viewmat.to(means), K.to(means)
-    splats = project(means, quats, scales, viewmat, K, width, height)
+    splats = project(means, quats, scales, viewmat, K, width, height, dilation_px2=dilation_px2)
     if len(splats.indices) == 0:
         return means.new_full((height, width), torch.nan)
     covs = covariances(quats, scales)[splats.indices]

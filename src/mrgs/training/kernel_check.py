@@ -48,7 +48,7 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
             cameras = {
                 modality: camera.with_width(WIDTH_PX) for modality, camera in view.cameras.items()
             }
-            seen = rows_in_view(state.model.gaussians, next(iter(cameras.values())))
+            seen = rows_in_view(state.model, next(iter(cameras.values())))
             model = _sampled(state.model, seen, config.sh_degree_at(config.max_steps))
             last = (config.max_steps - 1, config.max_steps)  # one of them goes without harmonics
             degrees = {THERMAL: max(map(config.temperature_sh_degree_at, last))}

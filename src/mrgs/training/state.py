@@ -189,7 +189,9 @@ def initial_state(
         gaussians = initial_gaussians(points, field, shares_opacity, degree)
         steps = config.fitted_residuals
         fit_residuals(field, gaussians, points.values[THERMAL], steps, generator)
-    model = Model(gaussians, field, neighbours=None, sh_degree=0).to(device)
+    model = Model(
+        gaussians, field, neighbours=None, sh_degree=0, dilation_px2=config.dilation_px2
+    ).to(device)
     return TrainingState.around(model, all_terms, strategy, config, capture, generator)
 
 

@@ -57,7 +57,7 @@ class LevelsOfDetail:
         if not self._levels:
             return self._model
         coarsest = self._levels[-1].model
-        rows = rows_in_view(coarsest.gaussians, camera)
+        rows = rows_in_view(coarsest, camera)
         for level in self._levels:
             in_view = level.stands_for if rows is None else level.stands_for[rows]
             if in_view.sum() <= self._most:

@@ -64,7 +64,7 @@ class Page {
     this.drawnAt = -Infinity;
     this.drawMs = 0;
     const { model, modalities, readable } = this.facts;
-    this.worker.postMessage({ open: { slots: model.slots, modalities, readable } });
+    this.worker.postMessage({ open: { slots: model.slots, dilation: model.dilation, modalities, readable } });
     this.worker.onmessage = ({ data }) => {
       if (data.failure) showFailure(data.failure);
       else if (data.part) this.partDecoded(data.part);

@@ -85,6 +85,7 @@ class PageModel:
             "count": self.count,
             "parts": len(self._parts) + bool(self._coarse),
             "slots": sum(_whole_rows(size) for size in sizes),
+            "dilation": self._baked.dilation_px2,
         }
 
     def parts(self) -> Iterator[PagePart]:

@@ -9,6 +9,7 @@ class Renderer {
     this.gl = gl;
     this.canvas = canvas;
     this.count = 0;
+    this.dilation = model.dilation;
     this.floatTarget = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
     this.splats = buildProgram(gl, SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.screen = buildProgram(gl, SCREEN_VERTEX, SCREEN_FRAGMENT);
@@ -114,6 +115,7 @@ class Renderer {
     gl.uniform3fv(splats.at("translation"), camera.translation);
     gl.uniform3fv(splats.at("eye"), camera.position);
     gl.uniform2f(splats.at("focal"), camera.fx, camera.fy);
+    gl.uniform1f(splats.at("dilation"), this.dilation);
     gl.uniform2f(splats.at("centre"), camera.cx, camera.cy);
     gl.uniform2f(splats.at("size"), camera.width, camera.height);
     gl.uniform1i(splats.at("degree"), appearance.degree);

@@ -1,4 +1,4 @@
-// The image model of mrgs, as in its rasterizer: covariance plus 0.3 px², alpha from 1/255 to 0.999; what reaches the
+// The image model of mrgs, as in its rasterizer: dilated covariance, alpha from 1/255 to 0.999; what reaches the
 // camera's plane is left out.
 
 const SPLAT_VERTEX = `#version 300 es
@@ -17,6 +17,7 @@ uniform mat3 rotation;         // world to camera
 uniform vec3 translation;
 uniform vec3 eye;
 uniform vec2 focal;
+uniform float dilation;        // of the projected covariance, px²
 uniform vec2 centre;
 uniform vec2 size;
 uniform int degree;
@@ -80,9 +81,9 @@ void main() {
   vec3 jy = focal.y / mean.z * (vec3(rotation[0].y, rotation[1].y, rotation[2].y) - uv.y * depthRow);
   mat3 sigma = mat3(second.x, second.y, second.z, second.y, second.w, third.x, second.z, third.x, third.y);
   if (dot(depthRow, sigma * depthRow) > mean.z * mean.z) return;
-  float a = dot(jx, sigma * jx) + 0.3;
+  float a = dot(jx, sigma * jx) + dilation;
   float b = dot(jx, sigma * jy);
-  float c = dot(jy, sigma * jy) + 0.3;
+  float c = dot(jy, sigma * jy) + dilation;
   float determinant = a * c - b * b;
   conic = vec3(c, -b, a) / determinant;
 

@@ -1,7 +1,6 @@
 // Beside the page's thread: decoding, the order of the splats, and what is under the cursor.
 
 const NEAR_PLANE = 0.01;
-const DILATION = 0.3;
 const ALPHA_MAX = 0.999;
 const ALPHA_MIN = 1 / 255;
 const TRANSMITTANCE_MIN = 1e-4;
@@ -23,10 +22,11 @@ onmessage = ({ data }) => {
 };
 
 // Room for all splats, of which none is there yet.
-function open({ slots, readable, ...rest }) {
+function open({ slots, dilation, readable, ...rest }) {
   modalities = rest.modalities;
   model = {
     slots,
+    dilation, // of the projected covariances, px²
     active: [], // first and behind the last of the splats that are shown
     means: new Float32Array(3 * slots),
     covariances: new Float32Array(6 * slots),
@@ -184,7 +184,7 @@ function splatAt(camera, px, py, i, opacity) {
   const dx = px - (fx * slopeX + cx);
   const dy = py - (fy * slopeY + cy);
   const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
-  if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + DILATION)) return null;
+  if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + model.dilation)) return null;
   if (varianceAlong(r[6], r[7], r[8], 6 * i) > z * z) return null;
   const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
   const determinant = a * c - b * b;
@@ -212,5 +212,5 @@ function projectedCovariance(r, kx, ky, u, v, at) {
   const [xx, xy, xz, yy, yz, zz] = [s[at], s[at + 1], s[at + 2], s[at + 3], s[at + 4], s[at + 5]];
   const [px, py, pz] = [xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az];
   const [qx, qy, qz] = [xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz];
-  return [ax * px + ay * py + az * pz + DILATION, ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz + DILATION];
+  return [ax * px + ay * py + az * pz + model.dilation, ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz + model.dilation];
 }

@@ -18,7 +18,6 @@ from mrgs.kernels.rasterize.cpu.simd import pointer, prefetch, read
 from mrgs.rasterizer import contract, splat
 
 NEAR_PLANE = contract.NEAR_PLANE
-DILATION = contract.COVARIANCE_DILATION_PX2
 ALPHA_MIN = contract.ALPHA_MIN
 MARGIN = contract.FRUSTUM_MARGIN
 LOG2_E = 1.0 / math.log(2.0)
@@ -107,9 +106,9 @@ def _dot(a, b):
 
 
 @strict_inner_function()
-def _covariance(n0, n1):
-    """Σ' = N Nᵀ + 0.3 I: its entries xx, xy, yy."""
-    return _dot(n0, n0) + DILATION, _dot(n0, n1), _dot(n1, n1) + DILATION
+def _covariance(n0, n1, dilation):
+    """Σ' = N Nᵀ + d I: its entries xx, xy, yy."""
+    return _dot(n0, n0) + dilation, _dot(n0, n1), _dot(n1, n1) + dilation
 
 
 @strict_inner_function()
@@ -134,8 +133,8 @@ def _axes_along_view(rotation, scales, i, viewmat):
 
 @strict_parallel_kernel()
 def project(
-    means, quats, scales, opacities, features, viewmat, K, width, height, means2d_offset,
-    splats, radii
+    means, quats, scales, opacities, features, viewmat, K, width, height, dilation,
+    means2d_offset, splats, radii
 ):  # fmt: skip
     """Fill ``splats`` [N, 16] and ``radii`` [N]; a radius of 0 marks a Gaussian that is left out.
 
@@ -144,6 +143,8 @@ def project(
         opacities: o_c and o_t, [N, 2].
         features: red, green, blue, temperature, [N, 4].
         viewmat, K: float64, [4, 4] and [3, 3].
+        width, height: pixels.
+        dilation: d, px².
         means2d_offset: pixels, [N, 2].
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
@@ -159,7 +160,7 @@ def project(
         if _dot(along_axis, along_axis) > point[2] * point[2]:
             continue
         n0, n1 = _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v)
-        xx, xy, yy = _covariance(n0, n1)
+        xx, xy, yy = _covariance(n0, n1, dilation)
         determinant = xx * yy - xy * xy
         mean_x = fx * point[0] / point[2] + cx + means2d_offset[i, 0]
         mean_y = fy * point[1] / point[2] + cy + means2d_offset[i, 1]
@@ -191,7 +192,7 @@ def project(
 
 
 @strict_parallel_kernel()
-def depth_slopes(means, quats, scales, viewmat, K, width, height, slopes):
+def depth_slopes(means, quats, scales, viewmat, K, width, height, dilation, slopes):
     """Fill the first two columns of ``slopes``, [N, 2 or more], with ∂z/∂x', how fast the depth of
     a Gaussian changes from pixel to pixel (``reference.depth_slopes``); 0 before the near plane.
 
@@ -199,6 +200,7 @@ def depth_slopes(means, quats, scales, viewmat, K, width, height, slopes):
         means, quats, scales: [N, 3], [N, 4], [N, 3].
         viewmat, K: float64, [4, 4] and [3, 3].
         width, height: pixels.
+        dilation: d, px².
     """
     fx, fy = K[0, 0], K[1, 1]
     limits_u, limits_v = _slope_limits(fx, K[0, 2], width), _slope_limits(fy, K[1, 2], height)
@@ -209,7 +211,7 @@ def depth_slopes(means, quats, scales, viewmat, K, width, height, slopes):
             continue
         rotation, _, _ = _rotation(quats, i)
         n0, n1 = _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v)
-        xx, xy, yy = _covariance(n0, n1)
+        xx, xy, yy = _covariance(n0, n1, dilation)
         along_view = _axes_along_view(rotation, scales, i, viewmat)
         xz, yz = _dot(n0, along_view), _dot(n1, along_view)
         inverse_determinant = 1.0 / (xx * yy - xy * xy)
@@ -302,7 +304,7 @@ def _combination(a, x, b, y):
 
 @strict_inner_function()
 def _geometry_gradient(
-    i, g, means, quats, scales, viewmat, fx, fy, limits_u, limits_v,
+    i, g, means, quats, scales, viewmat, fx, fy, limits_u, limits_v, dilation,
     grad_means, grad_quats, grad_scales, grad_means2d,
 ):  # fmt: skip
     """Chain the moments ``g`` of one splat back to the centre, rotation and scales of Gaussian
@@ -314,10 +316,10 @@ def _geometry_gradient(
     rotation, unit, inverse_length = _rotation(quats, i)
     p0, p1 = _row_times_matrix(m0, rotation), _row_times_matrix(m1, rotation)
     n0, n1 = _scaled(p0, scales, i), _scaled(p1, scales, i)
-    xx, xy, yy = _covariance(n0, n1)
+    xx, xy, yy = _covariance(n0, n1, dilation)
     grad_mean, (hxx, hxy, hyy) = _screen_gradients(xx, xy, yy, g)
     grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
-    # Σ' = N Nᵀ + 0.3 I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
+    # Σ' = N Nᵀ + d I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
     gn0 = _combination(2 * hxx, n0, 2 * hxy, n1)
     gn1 = _combination(2 * hxy, n0, 2 * hyy, n1)
     for k in range(3):
@@ -354,13 +356,14 @@ def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
 
 @strict_parallel_kernel()
 def project_backward(
-    means, quats, scales, opacities, viewmat, K, width, height, pair_grads,
+    means, quats, scales, opacities, viewmat, K, width, height, dilation, pair_grads,
     pair_positions, pair_starts,
     grad_means, grad_quats, grad_scales, grad_opacities, grad_features, grad_means2d,
 ):  # fmt: skip
     """Gather the gradient moments of each Gaussian and chain them back to its parameters.
 
     Args:
+        means, ..., dilation: as in ``project``.
         pair_grads: moments per (tile, splat) pair, [P, 12].
         pair_positions, pair_starts: the pairs of Gaussian i are
             pair_positions[pair_starts[i]:pair_starts[i + 1]].
@@ -388,6 +391,6 @@ def project_backward(
                 grad_features[i, channel] = g[splat.GRAD_COLOR + 1 + channel]
             grad_features[i, 3] = g[splat.GRAD_SCALAR + 1]
             _geometry_gradient(
-                i, g, means, quats, scales, viewmat, fx, fy, limits_u, limits_v,
+                i, g, means, quats, scales, viewmat, fx, fy, limits_u, limits_v, dilation,
                 grad_means, grad_quats, grad_scales, grad_means2d,
             )  # fmt: skip

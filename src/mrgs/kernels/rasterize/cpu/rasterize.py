@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from mrgs.kernels.rasterize.cpu.tiles import (
 )
 from mrgs.kernels.require import require_camera
 from mrgs.rasterizer import splat
-from mrgs.rasterizer.contract import Layer, Raster
+from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
 from mrgs.scene import Blend
 from mrgs.system.pieces import PIECE_ROWS, pieces
 
@@ -33,21 +33,36 @@ _SLOT_CHANNELS = (3, 1)
 1."""
 
 
+class _Projection(NamedTuple):
+    """What the kernels project with, in the order of their arguments.
+
+    Attributes:
+        viewmat, K: float64, [4, 4] and [3, 3].
+        width, height: pixels.
+        dilation_px2: of the projected covariances.
+    """
+
+    viewmat: np.ndarray
+    K: np.ndarray
+    width: int
+    height: int
+    dilation_px2: float
+
+
 class _FusedPass(torch.autograd.Function):
     """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2],
-    camera, whether gradients are wanted) -> images, radii.
+    projection, whether gradients are wanted) -> images, radii.
 
     The images are those of both slots: features, depth, T_end, features, depth, T_end.
     """
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
-        *tensors, viewmat, K, width, height, for_gradients = inputs
+        *tensors, projection, for_gradients = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
         *gaussians, backgrounds, offset = (tensor.detach().numpy() for tensor in tensors)
-        splats, lists, radii = _listed_splats(
-            gaussians, viewmat, K, width, height, offset, for_gradients
-        )
+        splats, lists, radii = _listed_splats(gaussians, projection, offset, for_gradients)
+        height, width = projection.height, projection.width
         shapes = [
             shape
             for c in _SLOT_CHANNELS
@@ -60,7 +75,7 @@ class _FusedPass(torch.autograd.Function):
         *outputs, radii_tensor = (torch.from_numpy(array) for array in (*images, radii))
         ctx.mark_non_differentiable(radii_tensor)
         ctx.save_for_backward(*tensors[:5], *outputs)
-        ctx.walk = (viewmat, K, splats, lists)
+        ctx.walk = (projection, splats, lists)
         return (*outputs, radii_tensor)
 
     @staticmethod
@@ -68,9 +83,8 @@ class _FusedPass(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         saved = [tensor.detach().numpy() for tensor in ctx.saved_tensors]
         gaussians, images = saved[:5], saved[5:]
-        viewmat, K, splats, lists = ctx.walk
+        projection, splats, lists = ctx.walk
         grad_images = [grad.contiguous().numpy() for grad in grads[:-1]]
-        height, width = images[1].shape
         pair_grads = np.empty((lists.tile_splats.size, splat.GRAD_FLOATS), np.float32)
         blend_backward(
             splats, lists.tile_splats, lists.tile_starts, *images, *grad_images, pair_grads
@@ -79,7 +93,7 @@ class _FusedPass(torch.autograd.Function):
         grad_gaussians = [np.empty_like(array) for array in gaussians]
         grad_offset = np.empty((means.shape[0], 2), np.float32)
         project_backward(
-            means, quats, scales, opacities, viewmat, K, width, height, pair_grads,
+            means, quats, scales, opacities, *projection, pair_grads,
             lists.pair_positions, lists.pair_starts, *grad_gaussians, grad_offset,
         )  # fmt: skip
         # ∂L/∂background = Σ T_end g over the pixels. Not tensordot: BLAS threads spin on after it,
@@ -88,15 +102,12 @@ class _FusedPass(torch.autograd.Function):
             np.einsum("hw,hwc->hc", images[k + 2], grad_images[k]).sum(axis=0) for k in (0, 3)
         ]
         grads_of_inputs = (*grad_gaussians, np.concatenate(grad_backgrounds), grad_offset)
-        return (*(torch.from_numpy(grad) for grad in grads_of_inputs), *[None] * 5)
+        return (*(torch.from_numpy(grad) for grad in grads_of_inputs), None, None)
 
 
 def _listed_splats(
     gaussians: Sequence[np.ndarray],
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    width: int,
-    height: int,
+    projection: _Projection,
     offset: np.ndarray,
     for_gradients: bool,
 ) -> tuple[np.ndarray, TileLists, np.ndarray]:
@@ -104,29 +115,28 @@ def _listed_splats(
 
     Args:
         gaussians: means, quats, scales, opacities [N, 2], features [N, 4].
-        viewmat, K: float64.
-        width, height: pixels.
+        projection: into the image.
         offset: of the projected centres, [N, 2].
         for_gradients: whether the lists have the pairs of each Gaussian too.
     """
     count = gaussians[0].shape[0]
-    camera = (viewmat, K, width, height)
     if for_gradients:
         splats, radii = empty_splats(count), np.empty(count, np.float32)
-        project(*gaussians, *camera, offset, splats, radii)
+        project(*gaussians, *projection, offset, splats, radii)
         is_drawn = radii > 0
     else:
-        splats, radii = _drawn_splats(gaussians, camera, offset)
+        splats, radii = _drawn_splats(gaussians, projection, offset)
         is_drawn = np.ones(len(splats), np.bool_)
     order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), is_drawn)
     splats = gather_splats(splats, order)
     listed = count if for_gradients else 0
-    return splats, tile_lists(splats, order, listed, width, height), radii
+    lists = tile_lists(splats, order, listed, projection.width, projection.height)
+    return splats, lists, radii
 
 
 def _drawn_splats(
     gaussians: Sequence[np.ndarray],
-    camera: tuple[np.ndarray, np.ndarray, int, int],
+    projection: _Projection,
     offset: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Those projected Gaussians that are drawn, in the order of their indices [V, 16], and all
@@ -137,7 +147,7 @@ def _drawn_splats(
     for rows in pieces(count):
         projected = piece[: len(radii[rows])]
         arrays = [array[rows] for array in gaussians]
-        project(*arrays, *camera, offset[rows], projected, radii[rows])
+        project(*arrays, *projection, offset[rows], projected, radii[rows])
         found = projected[radii[rows] > 0]
         splats[drawn : drawn + len(found)] = found
         drawn += len(found)
@@ -153,6 +163,7 @@ def median_depth(
     K: Float[Tensor, "3 3"],
     width: int,
     height: int,
+    dilation_px2: float = DILATION_PX2,
 ) -> Float[Tensor, "h w"]:
     """``reference.median_depth`` for float32 tensors on the CPU.
 
@@ -167,10 +178,10 @@ def median_depth(
     gaussians = [
         tensor.detach().contiguous().numpy() for tensor in (means, quats, scales, both, features)
     ]
-    camera = (_float64(viewmat), _float64(K), width, height)
+    projection = _Projection(_float64(viewmat), _float64(K), width, height, dilation_px2)
     # The records have room for what is blended, and a depth needs none of it.
-    depth_slopes(*gaussians[:3], *camera, gaussians[4])
-    splats, lists, _ = _listed_splats(gaussians, *camera, offset.numpy(), False)
+    depth_slopes(*gaussians[:3], *projection, gaussians[4])
+    splats, lists, _ = _listed_splats(gaussians, projection, offset.numpy(), False)
     depth = np.empty((height, width), np.float32)
     median(splats, lists.tile_splats, lists.tile_starts, depth)
     return torch.from_numpy(depth)
@@ -186,6 +197,7 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
+    dilation_px2: float = DILATION_PX2,
 ) -> Raster:
     """``contract.Rasterizer`` for float32 tensors on the CPU: one layer of 3 or 1 channels, or one
     of each, fused; NotImplemented for other layers.
@@ -207,9 +219,8 @@ def rasterize(
     require_camera(viewmat, K, width, height)
     inputs = (means, quats, scales, opacities, features, backgrounds, offset)
     for_gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
-    *images, radii = _FusedPass.apply(
-        *inputs, _float64(viewmat), _float64(K), width, height, for_gradients
-    )
+    projection = _Projection(_float64(viewmat), _float64(K), width, height, dilation_px2)
+    *images, radii = _FusedPass.apply(*inputs, projection, for_gradients)
     blends = {3: _to_blend(*images[:3]), 1: _to_blend(*images[3:])}
     return Raster(tuple(blends[count] for count in channels), radii)
 

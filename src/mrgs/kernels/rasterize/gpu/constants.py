@@ -13,7 +13,6 @@ import triton.language as tl
 from mrgs.rasterizer import contract, splat
 
 NEAR_PLANE = tl.constexpr(contract.NEAR_PLANE)
-DILATION = tl.constexpr(contract.COVARIANCE_DILATION_PX2)
 MARGIN = tl.constexpr(contract.FRUSTUM_MARGIN)
 ALPHA_MAX = tl.constexpr(contract.ALPHA_MAX)
 ALPHA_MIN = tl.constexpr(contract.ALPHA_MIN)

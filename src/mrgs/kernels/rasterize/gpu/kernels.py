@@ -30,6 +30,7 @@ _TYPES = {
     "pair_counts": "*i32", "splat_of_pair": "*i32", "tile_splats": "*i32", "tile_starts": "*i32",
     "order": "*i64", "pair_ends": "*i64", "tile_pairs": "*i64",
     "count": "i32", "pairs": "i32", "tiles": "i32", "width": "i32", "height": "i32",
+    "dilation": "fp32",
 }  # fmt: skip
 """Types of the arguments, by name; all others are tensors of float32."""
 

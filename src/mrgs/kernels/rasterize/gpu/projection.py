@@ -2,10 +2,10 @@
 
 With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
 rotation and
-scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever
+scales: Σ' = N Nᵀ + d I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever
     formed. With n_0 and
-n_1 the rows of N, det(N Nᵀ) = |n_0 × n_1|² and det Σ' = |n_0 × n_1|² + 0.3 (|n_0|² + |n_1|²) +
-0.09: sums of what is never negative, so that nothing cancels even for Gaussians that are thin and
+n_1 the rows of N, det(N Nᵀ) = |n_0 × n_1|² and det Σ' = |n_0 × n_1|² + d (|n_0|² + |n_1|²) + d²:
+sums of what is never negative, so that nothing cancels even for Gaussians that are thin and
 long.
 """
 
@@ -20,7 +20,6 @@ from mrgs.kernels.rasterize.gpu.constants import (
     ALPHA_MIN,
     COLOR,
     DEPTH,
-    DILATION,
     EXPONENT,
     EXTENT_Y,
     HALF_WIDTH,
@@ -146,11 +145,11 @@ def jacobian_row(viewmat, row: tl.constexpr, focal_over_z, slope):
 
 
 @device_function
-def covariance(n0, n1):
+def covariance(n0, n1, dilation):
     """Entries xx, xy, yy of Σ', then det Σ'."""
     xx, yy = dot(n0, n0), dot(n1, n1)
-    determinant = squared_area(n0, n1) + (xx + yy) * DILATION + DILATION * DILATION
-    return xx + DILATION, dot(n0, n1), yy + DILATION, determinant
+    determinant = squared_area(n0, n1) + (xx + yy) * dilation + dilation * dilation
+    return xx + dilation, dot(n0, n1), yy + dilation, determinant
 
 
 @device_function
@@ -174,7 +173,7 @@ def _store_layers(
 def project(
     means, quats, scales, opacities_color, features_color, opacities_scalar, features_scalar,
     means2d_offset, viewmat, K,
-    splats, radii, depths, pair_counts, count, width, height,
+    splats, radii, depths, pair_counts, count, width, height, dilation,
     HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Fill the records [N, 16], radii [N], depths [N] (infinite if left out) and the numbers of
@@ -187,6 +186,7 @@ def project(
         means2d_offset: pixels, [N, 2].
         viewmat, K: [4, 4] and [3, 3].
         count, width, height: N and the size of the image.
+        dilation: d, px².
     """
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
@@ -205,7 +205,7 @@ def project(
     n0 = scaled(row_times_matrix(m0, row0, row1, row2), scale)
     n1 = scaled(row_times_matrix(m1, row0, row1, row2), scale)
     along_axis = scaled(row_times_matrix(load_rotation(viewmat, 2), row0, row1, row2), scale)
-    xx, xy, yy, determinant = covariance(n0, n1)
+    xx, xy, yy, determinant = covariance(n0, n1, dilation)
     visible &= inside & (opacity >= ALPHA_MIN) & (dot(along_axis, along_axis) <= z * z)
     # dᵀ Σ'⁻¹ d where α = 1/255; not quite 0, so that the ellipse keeps its shape.
     reach = tl.maximum(2.0 * tl.log(tl.maximum(opacity, ALPHA_MIN) / ALPHA_MIN), 1e-12)

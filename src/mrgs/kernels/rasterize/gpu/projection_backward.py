@@ -123,12 +123,13 @@ def project_backward(
     means, quats, scales, opacities_color, opacities_scalar, viewmat, K, radii, gaussian_grads,
     grad_means, grad_quats, grad_scales, grad_opacities_color, grad_features_color,
     grad_opacities_scalar, grad_features_scalar, grad_means2d_offset, count, width, height,
+    dilation,
     HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Chain the moments of each Gaussian back to its parameters.
 
     Args:
-        means, ..., opacities_scalar, viewmat, K, count, width, height: as in
+        means, ..., opacities_scalar, viewmat, K, count, width, height, dilation: as in
             ``projection.project``.
         radii: what that wrote.
         gaussian_grads: moments per Gaussian, [N, 12].
@@ -169,12 +170,12 @@ def project_backward(
     scale = load_three(scales, i, drawn)
     p0, p1 = row_times_matrix(m0, row0, row1, row2), row_times_matrix(m1, row0, row1, row2)
     n0, n1 = scaled(p0, scale), scaled(p1, scale)
-    xx, xy, yy, determinant = covariance(n0, n1)
+    xx, xy, yy, determinant = covariance(n0, n1, dilation)
     grad_mean, grad_covariance = _screen_gradients(xx, xy, yy, determinant, moments, drawn)
     hxx, hxy, hyy = grad_covariance
     tl.store(grad_means2d_offset + 2 * i, grad_mean[0], mask=inside)
     tl.store(grad_means2d_offset + 2 * i + 1, grad_mean[1], mask=inside)
-    # Σ' = N Nᵀ + 0.3 I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
+    # Σ' = N Nᵀ + d I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
     gn0 = (
         2 * (hxx * n0[0] + hxy * n1[0]),
         2 * (hxx * n0[1] + hxy * n1[1]),

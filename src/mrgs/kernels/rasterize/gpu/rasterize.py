@@ -20,7 +20,7 @@ from mrgs.kernels.rasterize import cpu
 from mrgs.kernels.rasterize.gpu import kernels
 from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
 from mrgs.kernels.require import require_camera
-from mrgs.rasterizer.contract import Layer, Raster
+from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
 from mrgs.scene import Blend
 
 _SLOTS = {3: "color", 1: "scalar"}
@@ -46,6 +46,7 @@ class _Pass(NamedTuple):
     channels: dict[str, int]
     width: int
     height: int
+    dilation_px2: float
 
     @property
     def layers(self) -> str:
@@ -79,6 +80,7 @@ class _FusedPass(torch.autograd.Function):
             "tiles": what.tiles,
             "width": what.width,
             "height": what.height,
+            "dilation": what.dilation_px2,
         }
         sizes = dict(buffers)
         buffers |= {"viewmat": viewmat, "K": K}
@@ -211,12 +213,13 @@ def median_depth(
     K: Float[Tensor, "3 3"],
     width: int,
     height: int,
+    dilation_px2: float = DILATION_PX2,
 ) -> Float[Tensor, "h w"]:
     """``reference.median_depth`` for float32 tensors on a GPU, computed by the host: no training
     needs it."""
     found: Tensor = cpu.median_depth(
         means.detach().cpu(), quats.detach().cpu(), scales.detach().cpu(),
-        opacities.detach().cpu(), viewmat.cpu(), K.cpu(), width, height,
+        opacities.detach().cpu(), viewmat.cpu(), K.cpu(), width, height, dilation_px2,
     )  # fmt: skip
     return found.to(means.device)
 
@@ -231,6 +234,7 @@ def rasterize(
     width: int,
     height: int,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
+    dilation_px2: float = DILATION_PX2,
 ) -> Raster:
     """``contract.Rasterizer`` for float32 tensors on a GPU: one layer of 3 or 1 channels, or one of
     each, fused; NotImplemented for other layers.
@@ -246,7 +250,7 @@ def rasterize(
         raise ValueError("there must be a layer")
     if not set(channels) <= _SLOTS.keys() or len(set(channels)) != len(channels):
         return NotImplemented
-    what = _Pass({_SLOTS[c]: c for c in channels}, width, height)
+    what = _Pass({_SLOTS[c]: c for c in channels}, width, height, dilation_px2)
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
     _check(inputs, channels)
