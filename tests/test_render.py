@@ -7,7 +7,7 @@ import torch
 
 import mrgs.render
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
-from mrgs.rasterizer import median_depth, rasterize
+from mrgs.rasterizer import contract, median_depth, rasterize
 from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
 from mrgs.scene import (
     RGB,
@@ -222,6 +222,21 @@ def test_gaussians_out_of_view_need_no_values(angle, distance, options, monkeypa
     assert (expected["sh_dc.rgb"].flatten(1) == 0).all(dim=1).any()  # some are out of view
 
 
+def test_a_model_is_drawn_with_its_own_dilation(monkeypatch):
+    model, camera = make_model(), make_camera()
+    images = {}
+    for dilation in (contract.DILATION_PX2, 0.05):
+        model.dilation_px2 = dilation
+        images[dilation] = render(model, both(camera))[0]
+    published, own = images.values()
+    for modality in published:
+        assert own[modality].alpha.sum() < 0.99 * published[modality].alpha.sum()
+    monkeypatch.setattr(
+        mrgs.render, "rasterize", lambda *given: rasterize(*given[:-1], contract.DILATION_PX2)
+    )
+    assert_same(images_of(render(model, both(camera))[0]), images_of(published))
+
+
 def test_a_view_is_rendered_without_gradients():
     model, camera = make_model(), make_camera()
     image = PosedImage(camera, lambda: Pixels(torch.zeros(26, 33, 3)))
@@ -292,15 +307,17 @@ def test_where_nothing_is_there_is_no_surface():
     assert with_median.surface_depth(THERMAL).isnan().all()
 
 
-def test_the_surface_is_the_median_depth_where_that_is_asked_for():
+@pytest.mark.parametrize("dilation", [0.3, 0.1])
+def test_the_surface_is_the_median_depth_where_that_is_asked_for(dilation):
     model, cameras = make_model(), both(make_camera())
+    model.dilation_px2 = dilation
     blended, found = (render(model, cameras, with_median_depth=asked)[0] for asked in (False, True))
     gaussians = model.gaussians
     camera = cameras[THERMAL]
     K, viewmat, _ = camera.tensors(gaussians.means.device)
     median = median_depth(
         gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(THERMAL),
-        viewmat, K, camera.width, camera.height,
+        viewmat, K, camera.width, camera.height, dilation,
     )  # fmt: skip
     covered = found[THERMAL].alpha >= 0.5
     assert covered.any()

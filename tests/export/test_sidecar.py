@@ -23,6 +23,9 @@ def test_the_facts_say_units_axes_range_and_loss(scene):
     assert facts["up"] == [0.0, 0.0, 1.0]
     assert facts["program"].startswith("mrgs ")
     assert "OpenCV" in facts["camera_axes"]
+    assert "adds 0.3 px²" in facts["opacities"]
+    other = facts_of(replace(make_baked(), dilation_px2=0.1), scene, None, None)
+    assert "for a viewer that adds 0.1 px²" in other["opacities"]
 
 
 def test_what_is_not_known_is_null(scene):

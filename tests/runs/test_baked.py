@@ -53,7 +53,7 @@ def make_model(
         embedding=field.initial_embedding(means),
     )
     neighbours = nearest_neighbours(means, config.neighbours_k) if config.neighbours_k else None
-    return Model(gaussians, field, neighbours, sh_degree)
+    return Model(gaussians, field, neighbours, sh_degree, dilation_px2=0.1)
 
 
 def psnr(a: torch.Tensor, b: torch.Tensor) -> float:

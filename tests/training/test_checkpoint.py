@@ -91,6 +91,13 @@ def test_the_model_comes_back(state, path, config):
         assert torch.equal(model.gaussians.tensors()[name], tensor)
 
 
+@pytest.mark.parametrize("dilation", [0.1, 0.3])
+def test_a_model_is_drawn_as_it_was_trained(make_start, config, path, dilation):
+    config = replace(config, dilation_px2=dilation)
+    _, state = make_start(config)
+    assert load_model(path, config)[0].dilation_px2 == state.model.dilation_px2 == dilation
+
+
 def test_only_what_is_needed_is_kept_but_all_is_checked(state, path):
     tensors, _ = read_file(path, lambda name: name == "gaussians.means")
     assert list(tensors) == ["gaussians.means"]

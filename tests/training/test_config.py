@@ -135,6 +135,8 @@ def test_impossible_choices_are_named(options, message):
     [
         ({"neighbours_every": 0}, "neighbours_every must be at least 1, not 0"),
         ({"temperature_sh_degree": 4}, "temperature_sh_degree must be null or 0 to 3, not 4"),
+        ({"dilation_px2": 0.0}, "dilation_px2 must be at least 0.01, not 0"),
+        ({"dilation_px2": 2.0}, "dilation_px2 must be at most 1, not 2"),
     ],
 )
 def test_impossible_fields_are_named(options, message):
@@ -176,11 +178,13 @@ def test_methods_are_the_rows_of_the_ablation_table():
         3,
         0.0,
     )
-    assert rows.pop("mrgs-plus").temperature_sh_degree is None
+    plus = rows.pop("mrgs-plus")
+    assert (plus.temperature_sh_degree, plus.dilation_px2) == (None, 0.1)
     assert all(
         (config.shares_opacity, config.temperature_sh_degree) == (False, 0)
         for config in rows.values()
     )
+    assert all(config.dilation_px2 == 0.3 for config in (baseline, *rows.values()))
 
 
 def test_mrgs_plus_starts_and_smooths_alike_in_all_presets():

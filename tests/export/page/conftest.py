@@ -55,6 +55,7 @@ def baked() -> BakedModel:
         {RGB: sh[:, 1:]},
         temperatures,
         TemperatureRange(-10.0, 90.0),
+        dilation_px2=0.1,
     )
 
 
