@@ -8,6 +8,7 @@ import torch
 import mrgs.render
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.rasterizer import contract, median_depth, rasterize
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
 from mrgs.scene import (
     RGB,
@@ -226,7 +227,7 @@ def test_a_model_is_drawn_with_its_own_dilation(monkeypatch):
     model, camera = make_model(), make_camera()
     images = {}
     for dilation in (contract.DILATION_PX2, 0.05):
-        model.dilation_px2 = dilation
+        model.dilation = Dilation(dilation)
         images[dilation] = render(model, both(camera))[0]
     published, own = images.values()
     for modality in published:
@@ -310,7 +311,7 @@ def test_where_nothing_is_there_is_no_surface():
 @pytest.mark.parametrize("dilation", [0.3, 0.1])
 def test_the_surface_is_the_median_depth_where_that_is_asked_for(dilation):
     model, cameras = make_model(), both(make_camera())
-    model.dilation_px2 = dilation
+    model.dilation = Dilation(dilation)
     blended, found = (render(model, cameras, with_median_depth=asked)[0] for asked in (False, True))
     gaussians = model.gaussians
     camera = cameras[THERMAL]

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from mrgs.field import RadianceField
 from mrgs.rasterizer import Layer, Raster, contract, median_depth, rasterize
+from mrgs.rasterizer.dilation import AS_PUBLISHED, Dilation
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
 
 ALL_ROWS_FROM = 0.9
@@ -34,7 +35,7 @@ class Model:
         sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
         temperature_residuals: t̂ of each Gaussian, [N, 1], where it is known beforehand
             (``bake_temperature_residuals``); else None.
-        dilation_px2: of the projected covariances (``rasterizer.contract``).
+        dilation: of the projected covariances.
     """
 
     gaussians: Gaussians
@@ -42,7 +43,7 @@ class Model:
     neighbours: Int64[Tensor, "n k"] | None
     sh_degree: int = 3
     temperature_residuals: Float[Tensor, "n 1"] | None = None
-    dilation_px2: float = contract.DILATION_PX2
+    dilation: Dilation = AS_PUBLISHED
 
     def to(self, device: torch.device) -> Model:
         """The same model on a device, to render with; itself if it is there."""
@@ -97,7 +98,7 @@ class Model:
         K, viewmat, _ = camera.tensors(gaussians.means.device)
         return median_depth(
             gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(modality),
-            viewmat, K, camera.width, camera.height, self.dilation_px2,
+            viewmat, K, camera.width, camera.height, self.dilation.of(camera),
         )  # fmt: skip
 
 
@@ -226,6 +227,7 @@ def rows_in_view(model: Model, camera: Camera) -> Int64[Tensor, " v"] | None:
     x, y, z = torch.addmm(viewmat[:3, 3:], viewmat[:3, :3], means.T)
     largest = model.gaussians.log_scales.amax(dim=1).exp()
     in_view = z >= contract.NEAR_PLANE
+    dilation = model.dilation.of(camera)
     for across, focal, centre, size in (
         (x, K[0, 0], K[0, 2], camera.width),
         (y, K[1, 1], K[1, 2], camera.height),
@@ -233,7 +235,7 @@ def rows_in_view(model: Model, camera: Camera) -> Int64[Tensor, " v"] | None:
         slope = across / z
         margin = contract.FRUSTUM_MARGIN * 0.5 * size / focal
         clamped = slope.clamp(-centre / focal - margin, (size - centre) / focal + margin)
-        variance = (largest * focal / z) ** 2 * (1 + clamped**2) + model.dilation_px2
+        variance = (largest * focal / z) ** 2 * (1 + clamped**2) + dilation
         extent = (2 * math.log(1 / contract.ALPHA_MIN) * variance).sqrt()
         place = focal * slope + centre
         in_view &= (place + extent >= 0) & (place - extent <= size)
@@ -271,6 +273,6 @@ def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, Sc
         camera.width,
         camera.height,
         offset,
-        model.dilation_px2,
+        model.dilation.of(camera),
     )
     return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))

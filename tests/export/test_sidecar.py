@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from mrgs.export.sidecar import comment_lines, facts_of, up_direction, write_sidecar
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.scene import RGB, THERMAL, Camera, View
 from tests.helpers.exports import make_baked
 
@@ -24,7 +25,7 @@ def test_the_facts_say_units_axes_range_and_loss(scene):
     assert facts["program"].startswith("mrgs ")
     assert "OpenCV" in facts["camera_axes"]
     assert "adds 0.3 px²" in facts["opacities"]
-    other = facts_of(replace(make_baked(), dilation_px2=0.1), scene, None, None)
+    other = facts_of(replace(make_baked(), dilation=Dilation(0.1)), scene, None, None)
     assert "for a viewer that adds 0.1 px²" in other["opacities"]
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.render import Model, render
 from mrgs.runs.baked import bake
 from mrgs.scene import RGB, THERMAL, Camera, Gaussians, Modality, TemperatureRange
@@ -53,7 +54,7 @@ def make_model(
         embedding=field.initial_embedding(means),
     )
     neighbours = nearest_neighbours(means, config.neighbours_k) if config.neighbours_k else None
-    return Model(gaussians, field, neighbours, sh_degree, dilation_px2=0.1)
+    return Model(gaussians, field, neighbours, sh_degree, dilation=Dilation(0.1))
 
 
 def psnr(a: torch.Tensor, b: torch.Tensor) -> float:

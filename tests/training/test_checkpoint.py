@@ -13,6 +13,7 @@ from mrgs.errors import DamagedCheckpointError, RunError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.losses.term import SceneScale
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import load_facts, load_model, load_state, save
@@ -91,11 +92,15 @@ def test_the_model_comes_back(state, path, config):
         assert torch.equal(model.gaussians.tensors()[name], tensor)
 
 
-@pytest.mark.parametrize("dilation", [0.1, 0.3])
-def test_a_model_is_drawn_as_it_was_trained(make_start, config, path, dilation):
-    config = replace(config, dilation_px2=dilation)
-    _, state = make_start(config)
-    assert load_model(path, config)[0].dilation_px2 == state.model.dilation_px2 == dilation
+@pytest.mark.parametrize("angular", [False, True])
+def test_a_model_is_drawn_as_it_was_trained(make_start, config, path, angular):
+    config = replace(config, dilation_px2=0.1, angular_dilation=angular)
+    scene, state = make_start(config)
+    save(path, state, FACTS._replace(capture=Capture.of(scene)))
+    loaded = load_model(path, config)[0]
+    finest = max(camera.focal_px for view in scene.train for camera in view.cameras.values())
+    expected = Dilation(0.1, finest if angular else None)
+    assert loaded.dilation == state.model.dilation == expected
 
 
 def test_only_what_is_needed_is_kept_but_all_is_checked(state, path):

@@ -179,12 +179,19 @@ def test_methods_are_the_rows_of_the_ablation_table():
         0.0,
     )
     plus = rows.pop("mrgs-plus")
-    assert (plus.temperature_sh_degree, plus.dilation_px2) == (None, 0.1)
+    assert (plus.temperature_sh_degree, plus.dilation_px2, plus.angular_dilation) == (
+        None,
+        0.1,
+        True,
+    )
     assert all(
         (config.shares_opacity, config.temperature_sh_degree) == (False, 0)
         for config in rows.values()
     )
-    assert all(config.dilation_px2 == 0.3 for config in (baseline, *rows.values()))
+    assert all(
+        (config.dilation_px2, config.angular_dilation) == (0.3, False)
+        for config in (baseline, *rows.values())
+    )
 
 
 def test_mrgs_plus_starts_and_smooths_alike_in_all_presets():

@@ -99,7 +99,9 @@ def no_round_trips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             yield
 
 
-def flat_raster(means, quats, scales, layers, viewmat, K, width, height, offset) -> Raster:
+def flat_raster(
+    means, quats, scales, layers, viewmat, K, width, height, offset, dilation_px2
+) -> Raster:
     """Stands in for the rasterizer, which may read one number: images that depend on every
     parameter."""
     ramp = torch.linspace(0.5, 1, height * width, device=means.device).view(height, width)

@@ -62,7 +62,7 @@ def facts_of(
         "camera_axes": "OpenCV: x right, y down, z forward",
         "temperature": temperature,
         **_other_facts(baked),
-        "opacities": f"for a viewer that adds {baked.dilation_px2:g} px² to the projected "
+        "opacities": f"for a viewer that adds {baked.dilation.px2:g} px² to the projected "
         f"covariance and nothing else; 3DGS and most viewers add {DILATION_PX2:g}",
         "baking_loss_db": None if loss is None else loss_facts(loss),
         "baking": "the view-dependent colour residual is folded into spherical harmonics of "

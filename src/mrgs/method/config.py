@@ -17,6 +17,7 @@ from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.rasterizer.contract import DILATION_PX2
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within
 from mrgs.system.strict_yaml import read_yaml, write_yaml
 
@@ -101,6 +102,8 @@ class TrainConfig:
         shares_opacity: blend both modalities with o_c.
         dilation_px2: added to the diagonal of the Gaussians' projected covariances; 0.3 px² in 3DGS
             and the paper.
+        angular_dilation: where pixels are larger than those of the finest photos, such as a thermal
+            camera's, dilate by the same angle, not by as many pixels; not in the paper.
         temperature_sh_degree: degree of the temperature's spherical harmonics: 0 as published, t_i
             does not depend on the view. None for 3 where thermal photos have no °C, whose greys may
             depend on what else a photo shows (automatic gain), and 0 where they have.
@@ -132,6 +135,7 @@ class TrainConfig:
     sh_every: int = 1_000
     shares_opacity: bool = False
     dilation_px2: float = DILATION_PX2
+    angular_dilation: bool = False
     temperature_sh_degree: int | None = 0
     distant_points: bool = False
     photo_temperatures: bool = False
@@ -164,6 +168,11 @@ class TrainConfig:
         if self.temperature_sh_degree is not None:
             return self.temperature_sh_degree
         return MAX_DEGREE if capture.lacks_celsius else 0
+
+    def dilation_of(self, capture: Capture) -> Dilation:
+        """How a model of these photos is dilated."""
+        finest = capture.finest_focal_px if self.angular_dilation else None
+        return Dilation(self.dilation_px2, finest)
 
     def pixel_size_at(self, step: int) -> int:
         """Side of a pixel at this step, in pixels of the photos."""
@@ -256,6 +265,7 @@ def _plus(config: TrainConfig) -> TrainConfig:
         loss=replace(config.loss, **PLUS_LOSS),
         image_model=PLUS_IMAGE_MODEL,
         dilation_px2=PLUS_DILATION_PX2,
+        angular_dilation=True,
     )
 
 

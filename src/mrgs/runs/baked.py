@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade, up_to_degree
 from mrgs.rasterizer import Layer, median_depth, rasterize
-from mrgs.rasterizer.contract import DILATION_PX2
+from mrgs.rasterizer.dilation import AS_PUBLISHED, Dilation
 from mrgs.render import Model, shared_passes
 from mrgs.scene import (
     RGB,
@@ -57,7 +57,7 @@ class BakedModel:
             the view up to degree 3.
         temperatures: normalised, [N].
         temperature: the scale of the temperatures; None if the scene has no known °C.
-        dilation_px2: of the projected covariances (``rasterizer.contract``).
+        dilation: of the projected covariances.
     """
 
     means: Float[Tensor, "n 3"]
@@ -68,7 +68,7 @@ class BakedModel:
     sh_rest: Mapping[Modality, Float[Tensor, "n _ _"]]
     temperatures: Float[Tensor, " n"]
     temperature: TemperatureRange | None
-    dilation_px2: float = DILATION_PX2
+    dilation: Dilation = AS_PUBLISHED
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -163,7 +163,7 @@ class BakedModel:
         K, viewmat, _ = camera.tensors(self.means.device)
         return median_depth(
             self.means, self.quats, self.scales, self.opacities[modality],
-            viewmat, K, camera.width, camera.height, self.dilation_px2,
+            viewmat, K, camera.width, camera.height, self.dilation.of(camera),
         )  # fmt: skip
 
     def blend(
@@ -187,7 +187,7 @@ class BakedModel:
             ]
             raster = rasterize(
                 self.means, self.quats, self.scales, layers, camera.viewmat, camera.K,
-                camera.width, camera.height, dilation_px2=self.dilation_px2,
+                camera.width, camera.height, dilation_px2=self.dilation.of(camera),
             )  # fmt: skip
             blends.update(zip(modalities, raster.blends, strict=True))
         return Rendering({modality: blends[modality] for modality in cameras})
@@ -229,7 +229,7 @@ def bake(
         sh_rest={modality: rest for modality, (_, rest) in harmonics.items()},
         temperatures=_temperatures(model),
         temperature=temperature,
-        dilation_px2=model.dilation_px2,
+        dilation=model.dilation,
     )
 
 

@@ -184,6 +184,11 @@ class Camera:
         size = pixels.new_tensor([self.width, self.height])
         return ((pixels >= 0) & (pixels < size)).all(dim=-1)
 
+    @property
+    def focal_px(self) -> float:
+        """Geometric mean of both focal lengths, pixels."""
+        return math.sqrt(float(self.K[0, 0] * self.K[1, 1]))
+
     def resized(self, width: int, height: int) -> Camera:
         """The same camera on another pixel grid; the field of view is kept exactly."""
         scale = torch.tensor([width / self.width, height / self.height, 1.0], dtype=torch.float64)

@@ -309,5 +309,5 @@ def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: Checkpoint
         field=field,
         neighbours=neighbours,
         sh_degree=config.sh_degree_at(facts.step),
-        dilation_px2=config.dilation_px2,
+        dilation=config.dilation_of(facts.capture),
     )

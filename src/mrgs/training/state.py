@@ -190,7 +190,7 @@ def initial_state(
         steps = config.fitted_residuals
         fit_residuals(field, gaussians, points.values[THERMAL], steps, generator)
     model = Model(
-        gaussians, field, neighbours=None, sh_degree=0, dilation_px2=config.dilation_px2
+        gaussians, field, neighbours=None, sh_degree=0, dilation=config.dilation_of(capture)
     ).to(device)
     return TrainingState.around(model, all_terms, strategy, config, capture, generator)
 

@@ -151,6 +151,6 @@ def _blend(
     layer = Layer(opacities, values[:, None], values.new_full((1,), background))
     raster = rasterize(
         gaussians.means, gaussians.quats, gaussians.scales, [layer], camera.viewmat.to(values),
-        camera.K.to(values), camera.width, camera.height, dilation_px2=model.dilation_px2,
+        camera.K.to(values), camera.width, camera.height, dilation_px2=model.dilation.of(camera),
     )  # fmt: skip
     return to_array(raster.blends[0].image[..., 0].clamp_min(0))

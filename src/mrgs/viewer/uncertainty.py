@@ -76,5 +76,5 @@ def _blend(model: Model, camera: Camera, of_splats: Float[Tensor, " n"]) -> Blen
         quats = torch.nn.functional.normalize(gaussians.quats, dim=1)
         return rasterize(
             gaussians.means, quats, gaussians.scales, [layer], camera.viewmat, camera.K,
-            camera.width, camera.height, dilation_px2=model.dilation_px2,
+            camera.width, camera.height, dilation_px2=model.dilation.of(camera),
         ).blends[0]  # fmt: skip

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
 from tests.helpers.gaussians import NEAR_INFRARED
@@ -55,7 +56,7 @@ def baked() -> BakedModel:
         {RGB: sh[:, 1:]},
         temperatures,
         TemperatureRange(-10.0, 90.0),
-        dilation_px2=0.1,
+        dilation=Dilation(0.1, 107.0),
     )
 
 

@@ -16,6 +16,7 @@ from PIL import Image
 from mrgs.export.page import parts, write_page
 from mrgs.export.page.marks import PageMark
 from mrgs.pictures.palette import colorize
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality
 from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
@@ -152,6 +153,29 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
         assert told_c == pytest.approx(celsius[y, x], abs=0.2)
         assert told_depth == pytest.approx(depth[y, x], abs=0.01)
     page.screenshot(path=Path(os.environ.get("MRGS_SCREENSHOTS", tmp_path)) / "export_page.png")
+
+
+def test_a_picture_coarser_than_the_photos_is_dilated_less(open_page, baked, cameras):
+    baked = replace(baked, dilation=Dilation(30.0, finest_focal_px=1_000.0))
+    page = open_page(baked, viewport={"width": 320, "height": 200})
+    page.select_option("#camera", "view 3")
+    page.click("[data-modality=rgb]")
+    page.wait_for_selector(SETTLED)
+    colours = picture(page)
+    height, width = colours.shape[:2]
+    camera = fitted(cameras["view 3"], width, height)
+    same_everywhere = replace(baked, dilation=replace(baked.dilation, finest_focal_px=None))
+    own, published = (
+        255 * each.render(camera)[RGB].image.clamp(0, 1).numpy()
+        for each in (baked, same_everywhere)
+    )
+    assert psnr(colours, own) > 45 > 15 + psnr(colours, published)
+    heat = baked.render(camera)[THERMAL]
+    depth = (heat.depth / heat.alpha).numpy()
+    page.click("[data-modality=thermal]")
+    page.wait_for_selector(SETTLED)
+    x, y = width // 2, height // 2
+    assert read(page, x, y)[1] == pytest.approx(depth[y, x], abs=0.01)
 
 
 def test_a_page_in_parts_ends_with_the_picture_of_a_whole_one(open_page, monkeypatch):

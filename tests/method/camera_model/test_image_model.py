@@ -21,7 +21,7 @@ def along_a_line(count: int) -> tuple[Viewpoint, ...]:
     return tuple(Viewpoint((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(count))
 
 
-CAPTURE = Capture((*along_a_line(2), None), extent=2.0, has_celsius=False)
+CAPTURE = Capture((*along_a_line(2), None), extent=2.0, has_celsius=False, finest_focal_px=80.0)
 ALL = ImageModelConfig(point_spread=True, thermal_gain=True)
 
 
@@ -132,6 +132,7 @@ def test_a_rate_that_is_no_rate_is_named():
         {},
         JSON | {"thermal_viewpoints": [[[0, 0], [0, 0, 1]]]},
         JSON | {"thermal_viewpoints": [1]},
+        JSON | {"finest_focal_px": 0.0},
     ],
 )
 def test_what_is_no_capture_is_refused(values):
@@ -141,3 +142,8 @@ def test_what_is_no_capture_is_refused(values):
 
 def test_a_capture_comes_back_from_json():
     assert Capture.from_json(JSON) == CAPTURE
+
+
+def test_a_capture_of_an_older_version_knows_no_focal_length():
+    del (older := dict(JSON))["finest_focal_px"]
+    assert Capture.from_json(older) == CAPTURE._replace(finest_focal_px=None)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,7 +85,7 @@ class PageModel:
             "count": self.count,
             "parts": len(self._parts) + bool(self._coarse),
             "slots": sum(_whole_rows(size) for size in sizes),
-            "dilation": self._baked.dilation_px2,
+            "dilation": asdict(self._baked.dilation),
         }
 
     def parts(self) -> Iterator[PagePart]:

@@ -115,7 +115,7 @@ class Renderer {
     gl.uniform3fv(splats.at("translation"), camera.translation);
     gl.uniform3fv(splats.at("eye"), camera.position);
     gl.uniform2f(splats.at("focal"), camera.fx, camera.fy);
-    gl.uniform1f(splats.at("dilation"), this.dilation);
+    gl.uniform1f(splats.at("dilation"), dilationOf(this.dilation, camera));
     gl.uniform2f(splats.at("centre"), camera.cx, camera.cy);
     gl.uniform2f(splats.at("size"), camera.width, camera.height);
     gl.uniform1i(splats.at("degree"), appearance.degree);

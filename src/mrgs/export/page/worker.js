@@ -26,7 +26,7 @@ function open({ slots, dilation, readable, ...rest }) {
   modalities = rest.modalities;
   model = {
     slots,
-    dilation, // of the projected covariances, px²
+    dilation,
     active: [], // first and behind the last of the splats that are shown
     means: new Float32Array(3 * slots),
     covariances: new Float32Array(6 * slots),
@@ -120,10 +120,11 @@ function countingSort(indices, key) {
 // because what the screen holds is rounded.
 function readPixel({ camera, x, y, modality }) {
   const appearance = model.appearances[modality];
+  const dilation = dilationOf(model.dilation, camera);
   const hits = [];
   for (const [start, end] of model.active) {
     for (let i = start; i < end; i++) {
-      const hit = splatAt(camera, x, y, i, appearance.opacity);
+      const hit = splatAt(camera, dilation, x, y, i, appearance.opacity[i]);
       if (hit) hits.push(hit);
     }
   }
@@ -171,7 +172,7 @@ function harmonics([x, y, z]) {
 }
 
 // The splat's alpha in an image at a pixel, or nothing below 1/255.
-function splatAt(camera, px, py, i, opacity) {
+function splatAt(camera, dilation, px, py, i, opacity) {
   const { rotation: r, translation: t, fx, fy, cx, cy } = camera;
   const m = model.means;
   const [mx, my, mz] = [m[3 * i], m[3 * i + 1], m[3 * i + 2]];
@@ -184,12 +185,12 @@ function splatAt(camera, px, py, i, opacity) {
   const dx = px - (fx * slopeX + cx);
   const dy = py - (fy * slopeY + cy);
   const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
-  if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + model.dilation)) return null;
+  if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + dilation)) return null;
   if (varianceAlong(r[6], r[7], r[8], 6 * i) > z * z) return null;
-  const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
+  const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i, dilation);
   const determinant = a * c - b * b;
   const falloff = Math.exp((-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy)) / determinant);
-  const alpha = Math.min(ALPHA_MAX, opacity[i] * falloff);
+  const alpha = Math.min(ALPHA_MAX, opacity * falloff);
   return alpha < ALPHA_MIN ? null : { index: i, depth: z, alpha };
 }
 
@@ -205,12 +206,12 @@ function varianceAlong(x, y, z, at) {
     + 2 * (s[at + 1] * x * y + s[at + 2] * x * z + s[at + 4] * y * z);
 }
 
-function projectedCovariance(r, kx, ky, u, v, at) {
+function projectedCovariance(r, kx, ky, u, v, at, dilation) {
   const s = model.covariances;
   const [ax, ay, az] = [kx * (r[0] - u * r[6]), kx * (r[1] - u * r[7]), kx * (r[2] - u * r[8])];
   const [bx, by, bz] = [ky * (r[3] - v * r[6]), ky * (r[4] - v * r[7]), ky * (r[5] - v * r[8])];
   const [xx, xy, xz, yy, yz, zz] = [s[at], s[at + 1], s[at + 2], s[at + 3], s[at + 4], s[at + 5]];
   const [px, py, pz] = [xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az];
   const [qx, qy, qz] = [xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz];
-  return [ax * px + ay * py + az * pz + model.dilation, ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz + model.dilation];
+  return [ax * px + ay * py + az * pz + dilation, ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz + dilation];
 }

@@ -38,8 +38,8 @@ from mrgs.scene import (
     metric_first,
 )
 
-SCRIPTS = ("base64.js", "shaders.js", "renderer.js", "stream.js", "app.js")
-WORKER_SCRIPTS = ("base64.js", "decode.js", "worker.js")
+SCRIPTS = ("base64.js", "dilation.js", "shaders.js", "renderer.js", "stream.js", "app.js")
+WORKER_SCRIPTS = ("base64.js", "dilation.js", "decode.js", "worker.js")
 ASSETS: dict[str, Any] = {
     "styles": [STAGE_STYLE, MARKS_STYLE],
     "scripts": [*STAGE_SCRIPTS, *(f"export/page/{name}" for name in SCRIPTS)],

@@ -64,17 +64,20 @@ class ImageModelConfig:
 
 
 class Capture(NamedTuple):
-    """What the image model needs to know of a scene's training views.
+    """What a model needs to know of a scene's training views.
 
     Attributes:
         thermal_viewpoints: of each training view's camera, None where it has no thermal photo.
         extent: of the scene.
         has_celsius: whether the values of the thermal photos are temperatures.
+        finest_focal_px: largest focal length in pixels of any photo; None in the checkpoints of
+            older versions.
     """
 
     thermal_viewpoints: tuple[Viewpoint | None, ...]
     extent: float
     has_celsius: bool
+    finest_focal_px: float | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> Capture:
@@ -87,6 +90,7 @@ class Capture(NamedTuple):
             ),
             extent,
             scene.temperature is not None,
+            max(camera.focal_px for view in scene.train for camera in view.cameras.values()),
         )
 
     @property
@@ -118,7 +122,11 @@ class Capture(NamedTuple):
         extent = float(values["extent"])
         if not 0 < extent < math.inf:
             raise ValueError("the extent is a length")
-        return cls(viewpoints, extent, bool(values["has_celsius"]))
+        finest = values.get("finest_focal_px")
+        finest = None if finest is None else float(finest)
+        if finest is not None and not 0 < finest < math.inf:
+            raise ValueError("the focal length is a number of pixels")
+        return cls(viewpoints, extent, bool(values["has_celsius"]), finest)
 
 
 class PointSpread(nn.Module):
