@@ -18,6 +18,7 @@ from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
 from mrgs.kernels.rasterize.cpu.projection import project, project_backward
 from mrgs.kernels.rasterize.cpu.tiles import depth_order, gather_splats, tile_lists
 from mrgs.rasterizer import rasterize, splat
+from mrgs.rasterizer.contract import DILATION_PX2
 
 FORWARD = "forward"
 FORWARD_BACKWARD = "forward + backward"
@@ -120,8 +121,8 @@ class PassInStages:
         self._records = np.empty((self.count, splat.SPLAT_FLOATS), np.float32)
         self._radii = np.empty(self.count, np.float32)
         project(
-            *self._gaussians, self._viewmat, self._K, self.width, self.height, self._offset,
-            self._records, self._radii,
+            *self._gaussians, self._viewmat, self._K, self.width, self.height, DILATION_PX2,
+            self._offset, self._records, self._radii,
         )  # fmt: skip
 
     def sort(self) -> None:
@@ -166,6 +167,6 @@ class PassInStages:
         """The gradients of the Gaussians."""
         lists = self.lists
         project_backward(
-            *self._gaussians[:4], self._viewmat, self._K, self.width, self.height, self.pair_grads,
-            lists.pair_positions, lists.pair_starts, *self._grads,
+            *self._gaussians[:4], self._viewmat, self._K, self.width, self.height, DILATION_PX2,
+            self.pair_grads, lists.pair_positions, lists.pair_starts, *self._grads,
         )  # fmt: skip

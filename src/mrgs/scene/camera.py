@@ -187,7 +187,8 @@ class Camera:
     @property
     def focal_px(self) -> float:
         """Geometric mean of both focal lengths, pixels."""
-        return math.sqrt(float(self.K[0, 0] * self.K[1, 1]))
+        K = self.K.numpy()
+        return math.sqrt(K[0, 0] * K[1, 1])
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera on another pixel grid; the field of view is kept exactly."""
