@@ -18,6 +18,7 @@ from mrgs.rasterizer.contract import (
     Raster,
     Rasterizer,
 )
+from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
 
 MODALITIES = ("rgb", "thermal")
 LAYER_TENSORS = Layer._fields
@@ -166,7 +167,7 @@ def random_scene(
         tensors[f"{modality}.features"] = uniform(0, 1, n, channels)
         tensors[f"{modality}.background"] = uniform(0, 1, channels)
     # Through float32, so that a float32 kernel and the float64 oracle are given the same numbers.
-    dilation_px2 = (DILATION_PX2, 0.1, 0.02)[seed % 3]
+    dilation_px2 = (DILATION_PX2, 0.1, LEAST_DILATION_PX2)[seed % 3]
     scene = RasterizerScene(tensors, viewmat, K, width, height, dilation_px2)
     return scene.to(torch.float32).to(dtype)
 

@@ -17,7 +17,7 @@ from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.rasterizer.contract import DILATION_PX2
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.dilation import LEAST_DILATION_PX2, Dilation
 from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within
 from mrgs.system.strict_yaml import read_yaml, write_yaml
 
@@ -71,9 +71,6 @@ noise counts by its squares: docs/decisions."""
 PLUS_DILATION_PX2 = 0.1
 """Of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3, Gaussians are drawn
 more blurred than a pixel sees the scene, and thinner than it is: docs/decisions."""
-
-LEAST_DILATION_PX2 = 0.01
-"""With less, Gaussians between the centres of pixels are not seen."""
 
 CPU_COARSE = 0.5
 """Share of the training on coarser photos in the presets for CPUs, where photos are large enough:

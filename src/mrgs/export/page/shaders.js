@@ -24,8 +24,7 @@ uniform int degree;
 uniform vec2 bands[4];         // lowest value and step of each degree
 
 in uint splat;
-out vec2 offset;               // from the projected mean, pixels
-flat out vec3 conic;
+out vec2 deviations;           // from the projected mean along the ellipse's axes, standard deviations
 flat out vec4 value;           // what is blended, and the opacity
 
 uvec4 texels[3];
@@ -81,11 +80,13 @@ void main() {
   vec3 jy = focal.y / mean.z * (vec3(rotation[0].y, rotation[1].y, rotation[2].y) - uv.y * depthRow);
   mat3 sigma = mat3(second.x, second.y, second.z, second.y, second.w, third.x, second.z, third.x, third.y);
   if (dot(depthRow, sigma * depthRow) > mean.z * mean.z) return;
-  float a = dot(jx, sigma * jx) + dilation;
+  float xx = dot(jx, sigma * jx);
   float b = dot(jx, sigma * jy);
-  float c = dot(jy, sigma * jy) + dilation;
-  float determinant = a * c - b * b;
-  conic = vec3(c, -b, a) / determinant;
+  float yy = dot(jy, sigma * jy);
+  float a = xx + dilation;
+  float c = yy + dilation;
+  // Of a needle's large a, b and c only rounding would be left in ac - b².
+  float determinant = max(xx * yy - b * b, 0.0) + dilation * (xx + yy + dilation);
 
   float middle = 0.5 * (a + c);
   float radius = length(vec2(0.5 * (a - c), b));
@@ -93,8 +94,9 @@ void main() {
     : a > c ? normalize(vec2(middle + radius - c, b)) : normalize(vec2(b, middle + radius - a));
   float tau = sqrt(2.0 * log(255.0 * opacity));
   vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
-  offset = tau * (corner.x * sqrt(middle + radius) * axis
-    + corner.y * sqrt(max(middle - radius, 0.0)) * vec2(-axis.y, axis.x));
+  deviations = tau * corner;
+  float largest = middle + radius;
+  vec2 offset = deviations.x * sqrt(largest) * axis + deviations.y * sqrt(determinant / largest) * vec2(-axis.y, axis.x);
   vec2 place = (focal * slope + centre + offset) / size;
   gl_Position = vec4(2.0 * place.x - 1.0, 1.0 - 2.0 * place.y, 0.0, 1.0);
   value = vec4(vec3(own.y), opacity);
@@ -103,14 +105,12 @@ void main() {
 
 const SPLAT_FRAGMENT = `#version 300 es
 precision highp float;
-in vec2 offset;
-flat in vec3 conic;
+in vec2 deviations;
 flat in vec4 value;
 out vec4 blended;
 
 void main() {
-  float squared = conic.x * offset.x * offset.x + 2.0 * conic.y * offset.x * offset.y + conic.z * offset.y * offset.y;
-  float alpha = min(0.999, value.a * exp(-0.5 * squared));
+  float alpha = min(0.999, value.a * exp(-0.5 * dot(deviations, deviations)));
   if (alpha < 1.0 / 255.0) discard;
   blended = vec4(value.rgb * alpha, alpha);
 }`;
