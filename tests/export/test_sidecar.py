@@ -26,7 +26,11 @@ def test_the_facts_say_units_axes_range_and_loss(scene):
     assert "OpenCV" in facts["camera_axes"]
     assert "adds 0.3 px²" in facts["opacities"]
     other = facts_of(replace(make_baked(), dilation=Dilation(0.1)), scene, None, None)
-    assert "for a viewer that adds 0.1 px²" in other["opacities"]
+    assert "for a viewer that adds 0.1 px² to" in other["opacities"]
+    assert other["dilation"] == {"px2": 0.1, "finest_focal_px": None}
+    angular = facts_of(replace(make_baked(), dilation=Dilation(0.1, 755.6)), scene, None, None)
+    assert "0.1 px² · (f / 756)² where its focal length f is below 756 px" in angular["opacities"]
+    assert angular["dilation"] == {"px2": 0.1, "finest_focal_px": 755.6}
 
 
 def test_what_is_not_known_is_null(scene):

@@ -20,6 +20,7 @@ def _eventful() -> Any:
         checkpoint_every=5,
         neighbours_every=3,
         image_model=ImageModelConfig(point_spread=True),
+        angular_dilation=True,
     )
     schedule = replace(config.densification, start=1, stop=9, every=4, gradient_threshold=1e-6)
     return replace(config, densification=schedule)

@@ -12,9 +12,12 @@ from safetensors.torch import load_file
 
 from mrgs.app.cli import main
 from mrgs.baselines.thermonerf import train_thermonerf
+from mrgs.data.load import load_scene
 from mrgs.errors import MrgsWarning, RunError
+from mrgs.method.camera_model.image_model import Capture
 from mrgs.training import train
 from mrgs.training.checkpoint import load_facts
+from mrgs.training.trainer import open_training
 from tests.faults.runs import GAUSSIANS, NERF
 from tests.helpers.checkpoints import header_of, rewrite_without_digests
 
@@ -95,6 +98,21 @@ def test_accepted_changes_are_told_and_belong_to_the_run(kind, scene, request):
         resume(scene, folder, kind, accept_changes=True)
     assert load_facts(folder.newest_checkpoint()).step == 10
     resume(scene, folder, kind)
+
+
+def test_a_run_goes_on_with_the_dilation_of_accepted_cameras(scene, gaussians_run):
+    gaussians_run.newest_checkpoint().unlink()
+    before = load_facts(gaussians_run.newest_checkpoint()).capture
+    change_frame(scene, zoom)
+    with (
+        pytest.warns(MrgsWarning, match="intrinsics of"),
+        open_training(
+            scene, gaussians_run.path, GAUSSIANS, resume=True, accept_changes=True
+        ) as trainer,
+    ):
+        dilation = trainer.state.model.dilation
+    assert dilation == GAUSSIANS.dilation_of(Capture.of(load_scene(scene)))
+    assert dilation.finest_focal_px == pytest.approx(1.001**0.5 * before.finest_focal_px)
 
 
 def test_rounding_of_another_machine_is_no_change(scene, gaussians_run):

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from mrgs.rasterizer import Layer, rasterize
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.scene import RGB, THERMAL
 from mrgs.viewer.fields import SOLID_ALPHA
 from mrgs.viewer.picking import read_point
@@ -35,9 +36,9 @@ def test_a_reading_is_the_rendered_value_at_its_place(small_run, camera, subject
 
 def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
     """Against the weights of the splats, each rendered alone in a channel of its own."""
-    rendering = small_run.render(camera)
-    row, column = solid_pixel(rendering)
-    gaussians = small_run.model.gaussians
+    model = replace(small_run.model, dilation=Dilation(40.0))  # far from any other
+    row, column = solid_pixel(small_run.render(camera))
+    gaussians = model.gaussians
     count = len(gaussians)
     weights = torch.zeros(count)
     for first in range(0, count, 3):
@@ -53,11 +54,12 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
             camera.K,
             160,
             120,
+            dilation_px2=40.0,
         )
         weights[first : first + 3] = raster.blends[0].image[row, column][: min(3, count - first)]
     weights = weights.double()
     alpha = weights.sum()
-    reading = read_point(small_run.model, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
+    reading = read_point(model, camera, (column + 0.5) / 160, (row + 0.5) / 120, subject)
     depths = gaussians.means.double() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
     variance = (weights * (depths - reading.depth).square()).sum() / alpha
     assert reading.depth_deviation == pytest.approx(variance.sqrt().item(), rel=1e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from mrgs.export.loss import BakingLoss
 from mrgs.export.splats import ThermalScale, temperature_name, value_names
 from mrgs.pictures.values import unit_of
 from mrgs.rasterizer.contract import DILATION_PX2
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Scene
 from mrgs.system.atomic import write_text
@@ -25,6 +27,14 @@ UP_SNAP = np.array([0.0, 0.0, 1.0])
 MAX_TILT = 0.15
 """Root mean square of the sine by which cameras may be tilted sideways for their photos to count as
 level."""
+
+
+def _in_words(dilation: Dilation) -> str:
+    same = f"{dilation.px2:g} px²"
+    if dilation.finest_focal_px is None:
+        return same
+    finest = f"{dilation.finest_focal_px:.0f}"
+    return f"{same} ({same} · (f / {finest})² where its focal length f is below {finest} px)"
 
 
 def facts_of(
@@ -62,8 +72,9 @@ def facts_of(
         "camera_axes": "OpenCV: x right, y down, z forward",
         "temperature": temperature,
         **_other_facts(baked),
-        "opacities": f"for a viewer that adds {baked.dilation.px2:g} px² to the projected "
-        f"covariance and nothing else; 3DGS and most viewers add {DILATION_PX2:g}",
+        "opacities": f"for a viewer that adds {_in_words(baked.dilation)} to the projected "
+        f"covariance and nothing else; 3DGS and most viewers add {DILATION_PX2:g} px²",
+        "dilation": asdict(baked.dilation),
         "baking_loss_db": None if loss is None else loss_facts(loss),
         "baking": "the view-dependent colour residual is folded into spherical harmonics of "
         "degree 3; what depends on "

@@ -69,8 +69,9 @@ PLUS_LOSS = {
 noise counts by its squares: docs/decisions."""
 
 PLUS_DILATION_PX2 = 0.1
-"""Of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3, Gaussians are drawn
-more blurred than a pixel sees the scene, and thinner than it is: docs/decisions."""
+"""Of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3 a rendering is
+blurrier than what a pixel averages, and training makes up for it by Gaussians that are too thin:
+docs/decisions."""
 
 CPU_COARSE = 0.5
 """Share of the training on coarser photos in the presets for CPUs, where photos are large enough:
@@ -99,8 +100,8 @@ class TrainConfig:
         shares_opacity: blend both modalities with o_c.
         dilation_px2: added to the diagonal of the Gaussians' projected covariances; 0.3 px² in 3DGS
             and the paper.
-        angular_dilation: where pixels are larger than those of the finest photos, such as a thermal
-            camera's, dilate by the same angle, not by as many pixels; not in the paper.
+        angular_dilation: cameras with coarser pixels than those of the finest photos, often the
+            thermal ones, dilate by the same angle rather than by as many px²; not in the paper.
         temperature_sh_degree: degree of the temperature's spherical harmonics: 0 as published, t_i
             does not depend on the view. None for 3 where thermal photos have no °C, whose greys may
             depend on what else a photo shows (automatic gain), and 0 where they have.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.scene import Camera
 
-LEAST_DILATION_PX2 = 1e-3
-"""With less, the determinant of a covariance would be lost in rounding."""
+LEAST_DILATION_PX2 = 0.01
+"""With less, rounding would show in the gradients of needles, and in the exported page."""
 
 
 @dataclass(frozen=True)
@@ -17,10 +17,10 @@ class Dilation:
 
     Attributes:
         px2: variance in px².
-        finest_focal_px: focal length in pixels of the finest photos. Where a camera has larger
-            pixels than they, the dilation is as wide in angle as in them, not in pixels: else a
-            small image would show everything thicker than it is. None as in 3DGS: the same for
-            every camera.
+        finest_focal_px: focal length in pixels of the finest photos. Cameras with coarser pixels
+            dilate by the same angle rather than by the same number of pixels; otherwise small
+            images would show everything too thick. None: the same px² for every camera, as in
+            3DGS.
     """
 
     px2: float = DILATION_PX2

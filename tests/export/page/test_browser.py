@@ -18,7 +18,7 @@ from mrgs.export.page.marks import PageMark
 from mrgs.pictures.palette import colorize
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, THERMAL, Camera, Modality
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
 from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
 from tests.helpers.gaussians import NEAR_INFRARED
 
@@ -156,7 +156,7 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
 
 
 def test_a_picture_coarser_than_the_photos_is_dilated_less(open_page, baked, cameras):
-    baked = replace(baked, dilation=Dilation(30.0, finest_focal_px=1_000.0))
+    baked = replace(baked, dilation=Dilation(300.0, finest_focal_px=1_000.0))
     page = open_page(baked, viewport={"width": 320, "height": 200})
     page.select_option("#camera", "view 3")
     page.click("[data-modality=rgb]")
@@ -164,18 +164,34 @@ def test_a_picture_coarser_than_the_photos_is_dilated_less(open_page, baked, cam
     colours = picture(page)
     height, width = colours.shape[:2]
     camera = fitted(cameras["view 3"], width, height)
-    same_everywhere = replace(baked, dilation=replace(baked.dilation, finest_focal_px=None))
-    own, published = (
-        255 * each.render(camera)[RGB].image.clamp(0, 1).numpy()
-        for each in (baked, same_everywhere)
+    expected, *others = (
+        replace(baked, dilation=dilation).render(camera)
+        for dilation in (baked.dilation, Dilation(300.0), Dilation(0.3))
     )
-    assert psnr(colours, own) > 45 > 15 + psnr(colours, published)
-    heat = baked.render(camera)[THERMAL]
-    depth = (heat.depth / heat.alpha).numpy()
+    assert psnr(colours, 255 * expected[RGB].image.clamp(0, 1).numpy()) > 45
+    for other in others:
+        assert psnr(colours, 255 * other[RGB].image.clamp(0, 1).numpy()) < 30
+
     page.click("[data-modality=thermal]")
     page.wait_for_selector(SETTLED)
     x, y = width // 2, height // 2
-    assert read(page, x, y)[1] == pytest.approx(depth[y, x], abs=0.01)
+    told_c, told_depth = read(page, x, y)
+    celsius, depth = reading_at(expected, baked, x, y)
+    assert (told_c, told_depth) == (
+        pytest.approx(celsius, abs=0.2),
+        pytest.approx(depth, abs=0.01),
+    )
+    for other in others:
+        other_c, other_depth = reading_at(other, baked, x, y)
+        assert abs(other_c - celsius) > 0.4
+        assert abs(other_depth - depth) > 0.02
+
+
+def reading_at(rendering: Rendering, baked: BakedModel, x: int, y: int) -> tuple[float, float]:
+    """What the page ought to tell of a pixel: °C and depth."""
+    heat = rendering[THERMAL]
+    celsius = baked.temperature.to_celsius(heat.image[y, x, 0])
+    return float(celsius), float(heat.depth[y, x] / heat.alpha[y, x])
 
 
 def test_a_page_in_parts_ends_with_the_picture_of_a_whole_one(open_page, monkeypatch):

@@ -1,6 +1,6 @@
 // How much projected splats are dilated, by the camera.
 
-const LEAST_DILATION_PX2 = 1e-3;
+const LEAST_DILATION_PX2 = 0.01;
 
 // The variance in px² that is added to the diagonal of a projected covariance: where a camera has larger pixels than the
 // finest photos, as wide in angle as in them.

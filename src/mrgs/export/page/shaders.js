@@ -85,7 +85,7 @@ void main() {
   float yy = dot(jy, sigma * jy);
   float a = xx + dilation;
   float c = yy + dilation;
-  // Of a needle's large a, b and c only rounding would be left in ac - b².
+  // Not ac - b²: of a needle's, little but rounding would be left.
   float determinant = max(xx * yy - b * b, 0.0) + dilation * (xx + yy + dilation);
 
   float middle = 0.5 * (a + c);

@@ -187,9 +187,11 @@ function splatAt(camera, dilation, px, py, i, opacity) {
   const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
   if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + dilation)) return null;
   if (varianceAlong(r[6], r[7], r[8], 6 * i) > z * z) return null;
-  const [a, b, c] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i, dilation);
-  const determinant = a * c - b * b;
-  const falloff = Math.exp((-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy)) / determinant);
+  const [xx, xy, yy] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
+  // Not (xx + d)(yy + d) - xy²: where the covariance was rounded, a needle's may be below 0.
+  const determinant = Math.max(xx * yy - xy * xy, 0) + dilation * (xx + yy + dilation);
+  const squared = (yy + dilation) * dx * dx - 2 * xy * dx * dy + (xx + dilation) * dy * dy;
+  const falloff = Math.exp((-0.5 * Math.max(squared, 0)) / determinant);
   const alpha = Math.min(ALPHA_MAX, opacity * falloff);
   return alpha < ALPHA_MIN ? null : { index: i, depth: z, alpha };
 }
@@ -206,12 +208,12 @@ function varianceAlong(x, y, z, at) {
     + 2 * (s[at + 1] * x * y + s[at + 2] * x * z + s[at + 4] * y * z);
 }
 
-function projectedCovariance(r, kx, ky, u, v, at, dilation) {
+function projectedCovariance(r, kx, ky, u, v, at) {
   const s = model.covariances;
   const [ax, ay, az] = [kx * (r[0] - u * r[6]), kx * (r[1] - u * r[7]), kx * (r[2] - u * r[8])];
   const [bx, by, bz] = [ky * (r[3] - v * r[6]), ky * (r[4] - v * r[7]), ky * (r[5] - v * r[8])];
   const [xx, xy, xz, yy, yz, zz] = [s[at], s[at + 1], s[at + 2], s[at + 3], s[at + 4], s[at + 5]];
   const [px, py, pz] = [xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az];
   const [qx, qy, qz] = [xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz];
-  return [ax * px + ay * py + az * pz + dilation, ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz + dilation];
+  return [ax * px + ay * py + az * pz, ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz];
 }

@@ -7,6 +7,7 @@ a thermal lens blurs, and automatic gain scales each photo differently.
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -70,8 +71,8 @@ class Capture(NamedTuple):
         thermal_viewpoints: of each training view's camera, None where it has no thermal photo.
         extent: of the scene.
         has_celsius: whether the values of the thermal photos are temperatures.
-        finest_focal_px: largest focal length in pixels of any photo; None in the checkpoints of
-            older versions.
+        finest_focal_px: median focal length, in pixels, of the modality whose photos are finest;
+            None in the checkpoints of older versions.
     """
 
     thermal_viewpoints: tuple[Viewpoint | None, ...]
@@ -90,7 +91,7 @@ class Capture(NamedTuple):
             ),
             extent,
             scene.temperature is not None,
-            max(camera.focal_px for view in scene.train for camera in view.cameras.values()),
+            _finest_focal_px(scene),
         )
 
     @property
@@ -127,6 +128,12 @@ class Capture(NamedTuple):
         if finest is not None and not 0 < finest < math.inf:
             raise ValueError("the focal length is a number of pixels")
         return cls(viewpoints, extent, bool(values["has_celsius"]), finest)
+
+
+def _finest_focal_px(scene: Scene) -> float:
+    """The largest of the modalities' median focal lengths: one zoomed photo makes none finer."""
+    photos = [scene.train_photos(modality) for modality in scene.modalities]
+    return max(statistics.median(photo.camera.focal_px for photo in own) for own in photos if own)
 
 
 class PointSpread(nn.Module):

@@ -2,7 +2,7 @@
 precision.
 
 With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
-rotation and scales: Σ' = N Nᵀ + 0.3 I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance
+rotation and scales: Σ' = N Nᵀ + d I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance
 is ever formed.
 """
 
