@@ -135,7 +135,7 @@ def test_impossible_choices_are_named(options, message):
     [
         ({"neighbours_every": 0}, "neighbours_every must be at least 1, not 0"),
         ({"temperature_sh_degree": 4}, "temperature_sh_degree must be null or 0 to 3, not 4"),
-        ({"dilation_px2": 0.0}, "dilation_px2 must be at least 0.001, not 0"),
+        ({"dilation_px2": 0.0}, "dilation_px2 must be at least 0.01, not 0"),
         ({"dilation_px2": 2.0}, "dilation_px2 must be at most 1, not 2"),
     ],
 )
