@@ -29,14 +29,6 @@ MAX_TILT = 0.15
 level."""
 
 
-def _in_words(dilation: Dilation) -> str:
-    same = f"{dilation.px2:g} px²"
-    if dilation.finest_focal_px is None:
-        return same
-    finest = f"{dilation.finest_focal_px:.0f}"
-    return f"{same} ({same} · (f / {finest})² where its focal length f is below {finest} px)"
-
-
 def facts_of(
     baked: BakedModel, scene: Scene, up: Float64[np.ndarray, "3"] | None, loss: BakingLoss | None
 ) -> dict[str, Any]:
@@ -82,6 +74,14 @@ def facts_of(
         "held-out views that this "
         "costs (null: not measured)",
     }
+
+
+def _in_words(dilation: Dilation) -> str:
+    same = f"{dilation.px2:g} px²"
+    if dilation.finest_focal_px is None:
+        return same
+    finest = f"{dilation.finest_focal_px:.0f}"
+    return f"{same} ({same} · (f / {finest})² where its focal length f is below {finest} px)"
 
 
 def loss_facts(loss: BakingLoss) -> dict[str, float | None]:

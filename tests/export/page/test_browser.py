@@ -103,6 +103,13 @@ def picture(page: Any) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), dtype=np.float64)
 
 
+def shown(page: Any, modality: str) -> np.ndarray:
+    """The picture of a modality."""
+    page.click(f"[data-modality={modality}]")
+    page.wait_for_selector(SETTLED)
+    return picture(page)
+
+
 def psnr(got: np.ndarray, expected: np.ndarray) -> float:
     return 10 * np.log10(255**2 / np.square(got - expected).mean())
 
@@ -132,16 +139,12 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
     baked = reaching_the_plane_of(cameras["view 3"], baked)
     page = open_page(baked, viewport={"width": 800, "height": 420})
     page.select_option("#camera", "view 3")
-    page.click("[data-modality=rgb]")
-    page.wait_for_selector(SETTLED)
-    colours = picture(page)
+    colours = shown(page, "rgb")
     height, width = colours.shape[:2]
     expected = baked.render(fitted(cameras["view 3"], width, height))
     assert psnr(colours, 255 * expected[RGB].image.clamp(0, 1).numpy()) > 45
 
-    page.click("[data-modality=thermal]")
-    page.wait_for_selector(SETTLED)
-    heat = picture(page)
+    heat = shown(page, "thermal")
     celsius = baked.temperature.to_celsius(expected[THERMAL].image[..., 0]).numpy()
     seen = expected[THERMAL].alpha.numpy() >= 0.5
     assert psnr(heat[seen], colorize(celsius, 0.0, 80.0, "inferno")[seen]) > 40
@@ -159,9 +162,7 @@ def test_a_picture_coarser_than_the_photos_is_dilated_less(open_page, baked, cam
     baked = replace(baked, dilation=Dilation(300.0, finest_focal_px=1_000.0))
     page = open_page(baked, viewport={"width": 320, "height": 200})
     page.select_option("#camera", "view 3")
-    page.click("[data-modality=rgb]")
-    page.wait_for_selector(SETTLED)
-    colours = picture(page)
+    colours = shown(page, "rgb")
     height, width = colours.shape[:2]
     camera = fitted(cameras["view 3"], width, height)
     expected, *others = (
@@ -195,17 +196,12 @@ def reading_at(rendering: Rendering, baked: BakedModel, x: int, y: int) -> tuple
 
 
 def test_a_page_in_parts_ends_with_the_picture_of_a_whole_one(open_page, monkeypatch):
-    def shown(page: Any) -> np.ndarray:
-        page.click("[data-modality=rgb]")
-        page.wait_for_selector(SETTLED)
-        return picture(page)
-
     window = {"width": 800, "height": 420}
     whole = open_page(viewport=window)
-    expected, reading = shown(whole), read(whole, 300, 200)
+    expected, reading = shown(whole, "rgb"), read(whole, 300, 200)
     monkeypatch.setattr(parts, "PART", 150)
     page = open_page(viewport=window)
-    assert psnr(shown(page), expected) > 40
+    assert psnr(shown(page, "rgb"), expected) > 40
     assert read(page, 300, 200) == pytest.approx(reading, rel=0.01)
     assert page.locator("#progress").is_hidden()
 
@@ -225,9 +221,7 @@ def test_a_third_modality_is_shown_and_read(open_page, with_nir, cameras, tmp_pa
         with_nir, modalities=with_nir.modalities, viewport={"width": 800, "height": 420}
     )
     page.select_option("#camera", "view 3")
-    page.click("[data-modality=nir]")
-    page.wait_for_selector(SETTLED)
-    grey = picture(page)
+    grey = shown(page, "nir")
     height, width = grey.shape[:2]
     expected = with_nir.render(fitted(cameras["view 3"], width, height))[NEAR_INFRARED]
     values, alpha = expected.image[..., 0].numpy(), expected.alpha.numpy()
@@ -239,9 +233,7 @@ def test_a_third_modality_is_shown_and_read(open_page, with_nir, cameras, tmp_pa
     assert page.locator("#reading-of").inner_text() == ": Near infrared"
     assert "°C" not in page.locator("#value").inner_text()
     page.screenshot(path=Path(os.environ.get("MRGS_SCREENSHOTS", tmp_path)) / "page_nir.png")
-    page.click("[data-modality=thermal]")
-    page.wait_for_selector(SETTLED)
-    assert psnr(picture(page), grey) < 25
+    assert psnr(shown(page, "thermal"), grey) < 25
     read(page, width // 2, height // 2)
     assert "°C" in page.locator("#value").inner_text()
 

@@ -81,22 +81,21 @@ void main() {
   mat3 sigma = mat3(second.x, second.y, second.z, second.y, second.w, third.x, second.z, third.x, third.y);
   if (dot(depthRow, sigma * depthRow) > mean.z * mean.z) return;
   float xx = dot(jx, sigma * jx);
-  float b = dot(jx, sigma * jy);
+  float xy = dot(jx, sigma * jy);
   float yy = dot(jy, sigma * jy);
-  float a = xx + dilation;
-  float c = yy + dilation;
-  // Not ac - b²: of a needle's, little but rounding would be left.
-  float determinant = max(xx * yy - b * b, 0.0) + dilation * (xx + yy + dilation);
+  // Not (xx + d)(yy + d) - xy²: of a needle's, little but rounding would be left.
+  float determinant = max(xx * yy - xy * xy, 0.0) + dilation * (xx + yy + dilation);
 
-  float middle = 0.5 * (a + c);
-  float radius = length(vec2(0.5 * (a - c), b));
-  vec2 axis = radius < 1e-6 * middle ? vec2(1.0, 0.0)
-    : a > c ? normalize(vec2(middle + radius - c, b)) : normalize(vec2(b, middle + radius - a));
+  float middle = 0.5 * (xx + yy);
+  float radius = length(vec2(0.5 * (xx - yy), xy));
+  float largest = middle + radius + dilation;
+  vec2 axis = radius < 1e-6 * (middle + dilation) ? vec2(1.0, 0.0)
+    : xx > yy ? normalize(vec2(middle + radius - yy, xy)) : normalize(vec2(xy, middle + radius - xx));
   float tau = sqrt(2.0 * log(255.0 * opacity));
   vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
   deviations = tau * corner;
-  float largest = middle + radius;
-  vec2 offset = deviations.x * sqrt(largest) * axis + deviations.y * sqrt(determinant / largest) * vec2(-axis.y, axis.x);
+  vec2 offset = deviations.x * sqrt(largest) * axis
+    + deviations.y * sqrt(determinant / largest) * vec2(-axis.y, axis.x);
   vec2 place = (focal * slope + centre + offset) / size;
   gl_Position = vec4(2.0 * place.x - 1.0, 1.0 - 2.0 * place.y, 0.0, 1.0);
   value = vec4(vec3(own.y), opacity);
