@@ -249,3 +249,15 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(state, path
     )
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_one_zoomed_photo_does_not_make_the_photos_finer(make_start, config):
+    scene, _ = make_start(config)
+    first, *others = scene.train
+    zoomed = {
+        modality: replace(image, camera=image.camera.with_width(10 * image.camera.width))
+        for modality, image in first.images.items()
+    }
+    finest = Capture.of(scene).finest_focal_px
+    changed = replace(scene, train=(replace(first, images=zoomed), *others))
+    assert Capture.of(changed).finest_focal_px == finest
