@@ -184,6 +184,32 @@ def wide_and_flat(scene: RasterizerScene) -> RasterizerScene:
     return replace(scene, viewmat=torch.eye(4).to(scene.viewmat), tensors=scene.tensors | facing)
 
 
+def needle_scene(dilation_px2: float, width: int, height: int) -> RasterizerScene:
+    """Slanting Gaussians that are as thin as the dilation lets them be, and from half as long as
+    the image to twenty times: written as quadratic forms of dx and dy, they and the moments of
+    their gradients would cancel in float32."""
+    n = 12
+    scene = random_scene(0, n, width, height)
+    along = torch.logspace(-0.5, 1.2, n, dtype=torch.float64)
+    half_angle = torch.linspace(0.1, 1.4, n, dtype=torch.float64)
+    zero, one = torch.zeros(n, dtype=torch.float64), torch.ones(n, dtype=torch.float64)
+    across = torch.linspace(-0.5, 0.5, n, dtype=torch.float64)
+    tensors = {
+        "means": torch.stack([across, across.roll(5), 1 + 0.1 * torch.arange(n) * one], dim=1),
+        "quats": torch.stack([half_angle.cos(), zero, zero, half_angle.sin()], dim=1),
+        "scales": torch.stack([along, 1e-3 * one, 1e-3 * one], dim=1),
+    }
+    K = torch.tensor([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1]]).double()
+    scene = replace(
+        scene,
+        viewmat=torch.eye(4).double(),
+        K=K,
+        tensors=scene.tensors | tensors,
+        dilation_px2=dilation_px2,
+    )
+    return scene.to(torch.float32).to(torch.float64)
+
+
 def random_cotangents(raster: Raster, left_out: Bool[Tensor, "h w"], seed: int) -> list[Tensor]:
     """One random float64 weight per value of every image, blend by blend; 0 at the pixels to be
     left out.
@@ -248,6 +274,13 @@ def assert_small(errors: dict[str, float], gradient_error_max: float = GRADIENT_
         limit = gradient_error_max if name.startswith("grad ") else IMAGE_ERROR_MAX
         limit = RADIUS_ERROR_MAX if name == "radii" else limit
         assert error < limit, (name, errors)
+
+
+def assert_gradients_of_needles(rasterize: Rasterizer, dilation_px2: float) -> None:
+    errors = compare_with_oracle(rasterize, needle_scene(dilation_px2, 50, 40))
+    gradients = {name: error for name, error in errors.items() if name.startswith("grad ")}
+    assert max(gradients.values()) < GRADIENT_ERROR_MAX, gradients
+    assert gradients["grad scales"] < 1e-5, gradients
 
 
 def images_of(raster: Raster) -> list[Tensor]:

@@ -17,7 +17,10 @@ import torch
 
 from mrgs import rasterizer
 from mrgs.rasterizer import Layer, reference
+from mrgs.rasterizer.contract import DILATION_PX2
+from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
 from tests.helpers.rasterizers import (
+    assert_gradients_of_needles,
     assert_same_bits,
     assert_shows_the_background,
     assert_small,
@@ -270,13 +273,6 @@ def test_inputs_are_left_as_they_were(rasterize):
     assert all(torch.equal(tensor, before[name]) for name, tensor in scene.tensors.items())
 
 
-if __name__ == "__main__":
-    from mrgs.kernels.rasterize.cpu import rasterize as kernel
-
-    for error_name, largest in worst_errors(kernel).items():
-        print(f"{error_name:26s} {largest:.1e}")
-
-
 def needles(dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
     """Slanting Gaussians, thousands of pixels long and a pixel wide: their quadratic form cancels
     in float32."""
@@ -298,6 +294,11 @@ def test_needles_keep_their_alpha(rasterize) -> None:
         alphas.append(raster.blends[0].alpha.double())
     assert alphas[1].max() > 0.8
     assert (alphas[0] - alphas[1]).abs().max() < 1e-5
+
+
+@pytest.mark.parametrize("dilation_px2", [DILATION_PX2, 0.1, LEAST_DILATION_PX2])
+def test_gradients_of_needles(rasterize, dilation_px2: float) -> None:
+    assert_gradients_of_needles(rasterize, dilation_px2)
 
 
 @pytest.mark.parametrize("size", [3e38, float("inf"), float("nan")])
@@ -347,3 +348,10 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> 
     raster.blends[0].image.mul_(2)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         raster.blends[0].image.sum().backward()
+
+
+if __name__ == "__main__":
+    from mrgs.kernels.rasterize.cpu import rasterize as kernel
+
+    for error_name, largest in worst_errors(kernel).items():
+        print(f"{error_name:26s} {largest:.1e}")

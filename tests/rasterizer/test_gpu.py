@@ -19,8 +19,10 @@ import mrgs.rasterizer
 from mrgs.errors import MrgsError
 from mrgs.rasterizer import Layer, reference
 from mrgs.rasterizer.contract import DILATION_PX2
+from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
 from mrgs.system import operation
 from tests.helpers.rasterizers import (
+    assert_gradients_of_needles,
     assert_same_bits,
     assert_shows_the_background,
     assert_small,
@@ -148,6 +150,11 @@ def test_needles_keep_their_alpha(rasterize) -> None:
     assert (
         alphas[0] - alphas[1]
     ).abs().max() < 3e-5  # coordinates of 50 pixels have an error of 4e-6
+
+
+@pytest.mark.parametrize("dilation_px2", [DILATION_PX2, LEAST_DILATION_PX2])
+def test_gradients_of_needles(rasterize, dilation_px2: float) -> None:
+    assert_gradients_of_needles(rasterize, dilation_px2)
 
 
 # --- nothing to see

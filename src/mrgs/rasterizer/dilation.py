@@ -8,7 +8,7 @@ from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.scene import Camera
 
 LEAST_DILATION_PX2 = 0.01
-"""With less, rounding would show in the gradients of needles, and in the exported page."""
+"""With less, single precision would show in the shape of needles in the exported page."""
 
 
 @dataclass(frozen=True)

@@ -34,14 +34,14 @@ SCALAR = 14
 
 SPLAT_FLOATS = 16
 
-# Gradients with respect to the record, summed over the pixels of one tile. dx and dy run from μ' to
-# the pixel's centre and v = α ∂L/∂α of both layers together: the gradients of μ' and Σ' follow from
-# these moments.
-GRAD_DX = 0
+# Gradients with respect to the record, summed over the pixels of one tile. With v = α ∂L/∂α of both
+# layers together, across = dx − SHEAR·dy and dy, the gradients of μ' and Σ' follow from the moments
+# Σ v·across, Σ v·dy, Σ v·across², Σ v·across·dy and Σ v·dy².
+GRAD_ACROSS = 0
 GRAD_DY = 1
-GRAD_DXDX = 2
-GRAD_DXDY = 3
-GRAD_DYDY = 4
+GRAD_ACROSS_ACROSS = 2
+GRAD_ACROSS_DY = 3
+GRAD_DY_DY = 4
 GRAD_DEPTH = 5
 
 GRAD_COLOR = 6

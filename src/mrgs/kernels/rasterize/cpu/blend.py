@@ -93,9 +93,14 @@ def vector_range(splats, record, y0):
 
 
 @strict_inlined_function()
-def log2_gaussian(splats, record, dx, dy):
+def offset_across(splats, record, dx, dy):
+    """dx from the midline of a splat's ellipse, at sixteen pixels."""
+    return dx - broadcast(read(splats, record + splat.SHEAR)) * dy
+
+
+@strict_inlined_function()
+def log2_gaussian(splats, record, across, dy):
     """log2 of the projected Gaussian G' at sixteen pixels."""
-    across = dx - broadcast(read(splats, record + splat.SHEAR)) * dy
     along = broadcast(read(splats, record + splat.ALONG)) * dy * dy
     return broadcast(read(splats, record + splat.ACROSS)) * across * across + along
 
@@ -171,7 +176,8 @@ def _blend_tile(planes, splats, tile_splats, first, last, x0, y0):
             if not (live_vectors >> vector) & 1:
                 continue
             dy = first_dy + broadcast(np.float32(vector * VECTOR_ROWS))
-            exponent = log2_gaussian(splats, record, dx, dy)
+            across = offset_across(splats, record, dx, dy)
+            exponent = log2_gaussian(splats, record, across, dy)
             if not any_lane(exponent >= threshold):
                 continue
             gaussian = exp2(exponent)

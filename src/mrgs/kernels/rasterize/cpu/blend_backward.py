@@ -27,6 +27,7 @@ from mrgs.kernels.rasterize.cpu.blend import (
     contribution,
     interleaved,
     log2_gaussian,
+    offset_across,
     open_transmittance,
     vector_range,
 )
@@ -122,14 +123,15 @@ def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussia
 
 
 @strict_inlined_function()
-def _add_geometry(moments, grad_exponent, dx, dy):
-    """Moments of α ∂L/∂α over the pixels' offsets from μ', in the order GRAD_DX to GRAD_DYDY."""
-    grad_dx, grad_dy = grad_exponent * dx, grad_exponent * dy
+def _add_geometry(moments, grad_exponent, across, dy):
+    """Moments of α ∂L/∂α over the pixels' offsets from μ', in the order GRAD_ACROSS to
+    GRAD_DY_DY."""
+    grad_across, grad_dy = grad_exponent * across, grad_exponent * dy
     return (
-        moments[0] + grad_dx,
+        moments[0] + grad_across,
         moments[1] + grad_dy,
-        moments[2] + grad_dx * dx,
-        moments[3] + grad_dx * dy,
+        moments[2] + grad_across * across,
+        moments[3] + grad_across * dy,
         moments[4] + grad_dy * dy,
     )
 
@@ -156,7 +158,8 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
             if not (live_vectors >> vector) & 1:
                 continue
             dy = first_dy + broadcast(np.float32(vector * VECTOR_ROWS))
-            exponent = log2_gaussian(splats, record, dx, dy)
+            across = offset_across(splats, record, dx, dy)
+            exponent = log2_gaussian(splats, record, across, dy)
             if not any_lane(exponent >= threshold):
                 continue
             gaussian = exp2(exponent)
@@ -175,7 +178,7 @@ def _backward_tile(planes, splats, tile_splats, first, last, x0, y0, pair_grads)
                 gaussian,
                 scalar,
             )
-            geometry = _add_geometry(geometry, grad_color + grad_scalar, dx, dy)
+            geometry = _add_geometry(geometry, grad_color + grad_scalar, across, dy)
             if not any_lane((behind_color >= nearly_opaque) | (behind_scalar >= nearly_opaque)):
                 live_vectors &= ~(1 << vector)
         sums = (

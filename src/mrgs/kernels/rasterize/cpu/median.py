@@ -16,6 +16,7 @@ from mrgs.kernels.rasterize.cpu.blend import (
     contribution,
     interleaved,
     log2_gaussian,
+    offset_across,
     open_transmittance,
     vector_range,
 )
@@ -97,7 +98,8 @@ def _walk_tile(planes, splats, tile_splats, first, last, x0, y0):
             if not (live_vectors >> vector) & 1:
                 continue
             dy = first_dy + broadcast(np.float32(vector * VECTOR_ROWS))
-            exponent = log2_gaussian(splats, record, dx, dy)
+            across = offset_across(splats, record, dx, dy)
+            exponent = log2_gaussian(splats, record, across, dy)
             if not any_lane(exponent >= threshold):
                 continue
             gaussian = exp2(exponent)

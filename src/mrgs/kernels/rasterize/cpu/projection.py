@@ -101,6 +101,12 @@ def _scaled(row, scales, i):
 
 
 @strict_inner_function()
+def _combination(a, x, b, y):
+    """a x + b y of two vectors."""
+    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
+
+
+@strict_inner_function()
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -220,22 +226,26 @@ def depth_slopes(means, quats, scales, viewmat, K, width, height, dilation, slop
 
 
 @strict_inner_function()
-def _screen_gradients(xx, xy, yy, g):
-    """∂L/∂μ' and ∂L/∂Σ' from the moments ``g`` of v = α ∂L/∂α = ∂L/∂(ln G').
+def _screen_gradients(n0, n1, dilation, g):
+    """∂L/∂μ' and the rows of ∂L/∂N from the moments ``g`` of v = α ∂L/∂α = ∂L/∂(ln G').
 
-    With the conic Q = Σ'⁻¹ and d = pixel − μ', ln G' = −½ dᵀ Q d: so ∂L/∂μ' = Q Σ v d and
-    ∂L/∂Σ' = ½ Q (Σ v d dᵀ) Q.
+    In the record's coordinates, across = dx − shear·dy and dy, Σ' is diagonal, with var(across) and
+    yy, so that nothing cancels for thin slanting Gaussians: ln G' = −½ (across² / var(across) +
+    dy² / yy), ∂L/∂μ' = Σ v Σ'⁻¹ d and ∂L/∂N = (Σ'⁻¹ (Σ v d dᵀ) Σ'⁻¹) N, the rows of N being
+    n_across = n0 − shear·n1 and n1.
     """
-    inverse = 1.0 / (xx * yy - xy * xy)
-    a, b, c = yy * inverse, -xy * inverse, xx * inverse
-    grad_mean = (
-        a * g[splat.GRAD_DX] + b * g[splat.GRAD_DY],
-        b * g[splat.GRAD_DX] + c * g[splat.GRAD_DY],
-    )
-    dxdx, dxdy, dydy = g[splat.GRAD_DXDX], g[splat.GRAD_DXDY], g[splat.GRAD_DYDY]
-    p0, p1 = a * dxdx + b * dxdy, a * dxdy + b * dydy
-    q0, q1 = b * dxdx + c * dxdy, b * dxdy + c * dydy
-    return grad_mean, (0.5 * (p0 * a + p1 * b), 0.5 * (p0 * b + p1 * c), 0.5 * (q0 * b + q1 * c))
+    xx, xy, yy = _covariance(n0, n1, dilation)
+    shear = xy / yy
+    per_across, per_dy = yy / (xx * yy - xy * xy), 1.0 / yy
+    grad_across, grad_dy = g[splat.GRAD_ACROSS] * per_across, g[splat.GRAD_DY] * per_dy
+    across_across = g[splat.GRAD_ACROSS_ACROSS] * per_across * per_across
+    across_dy = g[splat.GRAD_ACROSS_DY] * per_across * per_dy
+    dy_dy = g[splat.GRAD_DY_DY] * per_dy * per_dy
+    n_across = _combination(1.0, n0, -shear, n1)
+    grad_n_across = _combination(across_across, n_across, across_dy, n1)
+    grad_n_dy = _combination(across_dy, n_across, dy_dy, n1)
+    grad_mean = (grad_across, grad_dy - shear * grad_across)
+    return grad_mean, grad_n_across, _combination(1.0, grad_n_dy, -shear, grad_n_across)
 
 
 @strict_inner_function()
@@ -297,12 +307,6 @@ def _camera_point_gradient(
 
 
 @strict_inner_function()
-def _combination(a, x, b, y):
-    """a x + b y of two vectors."""
-    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
-
-
-@strict_inner_function()
 def _geometry_gradient(
     i, g, means, quats, scales, viewmat, fx, fy, limits_u, limits_v, dilation,
     grad_means, grad_quats, grad_scales, grad_means2d,
@@ -316,12 +320,8 @@ def _geometry_gradient(
     rotation, unit, inverse_length = _rotation(quats, i)
     p0, p1 = _row_times_matrix(m0, rotation), _row_times_matrix(m1, rotation)
     n0, n1 = _scaled(p0, scales, i), _scaled(p1, scales, i)
-    xx, xy, yy = _covariance(n0, n1, dilation)
-    grad_mean, (hxx, hxy, hyy) = _screen_gradients(xx, xy, yy, g)
+    grad_mean, gn0, gn1 = _screen_gradients(n0, n1, dilation, g)
     grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
-    # Σ' = N Nᵀ + d I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
-    gn0 = _combination(2 * hxx, n0, 2 * hxy, n1)
-    gn1 = _combination(2 * hxy, n0, 2 * hyy, n1)
     for k in range(3):
         grad_scales[i, k] = gn0[k] * p0[k] + gn1[k] * p1[k]
     gp0, gp1 = _scaled(gn0, scales, i), _scaled(gn1, scales, i)

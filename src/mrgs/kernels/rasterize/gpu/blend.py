@@ -78,10 +78,12 @@ def load_splat(splats, index, exists, HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.co
 
 
 @device_function
-def gaussian_at(geometry, dx, dy):
-    """The projected Gaussian G' at offsets from its centre."""
-    across = dx - geometry[3] * dy
-    return tl.exp2(geometry[2] * across * across + geometry[4] * dy * dy)
+def gaussian_at(geometry, centre_x, centre_y):
+    """The projected Gaussian G' at pixels, and their offsets: dx from the midline of its ellipse,
+    and dy."""
+    dy = centre_y - geometry[1]
+    across = centre_x - geometry[0] - geometry[3] * dy
+    return tl.exp2(geometry[2] * across * across + geometry[4] * dy * dy), across, dy
 
 
 @device_function
@@ -135,7 +137,7 @@ def blend(
             position += 1
             splat = load_splat(splats, following, position < last, HAS_COLOR, HAS_SCALAR)
             following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
-            gaussian = gaussian_at(geometry, centre_x - geometry[0], centre_y - geometry[1])
+            gaussian, _, _ = gaussian_at(geometry, centre_x, centre_y)
             if HAS_COLOR:
                 _, alpha = blended_alpha(gaussian, color[0], passed_color)
                 weight = alpha * passed_color

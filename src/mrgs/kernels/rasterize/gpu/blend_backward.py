@@ -24,13 +24,13 @@ from mrgs.kernels.rasterize.gpu.blend import (
 )
 from mrgs.kernels.rasterize.gpu.constants import (
     ALPHA_MAX,
+    GRAD_ACROSS,
+    GRAD_ACROSS_ACROSS,
+    GRAD_ACROSS_DY,
     GRAD_COLOR,
     GRAD_DEPTH,
-    GRAD_DX,
-    GRAD_DXDX,
-    GRAD_DXDY,
     GRAD_DY,
-    GRAD_DYDY,
+    GRAD_DY_DY,
     GRAD_FLOATS,
     GRAD_SCALAR,
     TILE_PIXELS,
@@ -76,14 +76,14 @@ def _with_sum(sums, field: tl.constexpr, values):
 
 
 @device_function
-def _sum_geometry(sums, grad, dx, dy):
-    """Moments of α ∂L/∂α over the pixels' offsets from μ'."""
-    grad_dx, grad_dy = grad * dx, grad * dy
-    sums = _with_sum(sums, GRAD_DX, grad_dx)
+def _sum_geometry(sums, grad, across, dy):
+    """Moments of α ∂L/∂α over the pixels' offsets."""
+    grad_across, grad_dy = grad * across, grad * dy
+    sums = _with_sum(sums, GRAD_ACROSS, grad_across)
     sums = _with_sum(sums, GRAD_DY, grad_dy)
-    sums = _with_sum(sums, GRAD_DXDX, grad_dx * dx)
-    sums = _with_sum(sums, GRAD_DXDY, grad_dx * dy)
-    return _with_sum(sums, GRAD_DYDY, grad_dy * dy)
+    sums = _with_sum(sums, GRAD_ACROSS_ACROSS, grad_across * across)
+    sums = _with_sum(sums, GRAD_ACROSS_DY, grad_across * dy)
+    return _with_sum(sums, GRAD_DY_DY, grad_dy * dy)
 
 
 @triton.jit(do_not_specialize=["tiles", "width", "height"])
@@ -162,8 +162,7 @@ def blend_backward(
             position += 1
             splat = load_splat(splats, following, position < last, HAS_COLOR, HAS_SCALAR)
             following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
-            dx, dy = centre_x - geometry[0], centre_y - geometry[1]
-            gaussian = gaussian_at(geometry, dx, dy)
+            gaussian, across, dy = gaussian_at(geometry, centre_x, centre_y)
             sums = tl.zeros([PADDED_FLOATS], tl.float32)
             grad, grad_z = zero, zero
             if HAS_COLOR:
@@ -191,7 +190,7 @@ def blend_backward(
                 grad_z += weight * gz_scalar
                 sums = _with_sum(sums, GRAD_SCALAR, grad_scalar)
                 sums = _with_sum(sums, GRAD_SCALAR + 1, weight * gt)
-            sums = _with_sum(_sum_geometry(sums, grad, dx, dy), GRAD_DEPTH, grad_z)
+            sums = _with_sum(_sum_geometry(sums, grad, across, dy), GRAD_DEPTH, grad_z)
             tl.store(pair_grads + pair * GRAD_FLOATS + fields, sums, mask=is_field)
         unfinished = (position < last) & any_unfinished(passed_color, passed_scalar)
 

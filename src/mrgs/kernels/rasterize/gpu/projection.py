@@ -1,12 +1,10 @@
 """EWA projection of the Gaussians, one thread per Gaussian, in single precision.
 
 With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
-rotation and
-scales: Σ' = N Nᵀ + d I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance is ever
-    formed. With n_0 and
-n_1 the rows of N, det(N Nᵀ) = |n_0 × n_1|² and det Σ' = |n_0 × n_1|² + d (|n_0|² + |n_1|²) + d²:
-sums of what is never negative, so that nothing cancels even for Gaussians that are thin and
-long.
+rotation and scales: Σ' = N Nᵀ + d I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance
+is ever formed. With n_0 and n_1 the rows of N, det(N Nᵀ) = |n_0 × n_1|² and det Σ' = |n_0 × n_1|² +
+d (|n_0|² + |n_1|²) + d²: sums of what is never negative, so that nothing cancels even for Gaussians
+that are thin and long.
 """
 
 from __future__ import annotations
@@ -69,10 +67,9 @@ def dot(a, b):
 
 
 @device_function
-def squared_area(a, b):
-    """|a × b|²."""
-    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    return x * x + y * y + z * z
+def cross(a, b):
+    """Vector product of two vectors of three."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @device_function
@@ -148,7 +145,8 @@ def jacobian_row(viewmat, row: tl.constexpr, focal_over_z, slope):
 def covariance(n0, n1, dilation):
     """Entries xx, xy, yy of Σ', then det Σ'."""
     xx, yy = dot(n0, n0), dot(n1, n1)
-    determinant = squared_area(n0, n1) + (xx + yy) * dilation + dilation * dilation
+    area = cross(n0, n1)
+    determinant = dot(area, area) + (xx + yy) * dilation + dilation * dilation
     return xx + dilation, dot(n0, n1), yy + dilation, determinant
 
 

@@ -7,13 +7,13 @@ import triton
 import triton.language as tl
 
 from mrgs.kernels.rasterize.gpu.constants import (
+    GRAD_ACROSS,
+    GRAD_ACROSS_ACROSS,
+    GRAD_ACROSS_DY,
     GRAD_COLOR,
     GRAD_DEPTH,
-    GRAD_DX,
-    GRAD_DXDX,
-    GRAD_DXDY,
     GRAD_DY,
-    GRAD_DYDY,
+    GRAD_DY_DY,
     GRAD_FLOATS,
     GRAD_SCALAR,
 )
@@ -21,6 +21,7 @@ from mrgs.kernels.rasterize.gpu.jit import device_function
 from mrgs.kernels.rasterize.gpu.projection import (
     clamped_slope,
     covariance,
+    cross,
     dot,
     jacobian_row,
     load_intrinsics,
@@ -35,22 +36,35 @@ from mrgs.kernels.rasterize.gpu.projection import (
 
 
 @device_function
-def _screen_gradients(xx, xy, yy, determinant, moments, mask):
-    """∂L/∂μ' and ∂L/∂Σ' from the moments of v = α ∂L/∂α = ∂L/∂(ln G').
+def _combination(a, x, b, y):
+    """a x + b y of two vectors of three."""
+    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
 
-    With the conic Q = Σ'⁻¹ and d = pixel − μ', ln G' = −½ dᵀ Q d: so ∂L/∂μ' = Q Σ v d and
-    ∂L/∂Σ' = ½ Q (Σ v d dᵀ) Q.
+
+@device_function
+def _screen_gradients(n0, n1, dilation, moments, mask):
+    """∂L/∂μ' and the rows of ∂L/∂N from the moments of v = α ∂L/∂α = ∂L/∂(ln G').
+
+    In the record's coordinates, across = dx − shear·dy and dy, Σ' is diagonal, with var(across) and
+    yy, so that nothing cancels for thin slanting Gaussians: ln G' = −½ (across² / var(across) +
+    dy² / yy), ∂L/∂μ' = Σ v Σ'⁻¹ d and ∂L/∂N = (Σ'⁻¹ (Σ v d dᵀ) Σ'⁻¹) N, the rows of N being
+    n_across = n0 − shear·n1 = (n1 × (n0 × n1) + d n0) / yy and n1.
     """
-    a, b, c = yy / determinant, -xy / determinant, xx / determinant
-    dx = tl.load(moments + GRAD_DX, mask=mask, other=0.0)
-    dy = tl.load(moments + GRAD_DY, mask=mask, other=0.0)
-    dxdx = tl.load(moments + GRAD_DXDX, mask=mask, other=0.0)
-    dxdy = tl.load(moments + GRAD_DXDY, mask=mask, other=0.0)
-    dydy = tl.load(moments + GRAD_DYDY, mask=mask, other=0.0)
-    p0, p1 = a * dxdx + b * dxdy, a * dxdy + b * dydy
-    q0, q1 = b * dxdx + c * dxdy, b * dxdy + c * dydy
-    grad_covariance = (0.5 * (p0 * a + p1 * b), 0.5 * (p0 * b + p1 * c), 0.5 * (q0 * b + q1 * c))
-    return (a * dx + b * dy, b * dx + c * dy), grad_covariance
+    _, xy, yy, determinant = covariance(n0, n1, dilation)
+    shear = xy / yy
+    per_across, per_dy = yy / determinant, 1.0 / yy
+    grad_across = tl.load(moments + GRAD_ACROSS, mask=mask, other=0.0) * per_across
+    grad_dy = tl.load(moments + GRAD_DY, mask=mask, other=0.0) * per_dy
+    across_across = (
+        tl.load(moments + GRAD_ACROSS_ACROSS, mask=mask, other=0.0) * per_across * per_across
+    )
+    across_dy = tl.load(moments + GRAD_ACROSS_DY, mask=mask, other=0.0) * per_across * per_dy
+    dy_dy = tl.load(moments + GRAD_DY_DY, mask=mask, other=0.0) * per_dy * per_dy
+    n_across = _combination(1.0 / yy, cross(n1, cross(n0, n1)), dilation / yy, n0)
+    grad_n_across = _combination(across_across, n_across, across_dy, n1)
+    grad_n_dy = _combination(across_dy, n_across, dy_dy, n1)
+    grad_mean = (grad_across, grad_dy - shear * grad_across)
+    return grad_mean, grad_n_across, _combination(1.0, grad_n_dy, -shear, grad_n_across)
 
 
 @device_function
@@ -170,22 +184,9 @@ def project_backward(
     scale = load_three(scales, i, drawn)
     p0, p1 = row_times_matrix(m0, row0, row1, row2), row_times_matrix(m1, row0, row1, row2)
     n0, n1 = scaled(p0, scale), scaled(p1, scale)
-    xx, xy, yy, determinant = covariance(n0, n1, dilation)
-    grad_mean, grad_covariance = _screen_gradients(xx, xy, yy, determinant, moments, drawn)
-    hxx, hxy, hyy = grad_covariance
+    grad_mean, gn0, gn1 = _screen_gradients(n0, n1, dilation, moments, drawn)
     tl.store(grad_means2d_offset + 2 * i, grad_mean[0], mask=inside)
     tl.store(grad_means2d_offset + 2 * i + 1, grad_mean[1], mask=inside)
-    # Σ' = N Nᵀ + d I with N = M R S, so ∂L/∂N = 2 (∂L/∂Σ') N
-    gn0 = (
-        2 * (hxx * n0[0] + hxy * n1[0]),
-        2 * (hxx * n0[1] + hxy * n1[1]),
-        2 * (hxx * n0[2] + hxy * n1[2]),
-    )
-    gn1 = (
-        2 * (hxy * n0[0] + hyy * n1[0]),
-        2 * (hxy * n0[1] + hyy * n1[1]),
-        2 * (hxy * n0[2] + hyy * n1[2]),
-    )
     grad_scale = (
         gn0[0] * p0[0] + gn1[0] * p1[0],
         gn0[1] * p0[1] + gn1[1] * p1[1],
@@ -193,21 +194,9 @@ def project_backward(
     )
     _store_three(grad_scales, i, inside, grad_scale)
     gp0, gp1 = scaled(gn0, scale), scaled(gn1, scale)
-    gr0 = (
-        m0[0] * gp0[0] + m1[0] * gp1[0],
-        m0[0] * gp0[1] + m1[0] * gp1[1],
-        m0[0] * gp0[2] + m1[0] * gp1[2],
-    )
-    gr1 = (
-        m0[1] * gp0[0] + m1[1] * gp1[0],
-        m0[1] * gp0[1] + m1[1] * gp1[1],
-        m0[1] * gp0[2] + m1[1] * gp1[2],
-    )
-    gr2 = (
-        m0[2] * gp0[0] + m1[2] * gp1[0],
-        m0[2] * gp0[1] + m1[2] * gp1[1],
-        m0[2] * gp0[2] + m1[2] * gp1[2],
-    )
+    gr0 = _combination(m0[0], gp0, m1[0], gp1)
+    gr1 = _combination(m0[1], gp0, m1[1], gp1)
+    gr2 = _combination(m0[2], gp0, m1[2], gp1)
     gw, gx, gy, gz = _quaternion_gradient(quaternion, length, gr0, gr1, gr2)
     tl.store(grad_quats + 4 * i, gw, mask=inside)
     tl.store(grad_quats + 4 * i + 1, gx, mask=inside)
