@@ -10,10 +10,12 @@ import torch
 from PIL import Image
 
 from mrgs.errors import ConfigError, RunError
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Reach, Scene
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
+from mrgs.viewer.fields import SOLID_ALPHA
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.opening import board_of
 from mrgs.viewer.painting import SCALE_FROM_PX
@@ -315,3 +317,14 @@ def test_uncertainty_is_that_of_the_marks_and_has_no_value_where_no_photo_looked
     height, width = values.shape
     text = inspection.hover((column + 0.5) / width, (row + 0.5) / height)
     assert re.fullmatch(r"± \d+\.\d °C", text)
+
+
+def test_uncertainty_is_drawn_with_the_dilation_of_the_model(small_run, balls, camera, tmp_path):
+    wide = replace(small_run.model, dilation=Dilation(40.0))  # far from any other
+    run = replace(small_run, model=wide)
+    inspection = Inspection(subject_of(run, balls, tmp_path))
+    inspection.settings = Settings(MODES["uncertainty"])
+    (shown,) = inspection.picture(camera).images
+    blend = run.render(camera)[THERMAL]
+    depth = (blend.depth / blend.alpha.clamp_min(SOLID_ALPHA)).numpy()
+    assert shown.depth[shown.solid] == pytest.approx(depth[shown.solid], rel=1e-5)
