@@ -11,6 +11,7 @@ const HIDDEN_BEHIND = 1.05; // a mark that lies this much deeper than what is se
 
 const element = (id) => document.getElementById(id);
 const modalityButtons = () => document.querySelectorAll("button[data-modality]");
+let failed = false; // and the page says why
 const json = (id) => JSON.parse(element(id).textContent);
 
 class Page {
@@ -233,7 +234,7 @@ class Page {
   }
 
   sorted({ order, version }) {
-    element("status").hidden = true;
+    element("status").hidden = !failed;
     this.held.splice(0).forEach((text) => this.sendPart(text));
     this.renderer.setOrder(order);
     this.sorting = false;
@@ -435,6 +436,7 @@ class Page {
 }
 
 function showFailure(message) {
+  failed = true;
   element("status").hidden = false;
   element("status").textContent = message;
 }

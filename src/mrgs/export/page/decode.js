@@ -11,7 +11,7 @@ async function decodePart(text, modalities) {
     first,
     replaces,
     means: decodeMeans(planes, count, header.chunk),
-    covariances: new Float32Array(6 * count),
+    axes: new Float32Array(9 * count),
     largestScale: new Float32Array(count),
     appearances: Object.fromEntries(modalities.map(({ name, channels }) => [name, decodeAppearance(planes, header, name, channels)])),
   };
@@ -66,9 +66,10 @@ function decodeMeans(planes, count, chunk) {
   return means;
 }
 
-// Covariances as xx, xy, xz, yy, yz, zz.
+// The three axes of each splat's ellipsoid, as long as its standard deviations. A covariance made of them in single
+// precision would not hold the shape of a needle.
 function decodeShapes(planes, [low, high], part) {
-  const { covariances, largestScale, count } = part;
+  const { axes, largestScale, count } = part;
   const step = (high - low) / 1023;
   const quat = new Float64Array(4);
   for (let i = 0; i < count; i++) {
@@ -79,16 +80,10 @@ function decodeShapes(planes, [low, high], part) {
     largestScale[i] = Math.max(sx, sy, sz);
     decodeQuat(planes.rotations[i], quat);
     const [w, x, y, z] = quat;
-    const a = [(1 - 2 * (y * y + z * z)) * sx, 2 * (x * y - w * z) * sy, 2 * (x * z + w * y) * sz];
-    const b = [2 * (x * y + w * z) * sx, (1 - 2 * (x * x + z * z)) * sy, 2 * (y * z - w * x) * sz];
-    const c = [2 * (x * z - w * y) * sx, 2 * (y * z + w * x) * sy, (1 - 2 * (x * x + y * y)) * sz];
-    const at = 6 * i;
-    covariances[at] = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
-    covariances[at + 1] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    covariances[at + 2] = a[0] * c[0] + a[1] * c[1] + a[2] * c[2];
-    covariances[at + 3] = b[0] * b[0] + b[1] * b[1] + b[2] * b[2];
-    covariances[at + 4] = b[0] * c[0] + b[1] * c[1] + b[2] * c[2];
-    covariances[at + 5] = c[0] * c[0] + c[1] * c[1] + c[2] * c[2];
+    const first = [(1 - 2 * (y * y + z * z)) * sx, 2 * (x * y + w * z) * sx, 2 * (x * z - w * y) * sx];
+    const second = [2 * (x * y - w * z) * sy, (1 - 2 * (x * x + z * z)) * sy, 2 * (y * z + w * x) * sy];
+    const third = [2 * (x * z + w * y) * sz, 2 * (y * z - w * x) * sz, (1 - 2 * (x * x + y * y)) * sz];
+    axes.set([...first, ...second, ...third], 9 * i);
   }
 }
 

@@ -7,7 +7,7 @@ precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
 
-uniform sampler2D geometry;    // per splat: mean | covariance | its end
+uniform sampler2D geometry;    // per splat three: a coordinate of the mean, and an axis of the ellipsoid
 uniform sampler2D appearance;  // per splat: opacity, value without view dependence
 uniform usampler2D harmonics;  // per splat: the coefficients as bytes
 uniform int splatsPerRow;
@@ -68,7 +68,9 @@ void main() {
   vec4 third = texelFetch(geometry, at + ivec2(2, 0), 0);
   vec2 own = texelFetch(appearance, ivec2(index % splatsPerRow, index / splatsPerRow), 0).xy;
   float opacity = own.x;
-  vec3 mean = rotation * first.xyz + translation;
+  vec3 position = vec3(first.x, second.x, third.x);
+  mat3 axes = mat3(first.yzw, second.yzw, third.yzw);
+  vec3 mean = rotation * position + translation;
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   if (mean.z < 0.01 || opacity < 1.0 / 255.0) return;
 
@@ -78,19 +80,22 @@ void main() {
   vec3 depthRow = vec3(rotation[0].z, rotation[1].z, rotation[2].z);
   vec3 jx = focal.x / mean.z * (vec3(rotation[0].x, rotation[1].x, rotation[2].x) - uv.x * depthRow);
   vec3 jy = focal.y / mean.z * (vec3(rotation[0].y, rotation[1].y, rotation[2].y) - uv.y * depthRow);
-  mat3 sigma = mat3(second.x, second.y, second.z, second.y, second.w, third.x, second.z, third.x, third.y);
-  if (dot(depthRow, sigma * depthRow) > mean.z * mean.z) return;
-  float xx = dot(jx, sigma * jx);
-  float xy = dot(jx, sigma * jy);
-  float yy = dot(jy, sigma * jy);
+  if (length(depthRow * axes) > mean.z) return;
+  vec3 n0 = jx * axes;
+  vec3 n1 = jy * axes;
+  float xx = dot(n0, n0);
+  float xy = dot(n0, n1);
+  float yy = dot(n1, n1);
   // Not (xx + d)(yy + d) - xy²: of a needle's, little but rounding would be left.
-  float determinant = max(xx * yy - xy * xy, 0.0) + dilation * (xx + yy + dilation);
+  vec3 area = cross(n0, n1);
+  float determinant = dot(area, area) + dilation * (xx + yy + dilation);
 
   float middle = 0.5 * (xx + yy);
-  float radius = length(vec2(0.5 * (xx - yy), xy));
+  float halfDifference = 0.5 * (xx - yy);
+  float radius = length(vec2(halfDifference, xy));
   float largest = middle + radius + dilation;
   vec2 axis = radius < 1e-6 * (middle + dilation) ? vec2(1.0, 0.0)
-    : xx > yy ? normalize(vec2(middle + radius - yy, xy)) : normalize(vec2(xy, middle + radius - xx));
+    : xx > yy ? normalize(vec2(radius + halfDifference, xy)) : normalize(vec2(xy, radius - halfDifference));
   float tau = sqrt(2.0 * log(255.0 * opacity));
   vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
   deviations = tau * corner;
@@ -99,7 +104,7 @@ void main() {
   vec2 place = (focal * slope + centre + offset) / size;
   gl_Position = vec4(2.0 * place.x - 1.0, 1.0 - 2.0 * place.y, 0.0, 1.0);
   value = vec4(vec3(own.y), opacity);
-  if (texelsPerSplat > 0) value.rgb = shade(index, normalize(first.xyz - eye));
+  if (texelsPerSplat > 0) value.rgb = shade(index, normalize(position - eye));
 }`;
 
 const SPLAT_FRAGMENT = `#version 300 es

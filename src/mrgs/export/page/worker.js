@@ -29,7 +29,7 @@ function open({ slots, dilation, readable, ...rest }) {
     dilation,
     active: [], // first and behind the last of the splats that are shown
     means: new Float32Array(3 * slots),
-    covariances: new Float32Array(6 * slots),
+    axes: new Float32Array(9 * slots),
     largestScale: new Float32Array(slots),
     appearances: Object.fromEntries(readable.map((name) => [name, { opacity: new Float32Array(slots) }])),
   };
@@ -40,7 +40,7 @@ async function take(text) {
   const part = await decodePart(text, modalities);
   const { first, count, replaces, appearances } = part;
   model.means.set(part.means, 3 * first);
-  model.covariances.set(part.covariances, 6 * first);
+  model.axes.set(part.axes, 9 * first);
   model.largestScale.set(part.largestScale, first);
   for (const [name, own] of Object.entries(model.appearances)) keepAppearance(own, appearances[name], first, count);
   model.active = model.active.flatMap((range) => without(range, replaces));
@@ -63,16 +63,17 @@ function without([start, end], [from, to]) {
   return [[start, Math.min(end, from)], [Math.max(start, to), end]].filter(([low, high]) => low < high);
 }
 
-// As the page's textures hold them: mean | covariance | its end; opacity, value without view dependence.
-function geometryTexels({ count, means, covariances }) {
+// As the page's texture holds them: a coordinate of the mean and an axis, three times.
+function geometryTexels({ count, means, axes }) {
   const texels = new Float32Array(12 * count);
-  for (let i = 0; i < count; i++) {
-    for (let k = 0; k < 3; k++) texels[12 * i + k] = means[3 * i + k];
-    for (let k = 0; k < 6; k++) texels[12 * i + 4 + k] = covariances[6 * i + k];
+  for (let i = 0; i < 3 * count; i++) {
+    texels[4 * i] = means[i];
+    for (let k = 0; k < 3; k++) texels[4 * i + 1 + k] = axes[3 * i + k];
   }
   return texels;
 }
 
+// As the page's textures hold them: opacity, value without view dependence.
 function drawnAppearances(appearances, count) {
   const drawn = {};
   for (const [name, { opacity, values, sh, bands }] of Object.entries(appearances)) {
@@ -186,10 +187,12 @@ function splatAt(camera, dilation, px, py, i, opacity) {
   const dy = py - (fy * slopeY + cy);
   const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
   if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + dilation)) return null;
-  if (varianceAlong(r[6], r[7], r[8], 6 * i) > z * z) return null;
-  const [xx, xy, yy] = projectedCovariance(r, fx / z, fy / z, u, v, 6 * i);
-  // Not (xx + d)(yy + d) - xy²: where the covariance was rounded, a needle's may be below 0.
-  const determinant = Math.max(xx * yy - xy * xy, 0) + dilation * (xx + yy + dilation);
+  const along = alongAxes(r[6], r[7], r[8], i);
+  if (dot(along, along) > z * z) return null;
+  const n0 = alongAxes((fx / z) * (r[0] - u * r[6]), (fx / z) * (r[1] - u * r[7]), (fx / z) * (r[2] - u * r[8]), i);
+  const n1 = alongAxes((fy / z) * (r[3] - v * r[6]), (fy / z) * (r[4] - v * r[7]), (fy / z) * (r[5] - v * r[8]), i);
+  const [xx, xy, yy] = [dot(n0, n0), dot(n0, n1), dot(n1, n1)];
+  const determinant = xx * yy - xy * xy + dilation * (xx + yy + dilation);
   const squared = (yy + dilation) * dx * dx - 2 * xy * dx * dy + (xx + dilation) * dy * dy;
   const falloff = Math.exp((-0.5 * Math.max(squared, 0)) / determinant);
   const alpha = Math.min(ALPHA_MAX, opacity * falloff);
@@ -201,19 +204,12 @@ function clampSlope(slope, centre, focal, size) {
   return Math.min(Math.max(slope, -centre / focal - margin), (size - centre) / focal + margin);
 }
 
-// Along a unit vector.
-function varianceAlong(x, y, z, at) {
-  const s = model.covariances;
-  return s[at] * x * x + s[at + 3] * y * y + s[at + 5] * z * z
-    + 2 * (s[at + 1] * x * y + s[at + 2] * x * z + s[at + 4] * y * z);
+// The scalar products of a vector and the axes of a splat.
+function alongAxes(x, y, z, i) {
+  const { axes } = model;
+  return [9 * i, 9 * i + 3, 9 * i + 6].map((at) => x * axes[at] + y * axes[at + 1] + z * axes[at + 2]);
 }
 
-function projectedCovariance(r, kx, ky, u, v, at) {
-  const s = model.covariances;
-  const [ax, ay, az] = [kx * (r[0] - u * r[6]), kx * (r[1] - u * r[7]), kx * (r[2] - u * r[8])];
-  const [bx, by, bz] = [ky * (r[3] - v * r[6]), ky * (r[4] - v * r[7]), ky * (r[5] - v * r[8])];
-  const [xx, xy, xz, yy, yz, zz] = [s[at], s[at + 1], s[at + 2], s[at + 3], s[at + 4], s[at + 5]];
-  const [px, py, pz] = [xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az];
-  const [qx, qy, qz] = [xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz];
-  return [ax * px + ay * py + az * pz, ax * qx + ay * qy + az * qz, bx * qx + by * qy + bz * qz];
+function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
