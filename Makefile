@@ -8,16 +8,22 @@ unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
 	--constraint constraints.txt
 
-.PHONY: demo test faults bench bench-quality docs install dist clean
+.PHONY: demo test types tests faults bench bench-quality docs install dist clean
 
 # What the demo needs, and no more.
 demo: $(VENV)/.installed
 	$(BIN)/mrgs demo
 
+# The types are checked while the tests run.
 test: $(VENV)/.dev-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	@$(MAKE) --no-print-directory --jobs 2 --keep-going types tests
+
+types: $(VENV)/.dev-installed
 	$(BIN)/mypy
+
+tests: $(VENV)/.dev-installed
 	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 40
 
 # Attacks for two hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes one.
