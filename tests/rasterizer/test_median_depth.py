@@ -63,21 +63,23 @@ def oblique_disc(kind):
 
 @pytest.mark.parametrize("place", [(7, 10), (7, 11), (8, 9), (6, 11)])
 def test_an_oblique_disc_is_a_plane(place):
-    """As far as the projection is linear; its centre's depth would be off by up to 6 %."""
-    depth = reference.median_depth(*oblique_disc(torch.float64), *CAMERA)[place].item()
+    """Its centre's depth would be off by up to 6 %. (A dilation makes it a little flatter.)"""
+    depth = reference.median_depth(*oblique_disc(torch.float64), *CAMERA, 1e-3)[place].item()
     x = (place[1] + 0.5 - 10.5) / 20
     # The plane: (z − 4) cos 0.9 + x z sin 0.9 = 0, with the normal's x as R_y(0.9) turns it.
     exact = 4 * math.cos(0.9) / (math.cos(0.9) + x * math.sin(0.9))
-    assert depth == pytest.approx(exact, rel=6e-3)
+    assert depth == pytest.approx(exact, rel=1e-5)
 
 
-def test_no_depth_is_before_the_near_plane():
-    """A Gaussian as deep as it is far away has a mean depth below zero at its one end."""
+def test_a_disc_seen_at_a_grazing_angle_ends_somewhere():
+    """Its plane meets some rays at infinity, or behind the camera."""
     means, _, _, opacities = oblique_disc(torch.float64)
     quats = torch.tensor([[math.cos(-0.7), 0, math.sin(-0.7), 0]]).double()
     scales = torch.tensor([[4.0, 4.0, 0.1]]).double()
     depth = reference.median_depth(means, quats, scales, 0 * opacities + 0.99, *CAMERA)
-    assert depth[~depth.isnan()].min().item() == pytest.approx(0.01)
+    known = depth[~depth.isnan()]
+    assert 0 < known.min().item() < 2.0
+    assert known.max().item() == pytest.approx(16.0)
 
 
 @pytest.mark.parametrize("opacities", [[0.49], [0.3, 0.25]])

@@ -40,6 +40,10 @@ TRANSMITTANCE_MIN = 1e-4
 SURFACE_TRANSMITTANCES = (0.6, 0.4)
 """The surface that a ray meets is what brings T from the first to the second."""
 
+STEEPEST = 4.0
+"""A ray meets a Gaussian at most at so many times the depth of its centre: a plane that is seen at
+a grazing angle would be met at infinity."""
+
 FRUSTUM_MARGIN = 0.3
 """x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of
 view."""

@@ -26,6 +26,7 @@ from mrgs.rasterizer.contract import (
     DILATION_PX2,
     FRUSTUM_MARGIN,
     NEAR_PLANE,
+    STEEPEST,
     SURFACE_TRANSMITTANCES,
     TRANSMITTANCE_MIN,
     Blend,
@@ -318,9 +319,12 @@ def depth_quantiles(depth: Float[Tensor, "h w"], *arguments: Any) -> Float[Tenso
 def depths_along_rays(
     pixels: Float[Tensor, "p 2"], splats: Splats, slopes: Float[Tensor, "m 2"]
 ) -> Float[Tensor, "p m"]:
-    """z + ∂z/∂x' (x' − μ') of every pixel and Gaussian, never before the near plane."""
+    """z where the ray of every pixel meets every Gaussian, flat ones being planes: 1/z is linear in
+    x', so that z = z₀ / (1 − ∂z/∂x' (x' − μ') / z₀), with z₀ that of the centre; at most
+    ``STEEPEST`` times z₀."""
     offsets = pixels[:, None] - splats.means2d
-    return (splats.depths + (offsets * slopes).sum(dim=-1)).clamp_min(NEAR_PLANE)
+    nearness = 1 - (offsets * slopes).sum(dim=-1) / splats.depths
+    return splats.depths / nearness.clamp_min(1 / STEEPEST)
 
 
 def surface_depths(

@@ -117,7 +117,7 @@ def _needed(config: TrainConfig) -> dict[str, float]:
     if field.residuals:
         needed |= _COLOR_HEAD | _THERMAL_HEAD | (_EXCHANGE if field.neighbours_k > 0 else {})
     parts = (loss.smooth_rgb, loss.smooth_thermal, loss.smooth_alike, loss.smooth_depth)
-    if loss.smooth > 0 and max(parts) > 0:
+    if loss.smooth > 0 and (max(parts) > 0 or loss.smooth_noise is not None):
         needed |= _SMOOTHNESS
     if config.image_model.point_spread:
         needed |= _BLUR

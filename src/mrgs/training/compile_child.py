@@ -60,7 +60,7 @@ def _compile_losses(config: TrainConfig) -> None:
     observed = ImageModel(config.image_model, Capture((), 1.0, True))(rendering, 0)
     cameras = dict.fromkeys(BUILT_IN, camera)
     gaussians = _random_gaussians(config, generator)
-    scale = SceneScale(1.0, TemperatureRange(0.0, 1.0))
+    scale = SceneScale(1.0, TemperatureRange(0.0, 1.0), thermal_noise=0.1)
     context = LossContext(
         rendering, observed, photos, cameras, gaussians, scale, lambda cameras: rendering
     )

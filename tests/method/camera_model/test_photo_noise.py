@@ -73,7 +73,7 @@ def test_noisy_or_few_temperatures_are_smoothed_more():
     assert loss.smooth_image(THERMAL, loss.smooth_noise / 2, 1.0) == (0, loss.smooth_alike)
     noise = loss.smooth_noise + 0.01
     assert loss.smooth_image(THERMAL, noise, 1.0) == pytest.approx((0.3125, loss.smooth_alike))
-    assert loss.smooth_image(THERMAL, 0.0, 3.0) == pytest.approx((0, 3 * loss.smooth_alike))
+    assert loss.smooth_image(THERMAL, 0.0, 9.0) == pytest.approx((0, 3 * loss.smooth_alike))
     assert loss.smooth_image(RGB, 0.03, 3.0) == (loss.smooth_rgb, 0)
 
 
@@ -90,10 +90,10 @@ def test_as_published_neither_noise_nor_number_matters():
 
 @pytest.mark.parametrize(
     ("width", "thermal_photos", "expected"),
-    [(32, 9, 1.0), (8, 9, 4.0), (32, 1, 3.0), (64, 9, 1.0), (32, 0, 1.0)],
+    [(32, 9, 1.0), (8, 9, 1.0), (32, 1, 9.0), (64, 3, 3.0), (32, 0, 1.0)],
     ids=["alike", "a quarter of the resolution", "one of nine", "finer", "none"],
 )
-def test_spacing_of_thermal_pixels(width, thermal_photos, expected):
+def test_rgb_photos_per_thermal_photo(width, thermal_photos, expected):
     color, heat = torch.zeros(24, 32, 3), torch.zeros(width * 3 // 4, width, 1)
     views = [
         View(
@@ -105,12 +105,12 @@ def test_spacing_of_thermal_pixels(width, thermal_photos, expected):
     ]
     points = PointCloud(torch.zeros(4, 3), torch.zeros(4, 3))
     scene = Scene("scene", tuple(views), (), points, None)
-    assert SceneScale.of(scene).thermal_spacing == pytest.approx(expected)
+    assert SceneScale.of(scene).rgb_per_thermal == pytest.approx(expected)
     assert SceneScale.of(scene).thermal_noise == 0
 
 
 @pytest.mark.parametrize(("width", "distance_px"), [(64, 3), (32, 2), (16, 1)])
-def test_photos_coarser_than_the_colours_are_not_interpolated(width, distance_px):
+def test_the_coarser_photos_are_the_less_are_they_taken_to_be_interpolated(width, distance_px):
     generator = torch.Generator().manual_seed(0)
     heat = torch.rand(width * 3 // 4, width, 1, generator=generator)
     views = [View("0", {RGB: posed_image(torch.zeros(48, 64, 3)), THERMAL: posed_image(heat)})]

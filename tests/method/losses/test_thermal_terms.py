@@ -71,7 +71,16 @@ def test_temperatures_may_change_where_the_colours_do(noise):
     assert guided < 0.2 * alike * total_variation(temperatures)
 
 
-def test_colours_are_rendered_once_by_a_thermal_camera_of_its_own():
+def test_without_rgb_photos_there_is_no_guide():
+    """The colours are those of the start points then; and ``not_rendered`` is not asked."""
+    seen = context({THERMAL: small_camera()})
+    seen = replace(seen, scale=seen.scale._replace(rgb_per_thermal=0))
+    everywhere, _ = make_config("mrgs-plus", "fast").loss.smooth_image(THERMAL, NOISE, 0)
+    value = terms_of("mrgs-plus")["smooth"].value(seen)
+    assert value == everywhere * total_variation(seen.rendering[THERMAL].image) > 0
+
+
+def test_a_thermal_camera_of_its_own_renders_the_colours_once():
     """For the smoothness and for L_opaque."""
     asked = []
 

@@ -42,9 +42,8 @@ class LossConfig:
             in the paper.
         smooth_depth: weight of the depths' part; 1 in the paper.
         smooth_noise: standard deviation of the thermal photos' noise, normalised temperature, above
-            which ``smooth_thermal`` grows with it. Both weights of temperatures also grow in
-            proportion to the spacing of thermal pixels beside that of colours. None in the paper:
-            neither matters.
+            which ``smooth_thermal`` grows with it. Both weights of temperatures also grow with the
+            root of the number of RGB photos per thermal photo. None in the paper: neither matters.
         huber_noise: temperatures are compared by a Huber loss of so many standard deviations of the
             thermal photos' noise, quadratic below and linear above; 0 in the paper: L1.
         opaque: weight of L_opaque; 0 in the paper.
@@ -61,11 +60,11 @@ class LossConfig:
     opaque: float = 0.0
 
     def smooth_image(
-        self, modality: Modality, thermal_noise: float, thermal_spacing: float
+        self, modality: Modality, thermal_noise: float, rgb_per_thermal: float
     ) -> tuple[float, float]:
         """Weights of a modality's image in Eq. 18: everywhere, and between pixels of one colour.
 
-        Temperatures have their own, which may depend on how noisy and how few the thermal pixels
+        Temperatures have their own, which may depend on how noisy and how few the thermal photos
         are (``SceneScale``), all others that of the colours.
         """
         if modality != THERMAL:
@@ -74,7 +73,8 @@ class LossConfig:
             return self.smooth_thermal, self.smooth_alike
         noise = max(thermal_noise - self.smooth_noise, 0.0)
         everywhere = self.smooth_thermal + SMOOTH_PER_NOISE * noise
-        return thermal_spacing * everywhere, thermal_spacing * self.smooth_alike
+        growth = max(rgb_per_thermal, 1.0) ** 0.5
+        return growth * everywhere, growth * self.smooth_alike
 
     def huber_width(self, modality: Modality, thermal_noise: float) -> float:
         """Below which difference a modality's values are compared by their squares."""

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import fmean
 from typing import NamedTuple
 
 import torch
@@ -39,15 +40,14 @@ class SceneScale(NamedTuple):
         extent: the scene's extent in scene units.
         temperature: scale of the thermal values; None if the scene has no known °C.
         thermal_noise: standard deviation of the thermal photos' noise, normalised temperature.
-        thermal_spacing: spacing of the thermal photos' pixels on the surfaces, that of the RGB
-            photos' being 1: 4 where the thermal photos have a quarter of the resolution, 3.2 where
-            nine of ten are missing; at least 1.
+        rgb_per_thermal: number of RGB photos per thermal photo; 0 where there are none, so that
+            nothing is learned of colours.
     """
 
     extent: float
     temperature: TemperatureRange | None
     thermal_noise: float = 0.0
-    thermal_spacing: float = 1.0
+    rgb_per_thermal: float = 1.0
 
     @classmethod
     def of(cls, scene: Scene) -> SceneScale:
@@ -55,17 +55,16 @@ class SceneScale(NamedTuple):
         rgb, thermal = scene.train_photos(RGB), scene.train_photos(THERMAL)
         if not thermal:
             return cls(scene.extent, scene.temperature)
-        spacing = math.sqrt(_pixel_density(rgb) / _pixel_density(thermal))
         # Of photos as fine as the colours', neighbouring pixels may be interpolated from one.
-        coarseness = spacing * math.sqrt(len(thermal) / max(len(rgb), 1))
+        coarseness = math.sqrt(_pixel_density(rgb) / _pixel_density(thermal)) if rgb else 1.0
         distance_px = max(1, round(INTERPOLATED_PX / max(coarseness, 1.0)))
         noise = photo_noise(thermal, distance_px)
-        return cls(scene.extent, scene.temperature, noise, max(1.0, spacing))
+        return cls(scene.extent, scene.temperature, noise, len(rgb) / len(thermal))
 
 
 def _pixel_density(photos: Sequence[PosedImage]) -> float:
-    """Pixels per solid angle about the optical axis, of all photos together."""
-    return sum((photo.camera.K[0, 0] * photo.camera.K[1, 1]).item() for photo in photos)
+    """Pixels per solid angle about the optical axis, mean over the photos."""
+    return fmean((photo.camera.K[0, 0] * photo.camera.K[1, 1]).item() for photo in photos)
 
 
 @dataclass(frozen=True)

@@ -102,10 +102,12 @@ class Smoothness(Term):
     def _of(self, modality: Modality, context: LossContext) -> Float[Tensor, ""]:
         blend, scale = context.rendering[modality], context.scale
         everywhere, alike = self._config.smooth_image(
-            modality, scale.thermal_noise, scale.thermal_spacing
+            modality, scale.thermal_noise, scale.rgb_per_thermal
         )
         similarity: Similarity = (None, None)
-        if alike > 0 and RGB in context.gaussians.modalities:
+        if scale.rgb_per_thermal == 0:
+            alike = 0.0  # as a guide, the start points' colours would be arbitrary
+        if alike > 0:
             colors = context.colors_by_thermal_camera.image
             similarity = similarity_of(colors, everywhere / (everywhere + alike))
         return smoothness_loss(

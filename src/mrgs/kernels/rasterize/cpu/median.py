@@ -9,6 +9,7 @@ from mrgs.kernels.jit import strict_inlined_function, strict_inner_function, str
 from mrgs.kernels.rasterize.cpu.blend import (
     ALL_VECTORS,
     HALF,
+    ONE,
     TILE_PIXELS,
     TRANSMITTANCE,
     VECTOR_ROWS,
@@ -40,12 +41,12 @@ from mrgs.kernels.rasterize.cpu.tiles import PREFETCH_AHEAD, TILE_HEIGHT, TILE_W
 from mrgs.rasterizer import contract, splat
 
 NAN = np.float32(np.nan)
-NEAR_PLANE = np.float32(contract.NEAR_PLANE)
+LEAST_NEARNESS = np.float32(1 / contract.STEEPEST)
 SURFACE_BEGINS, SURFACE_ENDS = (np.float32(share) for share in contract.SURFACE_TRANSMITTANCES)
 
 SLOPE_X = splat.COLOR + 1
 SLOPE_Y = splat.COLOR + 2
-"""∂z/∂x' of a splat, where a record has the features of its first layer."""
+"""∂z/∂x' / z of a splat, where a record has the features of its first layer."""
 
 _SHARES = TILE_PIXELS
 _SHARED_DEPTHS = 2 * TILE_PIXELS
@@ -61,11 +62,12 @@ def _pass_surface(planes, at, splats, record, gaussian, dx, dy):
     begins, ends = broadcast(SURFACE_BEGINS), broadcast(SURFACE_ENDS)
     ahead = load(planes, at + TRANSMITTANCE)
     _, _, _, _, behind = contribution(planes, at, splats, record, splat.COLOR, gaussian)
-    depth = broadcast(read(splats, record + splat.DEPTH))
-    depth = depth + broadcast(read(splats, record + SLOPE_X)) * dx
-    depth = depth + broadcast(read(splats, record + SLOPE_Y)) * dy
-    near, zero = broadcast(NEAR_PLANE), broadcast(ZERO)
-    depth = select(near < depth, depth, near)
+    centre, zero = broadcast(read(splats, record + splat.DEPTH)), broadcast(ZERO)
+    nearness = broadcast(ONE)
+    nearness = nearness - broadcast(read(splats, record + SLOPE_X)) * dx
+    nearness = nearness - broadcast(read(splats, record + SLOPE_Y)) * dy
+    least = broadcast(LEAST_NEARNESS)
+    depth = centre / select(least < nearness, nearness, least)
     share = minimum(ahead, begins) - select(ends < behind, behind, ends)
     share = select(zero < share, share, zero)
     store(planes, at + _SHARES, load(planes, at + _SHARES) + share)

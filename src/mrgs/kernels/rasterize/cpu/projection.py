@@ -112,9 +112,18 @@ def _dot(a, b):
 
 
 @strict_inner_function()
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@strict_inner_function()
 def _covariance(n0, n1, dilation):
-    """Σ' = N Nᵀ + d I: its entries xx, xy, yy."""
-    return _dot(n0, n0) + dilation, _dot(n0, n1), _dot(n1, n1) + dilation
+    """Σ' = N Nᵀ + d I: its entries xx, xy, yy, and det Σ' = |n0 × n1|² + d (|n0|² + |n1|²) + d², a
+    sum of what is never negative: xx yy − xy² would cancel for needles."""
+    xx, yy = _dot(n0, n0), _dot(n1, n1)
+    area = _cross(n0, n1)
+    determinant = _dot(area, area) + (xx + yy + dilation) * dilation
+    return xx + dilation, _dot(n0, n1), yy + dilation, determinant
 
 
 @strict_inner_function()
@@ -166,8 +175,7 @@ def project(
         if _dot(along_axis, along_axis) > point[2] * point[2]:
             continue
         n0, n1 = _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v)
-        xx, xy, yy = _covariance(n0, n1, dilation)
-        determinant = xx * yy - xy * xy
+        xx, xy, yy, determinant = _covariance(n0, n1, dilation)
         mean_x = fx * point[0] / point[2] + cx + means2d_offset[i, 0]
         mean_y = fy * point[1] / point[2] + cy + means2d_offset[i, 1]
         reach = 2.0 * math.log(opacity / ALPHA_MIN)  # dᵀ Σ'⁻¹ d where α = 1/255
@@ -199,8 +207,9 @@ def project(
 
 @strict_parallel_kernel()
 def depth_slopes(means, quats, scales, viewmat, K, width, height, dilation, slopes):
-    """Fill the first two columns of ``slopes``, [N, 2 or more], with ∂z/∂x', how fast the depth of
-    a Gaussian changes from pixel to pixel (``reference.depth_slopes``); 0 before the near plane.
+    """Fill the first two columns of ``slopes``, [N, 2 or more], with ∂z/∂x' / z: the share by which
+    the depth of a Gaussian changes from pixel to pixel (``reference.depth_slopes``); 0 before the
+    near plane.
 
     Args:
         means, quats, scales: [N, 3], [N, 4], [N, 3].
@@ -217,12 +226,11 @@ def depth_slopes(means, quats, scales, viewmat, K, width, height, dilation, slop
             continue
         rotation, _, _ = _rotation(quats, i)
         n0, n1 = _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v)
-        xx, xy, yy = _covariance(n0, n1, dilation)
+        xx, xy, yy, determinant = _covariance(n0, n1, dilation)
         along_view = _axes_along_view(rotation, scales, i, viewmat)
         xz, yz = _dot(n0, along_view), _dot(n1, along_view)
-        inverse_determinant = 1.0 / (xx * yy - xy * xy)
-        slopes[i, 0] = (yy * xz - xy * yz) * inverse_determinant
-        slopes[i, 1] = (xx * yz - xy * xz) * inverse_determinant
+        scale = 1.0 / (determinant * point[2])
+        slopes[i, 0], slopes[i, 1] = (yy * xz - xy * yz) * scale, (xx * yz - xy * xz) * scale
 
 
 @strict_inner_function()
@@ -232,16 +240,16 @@ def _screen_gradients(n0, n1, dilation, g):
     In the record's coordinates, across = dx − shear·dy and dy, Σ' is diagonal, with var(across) and
     yy, so that nothing cancels for thin slanting Gaussians: ln G' = −½ (across² / var(across) +
     dy² / yy), ∂L/∂μ' = Σ v Σ'⁻¹ d and ∂L/∂N = (Σ'⁻¹ (Σ v d dᵀ) Σ'⁻¹) N, the rows of N being
-    n_across = n0 − shear·n1 and n1.
+    n_across = n0 − shear·n1 = (n1 × (n0 × n1) + d n0) / yy and n1.
     """
-    xx, xy, yy = _covariance(n0, n1, dilation)
+    _, xy, yy, determinant = _covariance(n0, n1, dilation)
     shear = xy / yy
-    per_across, per_dy = yy / (xx * yy - xy * xy), 1.0 / yy
+    per_across, per_dy = yy / determinant, 1.0 / yy
     grad_across, grad_dy = g[splat.GRAD_ACROSS] * per_across, g[splat.GRAD_DY] * per_dy
     across_across = g[splat.GRAD_ACROSS_ACROSS] * per_across * per_across
     across_dy = g[splat.GRAD_ACROSS_DY] * per_across * per_dy
     dy_dy = g[splat.GRAD_DY_DY] * per_dy * per_dy
-    n_across = _combination(1.0, n0, -shear, n1)
+    n_across = _combination(per_dy, _cross(n1, _cross(n0, n1)), dilation * per_dy, n0)
     grad_n_across = _combination(across_across, n_across, across_dy, n1)
     grad_n_dy = _combination(across_dy, n_across, dy_dy, n1)
     grad_mean = (grad_across, grad_dy - shear * grad_across)
