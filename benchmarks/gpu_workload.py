@@ -91,7 +91,9 @@ def state_on(device: torch.device, count: int, config: TrainConfig) -> TrainingS
     parameters = gaussians(count, field, config)
     k = config.field.neighbours_k
     neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
-    model = Model(parameters, field, neighbours, sh_degree=3).to(device)
+    model = Model(
+        parameters, field, neighbours, sh_degree=3, dilation=config.dilation_of(CAPTURE)
+    ).to(device)
     terms, generator = configured_terms(config), torch.Generator().manual_seed(3)
     state = TrainingState.around(model, terms, config.densification, config, CAPTURE, generator)
     return replace(state, step=STEP_IN_FORCE)

@@ -163,7 +163,7 @@ def training_state(count: int, config: TrainConfig) -> TrainingState:
     parameters = gaussians(count, field, config)
     k = config.field.neighbours_k
     neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
-    model = Model(parameters, field, neighbours, sh_degree=3)
+    model = Model(parameters, field, neighbours, sh_degree=3, dilation=config.dilation_of(CAPTURE))
     terms, generator = configured_terms(config), torch.Generator().manual_seed(3)
     state = TrainingState.around(model, terms, config.densification, config, CAPTURE, generator)
     return replace(state, step=STEP_IN_FORCE)

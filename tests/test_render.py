@@ -8,7 +8,7 @@ import torch
 import mrgs.render
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.rasterizer import contract, median_depth, rasterize
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.dilation import AS_PUBLISHED, Dilation
 from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
 from mrgs.scene import (
     RGB,
@@ -56,7 +56,7 @@ def make_model(
         {name: tensor.to(dtype).requires_grad_() for name, tensor in gaussians.tensors().items()},
         ALL,
     )
-    return Model(gaussians, field.to(dtype), neighbours, sh_degree=2)
+    return Model(gaussians, field.to(dtype), neighbours, sh_degree=2, dilation=AS_PUBLISHED)
 
 
 def images_of(rendering: Rendering) -> dict[str, torch.Tensor]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mrgs.field import RadianceField
 from mrgs.rasterizer import Layer, Raster, contract, median_depth, rasterize
-from mrgs.rasterizer.dilation import AS_PUBLISHED, Dilation
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
 
 ALL_ROWS_FROM = 0.9
@@ -43,7 +43,8 @@ class Model:
     neighbours: Int64[Tensor, "n k"] | None
     sh_degree: int = 3
     temperature_residuals: Float[Tensor, "n 1"] | None = None
-    dilation: Dilation = AS_PUBLISHED
+    _: KW_ONLY
+    dilation: Dilation
 
     def to(self, device: torch.device) -> Model:
         """The same model on a device, to render with; itself if it is there."""

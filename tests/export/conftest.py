@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from mrgs.field.spherical_harmonics import C0
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange
@@ -51,7 +52,15 @@ def globe() -> BakedModel:
     temperatures = torch.where(up, 0.75, 0.25)
     scales, scale = torch.full((count, 3), 0.012), TemperatureRange(10, 30)
     return BakedModel(
-        means, quats, scales, opacities, {RGB: sh[:, :1]}, {RGB: sh[:, 1:]}, temperatures, scale
+        means,
+        quats,
+        scales,
+        opacities,
+        {RGB: sh[:, :1]},
+        {RGB: sh[:, 1:]},
+        temperatures,
+        scale,
+        dilation=AS_PUBLISHED,
     )
 
 

@@ -18,6 +18,7 @@ import torch
 
 from mrgs.export.glb import EXTENSION
 from mrgs.export.splats import SplatArrays
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
 
@@ -106,6 +107,7 @@ def draw(splats: SplatArrays, camera: Camera) -> torch.Tensor:
             {RGB: sh[:, 1:]},
             opacities,
             None,
+            dilation=AS_PUBLISHED,
         )
         .render(camera)[RGB]
         .image
@@ -131,6 +133,7 @@ def make_baked(count: int = 50, temperature: TemperatureRange | None = CELSIUS) 
         {RGB: sh[:, 1:]},
         temperatures,
         temperature,
+        dilation=AS_PUBLISHED,
     )
 
 

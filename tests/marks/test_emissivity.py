@@ -17,6 +17,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.regions import Regions
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord, Planck
@@ -206,7 +207,15 @@ def test_splats_of_a_region_are_corrected():
     normalised = RANGE.from_celsius(wall_celsius(points))
     opaque = {THERMAL: torch.ones(2)}
     baked = BakedModel(
-        points, torch.eye(4)[:2], torch.ones(2, 3), opaque, {}, {}, normalised, RANGE
+        points,
+        torch.eye(4)[:2],
+        torch.ones(2, 3),
+        opaque,
+        {},
+        {},
+        normalised,
+        RANGE,
+        dilation=AS_PUBLISHED,
     )
     capture = CaptureSettings(SurfaceSettings(0.95, 20.0), TYPICAL_LAW)
     corrected = Regions(Marks((BOX,)), render_wall, RANGE, capture).of_splats(baked)

@@ -14,6 +14,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.run_marks import picked_places
 from mrgs.marks.surface import before_background, outline_area, see, steady_depth
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.render import Model, render
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering, Scene
 from tests.helpers.gaussians import random_gaussians
@@ -46,7 +47,13 @@ def test_a_spot_reads_what_a_photo_from_its_eye_shows():
     gaussians.means = 0.6 * gaussians.means
     gaussians.log_scales = 0.3 * gaussians.log_scales - 1.2
     gaussians.opacity_logits = {each: torch.full((60, 1), 4.0) for each in (RGB, THERMAL)}
-    model = Model(gaussians, RadianceField(FieldConfig(residuals=False)), None, sh_degree=0)
+    model = Model(
+        gaussians,
+        RadianceField(FieldConfig(residuals=False)),
+        None,
+        sh_degree=0,
+        dilation=AS_PUBLISHED,
+    )
     camera = Camera.from_fov(161, 121, 50.0).look_at(EYE, [0.0, 0.0, 0.0])
 
     def render_surface(camera):

@@ -5,6 +5,7 @@ import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.method.parts import knock_outs, part_spreads
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.render import Model
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.gaussians import random_gaussians
@@ -19,7 +20,8 @@ def make_model(count: int = 40, **options) -> Model:
     field.set_frame(gaussians.means)
     gaussians.embedding = field.initial_embedding(gaussians.means)
     k = field.config.neighbours_k
-    return Model(gaussians, field, nearest_neighbours(gaussians.means, k) if k > 0 else None)
+    neighbours = nearest_neighbours(gaussians.means, k) if k > 0 else None
+    return Model(gaussians, field, neighbours, dilation=AS_PUBLISHED)
 
 
 def values(model: Model) -> tuple[torch.Tensor, torch.Tensor]:

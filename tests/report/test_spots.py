@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.report.spots import find_spots
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
@@ -75,6 +76,7 @@ def plane(extra: list[tuple[tuple[float, float, float], float]] = []) -> BakedMo
         {RGB: torch.zeros(n, 15, 3)},
         temperatures,
         TemperatureRange(0.0, 100.0),
+        dilation=AS_PUBLISHED,
     )
 
 
@@ -137,6 +139,7 @@ def test_nothing_is_found_where_nothing_is_seen():
     assert find_spots(views(), BakedModel(
         torch.tensor([[0.0, 0.0, 50.0]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.01),
         {THERMAL: torch.tensor([0.5])}, {}, {}, torch.tensor([0.5]), None,
+        dilation=AS_PUBLISHED,
     ).render) == ([], [])  # fmt: skip
     assert find_spots(views(thermal=False), plane().render) == ([], [])
 

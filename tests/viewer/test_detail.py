@@ -3,6 +3,7 @@ from __future__ import annotations
 import torch
 
 from mrgs.field import FieldConfig, RadianceField
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.render import Model, rows_in_view
 from mrgs.scene import Camera
 from mrgs.viewer.detail import LEVEL_FACTOR, LevelsOfDetail
@@ -17,7 +18,7 @@ def model(count: int, residuals: bool = False) -> Model:
     gaussians.log_scales = gaussians.log_scales - 5
     field = RadianceField(FieldConfig(residuals=residuals, embedding_width=6))
     known = torch.linspace(0, 1, count)[:, None] if residuals else None
-    return Model(gaussians, field, None, temperature_residuals=known)
+    return Model(gaussians, field, None, temperature_residuals=known, dilation=AS_PUBLISHED)
 
 
 def levels(whole: Model, most: int) -> LevelsOfDetail:

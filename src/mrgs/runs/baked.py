@@ -8,7 +8,7 @@ directions from which the photos were taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import torch
 from jaxtyping import Float, Int64
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade, up_to_degree
 from mrgs.rasterizer import Layer, median_depth, rasterize
-from mrgs.rasterizer.dilation import AS_PUBLISHED, Dilation
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.render import Model, shared_passes
 from mrgs.scene import (
     RGB,
@@ -68,7 +68,8 @@ class BakedModel:
     sh_rest: Mapping[Modality, Float[Tensor, "n _ _"]]
     temperatures: Float[Tensor, " n"]
     temperature: TemperatureRange | None
-    dilation: Dilation = AS_PUBLISHED
+    _: KW_ONLY
+    dilation: Dilation
 
     def __len__(self) -> int:
         return self.means.shape[0]
