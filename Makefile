@@ -8,20 +8,19 @@ unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
 	--constraint constraints.txt
 
-.PHONY: demo test types tests faults bench bench-quality docs install dist clean
+.PHONY: demo test tests faults bench bench-quality docs install dist clean
 
 # What the demo needs, and no more.
 demo: $(VENV)/.installed
 	$(BIN)/mrgs demo
 
-# The types are checked while the tests run.
+# The types are checked while the tests run; what is said of them comes at the end.
 test: $(VENV)/.dev-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	@$(MAKE) --no-print-directory --jobs 2 --keep-going types tests
-
-types: $(VENV)/.dev-installed
-	$(BIN)/mypy
+	@$(BIN)/mypy > $(VENV)/types.log 2>&1 & types=$$!; \
+	$(MAKE) --no-print-directory tests; tests=$$?; \
+	wait $$types; types=$$?; cat $(VENV)/types.log; exit $$((tests | types))
 
 tests: $(VENV)/.dev-installed
 	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 40

@@ -29,7 +29,8 @@ def test_the_facts_say_units_axes_range_and_loss(scene):
     assert "for a viewer that adds 0.1 px² to" in other["opacities"]
     assert other["dilation"] == {"px2": 0.1, "finest_focal_px": None}
     angular = facts_of(replace(make_baked(), dilation=Dilation(0.1, 755.6)), scene, None, None)
-    assert "0.1 px² · (f / 756)² where its focal length f is below 756 px" in angular["opacities"]
+    rule = "0.1 px² · (f / 756)² where its focal length f is below 756 px, and at least 0.01 px²"
+    assert rule in angular["opacities"]
     assert angular["dilation"] == {"px2": 0.1, "finest_focal_px": 755.6}
 
 

@@ -185,9 +185,9 @@ def wide_and_flat(scene: RasterizerScene) -> RasterizerScene:
 
 
 def needle_scene(dilation_px2: float, width: int, height: int) -> RasterizerScene:
-    """Slanting Gaussians that are as thin as the dilation lets them be, and from half as long as
-    the image to twenty times: written as quadratic forms of dx and dy, they and the moments of
-    their gradients would cancel in float32."""
+    """Slanting Gaussians that are as thin as the dilation lets them be, with standard deviations
+    from a third of the image's width to eight times as much: written as quadratic forms of dx and
+    dy, they and the moments of their gradients would cancel in float32."""
     n = 12
     scene = random_scene(0, n, width, height)
     along = torch.logspace(-0.5, 1.2, n, dtype=torch.float64)

@@ -17,7 +17,7 @@ from mrgs.export.loss import BakingLoss
 from mrgs.export.splats import ThermalScale, temperature_name, value_names
 from mrgs.pictures.values import unit_of
 from mrgs.rasterizer.contract import DILATION_PX2
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.dilation import LEAST_DILATION_PX2, Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Scene
 from mrgs.system.atomic import write_text
@@ -81,7 +81,10 @@ def _in_words(dilation: Dilation) -> str:
     if dilation.finest_focal_px is None:
         return same
     finest = f"{dilation.finest_focal_px:.0f}"
-    return f"{same} ({same} · (f / {finest})² where its focal length f is below {finest} px)"
+    return (
+        f"{same} ({same} · (f / {finest})² where its focal length f is below {finest} px, and at "
+        f"least {LEAST_DILATION_PX2:g} px²)"
+    )
 
 
 def loss_facts(loss: BakingLoss) -> dict[str, float | None]:

@@ -8,7 +8,7 @@ from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.scene import Camera
 
 LEAST_DILATION_PX2 = 0.01
-"""With less, single precision would show in the shape of needles in the exported page."""
+"""With less, the edges of needles would show the 1/256 px to which WebGL rounds places."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ class CheckpointFacts(NamedTuple):
     Attributes:
         step: steps done.
         scene: absolute path of the scene's folder; empty for a scene made from arrays.
-        capture: what the image model must know of the scene's photos.
+        capture: what the model must know of the scene's photos.
         temperature: the scene's scale; None without known °C.
         train_seconds: time spent in training so far.
         peak_memory_bytes: largest memory of the process since the run came to ``device``; on a GPU

@@ -117,7 +117,7 @@ def open_training(
             _check_room(run)
         if part is not None:
             run.state.sampler.restrict(part.views)
-        # A resumed run goes on with the cameras as they are now, and so do its processes.
+        # A resumed run goes on with the cameras as they are now, in every process.
         run.state.model.dilation = run.config.dilation_of(run.facts.capture)
         yield Trainer(run, processes)
 

@@ -18,6 +18,7 @@ from mrgs.export.page import parts, write_page
 from mrgs.export.page.marks import PageMark
 from mrgs.export.page.packing import pack
 from mrgs.pictures.palette import colorize
+from mrgs.rasterizer import dilation
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
@@ -161,7 +162,12 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
     page.screenshot(path=Path(os.environ.get("MRGS_SCREENSHOTS", tmp_path)) / "export_page.png")
 
 
-def test_a_picture_coarser_than_the_photos_is_dilated_less(open_page, baked, cameras):
+@pytest.mark.parametrize("least_px2", [0.01, 150.0])
+def test_a_picture_coarser_than_the_photos_is_dilated_less(
+    open_page, baked, cameras, monkeypatch, least_px2
+):
+    for module in (dilation, parts):
+        monkeypatch.setattr(module, "LEAST_DILATION_PX2", least_px2)
     baked = replace(baked, dilation=Dilation(300.0, finest_focal_px=1_000.0))
     page = open_page(baked, viewport={"width": 320, "height": 200})
     page.select_option("#camera", "view 3")
@@ -169,8 +175,8 @@ def test_a_picture_coarser_than_the_photos_is_dilated_less(open_page, baked, cam
     height, width = colours.shape[:2]
     camera = fitted(cameras["view 3"], width, height)
     expected, *others = (
-        replace(baked, dilation=dilation).render(camera)
-        for dilation in (baked.dilation, Dilation(300.0), Dilation(0.3))
+        replace(baked, dilation=each).render(camera)
+        for each in (baked.dilation, Dilation(300.0), Dilation(0.3))
     )
     assert psnr(colours, 255 * expected[RGB].image.clamp(0, 1).numpy()) > 45
     for other in others:

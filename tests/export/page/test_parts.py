@@ -63,7 +63,7 @@ def test_parts_lie_in_rows_of_their_own(model):
     places = [(part.first, part.first + part.packed.header["count"]) for part in model.parts()]
     assert all(first % parts.ROW == 0 for first, _ in places)
     assert all(end <= first for (_, end), (first, _) in itertools.pairwise(places))
-    dilation = {"px2": 0.1, "finest_focal_px": 107.0}
+    dilation = {"px2": 0.1, "finest_focal_px": 107.0, "least_px2": 0.01}
     assert model.facts == {
         "count": 600, "parts": 5, "slots": 5 * parts.ROW, "dilation": dilation
     }  # fmt: skip

@@ -50,7 +50,7 @@ def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras)
     part = json.loads(page.texts["part"])
     assert base64.b64decode(part["data"]) == packed.data
     assert part["header"] == {**packed.header, "first": 0, "replaces": [0, 0]}
-    dilation = {"px2": 0.1, "finest_focal_px": 107.0}
+    dilation = {"px2": 0.1, "finest_focal_px": 107.0, "least_px2": 0.01}
     known = {"parts": 1, "slots": 1024, "dilation": dilation}
     assert facts["model"] == {"count": packed.header["count"], **known}
     assert [camera["width"] for camera in facts["cameras"]] == [96] * 5

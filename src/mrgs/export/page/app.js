@@ -11,7 +11,6 @@ const HIDDEN_BEHIND = 1.05; // a mark that lies this much deeper than what is se
 
 const element = (id) => document.getElementById(id);
 const modalityButtons = () => document.querySelectorAll("button[data-modality]");
-let failed = false; // and the page says why
 const json = (id) => JSON.parse(element(id).textContent);
 
 class Page {
@@ -234,7 +233,7 @@ class Page {
   }
 
   sorted({ order, version }) {
-    element("status").hidden = !failed;
+    element("status").hidden = !element("status").dataset.failed;
     this.held.splice(0).forEach((text) => this.sendPart(text));
     this.renderer.setOrder(order);
     this.sorting = false;
@@ -436,7 +435,7 @@ class Page {
 }
 
 function showFailure(message) {
-  failed = true;
+  element("status").dataset.failed = "true";
   element("status").hidden = false;
   element("status").textContent = message;
 }

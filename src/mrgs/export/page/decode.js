@@ -80,10 +80,16 @@ function decodeShapes(planes, [low, high], part) {
     largestScale[i] = Math.max(sx, sy, sz);
     decodeQuat(planes.rotations[i], quat);
     const [w, x, y, z] = quat;
-    const first = [(1 - 2 * (y * y + z * z)) * sx, 2 * (x * y + w * z) * sx, 2 * (x * z - w * y) * sx];
-    const second = [2 * (x * y - w * z) * sy, (1 - 2 * (x * x + z * z)) * sy, 2 * (y * z + w * x) * sy];
-    const third = [2 * (x * z + w * y) * sz, 2 * (y * z - w * x) * sz, (1 - 2 * (x * x + y * y)) * sz];
-    axes.set([...first, ...second, ...third], 9 * i);
+    const at = 9 * i;
+    axes[at] = (1 - 2 * (y * y + z * z)) * sx;
+    axes[at + 1] = 2 * (x * y + w * z) * sx;
+    axes[at + 2] = 2 * (x * z - w * y) * sx;
+    axes[at + 3] = 2 * (x * y - w * z) * sy;
+    axes[at + 4] = (1 - 2 * (x * x + z * z)) * sy;
+    axes[at + 5] = 2 * (y * z + w * x) * sy;
+    axes[at + 6] = 2 * (x * z + w * y) * sz;
+    axes[at + 7] = 2 * (y * z - w * x) * sz;
+    axes[at + 8] = (1 - 2 * (x * x + y * y)) * sz;
   }
 }
 

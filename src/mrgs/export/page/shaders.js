@@ -86,7 +86,7 @@ void main() {
   float xx = dot(n0, n0);
   float xy = dot(n0, n1);
   float yy = dot(n1, n1);
-  // Not (xx + d)(yy + d) - xy²: of a needle's, little but rounding would be left.
+  // Not (xx + d)(yy + d) - xy², which for a needle cancels to rounding errors.
   vec3 area = cross(n0, n1);
   float determinant = dot(area, area) + dilation * (xx + yy + dilation);
 

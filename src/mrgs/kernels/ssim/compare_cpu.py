@@ -46,8 +46,8 @@ class ImagePair(NamedTuple):
             images are read as 0.
         channels: C, how far the window's taps along a row lie apart.
         window: weights of the window's first six taps, the rest by symmetry.
-        scalars: [dssim, 1 − dssim, c1, c2], the shares of 1 − SSIM and of L1, and SSIM's
-            stabilisers.
+        scalars: [dssim, l1, c1, c2, steepness, half_width], as in ``losses.Compare``; the first
+            two must add up to 1.
         grad_x: receives the gradient by x, [H, W·C]; [0, 0] if not wanted.
         grad_y: receives the gradient by y, [H, W·C]; [0, 0] if not wanted.
         errors: receives 1 − SSIM of each value, [H, W·C]; [0, 0] if not wanted.
@@ -68,8 +68,7 @@ class ImagePair(NamedTuple):
 
 @parallel_kernel()
 def compare(comparison):
-    """Σ weights ((1 − dssim) |x − y| + dssim (1 − SSIM)), as the sums over each strip and column:
-    of them, the sum."""
+    """What ``losses.Compare`` sums, as the sums over each strip and column."""
     for strip in prange(comparison.sums.shape[0]):
         _walk_strip(
             comparison, np.int64(strip)

@@ -153,7 +153,7 @@ class PhotoWitnesses:
             pixel_sizes={THERMAL: photo.camera.width / camera.width},
         )
         thermal = rendering[THERMAL].image
-        # Even images tell the photo's gain and offset, which are no blur.
+        # Constant images separate the photo's gain and offset from its blur.
         even = [rendering.with_images({THERMAL: torch.full_like(thermal, v)}) for v in (0, 1)]
         model = _values(rendering)
         recorded, offset, with_gain = (_values(record(each)) for each in (rendering, *even))

@@ -68,8 +68,10 @@ def _models_by_position(
     if before <= MAX_MISFIT:
         return models, False
     nearby = _database_nearby(job)
-    others = _models(job, nearby, report)
-    nearby.unlink()
+    try:
+        others = _models(job, nearby, report)
+    finally:
+        nearby.unlink()
     agrees = _misfit(job, others) < before / 2
     return (others, True) if agrees else (models, False)
 
