@@ -69,12 +69,14 @@ class LossConfig:
         """
         if modality != THERMAL:
             return self.smooth_rgb, 0.0
+        # Without RGB photos the colours, those of the start points, would be an arbitrary guide.
+        alike = self.smooth_alike if rgb_per_thermal > 0 else 0.0
         if self.smooth_noise is None:
-            return self.smooth_thermal, self.smooth_alike
+            return self.smooth_thermal, alike
         noise = max(thermal_noise - self.smooth_noise, 0.0)
         everywhere = self.smooth_thermal + SMOOTH_PER_NOISE * noise
         growth = max(rgb_per_thermal, 1.0) ** 0.5
-        return growth * everywhere, growth * self.smooth_alike
+        return growth * everywhere, growth * alike
 
     def huber_width(self, modality: Modality, thermal_noise: float) -> float:
         """Below which difference a modality's values are compared by their squares."""

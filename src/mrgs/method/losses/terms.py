@@ -105,8 +105,6 @@ class Smoothness(Term):
             modality, scale.thermal_noise, scale.rgb_per_thermal
         )
         similarity: Similarity = (None, None)
-        if scale.rgb_per_thermal == 0:
-            alike = 0.0  # as a guide, the start points' colours would be arbitrary
         if alike > 0:
             colors = context.colors_by_thermal_camera.image
             similarity = similarity_of(colors, everywhere / (everywhere + alike))
