@@ -15,7 +15,8 @@ from torch import Tensor
 from benchmarks import workload
 from benchmarks.gpu_failure import failure
 from benchmarks.gpu_plan import Plan
-from benchmarks.gpu_workload import RandomScene, photos_on, random_scene, state_on
+from benchmarks.gpu_workload import RandomScene, photos_on, random_scene
+from benchmarks.workload import training_state
 from mrgs.field import nearest_neighbours
 from mrgs.method.config import make_config
 from mrgs.method.losses.photometric import (
@@ -272,7 +273,7 @@ def compare_step(device: torch.device, method: str, plan: Plan) -> Iterator[Find
     config = make_config(method, "paper")
     losses = []
     for place in (torch.device("cpu"), device):
-        state = state_on(place, count, config)
+        state = training_state(count, config, place)
         photos = photos_on(place, width, height)
         views = [PhotographedView(0, workload.view(width, height), photos)]
         steps = [training_step(state, views, config, workload.SCALE).statistics for _ in range(3)]

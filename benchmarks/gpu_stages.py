@@ -17,9 +17,10 @@ from benchmarks import gpu_correctness, workload
 from benchmarks.gpu_failure import failure
 from benchmarks.gpu_plan import Plan, Size
 from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
-from benchmarks.gpu_workload import FusedPass, photos_on, state_on
+from benchmarks.gpu_workload import FusedPass, photos_on
 from benchmarks.plan import Effort
 from benchmarks.timing import Summary
+from benchmarks.workload import training_state
 from mrgs.evaluation.evaluate import evaluate
 from mrgs.method.config import make_config
 from mrgs.runs.open import load_run
@@ -144,7 +145,7 @@ def _steps(clock: Clock, method: str, plan: Plan) -> Row:
     count, width, height = plan.step_size
     config = make_config(method, "paper")
     memory = PeakMemory(clock.device)
-    state = state_on(clock.device, count, config)
+    state = training_state(count, config, clock.device)
     photos = photos_on(clock.device, width, height)
     views = [PhotographedView(0, workload.view(width, height), photos)]
 

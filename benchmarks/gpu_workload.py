@@ -9,23 +9,14 @@ import torch
 from torch import Tensor
 
 from benchmarks.workload import (
-    CAPTURE,
-    STEP_IN_FORCE,
     camera,
-    gaussians,
     layers_of,
     photos,
-    radiance_field,
     room,
 )
-from mrgs.field import nearest_neighbours
-from mrgs.method.config import TrainConfig
-from mrgs.method.losses.terms import configured_terms
 from mrgs.rasterizer import Layer, Raster, rasterize, reference
 from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
-from mrgs.render import Model
 from mrgs.scene import Modality, Pixels
-from mrgs.training.state import TrainingState
 
 MODALITIES = ("rgb", "thermal")
 CHUNK_PIXELS = 2**22
@@ -82,21 +73,6 @@ class FusedPass:
         inputs = sum(tensor.nbytes for tensor in self.scene.values())
         images = sum(tensor.nbytes for tensor in self.cotangents)
         return 2 * (inputs + images)
-
-
-def state_on(device: torch.device, count: int, config: TrainConfig) -> TrainingState:
-    """The state of ``workload.training_state`` on a device."""
-    torch.manual_seed(4)
-    field = radiance_field(count, config)
-    parameters = gaussians(count, field, config)
-    k = config.field.neighbours_k
-    neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
-    model = Model(
-        parameters, field, neighbours, sh_degree=3, dilation=config.dilation_of(CAPTURE)
-    ).to(device)
-    terms, generator = configured_terms(config), torch.Generator().manual_seed(3)
-    state = TrainingState.around(model, terms, config.densification, config, CAPTURE, generator)
-    return replace(state, step=STEP_IN_FORCE)
 
 
 def photos_on(device: torch.device, width: int, height: int) -> dict[Modality, Pixels]:

@@ -33,6 +33,7 @@ from mrgs.scene import (
     TemperatureRange,
     View,
 )
+from mrgs.system.gpu import HOST
 from mrgs.training.state import TrainingState
 
 FIELD_OF_VIEW = math.radians(60)
@@ -156,14 +157,15 @@ def gaussians(count: int, field: RadianceField, config: TrainConfig) -> Gaussian
     )
 
 
-def training_state(count: int, config: TrainConfig) -> TrainingState:
-    """A state amid training, with its neighbours known; the same each time."""
+def training_state(count: int, config: TrainConfig, device: torch.device = HOST) -> TrainingState:
+    """A state amid training on a device, with its neighbours known; the same each time."""
     torch.manual_seed(4)
     field = radiance_field(count, config)
     parameters = gaussians(count, field, config)
     k = config.field.neighbours_k
     neighbours = nearest_neighbours(parameters.means, k) if k > 0 else None
-    model = Model(parameters, field, neighbours, sh_degree=3, dilation=config.dilation_of(CAPTURE))
+    dilation = config.dilation_of(CAPTURE)
+    model = Model(parameters, field, neighbours, sh_degree=3, dilation=dilation).to(device)
     terms, generator = configured_terms(config), torch.Generator().manual_seed(3)
     state = TrainingState.around(model, terms, config.densification, config, CAPTURE, generator)
     return replace(state, step=STEP_IN_FORCE)

@@ -114,6 +114,19 @@ def shown(page: Any, modality: str) -> np.ndarray:
     return picture(page)
 
 
+def colours_of_view_3(page: Any, cameras: dict[str, Camera]) -> tuple[np.ndarray, Camera]:
+    """The picture of the colours from there, and its camera."""
+    page.select_option("#camera", "view 3")
+    colours = shown(page, "rgb")
+    height, width = colours.shape[:2]
+    return colours, fitted(cameras["view 3"], width, height)
+
+
+def bytes_of(rendering: Rendering) -> np.ndarray:
+    """The colours as a picture has them."""
+    return 255 * rendering[RGB].image.clamp(0, 1).numpy()
+
+
 def psnr(got: np.ndarray, expected: np.ndarray) -> float:
     return 10 * np.log10(255**2 / np.square(got - expected).mean())
 
@@ -142,11 +155,10 @@ def reaching_the_plane_of(camera: Camera, baked: BakedModel) -> BakedModel:
 def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, cameras, tmp_path):
     baked = reaching_the_plane_of(cameras["view 3"], baked)
     page = open_page(baked, viewport={"width": 800, "height": 420})
-    page.select_option("#camera", "view 3")
-    colours = shown(page, "rgb")
+    colours, camera = colours_of_view_3(page, cameras)
     height, width = colours.shape[:2]
-    expected = baked.render(fitted(cameras["view 3"], width, height))
-    assert psnr(colours, 255 * expected[RGB].image.clamp(0, 1).numpy()) > 45
+    expected = baked.render(camera)
+    assert psnr(colours, bytes_of(expected)) > 45
 
     heat = shown(page, "thermal")
     celsius = baked.temperature.to_celsius(expected[THERMAL].image[..., 0]).numpy()
@@ -170,17 +182,15 @@ def test_a_picture_coarser_than_the_photos_is_dilated_less(
         monkeypatch.setattr(module, "LEAST_DILATION_PX2", least_px2)
     baked = replace(baked, dilation=Dilation(300.0, finest_focal_px=1_000.0))
     page = open_page(baked, viewport={"width": 320, "height": 200})
-    page.select_option("#camera", "view 3")
-    colours = shown(page, "rgb")
+    colours, camera = colours_of_view_3(page, cameras)
     height, width = colours.shape[:2]
-    camera = fitted(cameras["view 3"], width, height)
     expected, *others = (
         replace(baked, dilation=each).render(camera)
         for each in (baked.dilation, Dilation(300.0), Dilation(0.3))
     )
-    assert psnr(colours, 255 * expected[RGB].image.clamp(0, 1).numpy()) > 45
+    assert psnr(colours, bytes_of(expected)) > 45
     for other in others:
-        assert psnr(colours, 255 * other[RGB].image.clamp(0, 1).numpy()) < 30
+        assert psnr(colours, bytes_of(other)) < 30
 
     page.click("[data-modality=thermal]")
     page.wait_for_selector(SETTLED)
@@ -204,11 +214,8 @@ def test_needles_keep_their_shape(open_page, baked, cameras):
     needles = replace(baked, scales=scales, dilation=Dilation(0.01))
     needles = as_model(unpack(pack(needles)), needles)
     page = open_page(needles, viewport={"width": 800, "height": 420})
-    page.select_option("#camera", "view 3")
-    colours = shown(page, "rgb")
-    height, width = colours.shape[:2]
-    expected = needles.render(fitted(cameras["view 3"], width, height))
-    assert psnr(colours, 255 * expected[RGB].image.clamp(0, 1).numpy()) > 39
+    colours, camera = colours_of_view_3(page, cameras)
+    assert psnr(colours, bytes_of(needles.render(camera))) > 39
 
 
 def reading_at(rendering: Rendering, baked: BakedModel, x: int, y: int) -> tuple[float, float]:
