@@ -199,6 +199,16 @@ def test_a_registered_method_is_configured_trained_opened_and_scored(
         open_run(tmp_path)
 
 
+def test_a_preset_among_the_changes_brings_all_of_its_values():
+    method = find_method("mrgs")
+    changes = "{preset: paper, field: {neighbours_n: 5}}"
+    config = method.configure("fast", changes=changes, source="changes.yaml")
+    paper = make_config("mrgs", "paper")
+    assert config == replace(paper, field=replace(paper.field, neighbours_n=5))
+    with pytest.raises(ConfigError, match="unknown preset 'slow'; choose one of "):
+        method.configure(changes="preset: slow")
+
+
 def test_the_command_line_knows_a_registered_method(small_scene, tmp_path, own_methods, capsys):
     from mrgs.app.cli import main
 

@@ -80,12 +80,15 @@ class Method:
             resolution: images wider than this many pixels are reduced to it.
             seed: of every random choice.
             batch: views per step, where the method has Gaussians.
-            changes: YAML of the values that differ; they count before the others.
+            changes: YAML of the values that differ; they count before the others, and a preset
+                among them stands for all of its values.
             source: where the changes come from, for messages.
 
         Raises:
             ConfigError: a value that is not allowed, or changes for another method.
         """
+        if changes:
+            preset = _preset_among(changes, source) or preset
         options = {"max_steps": max_steps, "resolution": resolution, "seed": seed}
         if self.has_gaussians:
             options["max_gaussians"] = max_gaussians
@@ -98,6 +101,15 @@ class Method:
         if changed.method != self.name:
             raise ConfigError(f"{source} is for the method {changed.method}, not {self.name}")
         return changed
+
+
+def _preset_among(changes: str, source: str) -> str | None:
+    """The preset that a YAML of changed values names, None if it names none."""
+    from mrgs.system.strict_yaml import parse_yaml
+
+    values = parse_yaml(changes, source)
+    preset = values.get("preset") if isinstance(values, dict) else None
+    return preset if isinstance(preset, str) else None
 
 
 _METHODS: dict[str, Method] = {}
