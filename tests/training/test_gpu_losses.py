@@ -23,6 +23,7 @@ from mrgs.method.losses.photometric import total_loss
 from mrgs.method.losses.smoothness import similarity_of, total_variation
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms, term_values
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
 from mrgs.system import gpu
 from mrgs.training.state import learned_layers
@@ -196,6 +197,7 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
         {each: photo(each.channels) for each in modalities},
         dict.fromkeys(modalities, camera),
         random_gaussians(1),
+        AS_PUBLISHED,
         SceneScale(2.0, TemperatureRange(10.0, 30.0)),
         not_rendered,
     )

@@ -64,6 +64,7 @@ PLUS_LOSS = {
     "smooth_noise": 4e-3,
     "huber_noise": 1.5,
     "opaque": 0.1,
+    "distortion": 0.1,
 }
 """The losses of ``mrgs-plus`` in all presets: temperatures are smooth where the colours are, and
 noise counts by its squares: docs/decisions."""
@@ -250,9 +251,9 @@ def _without_radiation(config: TrainConfig) -> TrainConfig:
 
 
 def _plus(config: TrainConfig) -> TrainConfig:
-    """Two opacities, temperatures of their own, a model of the thermal camera and L_opaque; without
-    embedding, heads, heat transformation and L_boltz, which gain nothing beside them. Start and
-    losses are the same in all presets."""
+    """Two opacities, temperatures of their own, a model of the thermal camera, L_opaque and L_dist;
+    without embedding, heads, heat transformation and L_boltz, which gain nothing beside them. Start
+    and losses are the same in all presets."""
     return replace(
         config,
         distant_points=True,

@@ -44,6 +44,9 @@ STEEPEST = 4.0
 """A ray meets a Gaussian at most at so many times the depth of its centre: a plane that is seen at
 a grazing angle would be met at infinity."""
 
+STEEPEST_TANGENT = 10.0
+"""A Gaussian's plane is taken to rise at most so many units of depth per unit across (84°)."""
+
 FRUSTUM_MARGIN = 0.3
 """x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of
 view."""

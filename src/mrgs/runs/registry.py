@@ -147,7 +147,7 @@ def _register_plugins() -> None:
 
 
 for _name, _description in {
-    "mrgs-plus": "two opacities, a model of the thermal camera, and L_opaque",
+    "mrgs-plus": "two opacities, a model of the thermal camera, L_opaque and L_dist",
     "mrgs": "MrGS as published",
     "mrgs-base": "without heat transformation and L_boltz",
     "mrgs-fourier": "without L_boltz",

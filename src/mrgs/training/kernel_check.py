@@ -65,6 +65,7 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
                 photos,
                 cameras,
                 model.gaussians,
+                model.dilation,
                 scale,
                 renderer(model, degrees),
             )

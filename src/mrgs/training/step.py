@@ -183,10 +183,11 @@ def _backward(
         photos,
         cameras,
         state.model.gaussians,
+        state.model.dilation,
         scale,
         renderer(state.model, degrees),
     )
-    values = term_values(state.terms, context)
+    values = term_values([term for term in state.terms if term.is_due(state.step)], context)
     loss = total_loss(values, {term.name: term.weight(state.step) for term in state.terms})
     loss.backward()
     error = _thermal_error(observed, photos)

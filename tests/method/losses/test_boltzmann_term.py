@@ -15,6 +15,7 @@ from mrgs.data import load_scene
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Boltzmann
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.scene import RGB, THERMAL, Blend, Pixels, Rendering, TemperatureRange, View
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered
@@ -55,8 +56,9 @@ def context_of(shown: Exact, scale: SceneScale, depth: Tensor, rgb_depth: Tensor
         }
     )
     photos = {each: posed.load() for each, posed in view.images.items()}
+    gaussians, cameras = random_gaussians(3), view.cameras
     return LossContext(
-        rendering, rendering, photos, view.cameras, random_gaussians(3), scale, not_rendered
+        rendering, rendering, photos, cameras, gaussians, AS_PUBLISHED, scale, not_rendered
     )
 
 
@@ -119,8 +121,9 @@ def small_context(**changes) -> tuple[LossContext, Tensor, Tensor]:
     cameras = changes.get("cameras", view.cameras)
     photos = {THERMAL: Pixels(torch.rand(20, 24, 1, generator=generator))}
     scale = SceneScale(3.0, TemperatureRange(10.0, 60.0))
+    gaussians = random_gaussians(3)
     context = LossContext(
-        rendering, rendering, photos, cameras, random_gaussians(3), scale, not_rendered
+        rendering, rendering, photos, cameras, gaussians, AS_PUBLISHED, scale, not_rendered
     )
     return context, image, depth
 

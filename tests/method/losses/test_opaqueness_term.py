@@ -11,6 +11,7 @@ from torch import Tensor
 from mrgs.method.losses.photometric import opaqueness_loss
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Opaqueness
+from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Rendering
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered, small_camera
@@ -32,8 +33,8 @@ def context(
     shares_opacity: bool = False,
 ) -> LossContext:
     rendering = Rendering({RGB: blend(RGB, light), THERMAL: heat})
-    gaussians = random_gaussians(3, shares_opacity)
-    return LossContext(rendering, rendering, {}, cameras, gaussians, SceneScale(3.0, None), render)
+    gaussians, scale = random_gaussians(3, shares_opacity), SceneScale(3.0, None)
+    return LossContext(rendering, rendering, {}, cameras, gaussians, AS_PUBLISHED, scale, render)
 
 
 def loss_of(light: float, heat: Blend) -> Tensor:

@@ -47,6 +47,7 @@ class LossConfig:
         huber_noise: temperatures are compared by a Huber loss of so many standard deviations of the
             thermal photos' noise, quadratic below and linear above; 0 in the paper: L1.
         opaque: weight of L_opaque; 0 in the paper.
+        distortion: weight of L_dist; 0 in the paper.
     """
 
     dssim: float = 0.2
@@ -58,6 +59,7 @@ class LossConfig:
     smooth_noise: float | None = None
     huber_noise: float = 0.0
     opaque: float = 0.0
+    distortion: float = 0.0
 
     def smooth_image(
         self, modality: Modality, thermal_noise: float, rgb_per_thermal: float
@@ -92,6 +94,7 @@ class LossConfig:
             "smooth_alike",
             "smooth_depth",
             "opaque",
+            "distortion",
         )
         require_within(self, (*weights, "huber_noise"), 0, MOST_WEIGHT)
         if self.smooth_noise is not None:

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from mrgs.method.camera_model.photo_noise import photo_noise
+from mrgs.rasterizer.dilation import Dilation
 from mrgs.scene import (
     RGB,
     THERMAL,
@@ -79,6 +80,7 @@ class LossContext:
         cameras: of the photos: where two coincide, a pixel of the one image is the same pixel of
             the other.
         gaussians: of the model.
+        dilation: of their projected covariances.
         scale: of the scene.
         render: the model from other cameras than the view's, with gradients; costs a pass each.
     """
@@ -88,6 +90,7 @@ class LossContext:
     photos: Mapping[Modality, Pixels]
     cameras: Mapping[Modality, Camera]
     gaussians: Gaussians
+    dilation: Dilation
     scale: SceneScale
     render: Callable[[Mapping[Modality, Camera]], Rendering]
 
@@ -132,6 +135,10 @@ class Term(ABC):
     def weight(self, step: int) -> float:
         """λ at a step; 1 by default."""
         return 1.0
+
+    def is_due(self, step: int) -> bool:
+        """Whether it is computed at a step; always by default."""
+        return True
 
     @abstractmethod
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:

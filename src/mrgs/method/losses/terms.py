@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.method.config import TrainConfig
+from mrgs.method.losses.distortion import BEGINS, EVERY, PIXEL_SIZE, distortion_loss
 from mrgs.method.losses.photometric import (
     HALF_COVERED,
     LossConfig,
@@ -25,6 +26,7 @@ from mrgs.method.losses.radiation import (
 )
 from mrgs.method.losses.smoothness import Similarity, similarity_of, smoothness_loss
 from mrgs.method.losses.term import LossContext, Term
+from mrgs.rasterizer.inverse_depth import inverse_depths
 from mrgs.scene import RGB, THERMAL, Blend, Modality
 
 
@@ -46,6 +48,8 @@ def configured_terms(
         terms.append(Smoothness(loss))
     if loss.opaque > 0:
         terms.append(Opaqueness(loss.opaque))
+    if loss.distortion > 0:
+        terms.append(Distortion(loss.distortion, round(BEGINS * config.max_steps)))
     if radiation is not None:
         terms.append(Boltzmann(radiation, config.optimizer.uncertainty))
     named = {term.name: term for term in (*terms, *extra)}
@@ -140,6 +144,47 @@ class Opaqueness(Term):
             return None
         rgb, thermal = context.colors_by_thermal_camera, context.rendering[THERMAL]
         return opaqueness_loss(thermal.alpha, rgb.alpha, thermal.depth, rgb.depth)
+
+
+class Distortion(Term):
+    """L_dist, not in the paper, of what the thermal camera sees, or the RGB camera where there is
+    no thermal photo; seldom and in coarse pixels, which costs less and does as much.
+
+    Args:
+        weight: λ.
+        begins: the first step that it counts at.
+    """
+
+    name = "distortion"
+
+    def __init__(self, weight: float, begins: int) -> None:
+        self._weight = weight
+        self._begins = begins
+
+    def is_due(self, step: int) -> bool:  # noqa: D102
+        return step >= self._begins and step % EVERY == 0
+
+    def weight(self, step: int) -> float:  # noqa: D102
+        return EVERY * self._weight
+
+    def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
+        modality = THERMAL if THERMAL in context.cameras else next(iter(context.cameras))
+        camera, gaussians = context.cameras[modality], context.gaussians
+        width, height = (max(1, side // PIXEL_SIZE) for side in (camera.width, camera.height))
+        coarse = camera.resized(width, height)
+        K, viewmat, _ = coarse.tensors(gaussians.means.device)
+        depths = inverse_depths(
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            gaussians.opacity(modality),
+            viewmat,
+            K,
+            width,
+            height,
+            context.dilation.of(coarse),
+        )
+        return distortion_loss(depths)
 
 
 class Boltzmann(Term):
