@@ -11,7 +11,7 @@ BEGINS = 0.3
 """Share of the steps before L_dist, which would hold on to what was not yet seen through:
 docs/decisions."""
 
-EVERY = 4
+EVERY = 8
 """Steps from one use of L_dist to the next, which counts for all of them: docs/decisions."""
 
 PIXEL_SIZE = 2

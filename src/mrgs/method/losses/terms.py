@@ -147,8 +147,8 @@ class Opaqueness(Term):
 
 
 class Distortion(Term):
-    """L_dist, not in the paper, of what the thermal camera sees, or the RGB camera where there is
-    no thermal photo; seldom and in coarse pixels, which costs less and does as much.
+    """L_dist, not in the paper, by the camera of the view that has the finest pixels; seldom and in
+    coarser ones, which costs less and does as much.
 
     Args:
         weight: λ.
@@ -168,8 +168,9 @@ class Distortion(Term):
         return EVERY * self._weight
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        modality = THERMAL if THERMAL in context.cameras else next(iter(context.cameras))
-        camera, gaussians = context.cameras[modality], context.gaussians
+        cameras, gaussians = context.cameras, context.gaussians
+        modality = max(cameras, key=lambda each: (cameras[each].focal_px, each == THERMAL))
+        camera = cameras[modality]
         width, height = (max(1, side // PIXEL_SIZE) for side in (camera.width, camera.height))
         coarse = camera.resized(width, height)
         K, viewmat, _ = coarse.tensors(gaussians.means.device)
