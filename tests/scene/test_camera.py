@@ -39,6 +39,7 @@ def test_resizing_keeps_every_ray(width, height, new_width, new_height, fx, fy, 
     assert (resized.width, resized.height) == (new_width, new_height)
     torch.testing.assert_close(ray(resized, u, v), ray(original, u, v), rtol=1e-9, atol=1e-9)
     assert torch.equal(resized.viewmat, original.viewmat)
+    assert original.resized(new_width, new_height) is resized
 
 
 @given(st.lists(st.tuples(SHARES, SHARES, DEPTHS), min_size=1, max_size=4), FOCALS, FOCALS)

@@ -50,6 +50,7 @@ class Camera:
     width: int
     height: int
     _tensors: dict[tuple[torch.device, torch.dtype], CameraTensors] = field(init=False)
+    _resized: dict[tuple[int, int], Camera] = field(init=False)
 
     def __init__(self, K: Array, viewmat: Array, width: int, height: int) -> None:
         if width < 1 or height < 1:
@@ -60,6 +61,7 @@ class Camera:
             "width": width,
             "height": height,
             "_tensors": {},
+            "_resized": {},
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -191,9 +193,13 @@ class Camera:
         return math.sqrt(K[0, 0] * K[1, 1])
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera on another pixel grid; the field of view is kept exactly."""
-        scale = torch.tensor([width / self.width, height / self.height, 1.0], dtype=torch.float64)
-        return Camera(self.K * scale[:, None], self.viewmat, width, height)
+        """The same camera on another pixel grid; the field of view is kept exactly. Kept, for the
+        sake of its ``tensors``."""
+        size = width, height
+        if size not in self._resized:
+            scale = self.K.new_tensor([width / self.width, height / self.height, 1.0])
+            self._resized[size] = Camera(self.K * scale[:, None], self.viewmat, width, height)
+        return self._resized[size]
 
     def with_width(self, width: int) -> Camera:
         """The same camera on a pixel grid of this width, its height in proportion."""
