@@ -20,6 +20,10 @@ PIXEL_SIZE = 2
 LEAST_SPREAD = 1e-3
 """Relative spread of the depths below which a surface is thin enough."""
 
+LARGE_SPREAD = 0.1
+"""Relative spread from which on a pixel is taken to see several objects, as along an outline, and
+hardly counts more the farther apart they are."""
+
 LEAST_WEIGHT = 0.05
 """Σ w below which a pixel hardly shows a surface."""
 
@@ -29,13 +33,13 @@ LEAST_NEARNESS = 1e-6
 def distortion_loss(depths: InverseDepths) -> Float[Tensor, ""]:
     """L_dist: how far apart, relative to their distance, the surfaces are that one pixel sees.
 
-    The mean over the pixels of √(V / ρ̄² + 0.001²), where V = Σw Σwρ² − (Σwρ)² = ½ Σ_ij w_i w_j (ρ_i
-    − ρ_j)² is the spread of the inverse depths ρ at which the pixel's ray meets its Gaussians, and
-    ρ̄ their mean, without gradient. Mip-NeRF 360 (Barron et al. 2022) and 2DGS (Huang et al. 2024)
-    have such a loss of the depths of samples and of discs. A plane costs nothing, whatever the
-    angle at which it is seen; a wall that is a slab of half-transparent Gaussians does, and so does
-    what floats before it. The root lets a pixel that sees two objects count by their distance, not
-    by its square.
+    The mean over the pixels of s / (1 + s / 0.1) with the spread s = √(V / ρ̄² + 0.001²), where V =
+    Σw Σwρ² − (Σwρ)² = ½ Σ_ij w_i w_j (ρ_i − ρ_j)² is the variance of the inverse depths ρ at which
+    the pixel's ray meets its Gaussians, and ρ̄ their mean, without gradient. Mip-NeRF 360 (Barron
+    et al. 2022) and 2DGS (Huang et al. 2024) have such a loss of the depths of samples and of
+    discs. A plane costs nothing, whatever the angle at which it is seen; a wall that is a slab of
+    half-transparent Gaussians does, and so does what floats before it. A pixel that rightly sees
+    two objects counts little.
 
     Args:
         depths: of one layer, by one camera.
@@ -43,4 +47,5 @@ def distortion_loss(depths: InverseDepths) -> Float[Tensor, ""]:
     variance = (depths.weight * depths.squares - depths.sum**2).clamp_min(0)
     mean = (depths.sum / depths.weight.clamp_min(LEAST_WEIGHT)).detach()
     relative = variance / mean.clamp_min(LEAST_NEARNESS) ** 2
-    return (relative + LEAST_SPREAD**2).sqrt().mean()
+    spread = (relative + LEAST_SPREAD**2).sqrt()
+    return (spread / (1 + spread / LARGE_SPREAD)).mean()
