@@ -96,7 +96,7 @@ def test_rays_meet_a_disc_in_its_plane(tilt):
 def test_a_plane_through_the_camera_is_as_steep_as_planes_may_be():
     mean, _, scale = disc(0.0)
     edge_on = math.pi / 2 + math.atan2(mean[0, 0].item(), mean[0, 2].item()) - 1e-5
-    mean, quat, scale = mean, disc(edge_on)[1], scale
+    quat = disc(edge_on)[1]
     plane = surface_planes(mean, quat, scale, torch.eye(4, dtype=torch.float64), K, 1e-6)[0]
     assert abs(plane[0] * mean[0, 2]) == STEEPEST_TANGENT
     torch.testing.assert_close(plane @ (mean[0] / mean[0, 2]), 1 / mean[0, 2])
