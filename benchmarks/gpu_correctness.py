@@ -27,7 +27,8 @@ from mrgs.method.losses.photometric import (
 from mrgs.method.losses.radiation import boltzmann_loss
 from mrgs.method.losses.smoothness import smoothness_loss
 from mrgs.method.losses.ssim import ssim_map, structural_similarity
-from mrgs.training.step import PhotographedView, training_step
+from mrgs.training.step import training_step
+from mrgs.training.view_pass import PhotographedView
 
 IMAGE_ERROR_MAX = 1e-4
 """Largest absolute error of a value in [0, 1], and of a depth relative to the largest depth."""

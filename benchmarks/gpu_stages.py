@@ -25,7 +25,9 @@ from mrgs.evaluation.evaluate import evaluate
 from mrgs.method.config import make_config
 from mrgs.runs.open import load_run
 from mrgs.training import StepStatistics, train
-from mrgs.training.step import PhotographedView, training_step
+from mrgs.training.recorder import Recorder
+from mrgs.training.step import training_step
+from mrgs.training.view_pass import PhotographedView
 
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
 EVALUATION_S = 75.0
@@ -148,9 +150,11 @@ def _steps(clock: Clock, method: str, plan: Plan) -> Row:
     state = training_state(count, config, clock.device)
     photos = photos_on(clock.device, width, height)
     views = [PhotographedView(0, workload.view(width, height), photos)]
+    recorder = Recorder(clock.device) if clock.device.type == "cuda" else None
 
     def run() -> StepStatistics:
-        return training_step(state, views, config, workload.SCALE).statistics
+        result = training_step(state, views, config, workload.SCALE, recorder=recorder)
+        return result.statistics
 
     times = clock.measure({"step": run}, plan.steps, flush=False)
     return {

@@ -15,12 +15,12 @@ from mrgs.render import bake_temperature_residuals, render
 from mrgs.scene import Gaussians
 from mrgs.training.state import TrainingState
 from mrgs.training.step import (
-    PhotographedView,
     StepResult,
     StepStatistics,
     control_density,
     training_step,
 )
+from mrgs.training.view_pass import PhotographedView
 
 STEP = "step"
 RENDER = "render"

@@ -9,7 +9,8 @@ import torch
 
 from benchmarks import workload
 from mrgs.method.config import make_config
-from mrgs.training.step import PhotographedView, training_step
+from mrgs.training.step import training_step
+from mrgs.training.view_pass import PhotographedView
 
 
 @contextmanager

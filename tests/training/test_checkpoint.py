@@ -20,6 +20,7 @@ from mrgs.training.checkpoint import load_facts, load_model, load_state, save
 from mrgs.training.checkpoint_file import read_file
 from mrgs.training.facts import CheckpointFacts
 from mrgs.training.state import TrainingState
+from mrgs.training.view_pass import PhotographedView
 from tests.helpers.checkpoints import header_of, rewrite, rewrite_without_digests
 from tests.helpers.training import short_config, tensors_of
 
@@ -53,9 +54,7 @@ def state(make_start, config) -> TrainingState:
         view = scene.train[number]
         photos = {each: image.load() for each, image in view.images.items()}
         scale = SceneScale(scene.extent, scene.temperature)
-        result = step.training_step(
-            state, [step.PhotographedView(number, view, photos)], config, scale
-        )
+        result = step.training_step(state, [PhotographedView(number, view, photos)], config, scale)
         step.control_density(state, result, config, scene.extent)
     return state
 

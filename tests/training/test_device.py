@@ -19,7 +19,6 @@ from mrgs import render as render_module
 from mrgs.data import load_scene
 from mrgs.field import field as field_module
 from mrgs.field import nearest_neighbours
-from mrgs.method import adam as adam_module
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import adaptive
@@ -28,8 +27,10 @@ from mrgs.rasterizer import Raster
 from mrgs.scene import RGB, Blend, Pixels
 from mrgs.system import gpu
 from mrgs.training import step as step_module
+from mrgs.training import view_pass
 from mrgs.training.state import initial_state
-from mrgs.training.step import PhotographedView, control_density, training_step
+from mrgs.training.step import control_density, training_step
+from mrgs.training.view_pass import PhotographedView
 from tests.helpers.training import short_config, tensors_of
 
 aten = torch.ops.aten
@@ -247,14 +248,14 @@ def test_the_check_can_fail(reader, start, gpu_device, monkeypatch):
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
     _, take = start("3dgs-rgbt")
     step = take()
-    original = step_module.total_loss
+    original = view_pass.total_loss
 
     def total_loss(*args: Any) -> torch.Tensor:
         loss = original(*args)
         reader(loss)
         return loss
 
-    monkeypatch.setattr(step_module, "total_loss", total_loss)
+    monkeypatch.setattr(view_pass, "total_loss", total_loss)
     with pytest.raises(RoundTripError), no_round_trips(monkeypatch):
         step()
 
@@ -266,20 +267,15 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, gpu_device, monkeyp
         pytest.skip("where there is a GPU, a step on it tells the same")
     from triton.runtime.interpreter import GridExecutor
 
-    def no_adam(*arguments: list[torch.Tensor], found_inf: torch.Tensor, **options: Any) -> None:
+    def no_adam(*arguments: list[torch.Tensor], found_inf: torch.Tensor, **_: Any) -> None:
         """torch has no fused one for this device."""
-        assert options["fused"]
-        tensors = [
-            found_inf,
-            *options["state_steps"],
-            *(each for list_ in arguments for each in list_),
-        ]
+        tensors = [found_inf, *(each for list_ in arguments for each in list_)]
         assert all(each.is_meta for each in tensors)
 
     monkeypatch.setattr(GridExecutor, "__call__", lambda *args, **options: None)
     monkeypatch.setattr(gpu, "runs_triton", lambda tensor: tensor.is_meta)
     monkeypatch.setattr(render_module, "rasterize", flat_raster)
-    monkeypatch.setattr(adam_module, "adam", no_adam)
+    monkeypatch.setattr(torch, "_fused_adam_", no_adam)
     device = torch.device("meta")
     config = harmonic(short_config(method, sh_every=1, image_model=EVERY_PART, fitted_residuals=0))
     scene = load_scene(small_scene, resolution=8)

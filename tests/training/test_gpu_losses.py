@@ -188,7 +188,7 @@ def test_no_loss_makes_the_host_wait(without_values, masked):
         for each in modalities
     }
     rendering = Rendering(blends)
-    observed = image_model(rendering, 1)
+    observed = image_model(rendering, torch.ones(1, dtype=torch.int64, device=without_values))
     camera = Camera(torch.eye(3, dtype=torch.float64), torch.eye(4, dtype=torch.float64), *size)
     changed = replace(config, loss=replace(config.loss, opaque=0.1, smooth_depth=1.0))
     context = LossContext(

@@ -12,12 +12,12 @@ from mrgs.method.losses.photometric import LossConfig, photometric_loss
 from mrgs.method.losses.term import SceneScale
 from mrgs.scene import RGB, THERMAL, Modality, Pixels
 from mrgs.training.step import (
-    PhotographedView,
     StepResult,
     StepStatistics,
     control_density,
     training_step,
 )
+from mrgs.training.view_pass import PhotographedView
 from tests.helpers.training import short_config, tensors_of
 
 Photos: TypeAlias = dict[Modality, Pixels]

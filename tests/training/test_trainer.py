@@ -15,7 +15,7 @@ from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import render_view
 from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, View
-from mrgs.training import METHODS, driver, step, train
+from mrgs.training import METHODS, driver, train, view_pass
 from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.photos import HostPhotos
 from mrgs.training.run_folder import RunFolder
@@ -31,13 +31,13 @@ def read_log(folder: RunFolder) -> list[dict]:
 def spoil(monkeypatch: pytest.MonkeyPatch, bad_steps: set[int], first: int = 1) -> None:
     """Make the loss NaN in these steps of the next run, which starts at step ``first``."""
     steps = iter(range(first, 1_000_000))
-    original = step.total_loss
+    original = view_pass.total_loss
 
     def total_loss(*args, **kwargs):
         loss = original(*args, **kwargs)
         return loss * float("nan") if next(steps) in bad_steps else loss
 
-    monkeypatch.setattr(step, "total_loss", total_loss)
+    monkeypatch.setattr(view_pass, "total_loss", total_loss)
 
 
 def eventful(method: str):
@@ -363,8 +363,8 @@ def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls
 @pytest.mark.parametrize(
     ("owner", "name", "calls"),
     [
-        (step, "total_loss", {0, 7, 60}),
-        (step, "_thermal_error", {0, 7, 60}),
+        (view_pass, "total_loss", {0, 7, 60}),
+        (view_pass, "_thermal_error", {0, 7, 60}),
         (adaptive.AdaptiveDensityControl, "observe", {0, 7, 60}),
         (GaussianOptimizer, "step", {0, 7, 60}),
         (HostPhotos, "fetch", {0, 7, 20}),
@@ -400,7 +400,7 @@ def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_pat
     config = short_config(max_steps=20)
     whole = train(small_scene, tmp_path / "whole", config)
     with monkeypatch.context() as patch:
-        fill_memory(patch, step, "total_loss", {5, 6})
+        fill_memory(patch, view_pass, "total_loss", {5, 6})
         with pytest.raises(TrainingError) as caught:
             train(small_scene, tmp_path / "run", config)
     kept = tmp_path / "run/checkpoints/step_000005.safetensors"
@@ -417,7 +417,7 @@ def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_pat
 def test_where_memory_does_not_suffice_for_one_step_there_is_nothing_to_keep(
     small_scene, tmp_path, monkeypatch
 ):
-    fill_memory(monkeypatch, step, "total_loss", {0, 1})
+    fill_memory(monkeypatch, view_pass, "total_loss", {0, 1})
     with pytest.raises(TrainingError) as caught:
         train(small_scene, tmp_path / "run", short_config())
     assert str(caught.value) == (

@@ -18,6 +18,7 @@ _COLOR_HEAD = "mrgs.field.appearance.color_residuals"
 _HEAT = "mrgs.field.field.RadianceField.temperature_residuals"
 _SHADE = "mrgs.field.spherical_harmonics.shade"
 _NEIGHBOURS = "mrgs.field.heat.nearest_neighbours"
+_ADAM = "mrgs.method.adam.move"
 _RASTERIZE = "mrgs.rasterizer.reference.rasterize"
 _MEDIAN_DEPTH = "mrgs.rasterizer.reference.median_depth"
 _BLUR = "mrgs.method.camera_model.point_spread.blur"
@@ -29,10 +30,12 @@ _HASH_GRID = "mrgs.baselines.thermonerf.hash_grid.encode"
 _PERCEPTRON = "mrgs.baselines.thermonerf.perceptron.perceptron"
 
 TABLE = (
+    Kernel(_ADAM, "mrgs.kernels.adam.gpu.move", "gpu"),
     Kernel(_COLOR_HEAD, "mrgs.kernels.color_head.cpu.color_residuals", "cpu"),
     Kernel(_HEAT, "mrgs.kernels.heat.cpu.temperature_residuals", "cpu"),
     Kernel(_HEAT, "mrgs.kernels.heat.gpu.temperature_residuals", "gpu"),
     Kernel(_SHADE, "mrgs.kernels.harmonics.cpu.shade", "cpu"),
+    Kernel(_SHADE, "mrgs.kernels.harmonics.gpu.shade", "gpu"),
     Kernel(_NEIGHBOURS, "mrgs.kernels.neighbours.cpu.nearest_neighbours", "cpu", _ANY_FLOAT),
     Kernel(_NEIGHBOURS, "mrgs.kernels.neighbours.gpu.nearest_neighbours", "gpu"),
     Kernel(_RASTERIZE, "mrgs.kernels.rasterize.cpu.rasterize", "cpu"),

@@ -9,7 +9,8 @@ from typing import Any
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.optim.adam import adam
+
+from mrgs.system.operation import operation
 
 BETA1, BETA2 = 0.9, 0.999
 """Decay rates of the moments."""
@@ -40,11 +41,50 @@ class ParameterGroup:
         self.rate = self.initial_rate
 
 
+@operation
+def move(
+    parameters: list[Tensor],
+    gradients: list[Tensor],
+    means: list[Tensor],
+    squares: list[Tensor],
+    counts: list[Tensor],
+    rate: float,
+    epsilon: float,
+    skip: Float[Tensor, ""] | None,
+) -> None:
+    """One step of Adam, in place, by torch's fused kernel.
+
+    Args:
+        parameters, gradients, means, squares: of the same sizes; all but the gradients are changed.
+        counts: of the steps of each parameter, this one included.
+        rate: learning rate.
+        epsilon: added to the root of the mean square.
+        skip: nothing is moved where it is not 0.
+    """
+    torch._fused_adam_(
+        parameters,
+        gradients,
+        means,
+        squares,
+        [],
+        counts,
+        lr=rate,
+        beta1=BETA1,
+        beta2=BETA2,
+        weight_decay=0.0,
+        eps=epsilon,
+        amsgrad=False,
+        maximize=False,
+        grad_scale=None,
+        found_inf=skip,
+    )
+
+
 class Adam:
     """Adam without weight decay; a parameter without a gradient stays where it is.
 
-    The arithmetic is torch's fused kernel. ``torch.optim.Adam``, which calls it too, imports
-    torch's compiler for its first step: 145 MB of memory, and more than a second.
+    ``torch.optim.Adam`` imports torch's compiler for its first step: 145 MB of memory, and more
+    than a second.
 
     Args:
         groups: all parameters.
@@ -79,29 +119,24 @@ class Adam:
                 they are. The device is not asked which of both it was. None if it counts.
         """
         skip = None if good is None else (~good).float()
-        for group in self.groups:
-            moving = [each for each in group.parameters if each.grad is not None]
-            if not moving:
-                continue
-            states = [self._state_of(parameter) for parameter in moving]
-            means, squares = ([state[name] for state in states] for name in MOMENTS)
-            adam(
-                moving,
-                [parameter.grad for parameter in moving if parameter.grad is not None],
-                means,
-                squares,
-                max_exp_avg_sqs=[],
-                state_steps=[state["step"] for state in states],
-                fused=True,
-                found_inf=skip,
-                amsgrad=False,
-                beta1=BETA1,
-                beta2=BETA2,
-                lr=group.rate,
-                weight_decay=0.0,
-                eps=self._epsilon,
-                maximize=False,
+        moving = [
+            (group, [each for each in group.parameters if each.grad is not None])
+            for group in self.groups
+        ]
+        counts = [self._state_of(each)["step"] for _, moved in moving for each in moved]
+        if not counts:
+            return
+        torch._foreach_add_(counts, 1)
+        for group, moved in moving:
+            states = [self._state_of(each) for each in moved]
+            gradients = [each.grad for each in moved if each.grad is not None]
+            means, squares, own_counts = (
+                [state[name] for state in states] for name in (*MOMENTS, "step")
             )
+            if moved:
+                move(moved, gradients, means, squares, own_counts, group.rate, self._epsilon, skip)
+        if skip is not None:
+            torch._foreach_sub_(counts, [skip] * len(counts))
 
     def zero_grad(self) -> None:
         """Forget the gradients."""

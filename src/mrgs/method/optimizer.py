@@ -104,7 +104,7 @@ def are_finite(loss: Float[Tensor, ""], gradients: Sequence[Tensor]) -> Bool[Ten
     NaN and infinity stay in a norm. It is also infinite where a square is, which Adam would keep
     for good.
     """
-    norms = [torch.linalg.vector_norm(gradient) for gradient in gradients]
+    norms = torch._foreach_norm(list(gradients)) if gradients else ()
     return torch.stack([loss.detach(), *norms]).isfinite().all()
 
 

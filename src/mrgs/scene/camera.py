@@ -122,9 +122,29 @@ class Camera:
         if (device, dtype) not in self._tensors:
             position = self.position
             self._tensors[device, dtype] = CameraTensors(
-                *(tensor.to(device, dtype) for tensor in (self.K, self.viewmat, position))
+                *(
+                    tensor.to(device, dtype, copy=True)
+                    for tensor in (self.K, self.viewmat, position)
+                )
             )
         return self._tensors[device, dtype]
+
+    def stand_in(self) -> Camera:
+        """A copy with ``tensors`` of its own, for ``take_place_of``."""
+        return Camera(self.K.clone(), self.viewmat.clone(), self.width, self.height)
+
+    def take_place_of(self, other: Camera) -> None:
+        """Have the ``tensors`` that were asked of this camera, and of its ``resized`` ones, hold
+        another's numbers: what a GPU has recorded reads these tensors. All else stays as it is.
+
+        Args:
+            other: with the same ``K``, width and height.
+        """
+        for (device, dtype), tensors in self._tensors.items():
+            for tensor, value in zip(tensors, other.tensors(device, dtype), strict=True):
+                tensor.copy_(value)
+        for size, resized in self._resized.items():
+            resized.take_place_of(other.resized(*size))
 
     @property
     def position(self) -> Float64[Tensor, "3"]:

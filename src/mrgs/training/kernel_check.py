@@ -57,7 +57,8 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
                 modality: random_photo(camera, modality.channels, generator, state.device)
                 for modality, camera in cameras.items()
             }
-            observed = state.image_model(rendering, number)
+            number_there = torch.full((1,), number, device=state.device)
+            observed = state.image_model(rendering, number_there)
             scale = SceneScale(scene.extent, scene.temperature)
             context = LossContext(
                 rendering,

@@ -95,6 +95,11 @@ class TrainingState:
         the host."""
         return self.model.gaussians.means.device
 
+    def parameters(self) -> list[Tensor]:
+        """All that the optimizers move, those of the Gaussians first."""
+        gaussians = self.gaussian_optimizer.gaussians.tensors().values()
+        return [*gaussians, *self.layer_optimizer.parameters()]
+
     def refresh_neighbours(self, config: TrainConfig) -> None:
         """Search the neighbours (Eq. 9) when N has changed, and every so many steps because the
         Gaussians move; but not so close to the end that the layers could no longer follow.

@@ -12,13 +12,10 @@ from torch import Tensor
 
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import DensityStep
-from mrgs.method.losses.photometric import total_loss
-from mrgs.method.losses.term import LossContext, SceneScale
-from mrgs.method.losses.terms import term_values
-from mrgs.render import render, renderer
-from mrgs.scene import THERMAL, Modality, Pixels, Rendering, View
-from mrgs.training.resolution import coarser, pixel_sizes
+from mrgs.method.losses.term import SceneScale
+from mrgs.training.recorder import Recorder
 from mrgs.training.state import TrainingState
+from mrgs.training.view_pass import PhotographedView, forward_backward, view_inputs
 from mrgs.training.view_sums import LOSS, THERMAL_ERROR, ViewSums
 
 SumOverProcesses: TypeAlias = Callable[[TrainingState, ViewSums], ViewSums]
@@ -91,20 +88,6 @@ def _together(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
     )
 
 
-class PhotographedView(NamedTuple):
-    """A training view with its photos.
-
-    Attributes:
-        number: its place among the training views.
-        view: the view.
-        photos: of it, by modality.
-    """
-
-    number: int
-    view: View
-    photos: Mapping[Modality, Pixels]
-
-
 class StepResult(NamedTuple):
     """A step that has moved the parameters, before density control.
 
@@ -125,6 +108,7 @@ def training_step(
     config: TrainConfig,
     scale: SceneScale,
     sum_up: SumOverProcesses | None = None,
+    recorder: Recorder | None = None,
 ) -> StepResult:
     """Render views, compare them with their photos, move the parameters once.
 
@@ -137,65 +121,67 @@ def training_step(
         config: of the run.
         scale: of the scene.
         sum_up: adds what other processes have found in other views.
+        recorder: replays the pass of a step's only view on a GPU.
     """
     state.step += 1
     state.model.sh_degree = config.sh_degree_at(state.step)
     state.refresh_neighbours(config)
-
-    found = ViewSums()
-    for each in views:
-        _backward(state, each, config, scale, found)
-    if sum_up is not None:
-        found = sum_up(state, found)
-    state.scale_gradients(1 / config.batch)
-
-    loss = found.mean(LOSS)
-    assert loss is not None
-    finite = state.gradients_are_finite(loss)
-    skipped_in_a_row = (state.skipped_in_a_row + 1) * ~finite
-    error, count = found.mean(THERMAL_ERROR), len(state.model.gaussians)
-    statistics = StepStatistics(state.step, loss, found.terms, error, count, ~finite)
-    # Nothing has changed so far, so that a step for which memory does not suffice can be repeated.
-    state.move(config, finite)
-    for number, residual in found.residuals.items():
-        state.image_model.learn_drift(number, residual, finite)
-    state.skipped_in_a_row = skipped_in_a_row
-    return StepResult(statistics, found.observed, finite)
+    if sum_up is not None or len(views) > 1:
+        recorder = None
+    while True:
+        found = ViewSums()
+        for each in views:
+            _add_view(state, each, config, scale, found, recorder)
+        if sum_up is not None:
+            found = sum_up(state, found)
+        result = _move(state, found, config, recorder)
+        if recorder is None or recorder.had_room():
+            return result
 
 
-def _backward(
+def _add_view(
     state: TrainingState,
     each: PhotographedView,
     config: TrainConfig,
     scale: SceneScale,
     found: ViewSums,
+    recorder: Recorder | None,
 ) -> None:
     """Add the gradients of a view's loss to those of the parameters, and what it measured to what
     was found."""
-    view = each.view
-    degrees = {THERMAL: config.temperature_sh_degree_at(state.step)}
-    cameras, photos = coarser(view.cameras, each.photos, config.pixel_size_at(state.step))
-    rendering, passes = render(state.model, cameras, degrees)
-    observed = state.image_model(rendering, each.number, pixel_sizes(view.cameras, cameras))
-    context = LossContext(
-        rendering,
-        observed,
-        photos,
-        cameras,
-        state.model.gaussians,
-        state.model.dilation,
-        scale,
-        renderer(state.model, degrees),
+    inputs = view_inputs(state, each, config)
+    if recorder is None:
+        measures = forward_backward(state, inputs, scale)
+    else:
+        measures = recorder.run(state, inputs, lambda given: forward_backward(state, given, scale))
+    found.add(
+        measures.loss,
+        measures.terms,
+        measures.thermal_error,
+        state.strategy.observe(measures.passes),
     )
-    values = term_values([term for term in state.terms if term.is_due(state.step)], context)
-    loss = total_loss(values, {term.name: term.weight(state.step) for term in state.terms})
-    loss.backward()
-    error = _thermal_error(observed, photos)
-    found.add(loss, values, error, state.strategy.observe(passes))
-    if THERMAL in photos:
-        residual = state.image_model.thermal_residual(each.number, observed, photos[THERMAL])
-        if residual is not None:
-            found.residuals[each.number] = residual
+    if measures.residual is not None:
+        found.residuals[each.number] = measures.residual
+
+
+def _move(
+    state: TrainingState, found: ViewSums, config: TrainConfig, recorder: Recorder | None
+) -> StepResult:
+    """Move the parameters by the gradients that they have; nothing, where these are not finite."""
+    state.scale_gradients(1 / config.batch)
+    loss = found.mean(LOSS)
+    assert loss is not None
+    finite = state.gradients_are_finite(loss)
+    moves = finite if recorder is None else recorder.counted(finite)
+    skipped_in_a_row = (state.skipped_in_a_row + 1) * ~finite
+    error, count = found.mean(THERMAL_ERROR), len(state.model.gaussians)
+    statistics = StepStatistics(state.step, loss, found.terms, error, count, ~finite)
+    # Nothing has changed so far, so that a step for which memory does not suffice can be repeated.
+    state.move(config, moves)
+    for number, residual in found.residuals.items():
+        state.image_model.learn_drift(number, residual, moves)
+    state.skipped_in_a_row = skipped_in_a_row
+    return StepResult(statistics, found.observed, finite)
 
 
 def control_density(
@@ -226,19 +212,3 @@ def control_density(
     if state.model.gaussians.means is not before:
         state.model.neighbours = None
     return update.counts
-
-
-def _thermal_error(
-    rendering: Rendering, photos: Mapping[Modality, Pixels]
-) -> Float[Tensor, ""] | None:
-    """Mean absolute error of the normalised temperature over the valid pixels; NaN if there are
-    none."""
-    if THERMAL not in photos:
-        return None
-    error = (rendering[THERMAL].image.detach() - photos[THERMAL].values).abs()
-    valid = photos[THERMAL].valid
-    return (
-        error.mean()
-        if valid is None
-        else torch.where(valid[:, :, None], error, 0).sum() / valid.sum()
-    )

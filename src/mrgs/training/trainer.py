@@ -34,17 +34,18 @@ from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import checkpoint_bytes, retried_when_full
 from mrgs.training.peers import Peers
 from mrgs.training.photos import HostPhotos, PhotoSource, kept_limit
+from mrgs.training.recorder import Recorder
 from mrgs.training.replicas import align_replicas
 from mrgs.training.run_folder import CHECKPOINTS_KEPT, RunFolder
 from mrgs.training.start import TrainingStart, start_training
 from mrgs.training.state import TrainingState, initial_state
 from mrgs.training.step import (
-    PhotographedView,
     StepResult,
     StepStatistics,
     control_density,
     training_step,
 )
+from mrgs.training.view_pass import PhotographedView
 
 Result = TypeVar("Result")
 
@@ -269,6 +270,7 @@ class Trainer(Driver[StepStatistics]):
             GradientExchange(processes, batch, self._share) if processes and has_others else None
         )
         self._scale = SceneScale.of(run.scene)
+        self._recorder = Recorder(device) if device.type == "cuda" and not is_plain() else None
         here = 1 if processes is None else processes.launch.local_world_size
         self._photos: PhotoSource = (
             HostPhotos(kept_limit(here)) if device == HOST else DevicePhotos(device)
@@ -290,7 +292,9 @@ class Trainer(Driver[StepStatistics]):
 
     def _step_on_next_views(self) -> StepResult:
         views = [self._with_photos(number) for number in self.state.sampler.next()[self._share]]
-        return training_step(self.state, views, self.config, self._scale, self._exchange)
+        return training_step(
+            self.state, views, self.config, self._scale, self._exchange, self._recorder
+        )
 
     def _with_photos(self, number: int) -> PhotographedView:
         view = self.scene.train[number]
@@ -362,6 +366,8 @@ class Trainer(Driver[StepStatistics]):
         def undo() -> None:
             state.go_back(*before)
             self._photos.release()
+            if self._recorder is not None:
+                self._recorder.forget()
 
         try:
             return retried_when_full(action, undo)

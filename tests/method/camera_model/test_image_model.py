@@ -69,13 +69,13 @@ def test_the_width_of_a_spread_is_found_from_photos(start_px):
 
 def test_nothing_is_done_unless_it_is_asked_for():
     model, seen = ImageModel(ImageModelConfig(), CAPTURE), rendering()
-    assert model(seen, 0) == seen
+    assert model(seen, torch.tensor([0])) == seen
     assert (list(model.parameters()), model.parameter_groups()) == ([], [])
 
 
 def test_at_the_start_only_the_spread_changes_anything():
     model, seen = ImageModel(ALL, CAPTURE), rendering()
-    written = model(seen, 1)
+    written = model(seen, torch.tensor([1]))
     assert written[RGB].image is seen[RGB].image
     torch.testing.assert_close(written[THERMAL].image, PointSpread()(seen[THERMAL].image))
 
@@ -89,7 +89,7 @@ def test_a_photo_that_was_not_learned_from_is_expected_to_have_its_neighbours_ga
     expected = model.point_spread(seen[THERMAL].image) + 0.1
     torch.testing.assert_close(written[THERMAL].image, expected, atol=0.01, rtol=0)
     at_a_photo = model.expected(seen, camera_at(2 * 15.0))[THERMAL].image
-    torch.testing.assert_close(at_a_photo, model(seen, 15)[THERMAL].image)
+    torch.testing.assert_close(at_a_photo, model(seen, torch.tensor([15]))[THERMAL].image)
 
 
 def test_thermal_photos_in_celsius_have_no_gain():
@@ -107,7 +107,7 @@ def test_a_modality_that_is_not_there_stays_away():
     model = ImageModel(ALL, CAPTURE)
     seen = rendering()
     for modality in (RGB, THERMAL):
-        assert set(model(Rendering({modality: seen[modality]}), 0)) == {modality}
+        assert set(model(Rendering({modality: seen[modality]}), torch.tensor([0]))) == {modality}
 
 
 def test_every_parameter_has_a_learning_rate():

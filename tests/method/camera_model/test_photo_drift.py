@@ -29,7 +29,7 @@ def taught(residuals: list[torch.Tensor], times: int = 20) -> PhotoDrift:
 def test_what_shifts_a_whole_photo_is_found():
     drift = taught([true + noise(row) for row, true in enumerate(TRUE)])
     assert drift.offsets() == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-3)
-    assert drift.of(6).item() == drift.offsets()[5].item()
+    assert drift.of(torch.tensor([6])).item() == drift.offsets()[5].item()
     assert drift.offsets().sum().item() == pytest.approx(0.0, abs=1e-7)
 
 
@@ -47,7 +47,7 @@ def test_without_drift_there_are_no_offsets():
 
 def test_a_photo_elsewhere_is_expected_at_the_mean():
     drift = taught([true + noise(row) for row, true in enumerate(TRUE)])
-    assert drift.expected(POINTS[2]).item() == drift.of(2).item()
+    assert drift.expected(POINTS[2]).item() == drift.of(torch.tensor([2])).item()
     assert drift.expected(Viewpoint((0.5, 0.0, 0.0), (0.0, 0.0, 1.0))).item() == 0.0
 
 
@@ -74,9 +74,11 @@ def test_the_image_model_writes_photos_with_their_drift():
     for _ in range(20):
         for view, true in enumerate(TRUE):
             photo = Pixels(image + true + noise(view)[..., None])
-            residual = model.thermal_residual(view, model(rendering, view), photo)
+            number = torch.tensor([view])
+            residual = model.thermal_residual(number, model(rendering, number), photo)
             model.learn_drift(view, residual, YES)
-    found = torch.stack([(model(rendering, i)[THERMAL].image - image).mean() for i in range(6)])
+    written = [model(rendering, torch.tensor([i]))[THERMAL].image for i in range(6)]
+    found = torch.stack([(each - image).mean() for each in written])
     assert found == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-3)
     again = ImageModel(config, capture)
     again.load_state_dict(model.state_dict())

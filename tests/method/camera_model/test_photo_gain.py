@@ -22,9 +22,8 @@ def test_gains_average_to_none():
     photo_gain = PhotoGain(along_a_line(3))
     photo_gain.log_gains.data = torch.tensor([[0.5], [0.1], [0.0]])
     photo_gain.offsets.data = torch.tensor([[0.1], [0.2], [0.6]])
-    gains, offsets = (
-        torch.stack(column).detach() for column in zip(*map(photo_gain.of, range(3)), strict=True)
-    )
+    every = map(photo_gain.of, torch.arange(3).split(1))
+    gains, offsets = (torch.stack(column).detach() for column in zip(*every, strict=True))
     torch.testing.assert_close(offsets.mean(dim=0), torch.zeros(1))
     torch.testing.assert_close(gains.log().mean(dim=0), torch.zeros(1))
     assert (gains[0] / gains[1]).item() == pytest.approx(math.exp(0.4))
@@ -34,7 +33,7 @@ def test_a_view_without_a_photo_has_no_gain():
     first, *_, last = along_a_line(7)
     photo_gain = PhotoGain([first, None, None, None, last])
     photo_gain.offsets.data = torch.tensor([[0.3], [0.1]])
-    assert photo_gain.of(4).offset.item() == pytest.approx(-0.1)
+    assert photo_gain.of(torch.tensor([4])).offset.item() == pytest.approx(-0.1)
     assert photo_gain.expected(last).offset.item() == pytest.approx(-0.1)
     assert len(photo_gain.offsets) == 2
 
@@ -44,7 +43,9 @@ def test_a_gain_is_a_factor_and_an_offset():
     photo_gain.log_gains.data = torch.tensor([[0.2], [-0.2]])
     photo_gain.offsets.data = torch.tensor([[0.05], [-0.05]])
     image = torch.rand(3, 4, 1)
-    torch.testing.assert_close(photo_gain.of(0).apply(image), math.exp(0.2) * image + 0.05)
+    torch.testing.assert_close(
+        photo_gain.of(torch.tensor([0])).apply(image), math.exp(0.2) * image + 0.05
+    )
 
 
 def test_gains_that_change_slowly_are_predicted_by_their_neighbours():

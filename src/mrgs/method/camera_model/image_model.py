@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
 from mrgs.method.adam import ParameterGroup
@@ -178,13 +178,16 @@ class ImageModel(nn.Module):
         self._extent = capture.extent
 
     def forward(
-        self, rendering: Rendering, view: int, pixel_sizes: Mapping[Modality, float] = NOT_COARSER
+        self,
+        rendering: Rendering,
+        view: Int64[Tensor, "1"],
+        pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
     ) -> Rendering:
         """The rendering of a training view as its cameras write it.
 
         Args:
             rendering: of the view.
-            view: its place among the training views.
+            view: its place among the training views, on the rendering's device.
             pixel_sizes: of the rendering's images, in pixels of the photos; 1 where none is given.
         """
         return self._written(
@@ -212,7 +215,7 @@ class ImageModel(nn.Module):
         )
 
     def thermal_residual(
-        self, view: int, written: Rendering, photo: Pixels
+        self, view: Int64[Tensor, "1"], written: Rendering, photo: Pixels
     ) -> Float[Tensor, "2"] | None:
         """How far a training photo lies above the model, for ``learn_drift``; None where drift is
         not modelled.

@@ -4,13 +4,17 @@ shutter."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import accumulate
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
-from mrgs.method.camera_model.photo_gain import Viewpoint, only_one_at, viewpoint_distances
+from mrgs.method.camera_model.photo_gain import (
+    Viewpoint,
+    only_one_at,
+    photo_rows,
+    viewpoint_distances,
+)
 
 PARTS = 4
 """A photo is divided into so many parts across and down."""
@@ -42,17 +46,19 @@ class PhotoDrift(nn.Module):
     residuals: Float[Tensor, " p"]
     variances: Float[Tensor, " p"]
     visits: Float[Tensor, " p"]
+    rows: Int64[Tensor, " v"]
 
     def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
         super().__init__()
         self._viewpoints = [point for point in viewpoints if point is not None]
-        self._rows = list(accumulate((point is not None for point in viewpoints), initial=0))
+        self.register_buffer("rows", photo_rows(viewpoints), persistent=False)
+        self._rows = self.rows.tolist()
         for name in ("residuals", "variances", "visits"):
             self.register_buffer(name, torch.zeros(len(self._viewpoints)))
 
-    def of(self, view: int) -> Float[Tensor, ""]:
+    def of(self, view: Int64[Tensor, "1"]) -> Float[Tensor, ""]:
         """The offset of a training view's photo, normalised; the view must have one."""
-        return self.offsets()[self._rows[view]]
+        return self.offsets().index_select(0, self.rows.index_select(0, view))[0]
 
     def expected(self, viewpoint: Viewpoint) -> Float[Tensor, ""]:
         """The offset of the photo taken there; 0, which is the mean, for any other place: a drift
@@ -97,7 +103,8 @@ def residual_of(difference: Float[Tensor, "h w"]) -> Float[Tensor, "2"]:
             NaN where the photo is masked.
     """
     parts = _part_medians(difference)
-    low, middle, high = parts.nanquantile(parts.new_tensor([0.25, 0.5, 0.75]))
+    quartiles = torch.linspace(0.25, 0.75, 3, device=parts.device)
+    low, middle, high = parts.nanquantile(quartiles)
     spread = (high - low) / NORMAL_QUARTILES
     variance = MEDIAN_LOSS * spread.square() / parts.isfinite().sum().clamp_min(1)
     return torch.stack([middle, variance])

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor, nn
 
 from mrgs.scene import Camera
@@ -75,18 +74,23 @@ class PhotoGain(nn.Module):
         viewpoints: of each training view, None where it has no thermal photo; at least one has.
     """
 
+    rows: Int64[Tensor, " v"]
+
     def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
         super().__init__()
         self._viewpoints = [point for point in viewpoints if point is not None]
-        self._rows = list(accumulate((point is not None for point in viewpoints), initial=0))
+        self.register_buffer("rows", photo_rows(viewpoints), persistent=False)
         self.log_gains = nn.Parameter(torch.zeros(len(self._viewpoints), 1))
         self.offsets = nn.Parameter(torch.zeros(len(self._viewpoints), 1))
 
-    def of(self, view: int) -> Gain:
+    def of(self, view: Int64[Tensor, "1"]) -> Gain:
         """The gain of a training view's photo; the view must have one."""
-        row = self._rows[view]
-        gain = (self.log_gains[row] - self.log_gains.mean(dim=0)).exp()
-        return Gain(gain, self.offsets[row] - self.offsets.mean(dim=0))
+        row = self.rows.index_select(0, view)
+        log_gain, offset = (
+            each.index_select(0, row)[0] - each.mean(dim=0)
+            for each in (self.log_gains, self.offsets)
+        )
+        return Gain(log_gain.exp(), offset)
 
     def expected(self, viewpoint: Viewpoint) -> Gain:
         """The gain predicted for a photo outside the training set; see ``expected_gains``."""
@@ -96,6 +100,12 @@ class PhotoGain(nn.Module):
             expected_gains(gains, self._viewpoints, viewpoint).to(self.offsets).chunk(2)
         )
         return Gain(log_gain.exp(), offset)
+
+
+def photo_rows(viewpoints: Sequence[Viewpoint | None]) -> Int64[Tensor, " v"]:
+    """The place of each training view among those that have a photo."""
+    have_one = torch.tensor([point is not None for point in viewpoints])
+    return have_one.cumsum(dim=0) - 1
 
 
 def expected_gains(

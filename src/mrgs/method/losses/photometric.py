@@ -171,7 +171,8 @@ def opaqueness_loss(
 
 
 def total_loss(
-    terms: Mapping[str, Float[Tensor, ""]], weights: Mapping[str, float]
+    terms: Mapping[str, Float[Tensor, ""]],
+    weights: Mapping[str, float | Float[Tensor, ""]],
 ) -> Float[Tensor, ""]:
     """Eq. 20 (final_loss), Sec. Total Loss: L_c + L_t + λ_smooth L_smooth + λ_boltz L_boltz.
 

@@ -126,11 +126,16 @@ class Term(ABC):
         learned: parameters of the term's own, which are trained and saved with the model; None if
             it has none.
         learning_rate: of these parameters.
+        replayable: whether ``value`` depends on nothing but the tensors of its context and
+            ``learned``. On a GPU it is then recorded with the rest of a step and not called for
+            every view. False for one that counts, draws random numbers on the host, or waits for
+            the GPU.
     """
 
     name: str
     learned: nn.Module | None = None
     learning_rate: float = 1e-3
+    replayable: bool = True
 
     def weight(self, step: int) -> float:
         """λ at a step; 1 by default."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
+from mrgs.kernels.gpu_jit import device_function
 from mrgs.kernels.rasterize.gpu.constants import (
     ACROSS,
     ALONG,
@@ -31,7 +32,6 @@ from mrgs.kernels.rasterize.gpu.constants import (
     TILE_WIDTH,
     TRANSMITTANCE_MIN,
 )
-from mrgs.kernels.rasterize.gpu.jit import device_function
 
 TURNS = tl.constexpr(2)
 """So many splats are blended between two checks whether any pixel of the tile is still

@@ -14,6 +14,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
+from mrgs.kernels.gpu_jit import device_function
 from mrgs.kernels.rasterize.gpu.blend import (
     TURNS,
     any_unfinished,
@@ -35,7 +36,6 @@ from mrgs.kernels.rasterize.gpu.constants import (
     GRAD_SCALAR,
     TILE_PIXELS,
 )
-from mrgs.kernels.rasterize.gpu.jit import device_function
 
 PADDED_FLOATS = tl.constexpr(16)
 """``GRAD_FLOATS``, and up to a power of two: what a tensor of Triton's can hold."""

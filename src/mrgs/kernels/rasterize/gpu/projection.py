@@ -12,6 +12,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
+from mrgs.kernels.gpu_jit import device_function
 from mrgs.kernels.rasterize.gpu.constants import (
     ACROSS,
     ALONG,
@@ -30,7 +31,6 @@ from mrgs.kernels.rasterize.gpu.constants import (
     SHEAR,
     SPLAT_FLOATS,
 )
-from mrgs.kernels.rasterize.gpu.jit import device_function
 from mrgs.kernels.rasterize.gpu.tiles import count_pairs
 
 

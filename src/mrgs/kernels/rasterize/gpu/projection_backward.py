@@ -6,6 +6,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
+from mrgs.kernels.gpu_jit import device_function
 from mrgs.kernels.rasterize.gpu.constants import (
     GRAD_ACROSS,
     GRAD_ACROSS_ACROSS,
@@ -17,7 +18,6 @@ from mrgs.kernels.rasterize.gpu.constants import (
     GRAD_FLOATS,
     GRAD_SCALAR,
 )
-from mrgs.kernels.rasterize.gpu.jit import device_function
 from mrgs.kernels.rasterize.gpu.projection import (
     clamped_slope,
     covariance,

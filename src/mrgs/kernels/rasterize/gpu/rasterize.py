@@ -1,7 +1,8 @@
 """The fused pass as a torch function: project, sort, list, blend; and backwards.
 
 The host waits for the device once, for the number of pairs of a tile and a Gaussian (8 bytes): it
-sizes the lists. All else is queued. The results are the same bits on every run.
+sizes the lists, unless the pass is recorded (``mrgs.system.recording``). All else is queued. The
+results are the same bits on every run.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE
 from mrgs.kernels.require import require_camera
 from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
 from mrgs.scene import Blend
+from mrgs.system.recording import room_of_list
 
 _SLOTS = {3: "color", 1: "scalar"}
 """What the kernels call a layer, by its channels."""
@@ -148,13 +150,14 @@ def _list(buffers: Arguments) -> None:
     depths, tiles = buffers["depths"], buffers["tiles"]
     order = torch.argsort(depths, stable=True)
     pair_ends = torch.cumsum(buffers["pair_counts"][order], dim=0, dtype=torch.int64)
-    pairs = int(pair_ends[-1]) if len(pair_ends) else 0  # the one read that the host waits for
+    pairs = room_of_list(pair_ends[-1:]) if len(pair_ends) else 0
     if pairs > _MOST_PAIRS:
         raise MrgsError(
             f"the Gaussians reach {pairs:,} tiles of the image together, and at most "
             f"{_MOST_PAIRS:,} can be drawn: "
             "render a smaller image, or fewer Gaussians"
         )
+    pair_ends = pair_ends.clamp_max(pairs)  # where a recorded list has too little room
     dtype = torch.int16 if tiles <= _MOST_SHORT_TILES else torch.int32
     tile_of_pair = depths.new_empty(pairs, dtype=dtype)
     splat_of_pair = depths.new_empty(pairs, dtype=torch.int32)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
+from mrgs.kernels.gpu_jit import device_function
 from mrgs.kernels.rasterize.gpu.constants import (
     EXTENT_Y,
     HALF_WIDTH,
@@ -21,7 +22,6 @@ from mrgs.kernels.rasterize.gpu.constants import (
     TILE_HEIGHT,
     TILE_WIDTH,
 )
-from mrgs.kernels.rasterize.gpu.jit import device_function
 
 
 @device_function
@@ -102,18 +102,19 @@ def list_pairs(
     no more than many.
 
     Should rounding give a splat fewer tiles than were counted, the rest gets a tile past the last,
-    which none draws.
+    which none draws; so does what a list has room for beyond its pairs.
 
     Args:
         splats: records, [N, 16].
         order: splats in depth order, int64 [N].
         pair_ends: cumulated counts of pairs in this order, int64 [N].
         tile_of_pair, splat_of_pair: filled, [P], the first of any integer type.
-        pairs, count: P and N.
+        pairs, count: P, the room of the list, and N.
     """
     pair = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = pair < pairs
-    rank = _rank_of_pair(tl.minimum(pair, pairs - 1), pair_ends, count)
+    listed = tl.load(pair_ends + count - 1).to(tl.int32)
+    rank = _rank_of_pair(tl.minimum(pair, listed - 1), pair_ends, count)
     before = pair - tl.load(pair_ends + rank - 1, mask=rank > 0, other=0).to(tl.int32)
     index = tl.load(order + rank).to(tl.int32)
     record = splats + index * SPLAT_FLOATS
@@ -126,7 +127,7 @@ def list_pairs(
     tiles_x, tiles_y = tl.cdiv(width, TILE_WIDTH), tl.cdiv(height, TILE_HEIGHT)
     row, last_row = tile_rows(mean_y, extent_y, height)
     tile = tl.zeros_like(row) + tiles_x * tiles_y
-    searching = inside & (row <= last_row)
+    searching = (pair < listed) & (row <= last_row)
     while tl.max(searching.to(tl.int32), axis=0) > 0:
         first, tiles = tile_columns(mean_x, mean_y, shear, extent_y, half_width, row, width)
         tile = tl.where(searching & (before < tiles), row * tiles_x + first + before, tile)

@@ -1,0 +1,96 @@
+"""Adam's step of one tensor.
+
+Torch's fused step gives 65,536 values to each multiprocessor, so that a few hundred thousand leave
+most of them idle.
+"""
+
+from __future__ import annotations
+
+import math
+
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from mrgs.kernels.gpu_spec import KernelSpec
+from mrgs.kernels.require import require
+from mrgs.method.adam import BETA1, BETA2
+
+BLOCK = 1024
+"""Values per program."""
+
+NUM_WARPS = 4
+TENSORS = ("parameter", "gradient", "mean", "square", "count", "skip")
+
+KEPT1, KEPT2 = tl.constexpr(BETA1), tl.constexpr(BETA2)
+LOG2_KEPT1, LOG2_KEPT2 = tl.constexpr(math.log2(BETA1)), tl.constexpr(math.log2(BETA2))
+
+
+@triton.jit(do_not_specialize=["size"])
+def adam_kernel(
+    parameter, gradient, mean, square, count, skip, size, rate, epsilon, BLOCK: tl.constexpr
+):
+    """Move a parameter and its moments; nothing where ``skip`` is not 0.
+
+    Args:
+        parameter, gradient, mean, square: of the same size; all but the gradient are changed.
+        count: of steps, this one included; one value.
+        skip: one value.
+        size: number of values.
+        rate: learning rate.
+        epsilon: added to the root of the mean square.
+    """
+    at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    mask = at < tl.where(tl.load(skip) == 0.0, size, 0)
+    steps = tl.load(count)
+    g = tl.load(gradient + at, mask=mask, other=0.0)
+    m = tl.load(mean + at, mask=mask, other=0.0)
+    v = tl.load(square + at, mask=mask, other=0.0)
+    m += (g - m) * (1.0 - KEPT1)
+    v = v * KEPT2 + g * g * (1.0 - KEPT2)
+    size1, size2 = 1.0 - tl.exp2(steps * LOG2_KEPT1), 1.0 - tl.exp2(steps * LOG2_KEPT2)
+    change = rate / size1 * m / (tl.sqrt(v / size2) + epsilon)
+    tl.store(parameter + at, tl.load(parameter + at, mask=mask, other=0.0) - change, mask=mask)
+    tl.store(mean + at, m, mask=mask)
+    tl.store(square + at, v, mask=mask)
+
+
+def move(
+    parameters: list[Tensor],
+    gradients: list[Tensor],
+    means: list[Tensor],
+    squares: list[Tensor],
+    counts: list[Tensor],
+    rate: float,
+    epsilon: float,
+    skip: Tensor | None,
+) -> None:
+    """``mrgs.method.adam.move`` for one float32 tensor on a GPU; NotImplemented for several, which
+    torch moves together.
+
+    Raises:
+        ValueError: tensors of other sizes, types or devices.
+    """
+    if len(parameters) != 1 or skip is None:
+        return NotImplemented
+    (parameter,), (gradient,) = parameters, gradients
+    given = (parameter, gradient.contiguous(), means[0], squares[0], counts[0], skip)
+    for name, tensor in zip(TENSORS, given, strict=True):
+        shape = () if tensor.dim() == 0 else parameter.shape
+        require(name, tensor, shape, device=parameter.device)
+        if not tensor.is_contiguous():
+            return NotImplemented
+    size = parameter.numel()
+    arguments = dict(zip(TENSORS, given, strict=True))
+    numbers = {"size": size, "rate": rate, "epsilon": epsilon}
+    _SPEC.launch((triton.cdiv(size, BLOCK),), {**arguments, **numbers})
+
+
+_SPEC = KernelSpec(
+    adam_kernel,
+    dict.fromkeys(TENSORS, "*fp32") | {"size": "i32", "rate": "fp32", "epsilon": "fp32"},
+    {"BLOCK": BLOCK},
+    NUM_WARPS,
+)
+
+KERNELS = (_SPEC,)

@@ -1,0 +1,284 @@
+"""Spherical harmonics of each Gaussian seen from a camera, one thread per Gaussian.
+
+Torch would start some 40 kernels for the basis functions of degree 3, and twice as many for their
+gradients; one kernel reads the coefficients once.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+import triton
+import triton.language as tl
+from jaxtyping import Float, Int64
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
+from mrgs.kernels.gpu_jit import device_function
+from mrgs.kernels.gpu_spec import Arguments, KernelSpec
+from mrgs.kernels.require import require
+
+BLOCK = 128
+"""Gaussians per program."""
+
+NUM_WARPS = 4
+MOST_BANDS = (MAX_DEGREE + 1) ** 2 - 1
+SIZES = ("count", "bands", "held")
+FORWARD = ("means", "camera", "dc", "rest", "values")
+BACKWARD = (*FORWARD, "gradient", "grad_means", "grad_dc", "grad_rest")
+"""Tensors of the two kernels."""
+
+VARIANTS = {3: "color", 1: "scalar"}
+"""By the number of channels."""
+
+SMALLEST_DISTANCE = tl.constexpr(1e-12)
+CONSTANT = tl.constexpr(C0)
+FIRST = tl.constexpr(math.sqrt(3 / (4 * math.pi)))
+SECOND = tl.constexpr(math.sqrt(15 / (4 * math.pi)))
+SECOND_ZONAL = tl.constexpr(math.sqrt(5 / (16 * math.pi)))
+THIRD_ORDER1 = tl.constexpr(math.sqrt(21 / (32 * math.pi)))
+THIRD_ORDER2 = tl.constexpr(math.sqrt(105 / (4 * math.pi)))
+THIRD_ORDER3 = tl.constexpr(math.sqrt(35 / (32 * math.pi)))
+THIRD_ZONAL = tl.constexpr(math.sqrt(7 / (16 * math.pi)))
+BANDS = tl.constexpr(MOST_BANDS)
+
+
+@device_function
+def _direction(means, camera, i, mask):
+    """The unit vector from the camera to a Gaussian, and 1 / distance."""
+    x = tl.load(means + 3 * i, mask=mask, other=0.0) - tl.load(camera)
+    y = tl.load(means + 3 * i + 1, mask=mask, other=0.0) - tl.load(camera + 1)
+    z = tl.load(means + 3 * i + 2, mask=mask, other=0.0) - tl.load(camera + 2)
+    inverse = 1.0 / tl.maximum(tl.sqrt(x * x + y * y + z * z), SMALLEST_DISTANCE)
+    return x * inverse, y * inverse, z * inverse, inverse
+
+
+@device_function
+def _basis(x, y, z):
+    """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``."""
+    xx, yy, zz = x * x, y * y, z * z
+    return (
+        y * -FIRST,
+        z * FIRST,
+        x * -FIRST,
+        x * y * SECOND,
+        y * z * -SECOND,
+        (2 * zz - xx - yy) * SECOND_ZONAL,
+        x * z * -SECOND,
+        (xx - yy) * (0.5 * SECOND),
+        y * (3 * xx - yy) * -THIRD_ORDER3,
+        x * y * z * THIRD_ORDER2,
+        y * (4 * zz - xx - yy) * -THIRD_ORDER1,
+        z * (2 * zz - 3 * xx - 3 * yy) * THIRD_ZONAL,
+        x * (4 * zz - xx - yy) * -THIRD_ORDER1,
+        z * (xx - yy) * (0.5 * THIRD_ORDER2),
+        x * (xx - 3 * yy) * -THIRD_ORDER3,
+    )
+
+
+@device_function
+def _basis_slopes(x, y, z):
+    """∂/∂(x, y, z) of the basis functions, each by x, y and z."""
+    xx, yy, zz = x * x, y * y, z * z
+    zero = tl.zeros_like(x)
+    return (
+        (zero, zero - FIRST, zero),
+        (zero, zero, zero + FIRST),
+        (zero - FIRST, zero, zero),
+        (y * SECOND, x * SECOND, zero),
+        (zero, z * -SECOND, y * -SECOND),
+        (x * (-2 * SECOND_ZONAL), y * (-2 * SECOND_ZONAL), z * (4 * SECOND_ZONAL)),
+        (z * -SECOND, zero, x * -SECOND),
+        (x * SECOND, y * -SECOND, zero),
+        (x * y * (-6 * THIRD_ORDER3), (xx - yy) * (-3 * THIRD_ORDER3), zero),
+        (y * z * THIRD_ORDER2, x * z * THIRD_ORDER2, x * y * THIRD_ORDER2),
+        (
+            x * y * (2 * THIRD_ORDER1),
+            (4 * zz - xx - 3 * yy) * -THIRD_ORDER1,
+            y * z * (-8 * THIRD_ORDER1),
+        ),
+        (
+            x * z * (-6 * THIRD_ZONAL),
+            y * z * (-6 * THIRD_ZONAL),
+            (6 * zz - 3 * xx - 3 * yy) * THIRD_ZONAL,
+        ),
+        (
+            (4 * zz - 3 * xx - yy) * -THIRD_ORDER1,
+            x * y * (2 * THIRD_ORDER1),
+            x * z * (-8 * THIRD_ORDER1),
+        ),
+        (x * z * THIRD_ORDER2, y * z * -THIRD_ORDER2, (xx - yy) * (0.5 * THIRD_ORDER2)),
+        ((xx - yy) * (-3 * THIRD_ORDER3), x * y * (6 * THIRD_ORDER3), zero),
+    )
+
+
+@triton.jit(do_not_specialize=SIZES)
+def shade_kernel(
+    means,
+    camera,
+    dc,
+    rest,
+    values,
+    count,
+    bands,
+    held,
+    floor,
+    CHANNELS: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
+    """Harmonics of the viewing direction + ½, not below the floor.
+
+    Args:
+        means: centres, [N, 3].
+        camera: centre of projection, [3].
+        dc: coefficients of degree 0, [N, 1, C].
+        rest: of the higher degrees, [N, B, C].
+        values: filled, [N, C].
+        count: N.
+        bands: coefficients that count.
+        held: B.
+        floor: smallest value.
+        CHANNELS: C.
+    """
+    i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    inside = i < count
+    x, y, z, _ = _direction(means, camera, i, inside)
+    basis = _basis(x, y, z)
+    for channel in tl.static_range(CHANNELS):
+        value = tl.load(dc + i * CHANNELS + channel, mask=inside, other=0.0) * CONSTANT + 0.5
+        for band in tl.static_range(BANDS):
+            at = rest + (i * held + band) * CHANNELS + channel
+            value += basis[band] * tl.load(at, mask=inside & (band < bands), other=0.0)
+        # So that NaN stays.
+        tl.store(
+            values + i * CHANNELS + channel, tl.where(value < floor, floor, value), mask=inside
+        )
+
+
+@triton.jit(do_not_specialize=SIZES)
+def shade_backward_kernel(
+    means,
+    camera,
+    dc,
+    rest,
+    values,
+    gradient,
+    grad_means,
+    grad_dc,
+    grad_rest,
+    count,
+    bands,
+    held,
+    floor,
+    CHANNELS: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
+    """The gradients behind ``shade_kernel``.
+
+    Args:
+        means, camera, dc, rest, values: of the forward kernel.
+        gradient: by the values, [N, C].
+        grad_means, grad_dc, grad_rest: filled; 0 for the coefficients that do not count.
+        count, bands, held, floor, CHANNELS: as there.
+    """
+    i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    inside = i < count
+    x, y, z, inverse = _direction(means, camera, i, inside)
+    basis, slopes = _basis(x, y, z), _basis_slopes(x, y, z)
+    along_x, along_y, along_z = tl.zeros_like(x), tl.zeros_like(x), tl.zeros_like(x)
+    for channel in tl.static_range(CHANNELS):
+        at = i * CHANNELS + channel
+        is_above = tl.load(values + at, mask=inside, other=0.0) > floor
+        g = tl.where(is_above, tl.load(gradient + at, mask=inside, other=0.0), 0.0)
+        tl.store(grad_dc + at, g * CONSTANT, mask=inside)
+        for band in tl.static_range(BANDS):
+            at = (i * held + band) * CHANNELS + channel
+            counts = inside & (band < bands)
+            weight = g * tl.load(rest + at, mask=counts, other=0.0)
+            along_x += weight * slopes[band][0]
+            along_y += weight * slopes[band][1]
+            along_z += weight * slopes[band][2]
+            by_rest = tl.where(counts, basis[band] * g, 0.0)
+            tl.store(grad_rest + at, by_rest, mask=inside & (band < held))
+    # (I − d dᵀ) g / distance, the gradient of a unit direction d.
+    along = x * along_x + y * along_y + z * along_z
+    tl.store(grad_means + 3 * i, inverse * (along_x - along * x), mask=inside)
+    tl.store(grad_means + 3 * i + 1, inverse * (along_y - along * y), mask=inside)
+    tl.store(grad_means + 3 * i + 2, inverse * (along_z - along * z), mask=inside)
+
+
+def shade(
+    means: Float[Tensor, "n 3"],
+    dc: Float[Tensor, "n 1 c"],
+    rest: Float[Tensor, "n b c"],
+    camera_position: Float[Tensor, "3"],
+    degree: int,
+    rows: Int64[Tensor, " v"] | None = None,
+    floor: float = 0.0,
+) -> Float[Tensor, "v c"]:
+    """``mrgs.field.spherical_harmonics.shade`` for float32 on a GPU and all rows, of 1 or 3
+    channels; NotImplemented for others, and for degree 0, which torch computes at once.
+
+    Raises:
+        ValueError: tensors of other sizes, types or devices.
+    """
+    count, channels, device = len(means), dc.shape[-1], means.device
+    bands = min((degree + 1) ** 2 - 1, rest.shape[1])
+    if rows is not None or channels not in VARIANTS or not 0 < bands <= MOST_BANDS:
+        return NotImplemented
+    require("means", means, (count, 3), device=device)
+    require("dc", dc, (count, 1, channels), device=device)
+    require("rest", rest, (count, None, channels), device=device)
+    require("camera_position", camera_position, (3,), device=device)
+    shaded: Tensor = _Shade.apply(means, dc, rest, camera_position, bands, floor)
+    return shaded
+
+
+class _Shade(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        means, dc, rest, camera, bands, floor = inputs
+        tensors = [tensor.detach().contiguous() for tensor in (means, camera, dc, rest)]
+        values = means.new_empty(len(means), dc.shape[2])
+        ctx.numbers = {
+            "count": len(means), "bands": bands, "held": rest.shape[1], "floor": floor
+        }  # fmt: skip
+        _launch(shade_kernel, FORWARD, [*tensors, values], ctx.numbers)
+        ctx.save_for_backward(*tensors, values)
+        return values
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        saved = ctx.saved_tensors
+        means, _, dc, rest, _ = saved
+        grads = [torch.empty_like(each) for each in (means, dc, rest)]
+        tensors = [*saved, gradient.contiguous(), *grads]
+        _launch(shade_backward_kernel, BACKWARD, tensors, ctx.numbers)
+        camera = -grads[0].sum(dim=0) if ctx.needs_input_grad[3] else None
+        return (*grads, camera, None, None)
+
+
+def _launch(
+    kernel: Any, names: tuple[str, ...], tensors: list[Tensor], numbers: dict[str, float]
+) -> None:
+    given: Arguments = dict(zip(names, tensors, strict=True)) | numbers
+    programs = triton.cdiv(given["count"], BLOCK)
+    _spec(kernel, names, given["dc"].shape[2]).launch((programs,), given)
+
+
+def _spec(kernel: Any, names: tuple[str, ...], channels: int) -> KernelSpec:
+    """A kernel for so many channels."""
+    signature = dict.fromkeys(names, "*fp32") | dict.fromkeys(SIZES, "i32") | {"floor": "fp32"}
+    constants = {"CHANNELS": channels, "BLOCK": BLOCK}
+    return KernelSpec(kernel, signature, constants, NUM_WARPS, variant=VARIANTS[channels])
+
+
+KERNELS = tuple(
+    _spec(kernel, names, channels)
+    for kernel, names in ((shade_kernel, FORWARD), (shade_backward_kernel, BACKWARD))
+    for channels in VARIANTS
+)

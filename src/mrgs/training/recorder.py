@@ -1,0 +1,263 @@
+"""The pass of a view as a CUDA graph: recorded once, replayed for the views that follow.
+
+At 50,000 Gaussians a pass is some 700 kernels of a few microseconds each, and to start a kernel
+takes the host longer than that. A replay starts them all at once: docs/decisions.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Hashable, Sequence
+from itertools import combinations
+from typing import TypeAlias
+
+import torch
+from jaxtyping import Bool, Int64
+from torch import Tensor
+
+from mrgs.errors import MrgsWarning
+from mrgs.scene import Pixels
+from mrgs.system.cuda_graph import CudaGraph
+from mrgs.system.recording import ListRoom, lists_have
+from mrgs.training.state import TrainingState
+from mrgs.training.view_pass import ViewInputs, ViewMeasures
+
+Pass: TypeAlias = Callable[[ViewInputs], ViewMeasures]
+"""Reads inputs and a state; leaves gradients in the state's parameters."""
+
+SPARE = 1.25
+"""Room of the lists of a recorded pass, in lengths of the longest one so far: views differ."""
+
+MOST_RECORDINGS = 8
+"""At a time; each holds the memory of a pass. Views of more kinds than this are not recorded."""
+
+
+class Recorder:
+    """Replays the pass of a view where it can, with the results of the pass itself.
+
+    The first view of a kind is passed as ever, which shows how long the lists of the rasterizer
+    are; the second one is recorded. Where views differ by more than poses and photos (in size,
+    intrinsics, modalities), each kind has a recording. All are forgotten when the parameters are
+    others: when Gaussians are added or removed.
+
+    Args:
+        device: a CUDA device.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self._parameters: list[Tensor] = []
+        self._neighbours: Tensor | None = None
+        self._recordings: dict[Hashable, _Recording] = {}
+        self._replayed: _Recording | None = None
+        self._longest = 0
+        self._expected = 0.0
+        self._fails = False
+
+    def run(self, state: TrainingState, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
+        """Run the pass of a view, or replay it; what it returns is overwritten by the next call.
+
+        Args:
+            state: whose parameters get the gradients; they have none.
+            inputs: of the view.
+            run_pass: the pass.
+
+        Warns:
+            MrgsWarning: the pass cannot be recorded; it runs as it is from now on.
+        """
+        self._replayed = None
+        if self._fails or not all(term.replayable for term in inputs.terms):
+            return run_pass(inputs)
+        self._forget_if_others(state)
+        kind = _kind_of(state, inputs)
+        recording = self._recordings.get(kind)
+        if recording is None:
+            return self._rehearse(kind, inputs, run_pass)
+        recording.take(inputs)
+        if not recording.is_complete:
+            try:
+                recording.record(run_pass, self._parameters, self._room(), self._device)
+            except RuntimeError as error:
+                return self._give_up(state, inputs, run_pass, error)
+        self._replayed = recording
+        return recording.replay(self._parameters)
+
+    def counted(self, finite: Bool[Tensor, ""]) -> Bool[Tensor, ""]:
+        """Whether a step counts: it is finite, and the lists of its pass had room; on the
+        device."""
+        return finite if self._replayed is None else finite & self._replayed.suffices
+
+    def had_room(self) -> bool:
+        """Whether the lists of the last pass had room. If not, the pass must be repeated: they have
+        more from now on."""
+        recording, self._replayed = self._replayed, None
+        if recording is None:
+            return True
+        needed = recording.needed()
+        self._longest = max(self._longest, needed)
+        if needed <= recording.room:
+            return True
+        recording.clear()
+        return False
+
+    def forget(self) -> None:
+        """Give the memory of all recordings back."""
+        self._replayed = None
+        self._recordings.clear()
+        torch.cuda.empty_cache()
+
+    def _forget_if_others(self, state: TrainingState) -> None:
+        """Forget what was recorded of other parameters or other neighbours."""
+        parameters, neighbours = state.parameters(), state.model.neighbours
+        are_same = len(parameters) == len(self._parameters) and all(
+            own is other for own, other in zip(parameters, self._parameters, strict=True)
+        )
+        if are_same and neighbours is self._neighbours:
+            return
+        if self._parameters:
+            grown = len(parameters[0]) / max(len(self._parameters[0]), 1)
+            self._expected, self._longest = grown * self._longest, 0
+        self._parameters, self._neighbours = parameters, neighbours
+        self.forget()
+
+    def _rehearse(self, kind: Hashable, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
+        """Run the pass with inputs that later views can take the place of."""
+        if len(self._recordings) >= MOST_RECORDINGS:
+            return run_pass(inputs)
+        recording = self._recordings[kind] = _Recording(inputs)
+        room = ListRoom()
+        with lists_have(room):
+            measures = run_pass(recording.inputs)
+        self._longest = max(self._longest, room.measured)
+        return measures
+
+    def _room(self) -> int:
+        return int(SPARE * max(self._longest, self._expected)) + 1
+
+    def _give_up(
+        self, state: TrainingState, inputs: ViewInputs, run_pass: Pass, error: RuntimeError
+    ) -> ViewMeasures:
+        self._fails = True
+        reason = str(error).partition("\n")[0]
+        warnings.warn(
+            f"steps cannot be recorded as a CUDA graph, and take longer: {reason}",
+            MrgsWarning,
+            stacklevel=2,
+        )
+        self.forget()
+        for parameter in state.parameters():
+            parameter.grad = None
+        return run_pass(inputs)
+
+
+class _Recording:
+    """A recorded pass, and the tensors that it reads and writes.
+
+    Args:
+        inputs: of a view; others take its place by ``take``.
+
+    Attributes:
+        inputs: what the pass reads: copies, with stand-ins for the cameras.
+        room: entries of its lists.
+        suffices: whether the last replay needed no more, on the device.
+    """
+
+    def __init__(self, inputs: ViewInputs) -> None:
+        self._weights: dict[str, float | Tensor] = dict(inputs.weights)
+        self.inputs = inputs._replace(
+            number=inputs.number.clone(),
+            cameras={modality: camera.stand_in() for modality, camera in inputs.cameras.items()},
+            photos={modality: _copied(pixels) for modality, pixels in inputs.photos.items()},
+            weights={
+                name: torch.full((), float(weight), device=inputs.number.device)
+                for name, weight in inputs.weights.items()
+            },
+        )
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the recording."""
+        self._graph: CudaGraph | None = None
+        self._measures: ViewMeasures | None = None
+        self._gradients: list[Tensor | None] = []
+        self.room = 0
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there is something to replay."""
+        return self._graph is not None
+
+    def take(self, inputs: ViewInputs) -> None:
+        """Have the pass read the inputs of another view of the same kind."""
+        own = self.inputs
+        own.number.copy_(inputs.number)
+        for modality, camera in own.cameras.items():
+            camera.take_place_of(inputs.cameras[modality])
+        for modality, pixels in own.photos.items():
+            given = inputs.photos[modality]
+            pixels.values.copy_(given.values)
+            if pixels.valid is not None and given.valid is not None:
+                pixels.valid.copy_(given.valid)
+        for name, weight in inputs.weights.items():
+            if weight != self._weights[name]:
+                tensor = own.weights[name]
+                assert isinstance(tensor, Tensor)
+                tensor.fill_(weight)
+        self._weights = dict(inputs.weights)
+
+    def record(
+        self, run_pass: Pass, parameters: Sequence[Tensor], room: int, device: torch.device
+    ) -> None:
+        """Record the pass; nothing is computed.
+
+        Raises:
+            RuntimeError: it waits for the device, or the device's memory does not suffice.
+        """
+
+        def work() -> Int64[Tensor, ""]:
+            lists = ListRoom(room)
+            with lists_have(lists):
+                self._measures = run_pass(self.inputs)
+            self._gradients = [parameter.grad for parameter in parameters]
+            self.suffices = lists.suffices()
+            return lists.needed()
+
+        self._graph, self.room = CudaGraph(work, device), room
+
+    def replay(self, parameters: Sequence[Tensor]) -> ViewMeasures:
+        """Run the recorded pass; its gradients are those of the parameters."""
+        assert self._graph is not None
+        self._graph.replay()
+        for parameter, gradient in zip(parameters, self._gradients, strict=True):
+            parameter.grad = gradient
+        assert self._measures is not None
+        return self._measures
+
+    def needed(self) -> int:
+        """Entries that the lists of the last replay needed; the host waits for it."""
+        assert self._graph is not None
+        return self._graph.number()
+
+
+def _kind_of(state: TrainingState, inputs: ViewInputs) -> Hashable:
+    """Equal for views whose passes differ in the numbers of tensors alone."""
+    cameras = inputs.cameras
+    return (
+        state.model.sh_degree,
+        inputs.temperature_degree,
+        tuple(term.name for term in inputs.terms),
+        tuple(
+            (modality, camera.width, camera.height, camera.K.numpy().tobytes())
+            for modality, camera in cameras.items()
+        ),
+        tuple(a.coincides_with(b) for a, b in combinations(cameras.values(), 2)),
+        tuple(
+            (modality, tuple(pixels.values.shape), pixels.valid is None)
+            for modality, pixels in inputs.photos.items()
+        ),
+        tuple(inputs.pixel_sizes.items()),
+    )
+
+
+def _copied(pixels: Pixels) -> Pixels:
+    return Pixels(pixels.values.clone(), None if pixels.valid is None else pixels.valid.clone())

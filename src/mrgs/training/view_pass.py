@@ -1,0 +1,126 @@
+"""One view of a training step: rendered, compared with its photos, differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from mrgs.method.config import TrainConfig
+from mrgs.method.losses.photometric import total_loss
+from mrgs.method.losses.term import LossContext, SceneScale, Term
+from mrgs.method.losses.terms import term_values
+from mrgs.render import ScreenPoints, render, renderer
+from mrgs.scene import THERMAL, Camera, Modality, Pixels, Rendering, View
+from mrgs.training.resolution import coarser, pixel_sizes
+from mrgs.training.state import TrainingState
+
+
+class PhotographedView(NamedTuple):
+    """A training view with its photos.
+
+    Attributes:
+        number: its place among the training views.
+        view: the view.
+        photos: of it, by modality.
+    """
+
+    number: int
+    view: View
+    photos: Mapping[Modality, Pixels]
+
+
+class ViewInputs(NamedTuple):
+    """What the pass of a view reads besides the model.
+
+    Attributes:
+        number: the view's place among the training views, on the device.
+        cameras: by modality.
+        photos: of these cameras.
+        pixel_sizes: of these photos, in pixels of the scene's.
+        terms: of the loss, those that are due.
+        weights: λ of each of these terms, by name.
+        temperature_degree: highest degree of the temperature's harmonics that counts.
+    """
+
+    number: Int64[Tensor, "1"]
+    cameras: Mapping[Modality, Camera]
+    photos: Mapping[Modality, Pixels]
+    pixel_sizes: Mapping[Modality, float]
+    terms: Sequence[Term]
+    weights: Mapping[str, float | Float[Tensor, ""]]
+    temperature_degree: int
+
+
+class ViewMeasures(NamedTuple):
+    """What the pass of a view has measured, without gradients.
+
+    Attributes:
+        loss: L_total.
+        terms: of the loss, unweighted, by name.
+        thermal_error: mean absolute error of the normalised temperature; NaN if no pixel is valid,
+            None without a thermal photo.
+        residual: of the thermal photo, where drift is modelled.
+        passes: the projected centres, with the gradients of their places.
+    """
+
+    loss: Float[Tensor, ""]
+    terms: Mapping[str, Float[Tensor, ""]]
+    thermal_error: Float[Tensor, ""] | None
+    residual: Float[Tensor, "2"] | None
+    passes: Sequence[ScreenPoints]
+
+
+def view_inputs(state: TrainingState, each: PhotographedView, config: TrainConfig) -> ViewInputs:
+    """What the pass of a view reads at the step of the state."""
+    cameras, photos = coarser(each.view.cameras, each.photos, config.pixel_size_at(state.step))
+    terms = [term for term in state.terms if term.is_due(state.step)]
+    return ViewInputs(
+        torch.full((1,), each.number, device=state.device),
+        cameras,
+        photos,
+        pixel_sizes(each.view.cameras, cameras),
+        terms,
+        {term.name: term.weight(state.step) for term in terms},
+        config.temperature_sh_degree_at(state.step),
+    )
+
+
+def forward_backward(state: TrainingState, inputs: ViewInputs, scale: SceneScale) -> ViewMeasures:
+    """Render a view, compare it with its photos, and add the gradients of its loss to those of the
+    parameters."""
+    degrees = {THERMAL: inputs.temperature_degree}
+    rendering, passes = render(state.model, inputs.cameras, degrees)
+    observed = state.image_model(rendering, inputs.number, inputs.pixel_sizes)
+    context = LossContext(
+        rendering,
+        observed,
+        inputs.photos,
+        inputs.cameras,
+        state.model.gaussians,
+        state.model.dilation,
+        scale,
+        renderer(state.model, degrees),
+    )
+    values = term_values(inputs.terms, context)
+    loss = total_loss(values, inputs.weights)
+    loss.backward()
+    terms = {name: value.detach() for name, value in values.items()}
+    thermal_error = residual = None
+    if THERMAL in inputs.photos:
+        photo = inputs.photos[THERMAL]
+        thermal_error = _thermal_error(observed, photo)
+        residual = state.image_model.thermal_residual(inputs.number, observed, photo)
+    return ViewMeasures(loss.detach(), terms, thermal_error, residual, passes)
+
+
+def _thermal_error(rendering: Rendering, photo: Pixels) -> Float[Tensor, ""]:
+    """Mean absolute error of the normalised temperature over the valid pixels; NaN if there are
+    none."""
+    error = (rendering[THERMAL].image.detach() - photo.values).abs()
+    if photo.valid is None:
+        return error.mean()
+    return torch.where(photo.valid[:, :, None], error, 0).sum() / photo.valid.sum()
