@@ -17,12 +17,14 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.gpu_plan import PARTS
+from benchmarks.gpu_plan import PARTS, PLANS
 from benchmarks.gpu_report import to_markdown
 from mrgs.system.isolation import child_environment
 
@@ -35,7 +37,7 @@ LEAST_SECONDS = {
     "gsplat": 20.0,
     "rasterizer": 10.0,
     "step": 10.0,
-    "training": 100.0,  # three quarters of it are kept for the scoring
+    "training": 40.0,  # of which the most is kept for the scoring
 }
 """A part that has less left is skipped."""
 
@@ -98,8 +100,11 @@ def _measure(options: argparse.Namespace, budget: Budget) -> Results:
             (options.output / "gpu.json").write_text(json.dumps(results, indent=1) + "\n")
             if part == "device" and "failed" in parts[part]:
                 break
+            if part == "device" and options.device == "cuda":
+                stack.enter_context(scoring_compilation())
             if part == "device" and _wants_gsplat(options):
-                build = stack.enter_context(GsplatBuild(options.gsplat))
+                build = GsplatBuild(options.gsplat)
+                stack.enter_context(build)
     return results
 
 
@@ -155,21 +160,36 @@ def _unpacked(gsplat: Path | None) -> Path | None:
 def _run(part: str, plan: str, options: argparse.Namespace, budget: Budget) -> dict[str, Any]:
     """The part's rows and seconds; with why there are none, or no more, if it was "skipped" or
     "failed"."""
-    if budget.left < LEAST_SECONDS[part]:
-        return {"skipped": f"{max(budget.left, 0):.0f} s of {budget.seconds:.0f} s were left"}
-    started, seconds = budget.spent, budget.left
+    started, rows, result = budget.spent, [], {}
+    groups = PLANS[plan].trainings if part == "training" else (("",),)
+    for methods in groups:
+        if budget.left < LEAST_SECONDS[part]:
+            result["skipped"] = f"{max(budget.left, 0):.0f} s of {budget.seconds:.0f} s were left"
+            break
+        child = partial(_child, part, plan, options, budget.left)
+        with ThreadPoolExecutor(len(methods)) as pool:
+            for found in pool.map(child, methods):
+                rows += found.pop("rows")
+                result |= found
+    return {"rows": rows, "seconds": budget.spent - started, **result}
+
+
+def _child(
+    part: str, plan: str, options: argparse.Namespace, seconds: float, method: str
+) -> dict[str, Any]:
+    """The rows that a process of its own leaves of a part, or of a method's training."""
+    result: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "rows.json"
-        until = time.time() + seconds
         request = {
             "part": part,
             "plan": plan,
             "device": options.device,
-            "until": until,
+            "until": time.time() + seconds,
+            "method": method,
             "file": str(file),
         }
         command = [sys.executable, "-m", "benchmarks.gpu_part", json.dumps(request)]
-        result: dict[str, Any] = {}
         try:
             child = subprocess.run(
                 command,
@@ -185,7 +205,7 @@ def _run(part: str, plan: str, options: argparse.Namespace, budget: Budget) -> d
                 result["failed"] = reason(child.stderr, child.returncode)
                 print(child.stderr, file=sys.stderr)
         rows = json.loads(file.read_text()) if file.exists() else []
-    return {"rows": rows, "seconds": budget.spent - started, **result}
+    return {"rows": rows, **result}
 
 
 def environment(gsplat: Path | None) -> dict[str, str]:
@@ -210,8 +230,50 @@ def reason(stderr: str, returncode: int) -> str:
     return "; ".join([line.strip() for line in lines if ERROR.match(line)][-3:] or lines[-1:])
 
 
-class GsplatBuild:
-    """gsplat's kernels, built beside the first parts; ended when this is left.
+def scoring_compilation() -> Beside:
+    """The CPU's kernels, which score what was trained, compiled by a training of three steps: the
+    first one on a machine takes a minute."""
+    request = {"part": "training", "plan": "trial", "device": "cpu", "method": "mrgs"}
+    file = Path(tempfile.gettempdir()) / f"mrgs-scoring-{os.getpid()}.json"
+    request |= {"until": time.time() + SECONDS, "file": str(file)}
+    return Beside(["-m", "benchmarks.gpu_part", json.dumps(request)], environment(None))
+
+
+class Beside:
+    """A process beside the first parts; ended with those that it has started when this is left.
+
+    Args:
+        arguments: of Python.
+        variables: of the environment.
+    """
+
+    def __init__(self, arguments: Sequence[str], variables: Mapping[str, str]) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, *arguments], env=dict(variables), stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True, start_new_session=True,
+        )  # fmt: skip
+
+    def __enter__(self) -> Beside:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End the process, if it is not done."""
+        if self._process.poll() is None:
+            # Not killed at once: ninja, which builds gsplat, gives each compiler a group of its
+            # own, and ends them when it is asked to end.
+            os.killpg(self._process.pid, signal.SIGTERM)
+            try:
+                self._process.communicate(timeout=END_SECONDS)
+            except subprocess.TimeoutExpired:
+                os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.communicate()
+
+
+class GsplatBuild(Beside):
+    """gsplat's kernels, built beside the first parts.
 
     Args:
         source: a folder that holds gsplat, or its wheel; None for the installed one.
@@ -219,29 +281,8 @@ class GsplatBuild:
 
     def __init__(self, source: Path | None) -> None:
         self._path = os.pathsep.join(["src", *([str(source)] if source else [])])
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.gpu_gsplat"],
-            env=environment(source) | {"MAX_JOBS": str(max(1, (os.cpu_count() or 1) - 2))},
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
-
-    def __enter__(self) -> GsplatBuild:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        """End the build with its compilers, if it is not done."""
-        if self._process.poll() is None:
-            # Not killed at once: ninja gives each compiler a group of its own, and ends them when
-            # it is asked to end.
-            os.killpg(self._process.pid, signal.SIGTERM)
-            try:
-                self._process.communicate(timeout=END_SECONDS)
-            except subprocess.TimeoutExpired:
-                os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.communicate()
+        jobs = {"MAX_JOBS": str(max(1, (os.cpu_count() or 1) - 2))}
+        super().__init__(["-m", "benchmarks.gpu_gsplat"], environment(source) | jobs)
 
     def wait(self, seconds: float) -> str | None:
         """Until the build is done; why there is none, otherwise. A build that is not done in time

@@ -27,6 +27,7 @@ from mrgs.method.losses.photometric import (
 from mrgs.method.losses.radiation import boltzmann_loss
 from mrgs.method.losses.smoothness import smoothness_loss
 from mrgs.method.losses.ssim import ssim_map, structural_similarity
+from mrgs.training.recorder import Recorder
 from mrgs.training.step import training_step
 from mrgs.training.view_pass import PhotographedView
 
@@ -72,6 +73,7 @@ def comparisons(device: torch.device, plan: Plan) -> Iterator[tuple[str, Compari
         yield f"neighbours among {count:,}", partial(compare_neighbours, device, count)
     for method in plan.methods:
         yield f"losses of three steps, {method}", partial(compare_step, device, method, plan)
+        yield f"losses of replayed steps, {method}", partial(compare_replay, device, method, plan)
 
 
 def ok(finding: Finding) -> bool:
@@ -268,19 +270,39 @@ def compare_neighbours(device: torch.device, count: int, k: int = 8) -> Iterator
 
 def compare_step(device: torch.device, method: str, plan: Plan) -> Iterator[Finding]:
     """The losses of three steps beside those on the CPU, whose kernels have their own tests."""
-    count, width, height = (
-        min(value, most) for value, most in zip(plan.step_size, (2_000, 96, 64), strict=True)
-    )
-    config = make_config(method, "paper")
-    losses = []
-    for place in (torch.device("cpu"), device):
-        state = training_state(count, config, place)
-        photos = photos_on(place, width, height)
-        views = [PhotographedView(0, workload.view(width, height), photos)]
-        steps = [training_step(state, views, config, workload.SCALE).statistics for _ in range(3)]
-        losses.append(torch.tensor([float(step.loss) for step in steps], dtype=torch.float64))
+    losses = [_losses(place, method, plan, 3) for place in (device, torch.device("cpu"))]
     yield {
         "of": f"losses of three steps, {method}",
-        "error": relative(losses[1], losses[0]),
-        "limit": 1e-3,
+        "error": relative(*losses),
+        "limit": GRADIENT_ERROR_MAX,
     }
+
+
+def compare_replay(device: torch.device, method: str, plan: Plan) -> Iterator[Finding]:
+    """The losses of steps that are replayed beside those of steps that are not."""
+    recorders = [Recorder(device) if device.type == "cuda" else None, None]
+    losses = [_losses(device, method, plan, 20, recorder) for recorder in recorders]
+    yield {
+        "of": f"losses of twenty steps, replayed, {method}",
+        "error": relative(*losses),
+        "limit": GRADIENT_ERROR_MAX,
+    }
+
+
+def _losses(
+    device: torch.device, method: str, plan: Plan, steps: int, recorder: Recorder | None = None
+) -> Tensor:
+    """Of some steps on a small room, by two cameras in turns."""
+    count, width, height = (
+        min(value, most) for value, most in zip(plan.step_sizes[0], (2_000, 96, 64), strict=True)
+    )
+    config = make_config(method, "paper")
+    state = training_state(count, config, device)
+    photos = photos_on(device, width, height)
+    views = [PhotographedView(0, workload.view(width, height, x), photos) for x in (0.0, 0.3)]
+    losses = []
+    for step in range(steps):
+        given = [views[step % 2]]
+        result = training_step(state, given, config, workload.SCALE, recorder=recorder)
+        losses.append(result.statistics.loss)
+    return torch.tensor(losses, dtype=torch.float64)

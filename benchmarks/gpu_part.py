@@ -20,7 +20,8 @@ from mrgs.system.gpu import choose_device
 def main() -> None:
     """Write the part's rows into the request's file."""
     request = json.loads(sys.argv[1])
-    order = Order(PLANS[request["plan"]], choose_device(request["device"]), request["until"])
+    plan, device = PLANS[request["plan"]], choose_device(request["device"])
+    order = Order(plan, device, request["until"], request["method"])
     path, rows = Path(request["file"]), []
     for row in PARTS[request["part"]](order):
         rows.append(row)

@@ -17,6 +17,9 @@ PARTS = {
 }
 """By name, in the order in which they run: the training takes what time the others leave."""
 
+TRAINED_GAUSSIANS = 47_000
+"""At most, of the trainings: the number that the paper reports."""
+
 Size = tuple[int, int, int]
 """Gaussians, and the image's width and height in pixels."""
 
@@ -31,10 +34,11 @@ class Plan:
         scenes: random scenes that are compared with the oracle.
         largest_scene: of them, the largest.
         neighbours: numbers of points whose neighbours are searched.
-        step_size: of the whole step.
+        step_sizes: of the whole step.
         methods: whose step is measured.
         steps: how often.
-        training_steps: length of the schedule with which the bundled scene is trained.
+        trainings: methods with which the bundled scene is trained; those of a group at once.
+        training_steps: length of their schedule.
         resolution: photos wider than so many pixels are reduced; None keeps them.
         matrix: side of the matrices that show what the device can do at most.
     """
@@ -44,25 +48,30 @@ class Plan:
     scenes: int
     largest_scene: Size
     neighbours: tuple[int, ...]
-    step_size: Size
+    step_sizes: tuple[Size, ...]
     methods: tuple[str, ...]
     steps: Effort
+    trainings: tuple[tuple[str, ...], ...]
     training_steps: int
     resolution: int | None
     matrix: int
 
 
 FULL = Plan(
-    sizes=tuple(
-        (n, *size) for size in ((640, 480), (1920, 1080)) for n in (50_000, 200_000, 1_000_000)
+    sizes=(
+        (50_000, 640, 480),
+        (200_000, 640, 480),
+        (200_000, 1920, 1080),
+        (1_000_000, 1920, 1080),
     ),
-    effort=Effort(runs=60, seconds=3.0, fewest=10, warm_up=5),
+    effort=Effort(runs=60, seconds=2.0, fewest=10, warm_up=5),
     scenes=24,
     largest_scene=(2_000, 321, 243),
     neighbours=(3, 1_000, 50_000),
-    step_size=(50_000, 640, 480),
-    methods=("mrgs", "mrgs-plus"),
-    steps=Effort(runs=300, seconds=8.0, fewest=20, warm_up=20),
+    step_sizes=((50_000, 640, 480), (1_000_000, 1920, 1080)),
+    methods=("mrgs", "mrgs-plus", "3dgs-rgbt"),
+    steps=Effort(runs=200, seconds=2.0, fewest=20, warm_up=20),
+    trainings=(("mrgs",), ("3dgs-rgbt", "mrgs-plus")),
     training_steps=30_000,
     resolution=None,
     matrix=8192,
@@ -74,6 +83,8 @@ QUICK = dataclasses.replace(
     scenes=6,
     methods=("mrgs",),
     steps=Effort(runs=100, seconds=3.0, fewest=20, warm_up=10),
+    step_sizes=((50_000, 640, 480),),
+    trainings=(("mrgs",),),
     training_steps=1_500,
 )
 TRIAL = Plan(
@@ -82,9 +93,10 @@ TRIAL = Plan(
     scenes=3,
     largest_scene=(40, 37, 29),
     neighbours=(3, 100),
-    step_size=(300, 64, 48),
+    step_sizes=((300, 64, 48),),
     methods=("mrgs", "mrgs-plus"),
     steps=Effort(runs=2, seconds=0.0, fewest=2, warm_up=1),
+    trainings=(("mrgs",),),
     training_steps=3,
     resolution=32,
     matrix=64,

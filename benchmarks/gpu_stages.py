@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import platform
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -15,13 +16,14 @@ import torch
 
 from benchmarks import gpu_correctness, workload
 from benchmarks.gpu_failure import failure
-from benchmarks.gpu_plan import Plan, Size
+from benchmarks.gpu_plan import TRAINED_GAUSSIANS, Plan, Size
 from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
 from benchmarks.gpu_workload import FusedPass, photos_on
 from benchmarks.plan import Effort
 from benchmarks.timing import Summary
 from benchmarks.workload import training_state
 from mrgs.evaluation.evaluate import evaluate
+from mrgs.evaluation.truth import Truth
 from mrgs.method.config import make_config
 from mrgs.runs.open import load_run
 from mrgs.training import StepStatistics, train
@@ -30,9 +32,8 @@ from mrgs.training.step import training_step
 from mrgs.training.view_pass import PhotographedView
 
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
-EVALUATION_S = 75.0
-"""Kept back of the training's time for the scoring, whose first use of the CPU's kernels compiles
-them for a minute."""
+EVALUATION_S = 25.0
+"""Kept back of the training's time for the scoring."""
 
 STEPS_MOST = 200
 """So many steps, one after the other, tell how many there are in a second."""
@@ -45,16 +46,19 @@ Row = dict[str, Any]
 
 @dataclasses.dataclass(frozen=True)
 class Order:
-    """What a part is asked to do: the plan, the device, and until when, as ``time.time`` counts."""
+    """What a part is asked to do: the plan, the device, until when, as ``time.time`` counts, and
+    for a training the method."""
 
     plan: Plan
     device: torch.device
     until: float
+    method: str = "mrgs"
 
 
 def device_facts(order: Order) -> Iterator[Row]:
     """Name and versions, and what the device does at most."""
     row: Row = {"device": "cpu", "python": platform.python_version(), "torch": torch.__version__}
+    row["date"] = time.strftime("%Y-%m-%d")
     if order.device.type == "cuda":
         import triton
 
@@ -66,8 +70,19 @@ def device_facts(order: Order) -> Iterator[Row]:
             "memory_bytes": properties.total_memory,
             "cuda": torch.version.cuda,
             "triton": triton.__version__,
+            "driver": _driver_version(),
         }
     yield row | ceilings(Clock(order.device), order.plan.matrix)
+
+
+def _driver_version() -> str:
+    """Of NVIDIA's driver, as ``nvidia-smi`` says it."""
+    command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return said.stdout.strip().splitlines()[0]
 
 
 def correctness(order: Order) -> Iterator[Row]:
@@ -136,15 +151,14 @@ def _compare(clock: Clock, size: Size, plan: Plan, make_passes: Callable[[FusedP
 def step(order: Order) -> Iterator[Row]:
     """Whole training steps of each method: render, losses, backward, Adam."""
     clock = Clock(order.device)
-    for method in order.plan.methods:
-        yield {
-            "method": method,
-            **_sized(order.plan.step_size, lambda m=method: _steps(clock, m, order.plan)),
-        }
+    for size in order.plan.step_sizes:
+        for method in order.plan.methods:
+            row = _sized(size, lambda m=method, s=size: _steps(clock, m, s, order.plan))
+            yield {"method": method, **row}
 
 
-def _steps(clock: Clock, method: str, plan: Plan) -> Row:
-    count, width, height = plan.step_size
+def _steps(clock: Clock, method: str, size: Size, plan: Plan) -> Row:
+    count, width, height = size
     config = make_config(method, "paper")
     memory = PeakMemory(clock.device)
     state = training_state(count, config, clock.device)
@@ -182,7 +196,13 @@ def training(order: Order) -> Iterator[Row]:
     """The bundled scene with the paper's schedule, until its end or until the time is up; then
     scored."""
     plan, device = order.plan, order.device
-    config = make_config("mrgs", "paper", max_steps=plan.training_steps, resolution=plan.resolution)
+    config = make_config(
+        order.method,
+        "paper",
+        max_steps=plan.training_steps,
+        resolution=plan.resolution,
+        max_gaussians=TRAINED_GAUSSIANS,
+    )
     memory = PeakMemory(device)
     with tempfile.TemporaryDirectory() as folder:
         started = time.perf_counter()
@@ -196,6 +216,7 @@ def training(order: Order) -> Iterator[Row]:
         Clock(device).wait()
         seconds = time.perf_counter() - started
         yield {
+            "method": order.method,
             "steps": last[0].step,
             "of_steps": config.max_steps,
             "seconds": seconds,
@@ -209,16 +230,16 @@ def training(order: Order) -> Iterator[Row]:
             scene.eval,
             run.render_view,
             scene.temperature,
+            truth=Truth.find(SCENE),
             camera_response=run.camera_response,
         )
-        yield {
-            "metrics": {
-                f"{modality} {name}": value
-                for modality, values in metrics.mean.items()
-                for name, value in values.items()
-                if isinstance(value, float)
-            }
-        }
+        figures = {
+            f"{modality} {name}": value
+            for modality, values in metrics.mean.items()
+            for name, value in values.items()
+        } | {f"truth {name}": value for name, value in (metrics.truth or {}).items()}
+        found = {name: value for name, value in figures.items() if isinstance(value, float)}
+        yield {"method": order.method, "metrics": found}
 
 
 def _sized(size: Size, measure: Callable[[], Row]) -> Row:

@@ -96,13 +96,15 @@ def layers_of(scene: dict[str, Tensor]) -> list[Layer]:
     ]
 
 
-def camera(width: int, height: int) -> Camera:
-    """At the origin, looking along +z."""
+def camera(width: int, height: int, x: float = 0.0) -> Camera:
+    """Looking along +z, so many metres to the right of the origin."""
     focal = 0.5 * width / math.tan(FIELD_OF_VIEW / 2)
     K = torch.tensor(
         [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64
     )
-    return Camera(K, torch.eye(4, dtype=torch.float64), width, height)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[0, 3] = -x
+    return Camera(K, viewmat, width, height)
 
 
 def photos(width: int, height: int) -> dict[Modality, Pixels]:
@@ -114,9 +116,9 @@ def photos(width: int, height: int) -> dict[Modality, Pixels]:
     }
 
 
-def view(width: int, height: int) -> View:
+def view(width: int, height: int, x: float = 0.0) -> View:
     """The camera with both photos, which share it."""
-    shared = camera(width, height)
+    shared = camera(width, height, x)
 
     def posed(pixels: Pixels) -> PosedImage:
         return PosedImage(shared, lambda: pixels)

@@ -179,7 +179,7 @@ def test_a_comparison_that_fails_is_wrong_and_one_without_room_is_not(monkeypatc
     ]
     assert len(skipped) == TRIAL.scenes
     assert [row for row in rows if not row["ok"]] == failed
-    assert rows[-1]["of"] == "losses of three steps, mrgs-plus"
+    assert rows[-1]["of"] == "losses of twenty steps, replayed, mrgs-plus"
     assert gpu.is_bad({"parts": {"correctness": {"rows": failed}}})
     assert not gpu.is_bad({"parts": {"correctness": {"rows": skipped}}})
 
@@ -294,7 +294,8 @@ def test_parts_for_which_no_time_is_left_are_skipped(monkeypatch, tmp_path):
     asked = answer(monkeypatch, [])
     status, parts = run_gpu(tmp_path, "--only", "training", "--seconds", "20")
     assert (status, asked) == (0, ["device"])
-    assert parts["training"] == {"skipped": "20 s of 20 s were left"}
+    assert parts["training"]["skipped"] == "20 s of 20 s were left"
+    assert parts["training"]["rows"] == []
 
 
 def test_gsplat_needs_a_gpu(monkeypatch, tmp_path):

@@ -25,7 +25,7 @@ def test_the_report_of_a_gpu():
         "device": "A GPU", "capability": "9.0", "multiprocessors": 132, "memory_bytes": 2**37,
         "cuda": "13.0",
         "triton": "3.6.0", "torch": "2.11", "python": "3.12", "copy_bytes_per_s": 4e12,
-        "float32_operations_per_s": 5e13, "launch_s": 4e-6,
+        "float32_operations_per_s": 5e13, "launch_s": 4e-6, "driver": "580.1", "date": "2026-11-26",
     }  # fmt: skip
     timed = {
         "times": sample(both),
@@ -40,6 +40,7 @@ def test_the_report_of_a_gpu():
         "steps_per_s": 161.4,
     }
     trained = {
+        "method": "mrgs",
         "steps": 9_000,
         "of_steps": 30_000,
         "seconds": 90,
@@ -61,7 +62,10 @@ def test_the_report_of_a_gpu():
         ],
         "rasterizer": [{**size, **timed}, {**size, "skipped": "out of memory"}],
         "step": [{"method": "mrgs", **size, **step}],
-        "training": [{**trained, "peak_bytes": 10**9}, {"metrics": {"rgb psnr": 31.25}}],
+        "training": [
+            {**trained, "peak_bytes": 10**9},
+            {"method": "mrgs", "metrics": {"rgb psnr": 31.25}},
+        ],
     }
     text = to_markdown(
         {
@@ -71,16 +75,17 @@ def test_the_report_of_a_gpu():
         }
     )
     assert (
-        "A GPU, compute capability 9.0, 132 multiprocessors, 128 GiB, CUDA 13.0, Triton 3.6.0"
-        in text
+        "A GPU, compute capability 9.0, 132 multiprocessors, 128 GiB, driver 580.1, "
+        "CUDA 13.0, Triton 3.6.0" in text
     )
     assert "4,000 GB/s" in text
     assert "| image | 2 | 2.0e-06 | 1e-04 |  |" in text
     assert "| 3.00 (3.00–3.00) | 2.50 (2.50–2.50) | 1.50 | 1.25 |" in text
     assert "| 2.00 (1.50–3.00) | 0.100 | 100 | 1 |" in text
     assert "out of memory" in text
-    assert "- mrgs: the host waits 1× at mrgs/rasterizer/gpu.py:7" in text
-    assert "9,000 of 30,000 steps, stopped when the time was up, in 90 s with" in text
+    assert "- mrgs, 50,000, 640×480: the host waits 1× at mrgs/rasterizer/gpu.py:7" in text
+    assert "Full run of 2026-11-26, 400 s." in text
+    assert "| mrgs | 9,000 of 30,000 | 90 | 100 | 47,000 | 1,000 |" in text
     assert "| rgb psnr | 31.25 |" in text
 
 

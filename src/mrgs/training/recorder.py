@@ -74,11 +74,9 @@ class Recorder:
         if recording is None:
             return self._rehearse(kind, inputs, run_pass)
         recording.take(inputs)
-        if not recording.is_complete:
-            try:
-                recording.record(run_pass, self._parameters, self._room(), self._device)
-            except RuntimeError as error:
-                return self._give_up(state, inputs, run_pass, error)
+        if not recording.is_complete and (problem := self._record(recording, run_pass)):
+            self._give_up(problem)
+            return run_pass(inputs)
         self._replayed = recording
         return recording.replay(self._parameters)
 
@@ -134,20 +132,27 @@ class Recorder:
     def _room(self) -> int:
         return int(SPARE * max(self._longest, self._expected)) + 1
 
-    def _give_up(
-        self, state: TrainingState, inputs: ViewInputs, run_pass: Pass, error: RuntimeError
-    ) -> ViewMeasures:
+    def _record(self, recording: _Recording, run_pass: Pass) -> str | None:
+        """Record the pass; why that cannot be done, otherwise.
+
+        The error is not handed on: its frames hold what the pass had made.
+        """
+        try:
+            recording.record(run_pass, self._parameters, self._room(), self._device)
+        except RuntimeError as error:
+            return str(error).partition("\n")[0]
+        return None
+
+    def _give_up(self, problem: str) -> None:
         self._fails = True
-        reason = str(error).partition("\n")[0]
         warnings.warn(
-            f"steps cannot be recorded as a CUDA graph, and take longer: {reason}",
+            f"steps cannot be recorded as a CUDA graph, and take longer: {problem}",
             MrgsWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-        self.forget()
-        for parameter in state.parameters():
+        for parameter in self._parameters:
             parameter.grad = None
-        return run_pass(inputs)
+        self.forget()
 
 
 class _Recording:

@@ -33,11 +33,6 @@ from mrgs.kernels.rasterize.gpu.constants import (
     TRANSMITTANCE_MIN,
 )
 
-TURNS = tl.constexpr(2)
-"""So many splats are blended between two checks whether any pixel of the tile is still
-unfinished. The code of these turns stands one after the other, so that the loads of one need not
-wait for the registers of the one before."""
-
 
 @device_function
 def tile_pixels(tile, width, height):
@@ -50,12 +45,9 @@ def tile_pixels(tile, width, height):
 
 
 @device_function
-def load_splat(splats, index, exists, HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr):
+def load_splat(splats, index, HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr):
     """The record of a splat: geometry and depth, and of each layer opacity and features (0 for one
-    that is not there).
-
-    Past the end of the list there is none: the last one is repeated, and is transparent.
-    """
+    that is not there)."""
     record = splats + index * SPLAT_FLOATS
     geometry = (
         tl.load(record + MEAN_X), tl.load(record + MEAN_Y),
@@ -65,15 +57,14 @@ def load_splat(splats, index, exists, HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.co
     color = (0.0, 0.0, 0.0, 0.0)
     scalar = (0.0, 0.0)
     if HAS_COLOR:
-        opacity = tl.where(exists, tl.load(record + COLOR), 0.0)
         color = (
-            opacity,
+            tl.load(record + COLOR),
             tl.load(record + COLOR + 1),
             tl.load(record + COLOR + 2),
             tl.load(record + COLOR + 3),
         )
     if HAS_SCALAR:
-        scalar = (tl.where(exists, tl.load(record + SCALAR), 0.0), tl.load(record + SCALAR + 1))
+        scalar = (tl.load(record + SCALAR), tl.load(record + SCALAR + 1))
     return geometry, color, scalar
 
 
@@ -129,29 +120,28 @@ def blend(
         passed_scalar = tl.where(inside, 1.0, zero)
     unfinished = position < last
     following = tl.load(tile_splats + position, mask=unfinished, other=0)
-    splat = load_splat(splats, following, unfinished, HAS_COLOR, HAS_SCALAR)
+    splat = load_splat(splats, following, HAS_COLOR, HAS_SCALAR)
     following = tl.load(tile_splats + tl.minimum(position + 1, last - 1), mask=unfinished, other=0)
     while unfinished:
-        for _ in tl.static_range(TURNS):
-            geometry, color, scalar = splat
-            position += 1
-            splat = load_splat(splats, following, position < last, HAS_COLOR, HAS_SCALAR)
-            following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
-            gaussian, _, _ = gaussian_at(geometry, centre_x, centre_y)
-            if HAS_COLOR:
-                _, alpha = blended_alpha(gaussian, color[0], passed_color)
-                weight = alpha * passed_color
-                passed_color -= weight
-                z_color += weight * geometry[5]
-                red += weight * color[1]
-                green += weight * color[2]
-                blue += weight * color[3]
-            if HAS_SCALAR:
-                _, alpha = blended_alpha(gaussian, scalar[0], passed_scalar)
-                weight = alpha * passed_scalar
-                passed_scalar -= weight
-                z_scalar += weight * geometry[5]
-                heat += weight * scalar[1]
+        geometry, color, scalar = splat
+        position += 1
+        splat = load_splat(splats, following, HAS_COLOR, HAS_SCALAR)
+        following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
+        gaussian, _, _ = gaussian_at(geometry, centre_x, centre_y)
+        if HAS_COLOR:
+            _, alpha = blended_alpha(gaussian, color[0], passed_color)
+            weight = alpha * passed_color
+            passed_color -= weight
+            z_color += weight * geometry[5]
+            red += weight * color[1]
+            green += weight * color[2]
+            blue += weight * color[3]
+        if HAS_SCALAR:
+            _, alpha = blended_alpha(gaussian, scalar[0], passed_scalar)
+            weight = alpha * passed_scalar
+            passed_scalar -= weight
+            z_scalar += weight * geometry[5]
+            heat += weight * scalar[1]
         unfinished = (position < last) & any_unfinished(passed_color, passed_scalar)
     pixel = row * width + column
     if HAS_COLOR:

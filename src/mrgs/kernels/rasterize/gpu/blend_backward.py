@@ -16,7 +16,6 @@ import triton.language as tl
 
 from mrgs.kernels.gpu_jit import device_function
 from mrgs.kernels.rasterize.gpu.blend import (
-    TURNS,
     any_unfinished,
     blended_alpha,
     gaussian_at,
@@ -152,46 +151,42 @@ def blend_backward(
         passed_scalar = tl.where(inside, 1.0, zero)
     unfinished = position < last
     following = tl.load(tile_splats + position, mask=unfinished, other=0)
-    splat = load_splat(splats, following, unfinished, HAS_COLOR, HAS_SCALAR)
+    splat = load_splat(splats, following, HAS_COLOR, HAS_SCALAR)
     following = tl.load(tile_splats + tl.minimum(position + 1, last - 1), mask=unfinished, other=0)
     while unfinished:
-        for _ in tl.static_range(TURNS):
-            geometry, color, scalar = splat
-            pair = tl.load(tile_pairs + position, mask=position < last, other=0)
-            is_field = fields < tl.where(position < last, GRAD_FLOATS, 0)
-            position += 1
-            splat = load_splat(splats, following, position < last, HAS_COLOR, HAS_SCALAR)
-            following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
-            gaussian, across, dy = gaussian_at(geometry, centre_x, centre_y)
-            sums = tl.zeros([PADDED_FLOATS], tl.float32)
-            grad, grad_z = zero, zero
-            if HAS_COLOR:
-                unclamped, alpha = blended_alpha(gaussian, color[0], passed_color)
-                weight = alpha * passed_color
-                passed_color -= weight
-                own = weight * (
-                    gz_color * geometry[5] + gr * color[1] + gg * color[2] + gb * color[3]
-                )
-                behind_color -= own
-                grad = _grad_log_alpha(unclamped, alpha, own, behind_color)
-                grad_z = weight * gz_color
-                sums = _with_sum(sums, GRAD_COLOR, grad)
-                sums = _with_sum(sums, GRAD_COLOR + 1, weight * gr)
-                sums = _with_sum(sums, GRAD_COLOR + 2, weight * gg)
-                sums = _with_sum(sums, GRAD_COLOR + 3, weight * gb)
-            if HAS_SCALAR:
-                unclamped, alpha = blended_alpha(gaussian, scalar[0], passed_scalar)
-                weight = alpha * passed_scalar
-                passed_scalar -= weight
-                own = weight * (gz_scalar * geometry[5] + gt * scalar[1])
-                behind_scalar -= own
-                grad_scalar = _grad_log_alpha(unclamped, alpha, own, behind_scalar)
-                grad += grad_scalar
-                grad_z += weight * gz_scalar
-                sums = _with_sum(sums, GRAD_SCALAR, grad_scalar)
-                sums = _with_sum(sums, GRAD_SCALAR + 1, weight * gt)
-            sums = _with_sum(_sum_geometry(sums, grad, across, dy), GRAD_DEPTH, grad_z)
-            tl.store(pair_grads + pair * GRAD_FLOATS + fields, sums, mask=is_field)
+        geometry, color, scalar = splat
+        pair = tl.load(tile_pairs + position)
+        position += 1
+        splat = load_splat(splats, following, HAS_COLOR, HAS_SCALAR)
+        following = tl.load(tile_splats + tl.minimum(position + 1, last - 1))
+        gaussian, across, dy = gaussian_at(geometry, centre_x, centre_y)
+        sums = tl.zeros([PADDED_FLOATS], tl.float32)
+        grad, grad_z = zero, zero
+        if HAS_COLOR:
+            unclamped, alpha = blended_alpha(gaussian, color[0], passed_color)
+            weight = alpha * passed_color
+            passed_color -= weight
+            own = weight * (gz_color * geometry[5] + gr * color[1] + gg * color[2] + gb * color[3])
+            behind_color -= own
+            grad = _grad_log_alpha(unclamped, alpha, own, behind_color)
+            grad_z = weight * gz_color
+            sums = _with_sum(sums, GRAD_COLOR, grad)
+            sums = _with_sum(sums, GRAD_COLOR + 1, weight * gr)
+            sums = _with_sum(sums, GRAD_COLOR + 2, weight * gg)
+            sums = _with_sum(sums, GRAD_COLOR + 3, weight * gb)
+        if HAS_SCALAR:
+            unclamped, alpha = blended_alpha(gaussian, scalar[0], passed_scalar)
+            weight = alpha * passed_scalar
+            passed_scalar -= weight
+            own = weight * (gz_scalar * geometry[5] + gt * scalar[1])
+            behind_scalar -= own
+            grad_scalar = _grad_log_alpha(unclamped, alpha, own, behind_scalar)
+            grad += grad_scalar
+            grad_z += weight * gz_scalar
+            sums = _with_sum(sums, GRAD_SCALAR, grad_scalar)
+            sums = _with_sum(sums, GRAD_SCALAR + 1, weight * gt)
+        sums = _with_sum(_sum_geometry(sums, grad, across, dy), GRAD_DEPTH, grad_z)
+        tl.store(pair_grads + pair * GRAD_FLOATS + fields, sums, mask=fields < GRAD_FLOATS)
         unfinished = (position < last) & any_unfinished(passed_color, passed_scalar)
 
 
