@@ -37,7 +37,7 @@ LEAST_SECONDS = {
     "gsplat": 20.0,
     "rasterizer": 10.0,
     "step": 10.0,
-    "training": 40.0,  # of which the most is kept for the scoring
+    "training": 60.0,  # of which the most is kept for the scoring
 }
 """A part that has less left is skipped."""
 

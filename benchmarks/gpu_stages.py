@@ -32,7 +32,7 @@ from mrgs.training.step import training_step
 from mrgs.training.view_pass import PhotographedView
 
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
-EVALUATION_S = 25.0
+EVALUATION_S = 40.0
 """Kept back of the training's time for the scoring."""
 
 STEPS_MOST = 200

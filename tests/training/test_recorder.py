@@ -1,13 +1,14 @@
 """Passes that are replayed give what the passes themselves give.
 
-Without a GPU, work that is "recorded" is kept and done again at each replay, by interpreted
-kernels.
+Without a GPU, work that is "recorded" is kept and done again at each replay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -17,17 +18,19 @@ from mrgs import render as render_module
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning
 from mrgs.field import field as field_module
-from mrgs.method.losses.term import LossContext, SceneScale, Term
+from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Photometric
-from mrgs.scene import Pixels
+from mrgs.scene import RGB, THERMAL, Camera, Pixels
+from mrgs.system.recording import room_of_list
 from mrgs.training import recorder as module
 from mrgs.training.recorder import Recorder
 from mrgs.training.state import initial_state
 from mrgs.training.step import training_step
-from mrgs.training.view_pass import PhotographedView
+from mrgs.training.view_pass import PhotographedView, ViewInputs, ViewMeasures
 from tests.helpers.training import short_config, tensors_of
 
-VIEWS = (0, 1, 1, 0, 2, 1)
+CPU = torch.device("cpu")
+FINITE = torch.tensor(True)
 
 
 class KeptWork:
@@ -47,40 +50,162 @@ class KeptWork:
 
 
 @pytest.fixture
-def kept(gpu_device, monkeypatch) -> type[KeptWork]:
-    """What records, where there is no GPU; it counts the recordings."""
-    if gpu_device != "cpu":
-        pytest.skip("where there is a GPU, it records")
+def kept(monkeypatch) -> type[KeptWork]:
+    """What records; it counts the recordings."""
 
     class Kept(KeptWork):
         made = 0
 
     monkeypatch.setattr(module, "CudaGraph", Kept)
-    for place, name in ((field_module, "_check_indices"), (render_module, "rows_in_view")):
-        monkeypatch.setattr(place, name, lambda *_: None)
     return Kept
 
 
-@pytest.fixture
-def train(small_scene, gpu_device):
-    """Takes steps on ``VIEWS``; returns losses and the state."""
+class Numbers:
+    """A state of one parameter, and a pass that returns all that it reads; its list has as many
+    entries as the view's number says."""
 
-    def taken(recorder: Recorder | None, method: str = "mrgs", masked: bool = False, **changes):
+    def __init__(self) -> None:
+        self.model = SimpleNamespace(neighbours=None, sh_degree=0)
+        self.parameter = torch.zeros(2, requires_grad=True)
+        self.passes = 0
+
+    def parameters(self) -> list[Tensor]:
+        return [self.parameter]
+
+    def run_pass(self, inputs: ViewInputs) -> ViewMeasures:
+        self.passes += 1
+        camera = inputs.cameras[RGB]
+        coarse = camera.resized(2, 2)
+        room = room_of_list(inputs.number)
+        read = {
+            "number": inputs.number[0],
+            "place": camera.tensors(CPU).position[0],
+            "same place": coarse.tensors(CPU, torch.float32).position[0],
+            "photo": inputs.photos[RGB].values.sum(),
+            "valid": inputs.photos[RGB].valid.sum(),
+            "weight": torch.as_tensor(inputs.weights["rgb"]),
+            "entries": inputs.number[0].clamp_max(room),
+        }
+        self.parameter.grad = torch.full((2,), float(read["entries"]))
+        return ViewMeasures(torch.zeros(()), read, None, None, [])
+
+
+def inputs_of(number: int, size: int = 4, replayable: bool = True) -> ViewInputs:
+    """Of a view whose numbers all follow from its own."""
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[0, 3] = -number
+    camera = Camera(torch.eye(3, dtype=torch.float64), viewmat, size, size)
+    photo = Pixels(torch.full((size, size, 3), float(number)), torch.arange(16).view(4, 4) < number)
+    term: Any = SimpleNamespace(name="rgb", replayable=replayable)
+    weights = {"rgb": 0.5 * number}
+    return ViewInputs(torch.tensor([number]), {RGB: camera}, {RGB: photo}, {}, [term], weights, 0)
+
+
+def step(recorder: Recorder, state: Any, inputs: ViewInputs) -> dict[str, float]:
+    """Steps on a view until its lists have room; what the pass read."""
+    while True:
+        state.parameter.grad = None
+        measures = recorder.run(state, inputs, state.run_pass)
+        counts = bool(recorder.counted(FINITE))
+        assert bool(counts) == (measures.terms["entries"] == measures.terms["number"])
+        if recorder.had_room():
+            assert counts
+            assert state.parameter.grad.tolist() == [float(measures.terms["number"])] * 2
+            return {name: float(value) for name, value in measures.terms.items()}
+
+
+def expected(number: int) -> dict[str, float]:
+    return {
+        "number": number,
+        "place": number,
+        "same place": number,
+        "photo": 48 * number,
+        "valid": number,
+        "weight": 0.5 * number,
+        "entries": number,
+    }
+
+
+def test_a_replay_reads_the_numbers_of_its_view(kept):
+    recorder, state = Recorder(CPU), Numbers()
+    for number in (5, 6, 3, 6):
+        assert step(recorder, state, inputs_of(number)) == expected(number)
+    assert kept.made == 1
+
+
+def test_lists_without_room_are_repeated_with_more(kept):
+    recorder, state = Recorder(CPU), Numbers()
+    for number in (5, 6, 14, 13):
+        assert step(recorder, state, inputs_of(number)) == expected(number)
+    assert kept.made == 2
+    assert state.passes == 1 + 1 + 2 + 1
+
+
+def test_each_kind_of_view_has_a_recording_and_there_are_not_many(kept, monkeypatch):
+    monkeypatch.setattr(module, "MOST_RECORDINGS", 2)
+    recorder, state = Recorder(CPU), Numbers()
+    for degree in (0, 1, 2, 0, 1, 2, 2):
+        state.model.sh_degree = degree
+        step(recorder, state, inputs_of(3))
+    assert kept.made == 2
+
+
+@pytest.mark.parametrize("what", ["parameter", "neighbours"])
+def test_other_parameters_and_other_neighbours_are_recorded_anew(kept, what):
+    recorder, state = Recorder(CPU), Numbers()
+    for _ in range(3):
+        step(recorder, state, inputs_of(4))
+    assert kept.made == 1
+    if what == "parameter":
+        state.parameter = torch.zeros(2, requires_grad=True)
+    else:
+        state.model.neighbours = torch.zeros(2, 1, dtype=torch.int64)
+    for _ in range(3):
+        assert step(recorder, state, inputs_of(4)) == expected(4)
+    assert kept.made == 2
+
+
+def test_what_cannot_be_recorded_runs_as_it_is(monkeypatch):
+    def fails(work: Callable[[], Tensor], device: torch.device) -> None:
+        work()
+        raise RuntimeError("operation not permitted when stream is capturing\nmore of it")
+
+    monkeypatch.setattr(module, "CudaGraph", fails)
+    recorder, state = Recorder(CPU), Numbers()
+    step(recorder, state, inputs_of(4))
+    with pytest.warns(MrgsWarning, match=r"take longer: .* capturing$"):
+        assert step(recorder, state, inputs_of(2)) == expected(2)
+    assert step(recorder, state, inputs_of(3)) == expected(3)
+
+
+def test_terms_that_must_be_called_are_not_recorded(kept):
+    recorder, state = Recorder(CPU), Numbers()
+    for number in (1, 2, 3):
+        inputs = inputs_of(number, replayable=False)
+        assert step(recorder, state, inputs) == expected(number)
+    assert kept.made == 0
+
+
+@pytest.fixture
+def train(small_scene, gpu_device, monkeypatch):
+    """Takes steps on three views; returns losses and the state."""
+    for place, name in ((field_module, "_check_indices"), (render_module, "rows_in_view")):
+        if gpu_device == "cpu":  # where they stand for a GPU's tensors
+            monkeypatch.setattr(place, name, lambda *_: None)
+
+    def taken(recorder: Recorder | None, method: str = "3dgs-rgbt", masked: bool = False):
         device = torch.device(gpu_device)
-        config = short_config(method, sh_every=1, **changes)
+        config = short_config(method)
         config = replace(config, densification=replace(config.densification, max_gaussians=10))
         scene = load_scene(small_scene, resolution=8)
         state = initial_state(scene, config, device)
         scale, losses = SceneScale(scene.extent, scene.temperature), []
-        for number in VIEWS:
+        for number in range(3):
             view = scene.train[number]
-            photos = {
-                modality: Pixels(
-                    image.load().values.to(device),
-                    image.load().values[..., 0].to(device) > 0.3 if masked else None,
-                )
-                for modality, image in view.images.items()
-            }
+            photos = {}
+            for modality in (RGB, THERMAL):
+                values = view.images[modality].load().values.to(device)
+                photos[modality] = Pixels(values, values[..., 0] > 0.3 if masked else None)
             views = [PhotographedView(number, view, photos)]
             result = training_step(state, views, config, scale, recorder=recorder)
             losses.append(result.statistics.loss)
@@ -89,73 +214,32 @@ def train(small_scene, gpu_device):
     return taken
 
 
-def assert_same(one, other) -> None:
-    """Losses and states."""
-    assert one[0] == other[0]
-    expected = tensors_of(one[1])
-    for name, tensor in tensors_of(other[1]).items():
-        assert torch.equal(tensor, expected[name]), name
-
-
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("method", ["mrgs", "mrgs-plus", "3dgs-rgbt"])
-def test_replayed_steps_are_those_that_are_not(train, kept, method, masked):
-    expected = train(None, method, masked)
-    assert_same(expected, train(Recorder(torch.device("cpu")), method, masked))
-    assert kept.made > 0
-
-
-def test_lists_without_room_are_repeated_with_more(train, kept, monkeypatch):
-    expected = train(None)
-    enough, sizes = Recorder._room, iter([1, 4])
-    monkeypatch.setattr(Recorder, "_room", lambda self: next(sizes, None) or enough(self))
-    assert_same(expected, train(Recorder(torch.device("cpu"))))
-    assert next(sizes, None) is None
-
-
-def test_other_neighbours_are_recorded_anew(train, kept):
-    train(Recorder(torch.device("cpu")))
-    assert kept.made > 0
-    kept.made = 0
-    train(Recorder(torch.device("cpu")), neighbours_every=1)
-    assert kept.made == 0
-
-
-def test_what_cannot_be_recorded_runs_as_it_is(train, kept, monkeypatch):
-    expected = train(None)
-
-    def fails(work: Callable[[], Tensor], device: torch.device) -> None:
-        work()
-        raise RuntimeError("operation not permitted when stream is capturing\nmore of it")
-
-    monkeypatch.setattr(module, "CudaGraph", fails)
-    with pytest.warns(MrgsWarning, match=r"take longer: .* capturing$") as caught:
-        found = train(Recorder(torch.device("cpu")))
-    assert_same(expected, found)
-    assert len(caught) == 1
-
-
-def test_terms_that_must_be_called_are_not_recorded(train, kept, monkeypatch):
-    monkeypatch.setattr(Term, "replayable", False)
-    train(Recorder(torch.device("cpu")))
-    assert kept.made == 0
+def test_replayed_steps_are_those_that_are_not(train, kept, gpu_device):
+    if gpu_device != "cpu":
+        pytest.skip("where there is a GPU, it records")
+    losses, state = train(None)
+    replayed_losses, replayed = train(Recorder(CPU))
+    assert kept.made == 1
+    assert replayed_losses == losses
+    tensors = tensors_of(state)
+    for name, tensor in tensors_of(replayed).items():
+        assert torch.equal(tensor, tensors[name]), name
 
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("method", ["mrgs", "mrgs-plus", "3dgs-rgbt"])
 def test_a_gpu_replays_what_it_recorded(train, method, masked):
-    expected, _ = train(None, method, masked)
+    losses, _ = train(None, method, masked)
     recorder = Recorder(torch.device("cuda", 0))
-    found, _ = train(recorder, method, masked)
-    assert found == pytest.approx(expected, rel=1e-4)
+    replayed, _ = train(recorder, method, masked)
+    assert replayed == pytest.approx(losses, rel=1e-4)
     assert any(each.is_complete for each in recorder._recordings.values())
-    assert not recorder._fails
 
 
 @pytest.mark.gpu
 def test_a_gpu_that_is_waited_for_runs_the_pass_as_it_is(train, monkeypatch):
-    expected, _ = train(None)
+    losses, _ = train(None)
     original = Photometric.value
 
     def waits(self: Photometric, context: LossContext) -> Tensor | None:
@@ -165,4 +249,4 @@ def test_a_gpu_that_is_waited_for_runs_the_pass_as_it_is(train, monkeypatch):
     monkeypatch.setattr(Photometric, "value", waits)
     with pytest.warns(MrgsWarning, match="cannot be recorded as a CUDA graph"):
         found, _ = train(Recorder(torch.device("cuda", 0)))
-    assert found == pytest.approx(expected, rel=1e-4)
+    assert found == pytest.approx(losses, rel=1e-4)
