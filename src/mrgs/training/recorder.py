@@ -1,7 +1,7 @@
 """The pass of a view as a CUDA graph: recorded once, replayed for the views that follow.
 
-At 50,000 Gaussians a pass is some 700 kernels of a few microseconds each, and to start a kernel
-takes the host longer than that. A replay starts them all at once: docs/decisions.
+A pass is more than 500 kernels, at 50,000 Gaussians of a few microseconds each, and to start a
+kernel takes the host longer than that. A replay starts them all at once: docs/decisions.
 """
 
 from __future__ import annotations
