@@ -35,8 +35,8 @@ MOST_RECORDINGS = 8
 class Recorder:
     """Replays the pass of a view where it can, with the results of the pass itself.
 
-    The first view of a kind is passed as ever, which shows how long the lists of the rasterizer
-    are; the second one is recorded. Where views differ by more than poses and photos (in size,
+    For the first view of a kind the pass runs as it is, which shows how long the lists of the
+    rasterizer are; with the second one it is recorded. Where views differ by more than poses and photos (in size,
     intrinsics, modalities), each kind has a recording. All are forgotten when the parameters are
     others: when Gaussians are added or removed.
 
