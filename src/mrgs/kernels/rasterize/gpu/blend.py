@@ -4,9 +4,8 @@ walk.
     α_i = min(0.999, o_i G_i),  w_i = α_i T_i,
     image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i
 
-The records of the list lie all over the memory: each is loaded one turn before it is needed, and
-its place in the memory two turns before, so that the loads of a turn and the arithmetic of the one
-before overlap.
+The records of the list lie all over the memory: each is loaded one splat ahead, and its place in
+the memory two splats ahead, so that loads and arithmetic overlap.
 """
 
 from __future__ import annotations
