@@ -36,9 +36,9 @@ class Recorder:
     """Replays the pass of a view where it can, with the results of the pass itself.
 
     For the first view of a kind the pass runs as it is, which shows how long the lists of the
-    rasterizer are; with the second one it is recorded. Where views differ by more than poses and photos (in size,
-    intrinsics, modalities), each kind has a recording. All are forgotten when the parameters are
-    others: when Gaussians are added or removed.
+    rasterizer are; with the second one it is recorded. Where views differ by more than poses and
+    photos (in size, intrinsics, modalities), each kind has a recording. All are forgotten when the
+    parameters are others: when Gaussians are added or removed.
 
     Args:
         device: a CUDA device.
