@@ -101,7 +101,8 @@ def _measure(options: argparse.Namespace, budget: Budget) -> Results:
             if part == "device" and "failed" in parts[part]:
                 break
             if part == "device" and options.device == "cuda":
-                stack.enter_context(scoring_compilation())
+                folder = stack.enter_context(tempfile.TemporaryDirectory())
+                stack.enter_context(scoring_compilation(Path(folder)))
             if part == "device" and _wants_gsplat(options):
                 build = GsplatBuild(options.gsplat)
                 stack.enter_context(build)
@@ -230,12 +231,15 @@ def reason(stderr: str, returncode: int) -> str:
     return "; ".join([line.strip() for line in lines if ERROR.match(line)][-3:] or lines[-1:])
 
 
-def scoring_compilation() -> Beside:
+def scoring_compilation(folder: Path) -> Beside:
     """The CPU's kernels, which score what was trained, compiled by a training of three steps: the
-    first one on a machine takes a minute."""
+    first one on a machine takes a minute.
+
+    Args:
+        folder: for what it writes.
+    """
     request = {"part": "training", "plan": "trial", "device": "cpu", "method": "mrgs"}
-    file = Path(tempfile.gettempdir()) / f"mrgs-scoring-{os.getpid()}.json"
-    request |= {"until": time.time() + SECONDS, "file": str(file)}
+    request |= {"until": time.time() + SECONDS, "file": str(folder / "rows.json")}
     return Beside(["-m", "benchmarks.gpu_part", json.dumps(request)], environment(None))
 
 

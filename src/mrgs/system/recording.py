@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 import torch
-from jaxtyping import Bool, Int64
+from jaxtyping import Int64
 from torch import Tensor
 
 
@@ -43,11 +43,6 @@ class ListRoom:
     def needed(self) -> Int64[Tensor, ""]:
         """Length of the longest list, on the device; there must be one."""
         return torch.cat(self._lengths).max()
-
-    def suffices(self) -> Bool[Tensor, ""]:
-        """Whether no list is longer than its room; on the device."""
-        assert self.size is not None
-        return self.needed() <= self.size
 
 
 _room: ContextVar[ListRoom | None] = ContextVar("mrgs_list_room", default=None)

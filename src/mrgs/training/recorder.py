@@ -1,7 +1,7 @@
 """The pass of a view as a CUDA graph: recorded once, replayed for the views that follow.
 
 A pass is more than 500 kernels, at 50,000 Gaussians of a few microseconds each, and to start a
-kernel takes the host longer than that. A replay starts them all at once: docs/decisions.
+kernel takes the host longer than that. A replay starts them all at once (docs/decisions, 052).
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from jaxtyping import Bool, Int64
 from torch import Tensor
 
 from mrgs.errors import MrgsWarning
-from mrgs.scene import Pixels
 from mrgs.system.cuda_graph import CudaGraph
 from mrgs.system.recording import ListRoom, lists_have
+from mrgs.training.photos import change_each
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import ViewInputs, ViewMeasures
 
@@ -172,7 +172,10 @@ class _Recording:
         self.inputs = inputs._replace(
             number=inputs.number.clone(),
             cameras={modality: camera.stand_in() for modality, camera in inputs.cameras.items()},
-            photos={modality: _copied(pixels) for modality, pixels in inputs.photos.items()},
+            photos={
+                modality: change_each(pixels, Tensor.clone)
+                for modality, pixels in inputs.photos.items()
+            },
             weights={
                 name: torch.full((), float(weight), device=inputs.number.device)
                 for name, weight in inputs.weights.items()
@@ -224,8 +227,9 @@ class _Recording:
             with lists_have(lists):
                 self._measures = run_pass(self.inputs)
             self._gradients = [parameter.grad for parameter in parameters]
-            self.suffices = lists.suffices()
-            return lists.needed()
+            needed = lists.needed()
+            self.suffices = needed <= room
+            return needed
 
         self._graph, self.room = CudaGraph(work, device), room
 
@@ -262,7 +266,3 @@ def _kind_of(state: TrainingState, inputs: ViewInputs) -> Hashable:
         ),
         tuple(inputs.pixel_sizes.items()),
     )
-
-
-def _copied(pixels: Pixels) -> Pixels:
-    return Pixels(pixels.values.clone(), None if pixels.valid is None else pixels.valid.clone())

@@ -136,7 +136,9 @@ def training_step(
             found = sum_up(state, found)
         result = _move(state, found, config, recorder)
         if recorder is None or recorder.had_room():
-            return result
+            break
+    state.skipped_in_a_row = (state.skipped_in_a_row + 1) * ~result.finite
+    return result
 
 
 def _add_view(
@@ -173,14 +175,12 @@ def _move(
     assert loss is not None
     finite = state.gradients_are_finite(loss)
     moves = finite if recorder is None else recorder.counted(finite)
-    skipped_in_a_row = (state.skipped_in_a_row + 1) * ~finite
     error, count = found.mean(THERMAL_ERROR), len(state.model.gaussians)
     statistics = StepStatistics(state.step, loss, found.terms, error, count, ~finite)
     # Nothing has changed so far, so that a step for which memory does not suffice can be repeated.
     state.move(config, moves)
     for number, residual in found.residuals.items():
         state.image_model.learn_drift(number, residual, moves)
-    state.skipped_in_a_row = skipped_in_a_row
     return StepResult(statistics, found.observed, finite)
 
 
