@@ -18,8 +18,20 @@ from mrgs.system.operation import operation
 MAX_DEGREE = 3
 """Of colours, and of temperatures that depend on the view."""
 
+MOST_BANDS = (MAX_DEGREE + 1) ** 2 - 1
+"""Basis functions of degrees 1 to 3."""
+
 C0 = math.sqrt(1 / (4 * math.pi))
 """The constant function of degree 0: a plain value v is stored as (v − 0.5) / C0."""
+
+C1 = math.sqrt(3 / (4 * math.pi))
+C2 = math.sqrt(15 / (4 * math.pi))
+C2_ZONAL = math.sqrt(5 / (16 * math.pi))
+C3_ORDER1 = math.sqrt(21 / (32 * math.pi))
+C3_ORDER2 = math.sqrt(105 / (4 * math.pi))
+C3_ORDER3 = math.sqrt(35 / (32 * math.pi))
+C3_ZONAL = math.sqrt(7 / (16 * math.pi))
+"""Factors of the basis functions of degrees 1 to 3, here and in the kernels."""
 
 
 def up_to_degree(rest: Float[Tensor, "n b c"], degree: int) -> Float[Tensor, "n b c"]:
@@ -93,8 +105,7 @@ def evaluate_sh(
 def _basis(directions: Float[Tensor, "n 3"], bands: int) -> list[Float[Tensor, " n"]]:
     """The basis functions of degree 1 and higher, as many as ``bands`` (3, 8 or 15)."""
     x, y, z = directions.unbind(dim=1)
-    c1 = math.sqrt(3 / (4 * math.pi))
-    functions = [-c1 * y, c1 * z, -c1 * x]
+    functions = [-C1 * y, C1 * z, -C1 * x]
     if bands >= 8:
         functions += _degree_two(x, y, z)
     if bands >= 15:
@@ -105,31 +116,25 @@ def _basis(directions: Float[Tensor, "n 3"], bands: int) -> list[Float[Tensor, "
 def _degree_two(
     x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]
 ) -> list[Float[Tensor, " n"]]:
-    c = math.sqrt(15 / (4 * math.pi))
-    c_zonal = math.sqrt(5 / (16 * math.pi))
     return [
-        c * x * y,
-        -c * y * z,
-        c_zonal * (2 * z * z - x * x - y * y),
-        -c * x * z,
-        0.5 * c * (x * x - y * y),
+        C2 * x * y,
+        -C2 * y * z,
+        C2_ZONAL * (2 * z * z - x * x - y * y),
+        -C2 * x * z,
+        0.5 * C2 * (x * x - y * y),
     ]
 
 
 def _degree_three(
     x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]
 ) -> list[Float[Tensor, " n"]]:
-    c3 = math.sqrt(35 / (32 * math.pi))
-    c2 = math.sqrt(105 / (4 * math.pi))
-    c1 = math.sqrt(21 / (32 * math.pi))
-    c_zonal = math.sqrt(7 / (16 * math.pi))
     xx, yy, zz = x * x, y * y, z * z
     return [
-        -c3 * y * (3 * xx - yy),
-        c2 * x * y * z,
-        -c1 * y * (4 * zz - xx - yy),
-        c_zonal * z * (2 * zz - 3 * xx - 3 * yy),
-        -c1 * x * (4 * zz - xx - yy),
-        0.5 * c2 * z * (xx - yy),
-        -c3 * x * (xx - 3 * yy),
+        -C3_ORDER3 * y * (3 * xx - yy),
+        C3_ORDER2 * x * y * z,
+        -C3_ORDER1 * y * (4 * zz - xx - yy),
+        C3_ZONAL * z * (2 * zz - 3 * xx - 3 * yy),
+        -C3_ORDER1 * x * (4 * zz - xx - yy),
+        0.5 * C3_ORDER2 * z * (xx - yy),
+        -C3_ORDER3 * x * (xx - 3 * yy),
     ]

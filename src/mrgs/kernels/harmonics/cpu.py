@@ -13,7 +13,17 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
+from mrgs.field.spherical_harmonics import (
+    C0,
+    C1,
+    C2,
+    C2_ZONAL,
+    C3_ORDER1,
+    C3_ORDER2,
+    C3_ORDER3,
+    C3_ZONAL,
+    MOST_BANDS,
+)
 from mrgs.kernels.address import address
 from mrgs.kernels.dense.layers import SHARES
 from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
@@ -23,21 +33,11 @@ from mrgs.kernels.rows import listed
 _ZERO = np.float32(0)
 _HALF = np.float32(0.5)
 _TWO, _THREE, _FOUR, _SIX, _EIGHT = (np.float32(value) for value in (2, 3, 4, 6, 8))
-_C0 = np.float32(C0)
-_C1 = np.float32(math.sqrt(3 / (4 * math.pi)))
-_C2, _C2_ZONAL = (
-    np.float32(math.sqrt(15 / (4 * math.pi))),
-    np.float32(math.sqrt(5 / (16 * math.pi))),
+_C0, _C1 = np.float32(C0), np.float32(C1)
+_C2, _C2_ZONAL = np.float32(C2), np.float32(C2_ZONAL)
+_C3_ORDER1, _C3_ORDER2, _C3_ORDER3, _C3_ZONAL = (
+    np.float32(factor) for factor in (C3_ORDER1, C3_ORDER2, C3_ORDER3, C3_ZONAL)
 )
-_C3_ORDER1, _C3_ORDER2 = (
-    np.float32(math.sqrt(21 / (32 * math.pi))),
-    np.float32(math.sqrt(105 / (4 * math.pi))),
-)
-_C3_ORDER3, _C3_ZONAL = (
-    np.float32(math.sqrt(35 / (32 * math.pi))),
-    np.float32(math.sqrt(7 / (16 * math.pi))),
-)
-MOST_BANDS = (MAX_DEGREE + 1) ** 2 - 1
 SMALLEST_DISTANCE = np.float32(1e-12)
 
 

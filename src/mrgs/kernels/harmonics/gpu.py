@@ -6,7 +6,6 @@ gradients; one kernel reads the coefficients once.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import torch
@@ -16,7 +15,17 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
+from mrgs.field.spherical_harmonics import (
+    C0,
+    C1,
+    C2,
+    C2_ZONAL,
+    C3_ORDER1,
+    C3_ORDER2,
+    C3_ORDER3,
+    C3_ZONAL,
+    MOST_BANDS,
+)
 from mrgs.kernels.gpu_jit import device_function
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
 from mrgs.kernels.require import require
@@ -25,7 +34,6 @@ BLOCK = 128
 """Gaussians per program."""
 
 NUM_WARPS = 4
-MOST_BANDS = (MAX_DEGREE + 1) ** 2 - 1
 SIZES = ("count", "bands", "held")
 FORWARD = ("means", "camera", "dc", "rest", "values")
 BACKWARD = (*FORWARD, "gradient", "grad_means", "grad_dc", "grad_rest")
@@ -36,13 +44,13 @@ VARIANTS = {3: "color", 1: "scalar"}
 
 SMALLEST_DISTANCE = tl.constexpr(1e-12)
 CONSTANT = tl.constexpr(C0)
-FIRST = tl.constexpr(math.sqrt(3 / (4 * math.pi)))
-SECOND = tl.constexpr(math.sqrt(15 / (4 * math.pi)))
-SECOND_ZONAL = tl.constexpr(math.sqrt(5 / (16 * math.pi)))
-THIRD_ORDER1 = tl.constexpr(math.sqrt(21 / (32 * math.pi)))
-THIRD_ORDER2 = tl.constexpr(math.sqrt(105 / (4 * math.pi)))
-THIRD_ORDER3 = tl.constexpr(math.sqrt(35 / (32 * math.pi)))
-THIRD_ZONAL = tl.constexpr(math.sqrt(7 / (16 * math.pi)))
+FIRST = tl.constexpr(C1)
+SECOND = tl.constexpr(C2)
+SECOND_ZONAL = tl.constexpr(C2_ZONAL)
+THIRD_ORDER1 = tl.constexpr(C3_ORDER1)
+THIRD_ORDER2 = tl.constexpr(C3_ORDER2)
+THIRD_ORDER3 = tl.constexpr(C3_ORDER3)
+THIRD_ZONAL = tl.constexpr(C3_ZONAL)
 BANDS = tl.constexpr(MOST_BANDS)
 
 
