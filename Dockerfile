@@ -4,9 +4,10 @@
 #   docker run --rm -p 127.0.0.1:8080:8080 -v "$PWD:/work" mrgs view runs/scene-mrgs-plus --host 0.0.0.0
 FROM python:3.12-slim
 
-# The OpenMP runtime that Numba's threads use.
+# The OpenMP runtime that Numba's threads use, and what WeasyPrint makes PDFs with.
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends libgomp1 \
+    && apt-get install --yes --no-install-recommends \
+        libgomp1 libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0 \
     && rm -rf /var/lib/apt/lists/*
 
 # The CPU build of torch: the default one brings gigabytes of CUDA libraries.

@@ -37,9 +37,9 @@ bench: $(VENV)/.dev-installed $(VENV)/.bench-installed
 bench-quality: $(VENV)/.dev-installed $(VENV)/.bench-installed $(VENV)/.synth-installed
 	$(BIN)/python -m benchmarks.quality $(ARGS)
 
-# The documentation site, into build/site; warnings are errors.
+# The documentation site, into build/site; warnings are errors (with --quiet they would not be).
 docs: $(VENV)/.docs-installed
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 # The sdist and the wheel, into dist.
 dist: $(VENV)/.dev-installed

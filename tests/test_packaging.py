@@ -21,6 +21,9 @@ ROOT = Path(__file__).parents[1]
 LARGEST_MIB = 12
 """Of either file; the bundled scene is nearly all of it."""
 
+FOR_DEVELOPERS = {"bench", "dev", "docs"}
+"""Extras that `make` installs."""
+
 
 def build(folder: Path) -> None:
     """Build both from the files that git knows, so that a checkout's leftovers do not count."""
@@ -112,8 +115,13 @@ def test_the_metadata_is_whole(dist: Path) -> None:
         if "Python :: 3." in text
     }
     assert versions == {"3.10", "3.11", "3.12", "3.13"}
-    extras = set(metadata.get_all("Provides-Extra", []))
-    assert extras >= {"all", "sfm", "synth", "video", "export", "tensorboard"}
+
+
+def test_the_readme_names_every_extra_of_users(dist: Path) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = readme.split("| extra | for |")[1].split("\n\n")[0]
+    extras = set(metadata_of(dist).get_all("Provides-Extra", []))
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == extras - FOR_DEVELOPERS
 
 
 def test_the_readme_leads_somewhere_from_a_package_index(dist: Path) -> None:

@@ -19,11 +19,16 @@ PAGES = {
     "CHANGELOG.md": "changelog.md",
     "examples/README.md": "examples.md",
     "benchmarks/results/results.md": "results.md",
+    "benchmarks/results/gpu.md": "results-gpu.md",
+    "benchmarks/results/growth/growth.md": "results-growth.md",
+    "benchmarks/results/quality/quality.md": "results-quality.md",
 }
 """Files of the repository, and the pages that they become."""
 
 FILES = {
     "benchmarks/results/chart.png": "images/chart.png",
+    "benchmarks/results/growth/growth.png": "images/growth.png",
+    "benchmarks/results/quality/quality.png": "images/quality.png",
     "benchmarks/results/gpu_resources.json": "gpu_resources.json",
 }
 

@@ -444,7 +444,7 @@ def test_synth_keeps_what_is_there(small_scene, tmp_path, capsys):
 
 def test_synth_without_mitsuba_says_how_to_get_it(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    refused(capsys, r'needs Mitsuba 3: pip install "mrgs\[synth\]"', "synth", tmp_path / "new")
+    refused(capsys, r'needs Mitsuba 3: pip install -e "\.\[synth\]"', "synth", tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 

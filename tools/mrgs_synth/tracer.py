@@ -160,7 +160,7 @@ def load_mitsuba() -> Any:
         import mitsuba
     except ImportError as error:
         raise ConfigError(
-            'generating a scene needs Mitsuba 3: pip install "mrgs[synth]"'
+            'generating a scene needs Mitsuba 3: pip install -e ".[synth]"'
         ) from error
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)

@@ -65,7 +65,7 @@ class Train:
     """Run folder; by default runs/SCENE-METHOD."""
     method: MethodName = "mrgs-plus"
     preset: PresetName = "default"
-    """fast (1,500 steps), default (4,000 steps), or paper (30,000 steps, as published)."""
+    """fast: 1,500 steps; default: 4,000; paper: 30,000, as published."""
     max_steps: Maybe[int] = None
     """Number of steps; the preset's schedule is rescaled to fit."""
     minutes: Maybe[float] = None
@@ -260,7 +260,7 @@ class Measure:
     against: Maybe[str] = None
     """Mark that is subtracted in its temperature difference; '' for the reference."""
     emissivity: Maybe[float] = None
-    """Emissivity of the surface in a box or polygon, over 0 to 1."""
+    """Emissivity of the surface in a box or polygon, above 0 and at most 1."""
     reflected: Maybe[float] = None
     """Reflected apparent temperature there, °C."""
     reference: Maybe[str] = None
@@ -374,7 +374,7 @@ class Check:
 class Synth:
     """Generate a scene with exact temperatures and depths.
 
-    Needs mrgs[synth].
+    Needs a checkout of the repository, with pip install -e ".[synth]".
     """
 
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
