@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from typing import Any
 
-import torch
+from mrgs.system.gpu import lacks_memory
 
 
 def failure(error: Exception) -> dict[str, Any]:
@@ -15,7 +15,7 @@ def failure(error: Exception) -> dict[str, Any]:
     Messages of CUDA begin with what is wrong, those of Triton's compiler end with it: both lines
     are kept.
     """
-    if isinstance(error, torch.cuda.OutOfMemoryError):
+    if lacks_memory(error):
         return {"skipped": "out of memory"}
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     message = " … ".join(dict.fromkeys([*lines[:1], *lines[-1:]]))

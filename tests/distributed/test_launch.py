@@ -4,9 +4,12 @@ import os
 from unittest.mock import patch
 
 import pytest
+import torch
+import torch.distributed as dist
 
 from mrgs.distributed import launch
 from mrgs.distributed.launch import Launch
+from mrgs.distributed.processes import joined
 
 TORCHRUN = {
     "TORCHELASTIC_RUN_ID": "some",
@@ -22,6 +25,12 @@ def test_torchruns_variables_place_a_process():
     assert found == Launch(rank=5, world_size=8, local_world_size=4, local_rank=1)
     assert not found.is_first
     assert Launch.from_environment({"RANK": "1", "WORLD_SIZE": "2"}) is None
+
+
+def test_each_process_of_a_machine_has_a_gpu_of_its_own():
+    launches = [Launch(4 + rank, 8, 4, rank) for rank in range(4)]
+    assert [launch.gpu(4) for launch in launches] == [0, 1, 2, 3]
+    assert [launch.gpu(2) for launch in launches] == [0, 1, 0, 1]
 
 
 @pytest.mark.parametrize(
@@ -48,3 +57,14 @@ def test_each_process_takes_its_share_of_the_cores(given, expected, monkeypatch)
 def test_a_process_has_at_least_one_thread(monkeypatch):
     monkeypatch.setattr(launch, "available_cores", lambda: 2)
     assert Launch(0, 4, 4, 0).threads == 1
+
+
+def test_a_process_takes_its_gpu_when_it_joins(monkeypatch):
+    taken = []
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "set_device", taken.append)
+    store = dist.HashStore()
+    monkeypatch.setattr(dist, "rendezvous", lambda *_, **__: iter([(store, 0, 1)]))
+    with joined(Launch(rank=0, world_size=1, local_world_size=2, local_rank=1)):
+        assert taken == [1]

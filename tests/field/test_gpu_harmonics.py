@@ -41,6 +41,16 @@ def test_values_and_gradients(gpu_device, channels, held, degree, floor):
         )
 
 
+def test_more_coefficients_than_can_be_numbered_are_left_to_torch(gpu_device, monkeypatch):
+    from mrgs.kernels.harmonics import gpu
+
+    given = [each.float().to(gpu_device) for each in inputs(3, 15)]
+    expected = gpu.shade(*given, 3)
+    monkeypatch.setattr(gpu, "MOST_VALUES", COUNT * 45 - 1)
+    assert gpu.shade(*given, 3) is NotImplemented
+    torch.testing.assert_close(shade(*given, 3), expected, rtol=1e-4, atol=1e-4)
+
+
 def test_no_gaussians(gpu_device):
     means = torch.zeros(0, 3, device=gpu_device, requires_grad=True)
     coefficients = [torch.zeros(0, bands, 3, device=gpu_device) for bands in (1, 15)]

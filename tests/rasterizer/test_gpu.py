@@ -259,6 +259,16 @@ def test_too_many_pairs_are_refused(rasterize, monkeypatch):
         random_scene(1, 20, 20, 12, torch.float32).render(rasterize)
 
 
+def test_too_many_gaussians_are_refused(rasterize, monkeypatch):
+    from mrgs.kernels.rasterize.gpu import rasterize as function
+
+    monkeypatch.setattr(inspect.getmodule(function), "_MOST_GAUSSIANS", 19)
+    with pytest.raises(
+        MrgsError, match=r"there are 20 Gaussians, and a GPU can draw at most 19: use the CPU"
+    ):
+        random_scene(1, 20, 20, 12, torch.float32).render(rasterize)
+
+
 def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
     means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
     layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))

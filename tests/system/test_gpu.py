@@ -10,6 +10,7 @@ import torch
 
 from mrgs.errors import DeviceError, MrgsWarning
 from mrgs.system import gpu
+from mrgs.system.gpu import lacks_memory
 
 choose_device = gpu.choose_device  # before the tests' own, which takes the CPU for "auto"
 
@@ -182,6 +183,21 @@ def test_a_gpu_that_can_be_used_is_used_unless_the_cpu_is_asked_for(machine):
     assert choose_device("cpu") == torch.device("cpu")
     assert gpu.device_title(torch.device("cuda", 0)) == "NVIDIA H200"
     assert gpu.device_title(torch.device("cpu")) == "cpu"
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB."), True),
+        (RuntimeError("CUDA error: out of memory"), True),
+        (RuntimeError("Triton Error [CUDA]: out of memory"), True),
+        (RuntimeError("CUDA error: CUBLAS_STATUS_ALLOC_FAILED when calling cublasCreate"), True),
+        (RuntimeError("CUDA error: an illegal memory access was encountered"), False),
+        (ValueError("out of memory"), False),
+    ],
+)
+def test_who_allocates_beside_torch_says_so_in_the_message(error, expected):
+    assert lacks_memory(error) == expected
 
 
 def test_the_kernels_take_cpu_tensors_only_where_they_are_interpreted(monkeypatch):

@@ -54,6 +54,18 @@ def test_the_kernel_takes_one_tensor_alone(gpu_device):
         gpu.move(*one[:3], [tensor[:2]], [count], 0.1, 1e-8, skip)
 
 
+def test_more_values_than_can_be_numbered_are_left_to_torch(gpu_device, monkeypatch):
+    from mrgs.kernels.adam import gpu
+
+    expected = steps_of(gpu_device, [True], SHAPES[:1])
+    monkeypatch.setattr(gpu, "MOST_VALUES", 119)
+    lists = [[torch.zeros(120, device=gpu_device)] for _ in range(4)]
+    count, skip = torch.ones((), device=gpu_device), torch.zeros((), device=gpu_device)
+    assert gpu.move(*lists, [count], 0.1, 1e-8, skip) is NotImplemented
+    for value, truth in zip(steps_of(gpu_device, [True], SHAPES[:1]), expected, strict=True):
+        torch.testing.assert_close(value, truth, rtol=1e-4, atol=1e-6)
+
+
 def test_what_has_no_gradient_stays(gpu_device):
     tensor = torch.ones(3, device=gpu_device, requires_grad=True)
     Adam([ParameterGroup([tensor], 1.0)]).step()

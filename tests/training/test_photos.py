@@ -36,6 +36,17 @@ def test_masks_count_too(counting_image):
     assert [image.reads for image in images] == [1, 2]
 
 
+def test_page_locked_photos_count_as_the_powers_of_two_that_torch_takes(
+    counting_image, monkeypatch
+):
+    monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor: tensor)
+    images = [counting_image() for _ in range(2)]  # of 80 bytes
+    kept = HostPhotos(limit_bytes=255, pinned=True)
+    for image in images * 2:
+        kept.load(image.posed)
+    assert [image.reads for image in images] == [1, 2]
+
+
 def eight_bit(seed: int, channels: int = 3) -> torch.Tensor:
     levels = torch.randint(0, 256, (6, 7, channels), generator=torch.Generator().manual_seed(seed))
     return levels.to(torch.float32) / 255

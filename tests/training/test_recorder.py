@@ -6,6 +6,7 @@ Without a GPU, work that is "recorded" is kept and done again at each replay.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from mrgs import render as render_module
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning
 from mrgs.field import field as field_module
+from mrgs.method.config import make_config
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Photometric
 from mrgs.scene import RGB, THERMAL, Camera, Pixels
@@ -26,7 +28,7 @@ from mrgs.training import recorder as module
 from mrgs.training.recorder import Recorder
 from mrgs.training.state import initial_state
 from mrgs.training.step import training_step
-from mrgs.training.view_pass import PhotographedView, ViewInputs, ViewMeasures
+from mrgs.training.view_pass import PhotographedView, ViewInputs, ViewMeasures, view_inputs
 from tests.helpers.training import short_config, tensors_of
 
 CPU = torch.device("cpu")
@@ -57,6 +59,7 @@ def kept(monkeypatch) -> type[KeptWork]:
         made = 0
 
     monkeypatch.setattr(module, "CudaGraph", Kept)
+    monkeypatch.setattr(module, "waits_are_errors", nullcontext)
     return Kept
 
 
@@ -138,7 +141,7 @@ def test_lists_without_room_are_repeated_with_more(kept):
     for number in (5, 6, 14, 13):
         assert step(recorder, state, inputs_of(number)) == expected(number)
     assert kept.made == 2
-    assert state.passes == 1 + 1 + 2 + 1
+    assert state.passes == 1 + 1 + 1 + 2 + 1  # the second view's is tried before it is recorded
 
 
 def test_each_kind_of_view_has_a_recording_and_there_are_not_many(kept, monkeypatch):
@@ -171,11 +174,70 @@ def test_what_cannot_be_recorded_runs_as_it_is(monkeypatch):
         raise RuntimeError("operation not permitted when stream is capturing\nmore of it")
 
     monkeypatch.setattr(module, "CudaGraph", fails)
+    monkeypatch.setattr(module, "waits_are_errors", nullcontext)
     recorder, state = Recorder(CPU), Numbers()
     step(recorder, state, inputs_of(4))
     with pytest.warns(MrgsWarning, match=r"take longer: .* capturing$"):
         assert step(recorder, state, inputs_of(2)) == expected(2)
+    state.parameter = torch.zeros(2, requires_grad=True)
+    for number in (3, 2, 4):
+        assert step(recorder, state, inputs_of(number)) == expected(number)
+
+
+def test_what_waits_is_not_recorded_at_all(kept, monkeypatch):
+    @contextmanager
+    def waits_are_errors():
+        yield
+        raise RuntimeError("called a synchronizing CUDA operation")
+
+    monkeypatch.setattr(module, "waits_are_errors", waits_are_errors)
+    recorder, state = Recorder(CPU), Numbers()
+    step(recorder, state, inputs_of(4))
+    with pytest.warns(MrgsWarning, match=r"take longer: called a synchronizing"):
+        assert step(recorder, state, inputs_of(2)) == expected(2)
     assert step(recorder, state, inputs_of(3)) == expected(3)
+    assert kept.made == 0
+
+
+def test_where_memory_does_not_suffice_for_a_recording_other_parameters_are_recorded(
+    kept, monkeypatch
+):
+    recorder, state = Recorder(CPU), Numbers()
+    step(recorder, state, inputs_of(4))
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "CudaGraph", full)
+        with pytest.warns(MrgsWarning, match=r"take longer: CUDA out of memory"):
+            assert step(recorder, state, inputs_of(2)) == expected(2)
+    for number in (3, 2):
+        assert step(recorder, state, inputs_of(number)) == expected(number)
+    assert kept.made == 0
+    state.parameter = torch.zeros(2, requires_grad=True)
+    for number in (3, 2, 4):
+        assert step(recorder, state, inputs_of(number)) == expected(number)
+    assert kept.made == 1
+
+
+def full(work: Callable[[], Tensor], device: torch.device) -> None:
+    """Stands in for ``CudaGraph`` where there is no memory for one."""
+    work()
+    raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+
+
+def test_gradients_from_before_are_not_recorded(kept):
+    recorder, state = Recorder(CPU), Numbers()
+    step(recorder, state, inputs_of(4))
+    state.parameter.grad = torch.full((2,), 100.0)
+
+    def adds(inputs: ViewInputs) -> ViewMeasures:
+        before = state.parameter.grad
+        measures = state.run_pass(inputs)
+        if before is not None:
+            state.parameter.grad += before
+        return measures
+
+    for _ in range(2):
+        recorder.run(state, inputs_of(4), adds)
+        assert state.parameter.grad.tolist() == [4.0, 4.0]
 
 
 def test_terms_that_must_be_called_are_not_recorded(kept):
@@ -224,6 +286,17 @@ def test_replayed_steps_are_those_that_are_not(train, kept, gpu_device):
     tensors = tensors_of(state)
     for name, tensor in tensors_of(replayed).items():
         assert torch.equal(tensor, tensors[name]), name
+
+
+def test_steps_are_of_one_kind_where_the_temperature_has_no_harmonics(small_scene):
+    config, scene = make_config("mrgs-plus"), load_scene(small_scene)
+    state, view = initial_state(scene, config), scene.train[0]
+    assert not state.model.gaussians.depends_on_view(THERMAL)
+    photos = {modality: image.load() for modality, image in view.images.items()}
+    for state.step in (3_000, 3_001):
+        inputs = view_inputs(state, PhotographedView(0, view, photos), config)
+        assert inputs.temperature_degree == 0
+    assert {config.temperature_sh_degree_at(step) for step in (3_000, 3_001)} == {0, 3}
 
 
 @pytest.mark.gpu

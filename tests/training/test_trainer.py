@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import cycle
 
 import pytest
 import torch
@@ -351,10 +352,16 @@ def fill_memory(monkeypatch: pytest.MonkeyPatch, owner: object, name: str, calls
     0."""
     count = iter(range(1_000_000))
     original = getattr(owner, name)
+    errors = cycle(
+        [
+            torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB."),
+            RuntimeError("Triton Error [CUDA]: out of memory"),
+        ]
+    )
 
     def full(*args, **kwargs):
         if next(count) in calls:
-            raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+            raise next(errors)
         return original(*args, **kwargs)
 
     monkeypatch.setattr(owner, name, full)

@@ -44,6 +44,11 @@ class Launch(NamedTuple):
         """This process's share of the machine's cores."""
         return max(1, available_cores() // self.local_world_size)
 
+    def gpu(self, count: int) -> int:
+        """The number of this process's GPU among those of its machine: each has its own, as far as
+        there are enough."""
+        return self.local_rank % count
+
     def share_cores(self) -> None:
         """Restrict torch and Numba, which must not be loaded yet, to this process's share of the
         cores.

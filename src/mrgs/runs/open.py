@@ -20,7 +20,7 @@ from mrgs.render import Model, bake_temperature_residuals, render
 from mrgs.runs.registry import Method, find_method
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
-from mrgs.system.gpu import HOST, DeviceName
+from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.training.checkpoint import load_model
 from mrgs.training.kernel_check import check_rendering
 from mrgs.training.newest import load_newest
@@ -75,7 +75,9 @@ class Run(TrainedRun):
         """
         try:
             yield
-        except torch.cuda.OutOfMemoryError:
+        except RuntimeError as error:
+            if not lacks_memory(error):
+                raise
             raise DeviceError(
                 f"the GPU's memory does not suffice to render {self.gaussian_count:,} Gaussians: "
                 f"use the CPU",

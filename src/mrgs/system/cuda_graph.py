@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 import torch
 from jaxtyping import Int64
@@ -27,13 +28,22 @@ class CudaGraph:
         self._fetched = torch.zeros((), dtype=torch.int64, pin_memory=True)
         stream, current = torch.cuda.Stream(device), torch.cuda.current_stream(device)
         stream.wait_stream(current)
+        # While torch records, it gives back nothing of what it holds in reserve.
+        torch.cuda.empty_cache()
+        # cuBLAS has a workspace per stream, which is made in the memory of the graph that first
+        # needs it: torch must neither keep it when the graph is gone, nor use it in another graph.
+        torch._C._cuda_clearCublasWorkspaces()
         with torch.cuda.stream(stream):
             # Other threads may use the GPU meanwhile: a viewer does.
             self._graph.capture_begin(capture_error_mode="thread_local")
             try:
                 self._number = work()
-            finally:
-                self._graph.capture_end()
+            except BaseException:
+                with suppress(RuntimeError):  # says only that there was an error before
+                    self._graph.capture_end()
+                raise
+            self._graph.capture_end()
+        torch._C._cuda_clearCublasWorkspaces()
         current.wait_stream(stream)
 
     def replay(self) -> None:
@@ -46,3 +56,14 @@ class CudaGraph:
         """What the last replay left; the host waits for it, not for what was queued since."""
         self._arrived.synchronize()
         return int(self._fetched)
+
+
+@contextmanager
+def waits_are_errors() -> Iterator[None]:
+    """Within this block, whatever waits for the GPU raises a RuntimeError."""
+    before = torch.cuda.get_sync_debug_mode()
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        yield
+    finally:
+        torch.cuda.set_sync_debug_mode(before)

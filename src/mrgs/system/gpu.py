@@ -88,6 +88,17 @@ def device_title(device: torch.device) -> str:
     return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
 
+def lacks_memory(error: Exception) -> bool:
+    """Whether a GPU's memory did not suffice. Torch's allocator has an error of its own for it;
+    CUDA, cuBLAS and Triton, which allocate beside it, say so in the message."""
+    if isinstance(error, torch.cuda.OutOfMemoryError):
+        return True
+    message = str(error)
+    return isinstance(error, RuntimeError) and (
+        "out of memory" in message or "ALLOC_FAILED" in message
+    )
+
+
 def _obstacle() -> str | None:
     """Why the GPU cannot be used, and the remedy; None if it can."""
     if sys.platform == "darwin":

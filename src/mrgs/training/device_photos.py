@@ -22,14 +22,20 @@ class DevicePhotos:
     Args:
         device: a CUDA device.
         limit_bytes: of what is kept there; None for a share of the memory that is free now.
+        host_limit_bytes: of what is kept in the host's memory, as in ``HostPhotos``.
     """
 
-    def __init__(self, device: torch.device, limit_bytes: int | None = None) -> None:
+    def __init__(
+        self,
+        device: torch.device,
+        limit_bytes: int | None = None,
+        host_limit_bytes: int | None = None,
+    ) -> None:
         self._device = device
         free = _free_bytes(device) if limit_bytes is None else 0
         self._left_bytes = int(SHARE_OF_FREE_MEMORY * free) if limit_bytes is None else limit_bytes
         self._kept: dict[PosedImage, Pixels] = {}
-        self._host = HostPhotos(pinned=device.type == "cuda")
+        self._host = HostPhotos(host_limit_bytes, pinned=device.type == "cuda")
         self._copier = _Copier(device)
         self._ahead: dict[PosedImage, Copied] = {}
 

@@ -11,6 +11,7 @@ from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.config import MAX_DEGREE, TrainConfig
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import THERMAL, Modality, Scene
+from mrgs.system.gpu import lacks_memory
 from mrgs.system.memory import peak_resident
 from mrgs.training.photos import kept_bytes, kept_limit
 
@@ -118,16 +119,19 @@ def retried_when_full(action: Callable[[], Result], undo: Callable[[], None]) ->
         undo: brings back what the action has changed nonetheless, and frees memory.
 
     Raises:
-        torch.cuda.OutOfMemoryError: it was full again; ``undo`` was called.
+        RuntimeError: it was full again (``lacks_memory``); ``undo`` was called.
     """
     try:
         return action()
-    except torch.cuda.OutOfMemoryError:
-        pass  # what the action has made is freed when this block is left
+    except RuntimeError as error:
+        if not lacks_memory(error):
+            raise
+    # What the action has made was freed when the block above was left.
     undo()
     torch.cuda.empty_cache()
     try:
         return action()
-    except torch.cuda.OutOfMemoryError:
-        undo()
+    except RuntimeError as error:
+        if lacks_memory(error):
+            undo()
         raise

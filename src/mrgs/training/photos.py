@@ -76,10 +76,11 @@ class HostPhotos:
 
     def _keep(self, image: PosedImage, pixels: Pixels) -> None:
         stored = _Stored.of(pixels, exact=self._pinned)
-        if stored.nbytes <= self._left_bytes:
+        taken = stored.pinned_bytes if self._pinned else stored.nbytes
+        if taken <= self._left_bytes:
             # Page-locked memory does not come from the heap.
             self._kept[image] = stored if self._pinned else stored.copied_to(self._blocks)
-            self._left_bytes -= stored.nbytes
+            self._left_bytes -= taken
         else:  # what comes later may be smaller, but then every photo would be tried again
             self._left_bytes = 0
 
@@ -126,6 +127,12 @@ class _Stored(NamedTuple):
     @property
     def nbytes(self) -> int:
         return self.values.nbytes + (0 if self.valid is None else self.valid.nbytes)
+
+    @property
+    def pinned_bytes(self) -> int:
+        """What they take in page-locked memory, of which torch takes powers of two."""
+        tensors = (self.values,) if self.valid is None else (self.values, self.valid)
+        return sum(1 << (tensor.nbytes - 1).bit_length() for tensor in tensors)
 
     def pixels(self) -> Pixels:
         if self.values.dtype == torch.uint8:

@@ -16,7 +16,8 @@ from jaxtyping import Bool, Int64
 from torch import Tensor
 
 from mrgs.errors import MrgsWarning
-from mrgs.system.cuda_graph import CudaGraph
+from mrgs.system.cuda_graph import CudaGraph, waits_are_errors
+from mrgs.system.gpu import lacks_memory
 from mrgs.system.recording import ListRoom, lists_have
 from mrgs.training.photos import change_each
 from mrgs.training.state import TrainingState
@@ -52,7 +53,9 @@ class Recorder:
         self._replayed: _Recording | None = None
         self._longest = 0
         self._expected = 0.0
-        self._fails = False
+        self._was_tried = False
+        self._waits = False
+        self._is_full = False
 
     def run(self, state: TrainingState, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
         """Run the pass of a view, or replay it; what it returns is overwritten by the next call.
@@ -63,19 +66,21 @@ class Recorder:
             run_pass: the pass.
 
         Warns:
-            MrgsWarning: the pass cannot be recorded; it runs as it is from now on.
+            MrgsWarning: the pass cannot be recorded. It runs as it is from now on; where memory did
+                not suffice, until the parameters are others.
         """
         self._replayed = None
-        if self._fails or not all(term.replayable for term in inputs.terms):
+        if self._waits or not all(term.replayable for term in inputs.terms):
             return run_pass(inputs)
         self._forget_if_others(state)
+        if self._is_full:
+            return run_pass(inputs)
         kind = _kind_of(state, inputs)
         recording = self._recordings.get(kind)
         if recording is None:
             return self._rehearse(kind, inputs, run_pass)
         recording.take(inputs)
-        if not recording.is_complete and (problem := self._record(recording, run_pass)):
-            self._give_up(problem)
+        if not recording.is_complete and not self._record(recording, run_pass):
             return run_pass(inputs)
         self._replayed = recording
         return recording.replay(self._parameters)
@@ -116,6 +121,7 @@ class Recorder:
             grown = len(parameters[0]) / max(len(self._parameters[0]), 1)
             self._expected, self._longest = grown * self._longest, 0
         self._parameters, self._neighbours = parameters, neighbours
+        self._is_full = False
         self.forget()
 
     def _rehearse(self, kind: Hashable, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
@@ -132,19 +138,23 @@ class Recorder:
     def _room(self) -> int:
         return int(SPARE * max(self._longest, self._expected)) + 1
 
-    def _record(self, recording: _Recording, run_pass: Pass) -> str | None:
-        """Record the pass; why that cannot be done, otherwise.
-
-        The error is not handed on: its frames hold what the pass had made.
-        """
+    def _record(self, recording: _Recording, run_pass: Pass) -> bool:
+        """Record the pass; False if that cannot be done."""
         try:
+            if not self._was_tried:
+                # A recording that a wait breaks off would leave torch's allocator (before 2.13) as
+                # if it still recorded.
+                with waits_are_errors():
+                    recording.rehearse(run_pass, self._parameters, self._room())
+                self._was_tried = True
             recording.record(run_pass, self._parameters, self._room(), self._device)
         except RuntimeError as error:
-            return str(error).partition("\n")[0]
-        return None
-
-    def _give_up(self, problem: str) -> None:
-        self._fails = True
+            self._is_full = lacks_memory(error)
+            self._waits = not self._is_full
+            problem = str(error).partition("\n")[0]
+        else:
+            return True
+        # Here the memory is free that the error's frames held.
         warnings.warn(
             f"steps cannot be recorded as a CUDA graph, and take longer: {problem}",
             MrgsWarning,
@@ -153,6 +163,7 @@ class Recorder:
         for parameter in self._parameters:
             parameter.grad = None
         self.forget()
+        return False
 
 
 class _Recording:
@@ -221,17 +232,25 @@ class _Recording:
         Raises:
             RuntimeError: it waits for the device, or the device's memory does not suffice.
         """
+        graph = CudaGraph(lambda: self._run(run_pass, parameters, room), device)
+        self._graph, self.room = graph, room
 
-        def work() -> Int64[Tensor, ""]:
-            lists = ListRoom(room)
-            with lists_have(lists):
-                self._measures = run_pass(self.inputs)
-            self._gradients = [parameter.grad for parameter in parameters]
-            needed = lists.needed()
-            self.suffices = needed <= room
-            return needed
+    def rehearse(self, run_pass: Pass, parameters: Sequence[Tensor], room: int) -> None:
+        """Run the pass as it would be recorded."""
+        self._run(run_pass, parameters, room)
+        self.clear()
 
-        self._graph, self.room = CudaGraph(work, device), room
+    def _run(self, run_pass: Pass, parameters: Sequence[Tensor], room: int) -> Int64[Tensor, ""]:
+        """The pass with lists of this room; how many entries the longest needs."""
+        for parameter in parameters:
+            parameter.grad = None
+        lists = ListRoom(room)
+        with lists_have(lists):
+            self._measures = run_pass(self.inputs)
+        self._gradients = [parameter.grad for parameter in parameters]
+        needed = lists.needed()
+        self.suffices = needed <= room
+        return needed
 
     def replay(self, parameters: Sequence[Tensor]) -> ViewMeasures:
         """Run the recorded pass; its gradients are those of the parameters."""

@@ -21,7 +21,7 @@ from mrgs.method.parts import part_spreads
 from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
-from mrgs.system.gpu import HOST, DeviceName
+from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.operation import is_plain
 from mrgs.system.room import warn_if_short
 from mrgs.training import checkpoint
@@ -273,7 +273,9 @@ class Trainer(Driver[StepStatistics]):
         self._recorder = Recorder(device) if device.type == "cuda" and not is_plain() else None
         here = 1 if processes is None else processes.launch.local_world_size
         self._photos: PhotoSource = (
-            HostPhotos(kept_limit(here)) if device == HOST else DevicePhotos(device)
+            HostPhotos(kept_limit(here))
+            if device == HOST
+            else DevicePhotos(device, host_limit_bytes=kept_limit(here))
         )
         super().__init__(
             run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every, device
@@ -347,7 +349,9 @@ class Trainer(Driver[StepStatistics]):
         ]
         try:
             self._photos.fetch(images)
-        except torch.cuda.OutOfMemoryError:
+        except RuntimeError as error:
+            if not lacks_memory(error):
+                raise
             self._photos.release()
 
     def _with_enough_memory(self, action: Callable[[], Result]) -> Result:
@@ -375,8 +379,10 @@ class Trainer(Driver[StepStatistics]):
             undo()
             self._save_last_good_step()
             raise
-        except torch.cuda.OutOfMemoryError:
-            pass  # a checkpoint needs the memory that the error's frames hold
+        except RuntimeError as error:
+            if not lacks_memory(error):
+                raise
+        # Here the memory is free that the error's frames held: a checkpoint needs it.
         raise self._out_of_memory()
 
     def _out_of_memory(self) -> TrainingError:

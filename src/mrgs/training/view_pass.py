@@ -43,7 +43,8 @@ class ViewInputs(NamedTuple):
         pixel_sizes: of these photos, in pixels of the scene's.
         terms: of the loss, those that are due.
         weights: λ of each of these terms, by name.
-        temperature_degree: highest degree of the temperature's harmonics that counts.
+        temperature_degree: highest degree of the temperature's harmonics that counts; 0 where it
+            has none.
     """
 
     number: Int64[Tensor, "1"]
@@ -78,6 +79,7 @@ def view_inputs(state: TrainingState, each: PhotographedView, config: TrainConfi
     """What the pass of a view reads at the step of the state."""
     cameras, photos = coarser(each.view.cameras, each.photos, config.pixel_size_at(state.step))
     terms = [term for term in state.terms if term.is_due(state.step)]
+    depends = state.model.gaussians.depends_on_view(THERMAL)
     return ViewInputs(
         torch.full((1,), each.number, device=state.device),
         cameras,
@@ -85,7 +87,7 @@ def view_inputs(state: TrainingState, each: PhotographedView, config: TrainConfi
         pixel_sizes(each.view.cameras, cameras),
         terms,
         {term.name: term.weight(state.step) for term in terms},
-        config.temperature_sh_degree_at(state.step),
+        config.temperature_sh_degree_at(state.step) if depends else 0,
     )
 
 

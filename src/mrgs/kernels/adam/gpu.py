@@ -19,6 +19,9 @@ from mrgs.method.adam import BETA1, BETA2
 BLOCK = 1024
 """Values per program."""
 
+MOST_VALUES = 2**31 - BLOCK
+"""The kernel numbers them with 32 bits."""
+
 NUM_WARPS = 4
 TENSORS = ("parameter", "gradient", "mean", "square", "count", "skip")
 
@@ -66,7 +69,7 @@ def move(
     skip: Tensor | None,
 ) -> None:
     """``mrgs.method.adam.move`` for one float32 tensor on a GPU; NotImplemented for several, which
-    torch moves together.
+    torch moves together, and for very large ones.
 
     Raises:
         ValueError: tensors of other sizes, types or devices.
@@ -74,13 +77,15 @@ def move(
     if len(parameters) != 1 or skip is None:
         return NotImplemented
     (parameter,), (gradient,) = parameters, gradients
+    size = parameter.numel()
+    if size > MOST_VALUES:
+        return NotImplemented
     given = (parameter, gradient.contiguous(), means[0], squares[0], counts[0], skip)
     for name, tensor in zip(TENSORS, given, strict=True):
         shape = () if tensor.dim() == 0 else parameter.shape
         require(name, tensor, shape, device=parameter.device)
         if not tensor.is_contiguous():
             return NotImplemented
-    size = parameter.numel()
     arguments = dict(zip(TENSORS, given, strict=True))
     numbers = {"size": size, "rate": rate, "epsilon": epsilon}
     _SPEC.launch((triton.cdiv(size, BLOCK),), {**arguments, **numbers})

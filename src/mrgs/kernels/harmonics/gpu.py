@@ -33,6 +33,10 @@ from mrgs.kernels.require import require
 BLOCK = 128
 """Gaussians per program."""
 
+MOST_VALUES = 2**31 - 2**16
+"""Coefficients of a tensor: the kernels number them with 32 bits, and the last program has numbers
+past the last Gaussian."""
+
 NUM_WARPS = 4
 SIZES = ("count", "bands", "held")
 FORWARD = ("means", "camera", "dc", "rest", "values")
@@ -228,7 +232,8 @@ def shade(
     floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
     """``mrgs.field.spherical_harmonics.shade`` for float32 on a GPU and all rows, of 1 or 3
-    channels; NotImplemented for others, and for degree 0, which torch computes at once.
+    channels; NotImplemented for others, for degree 0, which torch computes at once, and for more
+    coefficients than the kernels can number.
 
     Raises:
         ValueError: tensors of other sizes, types or devices.
@@ -236,6 +241,8 @@ def shade(
     count, channels, device = len(means), dc.shape[-1], means.device
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
     if rows is not None or channels not in VARIANTS or not 0 < bands <= MOST_BANDS:
+        return NotImplemented
+    if rest.numel() > MOST_VALUES:
         return NotImplemented
     require("means", means, (count, 3), device=device)
     require("dc", dc, (count, 1, channels), device=device)

@@ -37,6 +37,9 @@ _IMAGES = ("image", "depth", "alpha")
 _MOST_PAIRS = 2**31 - 2**16
 """The kernels number pairs with 32 bits, and the last program has numbers past the last pair."""
 
+_MOST_GAUSSIANS = (2**31 - 2**16) // SPLAT_FLOATS.value
+"""The kernels number the values of their records with 32 bits."""
+
 _MOST_SHORT_TILES = 2**15 - 1
 """Up to so many tiles, their numbers (and one more) fit 16 bits, which are sorted in half the time
 of 32."""
@@ -246,13 +249,19 @@ def rasterize(
 
     Raises:
         ValueError: no layer, or tensors of other types, sizes or devices.
-        MrgsError: the Gaussians reach more tiles, together, than the kernels can number.
+        MrgsError: there are more Gaussians, or they reach more tiles together, than the kernels can
+            number.
     """
     channels = [layer.features.shape[1] for layer in layers]
     if not channels:
         raise ValueError("there must be a layer")
     if not set(channels) <= _SLOTS.keys() or len(set(channels)) != len(channels):
         return NotImplemented
+    if len(means) > _MOST_GAUSSIANS:
+        raise MrgsError(
+            f"there are {len(means):,} Gaussians, and a GPU can draw at most "
+            f"{_MOST_GAUSSIANS:,}: use the CPU"
+        )
     what = _Pass({_SLOTS[c]: c for c in channels}, width, height, dilation_px2)
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
