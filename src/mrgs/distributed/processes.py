@@ -298,9 +298,9 @@ def joined(launch: Launch) -> Iterator[Processes]:
             f"the address of the first machine, and the network to it"
         ) from error
     processes = Processes(launch, store)
-    if torch.cuda.is_available():
-        torch.cuda.set_device(launch.gpu(torch.cuda.device_count()))
     try:
+        if torch.cuda.is_available():
+            torch.cuda.set_device(launch.gpu(torch.cuda.device_count()))
         yield processes
     except (LinkError, PeerError):
         raise
