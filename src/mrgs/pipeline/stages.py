@@ -115,7 +115,7 @@ class Job:
         source, options = self.intake.source, self.options
         files = [
             file_stamp(path, path.parent)
-            for path in (options.pair_table, options.thermal_camera)
+            for path in (options.pair_table, options.thermal_camera, options.poses)
             if path is not None and path.is_file()
         ]
         given = options.poses

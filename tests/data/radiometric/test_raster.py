@@ -86,6 +86,34 @@ def test_float_tiff(save, unit, offset):
     assert photo.facts.notes == (f"The numbers are taken for {unit}.",)
 
 
+def test_numbers_that_may_be_hot_celsius_are_doubted(save):
+    values = SCENE_C + np.float32(273.15)
+    photo = read_thermal_photo(save("a.tiff", values))
+    assert photo.facts.warnings == (
+        "The numbers are taken for kelvin, because they would be very hot in °C: give the unit if "
+        "they are.",
+    )
+    for unit, shift in (("celsius", 273.15), ("kelvin", 0)):
+        given = read_thermal_photo(save("a.tiff", values), Overrides(unit=unit))
+        np.testing.assert_allclose(given.temperature_c, SCENE_C + shift, atol=1e-3)
+        assert given.facts.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("dtype", "marks"), [(np.uint16, [65535]), (np.int16, [-9999, -32768]), (np.int32, [65535])]
+)
+@pytest.mark.parametrize("unit", [None, "celsius*100", "kelvin*100"])
+def test_integers_that_mark_a_pixel_without_value_are_no_temperatures(save, dtype, marks, unit):
+    kelvin = unit != "celsius*100"
+    scaled = 100 * (np.full((10, 12), 30.0) + (273.15 if kelvin else 0))
+    values = scaled.astype(dtype)
+    values[0, : len(marks)] = marks
+    photo = read_thermal_photo(save("a.tiff", values), Overrides(unit=unit))
+    assert not photo.valid[0, : len(marks)].any()
+    assert photo.valid.sum() == photo.valid.size - len(marks)
+    np.testing.assert_allclose(photo.temperature_c[photo.valid], 30.0, atol=0.02)
+
+
 def test_signalling_nan_is_masked(save):
     values = SCENE_C.copy()
     values.view(np.uint32)[0, 0] = 0x7F800001

@@ -67,6 +67,52 @@ def test_units(tmp_path):
     np.testing.assert_allclose(given.temperature_c[0], [0, 10, 300], atol=1e-4)
 
 
+ROWS_F = "68;50;32\n14;50;77\n"
+ROWS_HOT = "290;310;280\n285;281;300\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "first_c"),
+    [
+        ("Unit,F\n" + ROWS_F, 20.0),
+        ("Temperature (F)\n" + ROWS_F, 20.0),
+        ("in deg F\n" + ROWS_F, 20.0),
+        ("degF\n" + ROWS_F, 20.0),
+        ("\u00baF\n" + ROWS_F, 20.0),
+        (ROWS_F + "Unit: \u00b0F\n", 20.0),
+        ("Units = Fahrenheit; room at 20 \u00b0C\nunit F\n" + ROWS_F, 20.0),
+        ("Temperature \u00b0C\n" + ROWS_HOT, 290.0),
+        ("Temp. [\u00b0C]\n" + ROWS_HOT, 290.0),
+        ("Unit: K\n" + ROWS_HOT, 16.85),
+        ("Temperature in Kelvin\n" + ROWS_HOT, 16.85),
+        ("(C) 2024 the maker, model K 200, f/1.4\n" + ROWS_HOT, 16.85),
+    ],
+)
+def test_a_unit_that_is_named_is_that_of_the_numbers(tmp_path, text, first_c):
+    photo = read(tmp_path, text)
+    np.testing.assert_allclose(photo.temperature_c[0, 0], first_c, atol=1e-3)
+    assert photo.temperature_c.shape == (2, 3)
+    guessed = first_c == 16.85 and "the maker" in text
+    assert bool(photo.facts.warnings) == guessed
+
+
+@pytest.mark.parametrize("gap", ["", "-", "--", "***", "#N/A", ">150"])
+@pytest.mark.parametrize("column", [0, 1, 3])
+@pytest.mark.parametrize("prefix", ["", "Row;"])
+@pytest.mark.parametrize("suffix", ["", ";"])
+def test_a_cell_without_a_number_is_a_pixel_without_temperature(
+    tmp_path, gap, column, prefix, suffix
+):
+    rows = [[f"{20 + 2 * y}.{x}" for x in range(4)] for y in range(5)]
+    rows[3][column] = gap
+    text = "".join(f"{prefix}{';'.join(row)}{suffix}\n" for row in rows)
+    photo = read(tmp_path, "Emissivity;0.95\n" + text)
+    expected = np.ones((5, 4), bool)
+    expected[3, column] = False
+    assert photo.valid.tolist() == expected.tolist()
+    assert photo.temperature_c[4].tolist() == pytest.approx([28.0, 28.1, 28.2, 28.3])
+
+
 def test_missing_numbers_are_masked(tmp_path):
     photo = read(tmp_path, "20;nan;21\n-9999;20;1e999\n")
     assert photo.valid.tolist() == [[True, False, True], [False, True, False]]

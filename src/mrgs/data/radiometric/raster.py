@@ -22,6 +22,10 @@ _GREY_TOLERANCE = 8
 """Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG
 in colour."""
 
+_SATURATED, _MISSING = 65_535, -9_999
+"""Integers that are no temperatures: the largest of 16 bits, and what programs write for a pixel
+without value, or less."""
+
 _RELATIVE = "relative values from 0 to 1 are used"
 
 
@@ -50,6 +54,7 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
                 options=("unit", "bounds_c"),
             )
         return _from_grey(values / 65535, path, facts, overrides)
+    values[(pixels == _SATURATED) | (pixels <= _MISSING)] = np.nan
     return finished(values, INTEGER_UNITS, path, facts, overrides)
 
 
@@ -80,12 +85,16 @@ def finished(
             options=("unit",),
         )
     notes = () if overrides.unit else (f"The numbers are taken for {text}.",)
-    unused = (
-        ()
-        if overrides.bounds_c is None
-        else ("bounds_c had no effect: the numbers are temperatures.",)
-    )
-    return ThermalPhoto(celsius, None, valid, facts.adding(notes=notes, warnings=unused, unit=text))
+    doubts = []
+    if overrides.bounds_c is not None:
+        doubts.append("bounds_c had no effect: the numbers are temperatures.")
+    if overrides.unit is None and len(candidates) > 1 and text == "kelvin":
+        doubts.append(
+            "The numbers are taken for kelvin, because they would be very hot in °C: give the unit "
+            "if they are."
+        )
+    facts = facts.adding(notes=notes, warnings=tuple(doubts), unit=text)
+    return ThermalPhoto(celsius, None, valid, facts)
 
 
 def _plain_mode(image: Image.Image) -> str:

@@ -22,7 +22,17 @@ gigabytes."""
 _NUMBER = re.compile(
     r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?|[+-]?(?:nan|inf)", re.IGNORECASE
 )
-_FAHRENHEIT = re.compile(r"°\s?F\b|\bfahrenheit\b", re.IGNORECASE)
+_QUANTITIES = {"c": "celsius", "f": "fahrenheit", "k": "kelvin"}
+_MENTIONED = (
+    re.compile(r"(?:[°º]|\bdeg(?:rees?)?\b\.?|\bdeg(?=[CFK]\b))\s*([CFK])\b"),
+    re.compile(r"\btemp\w*[\s.]*[(\[]\s*[°º]?\s*([CFK])\s*[)\]]", re.IGNORECASE),
+    re.compile(r"\b(celsius|fahrenheit|kelvin)\b", re.IGNORECASE),
+)
+"""How texts beside the numbers mention a unit."""
+
+_STATED = re.compile(r"\bunits?\b[\s\"':=;,(\[]*[°º]?\s*([CFK])\b", re.IGNORECASE)
+"""How they say that it is that of the numbers."""
+
 _SEPARATORS = (";", "\t", ",")
 """The first that a line holds several times is the one; where it is no comma, commas are decimal
 commas."""
@@ -32,9 +42,10 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in a table of numbers: the largest block of lines with equally many numbers, two or
     more.
 
-    Lines before and after it are left out, and so is a text at the start of its lines. The
-    separator is a semicolon, a tab or a comma; a comma inside quotes, or beside another separator,
-    is a decimal comma.
+    Lines before and after it are left out, and so is a text at the start of its lines; a unit that
+    they name is that of the numbers. What is no number among as many numbers as in the other lines
+    is a pixel without temperature. The separator is a semicolon, a tab or a comma; a comma inside
+    quotes, or beside another separator, is a decimal comma.
 
     Args:
         data: the file's content; UTF-8, UTF-16 with a byte-order mark, or Latin-1.
@@ -51,13 +62,13 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
         )
     lines = _decoded(data).splitlines()
     separator = next((s for s in _SEPARATORS if any(line.count(s) > 1 for line in lines)), None)
-    rows, header = ([], "") if separator is None else _largest_block(lines, separator)
+    rows, beside = ([], []) if separator is None else _largest_block(lines, separator)
     if not rows:
         raise scene_error(
             path, "holds no table of numbers; export the temperatures of all pixels as CSV"
         )
     values = _without_indices(np.stack(rows))
-    candidates = ("fahrenheit",) if _FAHRENHEIT.search(header) else FLOAT_UNITS
+    candidates = _units_named(beside) or FLOAT_UNITS
     return finished(values, candidates, path, PhotoFacts("table of temperatures"), overrides)
 
 
@@ -89,23 +100,86 @@ def _cells(line: str, separator: str) -> list[str]:
     return cells if separator == "," else [cell.replace(",", ".") for cell in cells]
 
 
-def _largest_block(lines: list[str], separator: str) -> tuple[list[Float64[np.ndarray, " n"]], str]:
-    """The numbers of the longest run of lines with equally many of them, and the text before it."""
-    numbered = [(index, _numbers(line, separator)) for index, line in enumerate(lines)]
-    blocks = [
-        list(block) for count, block in groupby(numbered, lambda item: len(item[1])) if count > 1
+def _largest_block(
+    lines: list[str], separator: str
+) -> tuple[list[Float64[np.ndarray, " n"]], list[str]]:
+    """The numbers of the longest run of lines with equally many of them, lines with gaps among
+    these; and the lines beside it."""
+    counts = [len(_numbers(line, separator)) for line in lines]
+    runs = [(count, len(list(run))) for count, run in groupby(counts) if count > 1]
+    if not runs:
+        return [], []
+    width, _ = max(runs, key=lambda run: run[0] * run[1])
+    firsts = [
+        _cells(line, separator)[0]
+        for line, count in zip(lines, counts, strict=True)
+        if count == width
     ]
-    if not blocks:
-        return [], ""
-    largest = max(blocks, key=lambda block: len(block) * len(block[0][1]))
-    return [numbers for _, numbers in largest], "\n".join(lines[: largest[0][0]])
+    labels = sum(_NUMBER.fullmatch(first) is None for first in firsts)
+    rows = [_row(line, separator, width, 2 * labels > len(firsts)) for line in lines]
+    first, last = _longest_run([row is not None for row in rows])
+    block = [row for row in rows[first:last] if row is not None]
+    return block, [*lines[:first], *lines[last:]]
+
+
+def _row(
+    line: str, separator: str, width: int, is_labelled: bool
+) -> Float64[np.ndarray, " n"] | None:
+    """The numbers of a line of so many, NaN where a cell holds none; None if most hold none.
+
+    Args:
+        line: of the file.
+        separator: of its cells.
+        width: how many numbers the lines hold.
+        is_labelled: whether they have a text in front.
+    """
+    cells = _cells(line, separator)
+    if is_labelled:
+        cells.pop(0)
+    if len(cells) > width and not cells[-1]:
+        cells.pop()
+    values = [float(cell) if _NUMBER.fullmatch(cell) else np.nan for cell in cells]
+    if len(values) != width or 2 * np.isnan(values).sum() > width:
+        return None
+    return np.array(values, dtype=np.float64)
+
+
+def _longest_run(found: list[bool]) -> tuple[int, int]:
+    """Begin and end of the longest run of True."""
+    runs, end = [], 0
+    for value, run in groupby(found):
+        begin, end = end, end + len(list(run))
+        if value:
+            runs.append((begin, end))
+    return max(runs, key=lambda run: run[1] - run[0])
+
+
+def _units_named(lines: list[str]) -> tuple[str, ...]:
+    """The units that texts name: those that they say are of the numbers, else all that they
+    mention."""
+    for patterns in ((_STATED,), _MENTIONED):
+        named = {
+            found.lower()
+            for line in lines
+            for pattern in patterns
+            for found in pattern.findall(line)
+        }
+        if named:
+            return tuple(sorted({_QUANTITIES.get(name, name) for name in named}))
+    return ()
 
 
 def _without_indices(values: Float64[np.ndarray, "h w"]) -> Float64[np.ndarray, "y x"]:
     """Without a first column and a first row that only count, as spreadsheets and pandas write
     them."""
-    if len(values) > 2 and (np.diff(values[:, 0]) == 1).all():
+    if len(values) > 2 and _counts(values[:, 0]):
         values = values[:, 1:]
-    if values.shape[1] > 2 and (np.diff(values[0]) == 1).all():
+    if values.shape[1] > 2 and _counts(values[0]):
         values = values[1:]
     return values
+
+
+def _counts(numbers: Float64[np.ndarray, " n"]) -> bool:
+    """Whether each is the next of the one before; the first may be an empty corner."""
+    known = numbers[1:] if np.isnan(numbers[0]) else numbers
+    return len(known) > 1 and bool((np.diff(known) == 1).all())
