@@ -24,6 +24,10 @@ class SceneError(MrgsError):
     """A scene folder, or a file in it, cannot be used."""
 
 
+class ToolError(SceneError):
+    """A program that reads a file is missing or has failed; the next call may find it in order."""
+
+
 class RunError(MrgsError):
     """A run folder, or a checkpoint in it, cannot be used."""
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.data.radiometric import Overrides, read_thermal_photo
-from mrgs.errors import RunError, SceneError
+from mrgs.data.radiometric import Overrides, ThermalPhoto, read_thermal_photo
+from mrgs.errors import RunError, SceneError, ToolError
 from mrgs.prepare import PrepareOptions, convert, stages
 from mrgs.prepare.cache import Cache
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
@@ -420,6 +420,22 @@ def test_a_photo_without_permission_is_read_again(photos, scene):
         patch.setattr("builtins.open", denied(root / "1_rgb.jpg", open))
         found = converted(pairing, scene)
     assert "1_rgb.jpg: cannot be" in found.skipped[0].reason
+    assert converted(pairing, scene).skipped == ()
+
+
+def test_a_photo_that_another_program_could_not_read_is_tried_again(photos, scene, monkeypatch):
+    root = photos({**SET, "3_t.tif": "celsius", "3_rgb.jpg": "jpg"})
+    pairing = find_pairs(root)
+    original = convert.read_thermal_photo
+
+    def lacks_tool(path: Path, overrides: Overrides) -> ThermalPhoto:
+        if path.name == "3_t.tif":
+            raise ToolError(f"{path}: install the SDK")
+        return original(path, overrides)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(convert, "read_thermal_photo", lacks_tool)
+        assert [item.name for item in converted(pairing, scene).skipped] == ["3"]
     assert converted(pairing, scene).skipped == ()
 
 

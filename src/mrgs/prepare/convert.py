@@ -19,7 +19,7 @@ from PIL import Image
 from mrgs.data.files import scene_error
 from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto, read_thermal_photo
 from mrgs.data.transforms import TRANSFORMS
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, ToolError
 from mrgs.prepare.cache import CACHE_FOLDER, Cache, digest
 from mrgs.prepare.contract import (
     ConvertedImage,
@@ -41,7 +41,7 @@ IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 VIEWS = "photos"
 """The folder in the cache that holds a result for each pair."""
 
-_VERSION = 5
+_VERSION = 6
 """Raise it when the same photos give other images."""
 
 Stamp = list[tuple[str, int, int]]
@@ -141,8 +141,9 @@ def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache) -> _CachedPair
         try:
             return _CachedPair(_convert(pair, stamp, settings))
         except SceneError as error:
-            if not all(digest(path) for path in pair.photos.values()):
-                raise  # permissions or a network drive, which the next call may find restored
+            # Permissions, a network drive, another program: the next call may find them in order.
+            if isinstance(error, ToolError) or not all(map(digest, pair.photos.values())):
+                raise
             return _CachedPair(None, str(error))
 
     try:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from mrgs.data.radiometric import Overrides, dji, read_thermal_photo
 from mrgs.data.radiometric.dji import SIZES, TOOL
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, ToolError
 
 
 def drone_photo(path, signal_bytes: int, make: str = "DJI"):
@@ -64,7 +64,7 @@ def r_jpeg(folder):
 def test_without_the_tool_an_r_jpeg_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     command = r"dji_irp -s DJI_0001_T.JPG -a measure -o DJI_0001_T.raw --measurefmt float32"
-    with pytest.raises(SceneError, match=f"is a DJI R-JPEG.* install the SDK .*{command}"):
+    with pytest.raises(ToolError, match=f"is a DJI R-JPEG.* install the SDK .*{command}"):
         read_thermal_photo(r_jpeg(tmp_path))
 
 

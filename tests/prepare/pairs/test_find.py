@@ -152,6 +152,40 @@ def test_neighbours_that_were_taken_far_apart_are_no_pair(photos):
         find_pairs(root)
 
 
+@pytest.mark.parametrize(
+    "stems",
+    [
+        ["1s", "1w", "2s", "2w"],
+        ["house_1s", "house_1v", "house_1w"],
+        ["panel01t", "panel01v", "panel02t", "panel02v"],
+        ["Color_wall_0", "IR_wall_0", "Color_wall_1", "IR_wall_1"],
+    ],
+)
+@pytest.mark.parametrize("rule", ["auto", "folders"])
+def test_names_that_are_equal_to_the_letter_go_before_suffixes(photos, stems, rule):
+    content = {f"thermal/{stem}.tif": "celsius" for stem in stems}
+    root = photos(content | {f"rgb/{stem}.jpg": "jpg" for stem in stems})
+    found = find_pairs(root, rule=rule)
+    assert sorted(files(root, found)) == [
+        (f"rgb/{stem}.jpg", f"thermal/{stem}.tif") for stem in sorted(stems)
+    ]
+    assert found.skipped == ()
+
+
+@pytest.mark.parametrize(
+    "name", ["thermal survey", "IR 2024", "FLIR", "my_ir_photos", "photos", "job42"]
+)
+@pytest.mark.parametrize("thermal", ["A{i:03d}.tif", "IR_{i:04d}.jpg"])
+def test_the_folder_of_all_photos_may_have_any_name(photos, name, thermal):
+    kind = "celsius" if thermal.endswith("tif") else "png"
+    content = {thermal.format(i=i): (kind, at(100 * i)) for i in range(4)}
+    content |= {f"DSC_{i + 100}.jpg": ("jpg", at(100 * i)) for i in range(4)}
+    root = photos(content)
+    root = root.rename(root.with_name(name))
+    found = find_pairs(root)
+    assert files(root, found) == [(f"DSC_{i + 100}.jpg", thermal.format(i=i)) for i in range(4)]
+
+
 def test_visible_photos_inside(photos):
     root = photos(
         {

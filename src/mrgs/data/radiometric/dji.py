@@ -16,6 +16,7 @@ from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import FLOAT_UNITS
+from mrgs.errors import ToolError
 
 SIZES = ((640, 512), (1280, 1024), (336, 256), (160, 120), (320, 256), (640, 480))
 """Width and height of the thermal images of DJI's cameras; the bare numbers do not say their
@@ -56,12 +57,12 @@ def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPho
         overrides: emissivity, distance, humidity, reflected and air temperature are handed on.
 
     Raises:
-        SceneError: the tool is not installed, cannot be run, does not end, fails, or writes what is
-            no image of a DJI camera.
+        ToolError: the tool is not installed, cannot be run, does not end or fails.
+        SceneError: it writes what is no image of a DJI camera.
     """
     tool = shutil.which(TOOL)
     if tool is None:
-        raise scene_error(
+        raise _tool_error(
             path,
             f"is a DJI R-JPEG, whose temperatures only DJI's Thermal SDK can read; install the SDK "
             f"(free, from DJI's website) so that its program {TOOL} is on PATH, or convert the "
@@ -102,21 +103,25 @@ def _run_tool(tool: str, path: Path, output: Path, given: dict[str, float]) -> N
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise scene_error(
+        raise _tool_error(
             path, f"{tool} did not end within {TIME_LIMIT_S:g} s; try it by hand"
         ) from None
     except OSError as error:
-        raise scene_error(
+        raise _tool_error(
             path, f"{tool} cannot be run ({error.strerror}); install it again"
         ) from error
     if done.returncode != 0:
         lines = done.stdout.decode("utf-8", errors="replace").split("\n")
         said = " ".join(" ".join(line for line in lines if "ERROR" in line).split()) or "no message"
-        raise scene_error(
+        raise _tool_error(
             path,
             f"{tool} failed with status {done.returncode} ({said[:MESSAGE_LENGTH]}); check the "
             f"photo, and that the version of the tool knows the camera and the options given",
         )
+
+
+def _tool_error(path: Path, problem: str) -> ToolError:
+    return ToolError(str(scene_error(path, problem)))
 
 
 def read_bare_numbers(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:

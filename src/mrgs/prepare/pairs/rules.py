@@ -91,9 +91,24 @@ def candidate_by_name(photo: Photo) -> Candidate:
     return _candidate(photo, named, photo.origin.parts[:-1])
 
 
-def candidate_by_folder(photo: Photo, root_name: str) -> Candidate:
-    """Modality by content and folder; the folder named after a modality is not part of the key."""
+def candidate_by_folder(photo: Photo, root_name: str = "") -> Candidate:
+    """Modality by content and folder; the folder named after a modality is not part of the key.
+
+    Args:
+        photo: the photo.
+        root_name: of the folder of all photos, where it counts; see ``telling_name``.
+    """
     return _candidate(photo, *folder_modality([root_name, *photo.origin.parts[:-1]]))
+
+
+def telling_name(photos: Sequence[Photo], root_name: str) -> str:
+    """The name of the folder of all photos, where nothing else says what any of them is; else
+    empty: a folder of both cameras' photos may be called "thermal survey"."""
+    tells = any(
+        photo.is_thermal or candidate_by_folder(photo).modality or candidate_by_name(photo).modality
+        for photo in photos
+    )
+    return "" if tells else root_name
 
 
 def _candidate(photo: Photo, named: Modality | None, folders: Sequence[str]) -> Candidate:
@@ -106,6 +121,7 @@ def by_modality(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], l
     """All reference photos, and all others, which may be partners: by content, else by the folder,
     else by the name."""
     found: dict[bool, list[Photo]] = {True: [], False: []}
+    root_name = telling_name(photos, root_name)
     for photo in photos:
         by_folder = candidate_by_folder(photo, root_name)
         known = by_folder if by_folder.modality else candidate_by_name(photo)
@@ -130,9 +146,14 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
 
 def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
     """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
-    else unique."""
+    else unique; those that are equal to the letter before those that differ in a camera suffix."""
+    root_name = telling_name(photos, root_name)
     candidates = [candidate_by_folder(photo, root_name) for photo in photos]
-    pairs, reasons = _by_keys(candidates, tolerance_s)
+    pairs, reasons = _by_keys([_with_whole_name(each) for each in candidates], tolerance_s)
+    taken = {*reasons, *(photo for pair in pairs for photo in pair.photos.values())}
+    left = [candidate for candidate in candidates if candidate.photo not in taken]
+    suffixed, more_reasons = _by_keys(left, tolerance_s)
+    pairs, reasons = (*pairs, *suffixed), reasons | more_reasons
     partners = {pair.partner for pair in pairs}
     done = {*reasons, *partners, *(pair.reference for pair in pairs)}
     marks = {candidate.mark for candidate in candidates if candidate.photo in partners}
@@ -147,6 +168,13 @@ def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> M
         return None
     rule = "A pair has the same name in the folders of the two cameras."
     return Match(in_order([*pairs, *more]), rule, "of its name", reasons)
+
+
+def _with_whole_name(candidate: Candidate) -> Candidate:
+    """With the whole stem in the key, and no suffix."""
+    folder, _, _ = candidate.key.rpartition("/")
+    stem = composed(candidate.photo.origin.name.casefold())
+    return candidate._replace(key=f"{folder}/{stem}", mark="", moment=None)
 
 
 def _unique(candidates: Sequence[Candidate]) -> list[Candidate]:
