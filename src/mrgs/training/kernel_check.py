@@ -25,22 +25,36 @@ WIDTH_PX = 48
 INVALID = 0.05
 """Share of the pixels that the sample's masks leave out."""
 
+NOISE = 0.05
+"""Of the sample's photos, at least: some of the differences to them are then within it."""
 
-def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> None:
+CHANGED_BY = {
+    "quats": 0.5, "log_scales": 0.3, "opacity_logit": 1.5, "sh_rest": 0.1, "embedding": 0.1
+}  # fmt: skip
+"""Standard deviations of what is added to the sample's parameters. A training starts with balls
+that look the same from everywhere, so that much of the mathematics would not show in them."""
+
+
+def check_kernels(
+    state: TrainingState, scene: Scene, config: TrainConfig, scale: SceneScale
+) -> None:
     """Take the forward pass of a training step on a sample of the model, and compare each kernel
     with its plain definition: values and gradients.
 
     A kernel that differs is not used from then on in this process (``operation.checking``). The
-    state is left as it is. The photos are random numbers, so that none has to be read.
+    state is left as it is. The photos are random numbers, so that none has to be read, once with
+    masks and once without.
 
     Args:
         state: of the training.
         scene: of the training; views that together have all modalities are taken.
         config: of the run.
+        scale: of the scene.
 
     Warns:
         MrgsWarning: a kernel differs from its plain definition.
     """
+    scale = scale._replace(thermal_noise=max(scale.thermal_noise, NOISE))
     generator = torch.Generator().manual_seed(0)
     with checking(), torch.enable_grad():
         for number in _chosen(scene.train):
@@ -59,7 +73,6 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
             }
             number_there = torch.full((1,), number, device=state.device)
             observed = state.image_model(rendering, number_there)
-            scale = SceneScale(scene.extent, scene.temperature)
             context = LossContext(
                 rendering,
                 observed,
@@ -70,7 +83,9 @@ def check_kernels(state: TrainingState, scene: Scene, config: TrainConfig) -> No
                 scale,
                 renderer(model, degrees),
             )
-            term_values(state.terms, context)
+            whole = {modality: Pixels(photo.values) for modality, photo in photos.items()}
+            for each in (context, replace(context, photos=whole)):
+                term_values(state.terms, each)
 
 
 def check_rendering(model: Model, image_model: ImageModel, *devices: torch.device) -> None:
@@ -125,15 +140,19 @@ def _chosen(views: Sequence[View]) -> list[int]:
 
 
 def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> Model:
-    """Copies of some Gaussians under the model's own layers, of those in the rows if there are any,
-    else of all; t̂ is not known beforehand."""
+    """Changed copies of some Gaussians under the model's own layers, of those in the rows if there
+    are any, else of all; t̂ is not known beforehand."""
     if rows is None or len(rows) == 0:
         rows = torch.arange(len(model.gaussians), device=model.gaussians.means.device)
     count = min(SAMPLED_GAUSSIANS, len(rows))
     rows = rows[torch.arange(count, device=rows.device) * len(rows) // max(count, 1)]
-    gaussians = model.gaussians.rows(rows)
-    for tensor in gaussians.tensors().values():
-        tensor.requires_grad_()
+    found, generator = model.gaussians.rows(rows), torch.Generator().manual_seed(0)
+    gaussians = found.with_tensors(
+        {
+            name: _changed(name, tensor, generator).requires_grad_()
+            for name, tensor in found.tensors().items()
+        }
+    )
     k = model.field.config.neighbours_k
     return replace(
         model,
@@ -142,6 +161,12 @@ def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> 
         sh_degree=sh_degree,
         temperature_residuals=None,
     )
+
+
+def _changed(name: str, tensor: Tensor, generator: torch.Generator) -> Tensor:
+    """The tensor of this name with noise, see ``CHANGED_BY``."""
+    noise = torch.randn(tensor.shape, generator=generator).to(tensor)
+    return tensor.detach() + CHANGED_BY.get(name.partition(".")[0], 0.0) * noise
 
 
 def random_photo(

@@ -283,7 +283,7 @@ class Trainer(Driver[StepStatistics]):
 
     def check_kernels(self) -> None:
         """Compare the kernels in use with their plain definitions; the training stays the same."""
-        check_kernels(self.state, self.scene, self.config)
+        check_kernels(self.state, self.scene, self.config, self._scale)
 
     def _take_step(self) -> StepStatistics:
         result = self._with_enough_memory(self._step_on_next_views)

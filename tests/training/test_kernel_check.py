@@ -1,0 +1,63 @@
+"""An edit of an equation is found when a training starts, whatever it starts with."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from mrgs.data import load_scene
+from mrgs.errors import KernelWarning
+from mrgs.field import spherical_harmonics
+from mrgs.method.config import make_config
+from mrgs.method.losses import photometric
+from mrgs.method.losses.term import SceneScale
+from mrgs.rasterizer import reference
+from mrgs.training.kernel_check import check_kernels
+from mrgs.training.state import initial_state
+
+Function = Callable[..., Any]
+
+
+def without_mask(original: Function) -> Function:
+    def edited(values: Tensor, valid: Tensor | None, *rest: Any) -> Tensor:
+        found: Tensor = original(values, valid, *rest)
+        return 2 * found if valid is None else found
+
+    return edited
+
+
+EDITS: dict[str, tuple[Any, str, Callable[[Function], Function]]] = {
+    "rotation": (reference, "rotation_matrices", lambda f: lambda quats: f(quats).mT),
+    "no rotation": (
+        reference,
+        "rotation_matrices",
+        lambda f: lambda quats: torch.eye(3).to(quats).expand(len(quats), 3, 3),
+    ),
+    "direction": (
+        spherical_harmonics,
+        "viewing_directions",
+        lambda f: lambda means, camera: f(means, camera).detach(),
+    ),
+    "huber": (photometric, "_huber", lambda f: lambda d, width: (f(d, width) + 1e-4).sqrt()),
+    "no mask": (photometric, "masked_mean", without_mask),
+}
+"""The module, the function, and its edit."""
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_an_edit_is_found(edit, small_scene, monkeypatch):
+    scene, config = load_scene(small_scene), make_config("mrgs-plus", "fast")
+    state, scale = initial_state(scene, config), SceneScale(scene.extent, scene.temperature)
+    module, name, edited = EDITS[edit]
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, edited(getattr(module, name)))
+        with pytest.warns(KernelWarning, match="the kernel differs from the plain definition"):
+            check_kernels(state, scene, config, scale)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_kernels(state, scene, config, scale)
