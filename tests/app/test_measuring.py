@@ -84,6 +84,7 @@ def test_proposals_are_listed_accepted_and_dropped(run, capsys):
         (["--note", "damp"], "say which mark to change with --mark, or add one"),
         (["--box", f"{VIEW}:1,2"], "--box has two corners: VIEW:X,Y X,Y"),
         (["--line", "5,6", "7,8"], "--line 5,6 7,8: write VIEW:X,Y, then X,Y for each corner"),
+        (["--spot", f"{VIEW}:1.2.3,5"], f"--spot {VIEW}:1.2.3,5: write VIEW:X,Y, then X,Y for"),
         (["--spot", "nowhere:1,2"], f"there is no view 'nowhere'; the first is {VIEW[:11]}"),
         (["--spot", f"{VIEW}:99,2"], "pixel 99, 2 lies outside the image of 40 × 30"),
         (["--mark", "S1", "--note", "damp"], "there is no mark 'S1': the marks are none"),

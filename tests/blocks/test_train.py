@@ -4,9 +4,11 @@ import shutil
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from mrgs.blocks import refinement
 from mrgs.blocks.density import Part
@@ -231,6 +233,27 @@ def test_single_blocks_are_trained_for_job_arrays_and_joined_later(scene, tmp_pa
     assert load_run(folder).gaussian_count == load_run(joined).gaussian_count
     with pytest.raises(ConfigError, match="there is no block 3: the scene has 2, from 1"):
         started.train_block(3)
+
+
+def test_a_method_with_heads_gives_the_same_bits_whatever_was_drawn_before(scene, tmp_path):
+    config = short_config("mrgs", max_steps=4, checkpoint_every=4)
+    found = []
+    for seed in (1, 2):
+        torch.manual_seed(seed)
+        folder = tmp_path / str(seed)
+        before = torch.get_rng_state()
+        assert training(folder, scene, config=config).train_all()
+        assert torch.equal(torch.get_rng_state(), before)
+        found.append(load_file(RunFolder(folder).newest_checkpoint()))
+    assert [name for name in found[0] if not torch.equal(found[0][name], found[1][name])] == []
+
+
+def test_another_density_control_is_refused(scene, tmp_path, monkeypatch):
+    other = replace(training(tmp_path / "run", scene).config)
+    object.__setattr__(other, "densification", SimpleNamespace(name="prune-only"))
+    with pytest.raises(ConfigError, match="density control 'adaptive', not 'prune-only'"):
+        training(tmp_path / "run", scene, config=other).train_all()
+    assert not (tmp_path / "run").exists()
 
 
 def test_blocks_of_something_else_are_refused(joined, scene, tmp_path):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 
@@ -47,6 +48,31 @@ def moved(camera: Camera, x: float) -> Camera:
 
 def test_a_usual_scene_is_not_odd(folder):
     assert oddities(load_scene(folder)) == []
+
+
+def test_cameras_that_look_the_other_way(folder):
+    flip = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+
+    def flipped(camera: Camera, _: int) -> Camera:
+        return Camera(camera.K, flip @ camera.viewmat, camera.width, camera.height)
+
+    (found,) = oddities(with_cameras(load_scene(folder), flipped))
+    assert re.match(r"all training views together see \d% of the points: .* mrgs check", found)
+
+
+def test_coordinates_of_a_map(folder):
+    scene = load_scene(folder)
+    shift = torch.tensor([5e5, 5.4e6, 300.0], dtype=torch.float64)
+
+    def shifted(camera: Camera, _: int) -> Camera:
+        viewmat = camera.viewmat.clone()
+        viewmat[:3, 3] -= viewmat[:3, :3] @ shift
+        return Camera(camera.K, viewmat, camera.width, camera.height)
+
+    positions = (scene.points.positions.double() + shift).float()
+    points = replace(scene.points, positions=positions)
+    found = oddities(replace(with_cameras(scene, shifted), points=points))
+    assert found[0].startswith("it lies 5.4e+06 units from the origin")
 
 
 @pytest.mark.parametrize(

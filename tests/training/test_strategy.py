@@ -209,6 +209,17 @@ def test_a_preset_among_the_changes_brings_all_of_its_values():
         method.configure(changes="preset: slow")
 
 
+@pytest.mark.parametrize(
+    "values", [{"max_steps": 200}, {"batch": 4}, {"max_steps": 90, "batch": 3}]
+)
+def test_steps_and_batch_in_a_file_rescale_the_schedule_as_options_do(values):
+    method = find_method("mrgs")
+    file = "\n".join(f"{name}: {value}" for name, value in values.items())
+    assert method.configure("fast", changes=file) == method.configure("fast", **values)
+    with pytest.raises(ConfigError, match="max_steps"):
+        method.configure("fast", changes="max_steps: many")
+
+
 def test_the_command_line_knows_a_registered_method(small_scene, tmp_path, own_methods, capsys):
     from mrgs.app.cli import main
 

@@ -81,6 +81,9 @@ def test_the_token_is_found_in_address_and_cookie(gate):
     name = cookie_name(8080)
     assert gate.has_cookie(["other=1", f"{name}={gate.token}"], 8080)
     assert not gate.has_cookie([f"{name}={gate.token}"], 8081)
+    for other in ('prefs={"theme":"dark","n":1}', "x[y]=1", "abc", 'q="a', "=;;"):
+        for jar in ([f"{other}; {name}={gate.token}"], [f"{name}={gate.token};{other}"]):
+            assert gate.has_cookie(jar, 8080)
     for jar in ([], [f"{name}=wrong"], ["\x00;;;=", f"{name}"]):
         assert not gate.has_cookie(jar, 8080)
     assert {"HttpOnly", "SameSite=Strict"} <= set(gate.cookie(8080).split("; "))

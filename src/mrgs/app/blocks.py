@@ -48,11 +48,12 @@ def train_in_blocks(
     from mrgs.blocks.train import BlockTraining
     from mrgs.data import load_scene
     from mrgs.method.config import TrainConfig
+    from mrgs.runs.registry import Method, find_method
     from mrgs.training.run_folder import RunFolder
 
     assert command.blocks is not None
     leads = processes is None or processes.is_first
-    if not isinstance(config, TrainConfig):
+    if not isinstance(config, TrainConfig) or find_method(command.method).train is not Method.train:
         raise ConfigError(f"{command.method} cannot be trained in blocks: leave --blocks out")
     training = BlockTraining(
         load_scene(command.scene, resolution=config.resolution, seed=config.seed),

@@ -16,7 +16,8 @@ from mrgs.pictures.values import unit_of
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Camera
 
-_CORNER = r"([0-9.]+),([0-9.]+)"
+_NUMBER = r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
+_CORNER = f"{_NUMBER},{_NUMBER}"
 
 
 def measure(command: Measure) -> None:

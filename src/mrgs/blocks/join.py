@@ -19,6 +19,7 @@ from mrgs.method.config import TrainConfig
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import Gaussians, Scene
+from mrgs.system.randomness import seeded
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint_layout import below
 from mrgs.training.facts import CheckpointFacts
@@ -89,7 +90,8 @@ def save(
     neighbours = None
     if config.field.neighbours_k > 0:
         neighbours = nearest_neighbours(gaussians.means, config.field.neighbours_k)
-    terms = configured_terms(config, (), gaussians.modalities)
+    with seeded(config.seed):
+        terms = configured_terms(config, (), gaussians.modalities)
     generator = torch.Generator().manual_seed(config.seed)
     state = TrainingState.around(
         replace(joined.whole.model, neighbours=neighbours), terms, config.densification, config,

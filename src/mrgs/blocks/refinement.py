@@ -24,6 +24,7 @@ from mrgs.method.start.initialisation import initial_gaussians
 from mrgs.method.start.start_points import start_points
 from mrgs.render import Model, rows_in_view
 from mrgs.scene import THERMAL, Gaussians, PointCloud, Scene
+from mrgs.system.randomness import seeded
 from mrgs.training.checkpoint import load_model
 from mrgs.training.newest import load_newest
 from mrgs.training.run_folder import RunFolder
@@ -122,11 +123,12 @@ class Refinement:
         self, strategy: Strategy, scene: Scene, config: TrainConfig, device: torch.device
     ) -> TrainingState:
         chosen = self.start.model.gaussians.rows(self.rows)
-        if self.points is not None:
-            chosen = chosen.followed_by(self._from_points(self.points, scene, config))
+        with seeded(config.seed):
+            if self.points is not None:
+                chosen = chosen.followed_by(self._from_points(self.points, scene, config))
+            terms = configured_terms(config, (), chosen.modalities)
         model = replace(self.start.model, gaussians=chosen, neighbours=None, sh_degree=0)
         model = model.to(device)
-        terms = configured_terms(config, (), chosen.modalities)
         generator = torch.Generator().manual_seed(config.seed)
         state = TrainingState.around(model, terms, strategy, config, Capture.of(scene), generator)
         state.image_model.load_state_dict(self.start.image_model.state_dict())

@@ -22,6 +22,7 @@ from mrgs.blocks.refinement import Refinement, WholeModel
 from mrgs.blocks.region import parse_grid
 from mrgs.errors import ConfigError, FolderInUseError
 from mrgs.method.config import TrainConfig, with_steps
+from mrgs.method.density.adaptive import AdaptiveDensityControl
 from mrgs.scene import Scene
 from mrgs.system.atomic import write_error
 from mrgs.system.gpu import DeviceName
@@ -98,6 +99,11 @@ class BlockTraining:
         parse_grid(self.options.blocks)
         if self.config.batch != 1:
             raise ConfigError("blocks are trained with one view per step: leave the batch out")
+        if not isinstance(self.config.densification, AdaptiveDensityControl):
+            raise ConfigError(
+                f"blocks are trained with the density control 'adaptive', not "
+                f"{self.config.densification.name!r}: train the whole instead"
+            )
         if not self._below.exists():
             self.folder.require_new()
         with self._alone():

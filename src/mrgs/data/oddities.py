@@ -35,6 +35,12 @@ _MOST_ALONE = 0.1
 """If the views see fewer points, or a larger share of them overlaps no other, then it is the points
 that are too sparse."""
 
+_FEW = 0.05
+"""If all views together see a smaller share of the points, poses and points do not fit together."""
+
+_FAR_OFF = 1e4
+"""So many times its own size from the origin, a scene's coordinates have few digits left."""
+
 _NAMED = 3
 _VIEWS_AT_ONCE = 256
 _WHOLE = 1e-2
@@ -49,7 +55,8 @@ def oddities(scene: Scene) -> list[str]:
         SceneError: a photo cannot be read.
     """
     cameras = scene.train_cameras
-    found = [*_of_poses(cameras)] or [*_of_overlap(scene, cameras)]
+    found = [*_of_place(scene, cameras)]
+    found += [*_of_poses(cameras)] or [*_of_overlap(scene, cameras)]
     found += _of_files(scene)
     views = [scene.train[place] for place in evenly_spaced(len(scene.train), PHOTOS)]
     for modality in scene.modalities:
@@ -100,12 +107,30 @@ def _of_poses(cameras: Sequence[Camera]) -> Iterator[str]:
         )
 
 
+def _of_place(scene: Scene, cameras: Sequence[Camera]) -> Iterator[str]:
+    """A place whose coordinates single precision does not suit."""
+    centre = torch.stack([camera.position for camera in cameras]).mean(dim=0)
+    distance = centre.norm().item()
+    if distance > _FAR_OFF * scene.extent:
+        yield (
+            f"it lies {distance:.2g} units from the origin, but is only {scene.extent:.2g} in "
+            f"size: move poses and points to the origin together"
+        )
+
+
 def _of_overlap(scene: Scene, cameras: Sequence[Camera]) -> Iterator[str]:
-    """Views that see nothing that another one sees."""
+    """Points that no view sees; or views that see nothing that another one sees."""
     places = evenly_spaced(len(scene.points.positions), min(POINTS, PAIRS // len(cameras)))
     if len(cameras) < 3 or not places:
         return
     sees = _visible(cameras, scene.points.positions[places])
+    seen = sees.any(dim=0).float().mean().item()
+    if seen < _FEW:
+        yield (
+            f"all training views together see {seen:.0%} of the points: poses and points do not "
+            f"fit together, or the axes mean something else; mrgs check says what would"
+        )
+        return
     seen_by_two = sees.sum(dim=0) >= 2
     counts = sees.sum(dim=1)
     alone = ~(sees & seen_by_two).any(dim=1)

@@ -47,7 +47,7 @@ class OrthogonalExtraction(nn.Module):
     def forward(
         self, embedding: Float[Tensor, "n c"], sh: Float[Tensor, "n 16 3"]
     ) -> Float[Tensor, "n c"]:
-        """e_t from e_m and all colour coefficients, those of degrees not yet in use included."""
+        """e_t from e_m and all colour coefficients, 0 for those of degrees not yet in use."""
         e_t: Tensor = self.phi_e(reject(embedding, self.phi_sh(sh.flatten(1))))
         return e_t
 

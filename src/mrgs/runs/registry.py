@@ -80,15 +80,18 @@ class Method:
             resolution: images wider than this many pixels are reduced to it.
             seed: of every random choice.
             batch: views per step, where the method has Gaussians.
-            changes: YAML of the values that differ; they count before the others, and a preset
-                among them stands for all of its values.
+            changes: YAML of the values that differ; they count before the others. A preset among
+                them stands for all of its values; steps and batch rescale its schedule, as those
+                given do.
             source: where the changes come from, for messages.
 
         Raises:
             ConfigError: a value that is not allowed, or changes for another method.
         """
         if changes:
-            preset = _preset_among(changes, source) or preset
+            values = _values_among(changes, source)
+            preset = values.get("preset", preset)
+            max_steps, batch = values.get("max_steps", max_steps), values.get("batch", batch)
         options = {"max_steps": max_steps, "resolution": resolution, "seed": seed}
         if self.has_gaussians:
             options["max_gaussians"] = max_gaussians
@@ -103,13 +106,20 @@ class Method:
         return changed
 
 
-def _preset_among(changes: str, source: str) -> str | None:
-    """The preset that a YAML of changed values names, None if it names none."""
+_CHOSEN_FIRST = {"preset": str, "max_steps": int, "batch": int}
+"""Values on which others depend, and their types."""
+
+
+def _values_among(changes: str, source: str) -> dict[str, Any]:
+    """Those of ``_CHOSEN_FIRST`` that a YAML of changed values names; what is wrong with the YAML
+    is said when all of it is read."""
     from mrgs.system.strict_yaml import parse_yaml
 
     values = parse_yaml(changes, source)
-    preset = values.get("preset") if isinstance(values, dict) else None
-    return preset if isinstance(preset, str) else None
+    named = values if isinstance(values, dict) else {}
+    return {
+        name: named[name] for name, kind in _CHOSEN_FIRST.items() if type(named.get(name)) is kind
+    }
 
 
 _METHODS: dict[str, Method] = {}

@@ -18,6 +18,7 @@ from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
 from mrgs.render import Model
 from mrgs.system.gpu import HOST
+from mrgs.system.randomness import seeded
 from mrgs.training.checkpoint_file import read_file, read_header, write_file
 from mrgs.training.checkpoint_layout import (
     below,
@@ -194,7 +195,8 @@ def state_of(
         model = _model(tensors, config, facts).to(device)
     except UNFIT as error:
         raise unfit(path, error) from error
-    all_terms = configured_terms(config, terms, model.gaussians.modalities)
+    with seeded(config.seed):
+        all_terms = configured_terms(config, terms, model.gaussians.modalities)
     _require_made_with(path, header, _made_with(strategy, all_terms))
     try:
         for term, module in learned_layers(all_terms).items():
@@ -302,7 +304,8 @@ def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: Checkpoint
     gaussians = gaussians_from(parameters, config, facts)
     neighbours = tensors.get("neighbours")
     require_neighbours(neighbours, len(gaussians), config.field.neighbours_k)
-    field = RadianceField(config.field)
+    with seeded(config.seed):
+        field = RadianceField(config.field)
     _load_module(field, below(tensors, "field."))
     return Model(
         gaussians=gaussians,

@@ -24,6 +24,7 @@ from mrgs.method.start.start_points import model_modalities, start_points
 from mrgs.render import Model
 from mrgs.scene import THERMAL, Scene, in_order
 from mrgs.system.gpu import HOST
+from mrgs.system.randomness import seeded
 from mrgs.training.views import ViewSampler
 
 
@@ -101,7 +102,7 @@ class TrainingState:
         return [*gaussians, *self.layer_optimizer.parameters()]
 
     def refresh_neighbours(self, config: TrainConfig) -> None:
-        """Search the neighbours (Eq. 9) when N has changed, and every so many steps because the
+        """Search the neighbours (Eq. 11) when N has changed, and every so many steps because the
         Gaussians move; but not so close to the end that the layers could no longer follow.
 
         Raises:
@@ -184,8 +185,7 @@ def initial_state(
     modalities = model_modalities(scene.modalities)
     shares_opacity = config.shares_opacity or modalities != in_order(scene.modalities)
     generator = torch.Generator().manual_seed(config.seed)
-    with torch.random.fork_rng(devices=[]):
-        torch.default_generator.manual_seed(config.seed)
+    with seeded(config.seed):
         field = RadianceField(config.field)
         all_terms = configured_terms(config, terms, modalities)
         field.set_frame(scene.points.positions)

@@ -7,7 +7,6 @@ import ipaddress
 import secrets
 import socket
 from collections.abc import Sequence
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
 LOCAL_NAME = "localhost"
@@ -65,13 +64,11 @@ class Gate:
         return parse_qs(urlsplit(path).query).get("token", [None])[0]
 
     def has_cookie(self, cookies: Sequence[str], port: int) -> bool:
-        """Whether a request's ``Cookie`` headers have the token."""
-        try:
-            jar = SimpleCookie("; ".join(cookies))
-        except CookieError:
-            return False
+        """Whether a request's ``Cookie`` headers have the token. Other servers of this computer may
+        have set others, in whatever form."""
+        pairs = [pair.partition("=") for each in cookies for pair in each.split(";")]
         name = cookie_name(port)
-        return name in jar and self.knows(jar[name].value)
+        return any(key.strip() == name and self.knows(value.strip()) for key, _, value in pairs)
 
     def cookie(self, port: int) -> str:
         """The ``Set-Cookie`` header with which the page's browser keeps the token: scripts cannot

@@ -2,12 +2,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 import torch
 
 from mrgs.baselines.thermonerf.frame import frame_of
 from mrgs.baselines.thermonerf.pixels import PixelPool
 from mrgs.data import load_scene
-from mrgs.scene import RGB, THERMAL, Pixels, PosedImage
+from mrgs.errors import SceneError
+from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
+from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.scenes import write_scene
 
 
@@ -25,6 +28,13 @@ def test_one_ray_serves_both_modalities_of_a_shared_camera(small_scene):
         (64, 1),
     )
     assert batch.targets[RGB].valid is None
+
+
+def test_a_scene_without_either_is_refused(small_scene):
+    scene = load_scene(small_scene)
+    views = [View(view.name, {NEAR_INFRARED: view.images[THERMAL]}) for view in scene.train]
+    with pytest.raises(SceneError, match="has neither RGB nor thermal photos"):
+        drawn(replace(scene, train=tuple(views), eval=()))
 
 
 def test_values_are_those_of_the_pixels_that_the_rays_pass_through(small_scene):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +18,17 @@ from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Boltzmann
 from mrgs.rasterizer.dilation import AS_PUBLISHED
-from mrgs.scene import RGB, THERMAL, Blend, Pixels, Rendering, TemperatureRange, View
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Blend,
+    Camera,
+    Modality,
+    Pixels,
+    Rendering,
+    TemperatureRange,
+    View,
+)
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered
 
@@ -161,9 +173,18 @@ def test_pixels_that_show_no_surface_do_not_count() -> None:
         assert (gradient[8:] != 0).any()
 
 
-def test_views_without_a_common_camera_are_left_out() -> None:
+def test_where_the_cameras_differ_the_surface_is_seen_from_the_thermal_one() -> None:
     view = load_scene(SCENE).train[0]
     other = {RGB: view.cameras[RGB], THERMAL: view.cameras[RGB].resized(64, 48)}
+    shared, *_ = small_context()
     context, *_ = small_context(cameras=other)
-    assert Boltzmann(RadiationConfig(area="pixel"), 1e-3).value(context) is None
-    assert Boltzmann(RadiationConfig(), 1e-3).value(context) is not None
+    asked = []
+
+    def render(cameras: Mapping[Modality, Camera]) -> Rendering:
+        asked.append(dict(cameras))
+        return Rendering({RGB: shared.rendering[RGB]})
+
+    term = confident(RadiationConfig(area="pixel"))
+    value = term.value(replace(context, render=render))
+    assert asked == [{RGB: other[THERMAL]}]
+    torch.testing.assert_close(value, term.value(shared))

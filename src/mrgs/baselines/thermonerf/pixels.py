@@ -11,6 +11,7 @@ from torch import Tensor
 
 from mrgs.baselines.thermonerf.frame import SceneFrame
 from mrgs.baselines.thermonerf.rays import CameraRays, Rays
+from mrgs.errors import SceneError
 from mrgs.scene import RGB, THERMAL, Modality, PosedImage, Scene
 
 MODALITIES = (RGB, THERMAL)
@@ -72,10 +73,14 @@ class PixelPool:
         frame: of the scene.
 
     Raises:
-        SceneError: a photo cannot be read.
+        SceneError: a photo cannot be read, or there is none in colour or thermal.
     """
 
     def __init__(self, scene: Scene, frame: SceneFrame) -> None:
+        if not set(MODALITIES) & set(scene.modalities):
+            raise SceneError(
+                f"{scene.name} has neither RGB nor thermal photos, and thermonerf renders no others"
+            )
         views = [view.images for view in scene.train]
         self._photos = {
             modality: _Photos([images[modality] for images in views if modality in images], frame)

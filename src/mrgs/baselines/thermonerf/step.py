@@ -16,6 +16,7 @@ from mrgs.baselines.thermonerf.pixels import Batch, PixelPool
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.optimizer import are_finite
 from mrgs.scene import THERMAL, Scene
+from mrgs.system.randomness import seeded
 
 ADAM_EPSILON = 1e-15
 """Entries of the hash tables get rare and tiny gradients (Müller et al. 2022, Section 4)."""
@@ -73,8 +74,7 @@ def initial_state(scene: Scene, config: ThermoNerfConfig) -> NerfState:
 
 def new_model(config: ThermoNerfConfig, frame: SceneFrame) -> ThermoNerf:
     """An untrained model."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
+    with seeded(config.seed):
         return ThermoNerf(config, frame)
 
 

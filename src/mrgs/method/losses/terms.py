@@ -209,8 +209,7 @@ class Boltzmann(Term):
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
         photo, scale, config = context.photos.get(THERMAL), context.scale, self._config
-        by_pixel = config.area == "pixel"
-        if photo is None or (by_pixel and not context.shares_pixels):
+        if photo is None:
             return None
         image, depth, alpha = context.observed[THERMAL]
         # A depth that is mostly background's is that of no surface, and no photo's temperature.
@@ -222,7 +221,7 @@ class Boltzmann(Term):
             depth if config.depth_gradient else depth.detach(),
             scale.extent,
             scale.temperature if config.temperatures == "kelvin" else None,
-            _surface_depth(context.rendering[RGB]) if by_pixel else None,
+            _surface_depth(context.colors_by_thermal_camera) if config.area == "pixel" else None,
         )
         # u judges the depth and does not shape it: it would grow without end to make u small.
         uncertainty = self._uncertainty(depth.detach(), scale.extent)
