@@ -1,12 +1,17 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from mrgs.app.cli import main
+from mrgs.runs import registry
 from mrgs.runs.open import load_run
+from mrgs.runs.registry import find_method
+from mrgs.training import train
 from tests.helpers.scenes import write_scene
 
 SHORT = ("--preset", "fast", "--max-steps", "3", "--max-gaussians", "200")
@@ -50,3 +55,10 @@ def test_options_that_do_not_go_together_are_refused(scene, tmp_path, capsys, op
     assert error.count("\n") == 1
     assert message in error
     assert not (tmp_path / "run").exists()
+
+
+def test_a_method_with_a_training_of_its_own_is_refused(scene, tmp_path, capsys, monkeypatch):
+    method = replace(find_method("mrgs-plus"), train=partial(train, terms=[]))
+    monkeypatch.setitem(registry._METHODS, "mrgs-plus", method)
+    assert run(scene, tmp_path / "run", "--blocks", "1x2", "--overlap", "0.1") == 2
+    assert "mrgs-plus cannot be trained in blocks" in capsys.readouterr().err

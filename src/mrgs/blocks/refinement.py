@@ -142,9 +142,9 @@ class Refinement:
         start = start_points(replace(scene, points=points, train=views), config)
         start = start.at_most(self.density.max_gaussians, generator)
         model = self.start.model
-        shares_opacity = len(model.gaussians.opacity_logits) == 1
+        apart = tuple(model.gaussians.opacity_logits)
         degree = config.temperature_sh_degree_of(Capture.of(scene))
-        found = initial_gaussians(start, model.field, shares_opacity, degree)
+        found = initial_gaussians(start, model.field, apart, degree)
         if config.fitted_residuals > 0:
             leave_the_rest(model.field, found, start.values[THERMAL])
         return found

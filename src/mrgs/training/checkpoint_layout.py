@@ -10,8 +10,8 @@ from torch import Tensor
 
 from mrgs.field.spherical_harmonics import MAX_DEGREE
 from mrgs.method.config import TrainConfig
-from mrgs.method.start.start_points import model_modalities
-from mrgs.scene import THERMAL, Gaussians, in_order
+from mrgs.method.start.start_points import blended_apart, model_modalities
+from mrgs.scene import THERMAL, Gaussians
 from mrgs.training.facts import CheckpointFacts
 
 
@@ -61,8 +61,7 @@ def gaussians_from(
         "log_scales": (count, 3),
         "embedding": (count, config.field.embedding_width if config.field.residuals else 0),
     }
-    shares_opacity = config.shares_opacity or modalities != in_order(facts.modalities)
-    for modality in modalities[:1] if shares_opacity else modalities:
+    for modality in blended_apart(facts.modalities, config.shares_opacity):
         shapes[f"opacity_logit.{modality}"] = (count, 1)
     for modality in modalities:
         degree = MAX_DEGREE

@@ -20,7 +20,7 @@ from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms, term_values
 from mrgs.method.start.initialisation import initial_gaussians
-from mrgs.method.start.start_points import StartPoints
+from mrgs.method.start.start_points import StartPoints, blended_apart
 from mrgs.scene import BUILT_IN, RGB, Blend, Camera, Gaussians, Rendering, TemperatureRange
 from mrgs.system.child import read_request, send, when_asked_to_stop
 from mrgs.system.gpu import HOST
@@ -96,7 +96,8 @@ def _random_gaussians(config: TrainConfig, generator: torch.Generator) -> Gaussi
         {each: torch.full((count,), 0.5) for each in BUILT_IN},
         torch.full((count,), torch.inf),
     )
-    gaussians = initial_gaussians(points, RadianceField(config.field), config.shares_opacity, 0)
+    apart = blended_apart(BUILT_IN, config.shares_opacity)
+    gaussians = initial_gaussians(points, RadianceField(config.field), apart, 0)
     for tensor in gaussians.tensors().values():
         tensor.requires_grad_()
     return gaussians

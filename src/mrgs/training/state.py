@@ -20,9 +20,9 @@ from mrgs.method.losses.terms import configured_terms
 from mrgs.method.optimizer import GaussianOptimizer, are_finite
 from mrgs.method.start.fitted_residuals import fit_residuals
 from mrgs.method.start.initialisation import initial_gaussians
-from mrgs.method.start.start_points import model_modalities, start_points
+from mrgs.method.start.start_points import blended_apart, model_modalities, start_points
 from mrgs.render import Model
-from mrgs.scene import THERMAL, Scene, in_order
+from mrgs.scene import THERMAL, Scene
 from mrgs.system.gpu import HOST
 from mrgs.system.randomness import seeded
 from mrgs.training.views import ViewSampler
@@ -180,18 +180,15 @@ def initial_state(
     """
     capture = Capture.of(scene)
     strategy = config.densification if strategy is None else strategy
-    # Without photos a modality's opacities never move, and their maximum over the modalities would
-    # keep every Gaussian from being pruned.
-    modalities = model_modalities(scene.modalities)
-    shares_opacity = config.shares_opacity or modalities != in_order(scene.modalities)
+    apart = blended_apart(scene.modalities, config.shares_opacity)
     generator = torch.Generator().manual_seed(config.seed)
     with seeded(config.seed):
         field = RadianceField(config.field)
-        all_terms = configured_terms(config, terms, modalities)
+        all_terms = configured_terms(config, terms, model_modalities(scene.modalities))
         field.set_frame(scene.points.positions)
         points = start_points(scene, config).at_most(strategy.max_gaussians, generator)
         degree = config.temperature_sh_degree_of(capture)
-        gaussians = initial_gaussians(points, field, shares_opacity, degree)
+        gaussians = initial_gaussians(points, field, apart, degree)
         steps = config.fitted_residuals
         fit_residuals(field, gaussians, points.values[THERMAL], steps, generator)
     model = Model(

@@ -6,8 +6,8 @@ from torch import Tensor
 
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.method.start.initialisation import SMALLEST_DISTANCE, initial_gaussians
-from mrgs.method.start.start_points import StartPoints
-from mrgs.scene import RGB, THERMAL, Gaussians
+from mrgs.method.start.start_points import StartPoints, blended_apart
+from mrgs.scene import RGB, THERMAL, Gaussians, Modality
 
 MODALITIES = (RGB, THERMAL)
 
@@ -33,7 +33,8 @@ def start(
 ) -> Gaussians:
     generator = torch.Generator().manual_seed(seed)
     points = points.at_most(cap, generator)
-    return initial_gaussians(points, RadianceField(FieldConfig(**field)), shares_opacity, degree)
+    apart = blended_apart(MODALITIES, shares_opacity)
+    return initial_gaussians(points, RadianceField(FieldConfig(**field)), apart, degree)
 
 
 @pytest.mark.parametrize("degree", [0, 3])
@@ -114,3 +115,24 @@ def test_a_temperature_that_is_not_known_is_the_middle_of_the_range():
     points = cloud(3)
     points.values[THERMAL][1] = torch.nan
     assert start(points).sh_dc[THERMAL][:, 0, 0].tolist()[1] == 0.0
+
+
+NIR = Modality("nir", 1)
+
+
+@pytest.mark.parametrize(
+    ("captured", "shares", "expected"),
+    [
+        ((RGB, THERMAL), False, (RGB, THERMAL)),
+        ((RGB, THERMAL), True, (RGB,)),
+        ((RGB,), False, (RGB,)),
+        ((THERMAL,), False, (RGB,)),
+        ((RGB, NIR), False, (RGB, NIR)),
+        ((THERMAL, NIR), False, (THERMAL, NIR)),
+        ((THERMAL, NIR), True, (RGB,)),
+        ((NIR,), False, (RGB,)),
+        ((RGB, THERMAL, NIR), False, (RGB, THERMAL, NIR)),
+    ],
+)
+def test_modalities_with_photos_have_opacities_of_their_own(captured, shares, expected):
+    assert blended_apart(captured, shares) == expected

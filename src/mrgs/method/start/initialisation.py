@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -9,7 +11,7 @@ from torch import Tensor
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
 from mrgs.method.start.start_points import StartPoints
-from mrgs.scene import THERMAL, Gaussians
+from mrgs.scene import THERMAL, Gaussians, Modality
 
 INITIAL_SCALE_NEIGHBOURS = 3
 UNSEEN = 0.5
@@ -22,7 +24,7 @@ SMALLEST_DISTANCE = 1e-7
 def initial_gaussians(
     points: StartPoints,
     field: RadianceField,
-    shares_opacity: bool,
+    apart: Sequence[Modality],
     temperature_sh_degree: int,
 ) -> Gaussians:
     """One isotropic Gaussian per start point, as large as the RMS distance to its three nearest
@@ -34,19 +36,18 @@ def initial_gaussians(
     Args:
         points: start points.
         field: gives e_m its start; its frame must be set.
-        shares_opacity: whether all modalities are blended with o_c.
+        apart: modalities with an opacity of their own; see ``blended_apart``.
         temperature_sh_degree: degree of the temperature's spherical harmonics, 0 to 3.
     """
     count = len(points.positions)
     values = {each: known.nan_to_num(nan=UNSEEN) for each, known in points.values.items()}
     means = points.positions.clone()
     degrees = dict.fromkeys(points.values, MAX_DEGREE) | {THERMAL: temperature_sh_degree}
-    blended = list(points.opacities)[: 1 if shares_opacity else None]
     return Gaussians(
         means=means,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         log_scales=torch.minimum(_spacing(means), points.max_scales).log()[:, None].repeat(1, 3),
-        opacity_logits={each: points.opacities[each].logit()[:, None] for each in blended},
+        opacity_logits={each: points.opacities[each].logit()[:, None] for each in apart},
         sh_dc={each: ((value - 0.5) / C0)[:, None] for each, value in values.items()},
         sh_rest={
             each: torch.zeros(count, (degrees[each] + 1) ** 2 - 1, each.channels)

@@ -101,6 +101,21 @@ def model_modalities(captured: Iterable[Modality]) -> tuple[Modality, ...]:
     return in_order((RGB, THERMAL, *captured))
 
 
+def blended_apart(captured: Iterable[Modality], shares_opacity: bool) -> tuple[Modality, ...]:
+    """The modalities of a model that have an opacity of their own; the others share the first
+    one's.
+
+    Without photos a modality's opacities would never move, and their maximum over the modalities
+    would keep every Gaussian from being pruned.
+
+    Args:
+        captured: the scene's modalities.
+        shares_opacity: whether the method blends all with o_c.
+    """
+    own = in_order(captured)
+    return own if len(own) > 1 and not shares_opacity else model_modalities(own)[:1]
+
+
 def _as_published(cloud: PointCloud, modalities: tuple[Modality, ...]) -> StartPoints:
     """The scene's points as 3DGS starts from them: only their colours are known."""
     like = cloud.positions[:, 0]
