@@ -220,5 +220,5 @@ def _georeference(
 def _middle(positions: Sequence[GpsPosition]) -> GpsPosition:
     """The position with the least sum of distances to the others."""
     places = np.array([ecef(position) for position in positions])
-    distances = np.linalg.norm(places[:, None] - places, axis=2)
-    return positions[int(distances.sum(axis=1).argmin())]
+    sums = [np.linalg.norm(places - place, axis=1).sum() for place in places]
+    return positions[int(np.argmin(sums))]

@@ -79,7 +79,12 @@ def at(seconds: float, **more: object) -> dict[str, object]:
         ),
         ({"a.jpg": "jpg", "a.tif": "celsius"}, [("a", "a.jpg", "a.tif")]),
         (
-            {"x/a.jpg": "jpg", "x/a.tif": "celsius", "y/a.jpg": "jpg", "y/a.tif": "celsius"},
+            {
+                "x/a.jpg": "jpg",
+                "x/a.tif": "celsius",
+                "y/a.jpg": ("jpg", at(9)),
+                "y/a.tif": ("celsius", at(9)),
+            },
             [("x_a", "x/a.jpg", "x/a.tif"), ("y_a", "y/a.jpg", "y/a.tif")],
         ),
     ],
@@ -105,7 +110,7 @@ def test_names(photos, content, pairs):
             {
                 "Images/train/1_rgb.jpg": "jpg",
                 "IR/train/1_ir.jpg": "jpg",
-                "IR/test/1_ir.jpg": "jpg",
+                "IR/test/1_ir.jpg": ("jpg", at(9)),
             },
             [("Images/train/1_rgb.jpg", "IR/train/1_ir.jpg")],
         ),
@@ -184,6 +189,26 @@ def test_the_folder_of_all_photos_may_have_any_name(photos, name, thermal):
     root = root.rename(root.with_name(name))
     found = find_pairs(root)
     assert files(root, found) == [(f"DSC_{i + 100}.jpg", thermal.format(i=i)) for i in range(4)]
+
+
+def test_a_backup_of_the_card_adds_no_views(photos):
+    card = {f"{kind}_{i}.jpg": (kind, at(60 * i)) for i in range(3) for kind in ("flir", "jpg")}
+    names = {name: name.replace("flir", "IR").replace("jpg_", "DC_") for name in card}
+    content = {
+        f"{folder}/{names[name]}": value
+        for folder in ("card", "card backup")
+        for name, value in card.items()
+    }
+    found = find_pairs(photos(content), rule="time")
+    assert [pair.photos[THERMAL].name for pair in found.pairs] == [
+        "IR_0.jpg",
+        "IR_1.jpg",
+        "IR_2.jpg",
+    ]
+    assert {pair.photos[RGB].parent.name for pair in found.pairs} == {"card"}
+    assert reasons(found) == {
+        f"card backup/{name}": f"is a copy of card/{name}" for name in names.values()
+    }
 
 
 def test_visible_photos_inside(photos):

@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from mrgs.data.files import scene_error, visible_files
+from mrgs.prepare.cache import digest
 from mrgs.prepare.contract import Skipped
-from mrgs.prepare.pairs.names import composed, natural, printable
+from mrgs.prepare.pairs.names import composed, folder_modality, natural, printable
 from mrgs.prepare.pairs.photo import PREFERENCE, Photo, inspect
+from mrgs.scene import Modality
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,39 @@ def take_inventory(root: Path) -> Inventory:
         raise scene_error(
             root, f"{what}{first}; give the folder with the camera's JPEG, PNG or TIFF files"
         )
+    photos, copies = _without_copies(root, photos)
     kept, replaced = _one_file_per_photo(root, photos)
-    return Inventory(root, tuple(kept), tuple(skipped + replaced))
+    return Inventory(root, tuple(kept), tuple(skipped + copies + replaced))
+
+
+def _without_copies(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
+    """Of files of one name that hold the same bytes, as in a backup of the card, the one with the
+    shortest path.
+
+    Each copy would be a view of its own, and that of a held-out view would be trained on.
+    """
+    by_name: dict[tuple[str, int, Modality | None], list[Photo]] = {}
+    for photo in photos:
+        camera, _ = folder_modality(photo.origin.parts[:-1])
+        key = composed(photo.path.name.casefold()), photo.path.stat().st_size, camera
+        by_name.setdefault(key, []).append(photo)
+    originals: dict[Photo, Photo] = {}
+    for group in by_name.values():
+        firsts: dict[str, Photo] = {}
+        for photo in sorted(group, key=_length) if len(group) > 1 else ():
+            content = digest(photo.path)
+            if content:
+                originals[photo] = firsts.setdefault(content, photo)
+    copies = {photo: first for photo, first in originals.items() if first is not photo}
+    skipped = [
+        Skipped(below(root, photo.path), f"is a copy of {below(root, first.path)}")
+        for photo, first in copies.items()
+    ]
+    return [photo for photo in photos if photo not in copies], skipped
+
+
+def _length(photo: Photo) -> int:
+    return len(str(photo.origin))
 
 
 def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
