@@ -115,6 +115,44 @@ def test_what_is_scored_is_not_done_again(here, small_scene, tmp_path):
     assert second.tables[0].rows[0].cells == first.tables[0].rows[0].cells
 
 
+def test_a_scene_that_has_changed_is_named_before_anything_runs(here, twin, tmp_path):
+    out = tmp_path / "out"
+    compare([twin], out, tiny_options(methods=("3dgs-rgbt",)))
+    tables = read(out / "tables" / "thermal.md")
+    bounds = json.loads(read(twin / "temperature_bounds.json"))
+    bounds["absolute_max_temperature"] += 10
+    (twin / "temperature_bounds.json").write_text(json.dumps(bounds))
+    with pytest.raises(
+        MrgsError, match=r"3dgs-rgbt/seed_0 holds a run of other data than twin has now \(it has "
+    ):
+        compare([twin], out, tiny_options(methods=("mrgs", "3dgs-rgbt")))
+    assert here == ["twin, 3dgs-rgbt, seed 0"]
+    assert read(out / "tables" / "thermal.md") == tables
+    assert len(compare([twin], tmp_path / "new", tiny_options(methods=("mrgs",))).tables) == 2
+
+
+def test_other_held_out_photos_are_scored_without_training(here, twin, tmp_path):
+    out, options = tmp_path / "out", tiny_options(methods=("3dgs-rgbt",))
+    first = compare([twin], out, options)
+    folder = out / "runs" / "twin" / "3dgs-rgbt" / "seed_0"
+    log = read(folder / "log.jsonl")
+    for path in (twin / "images").glob("*eval*"):
+        with Image.open(path) as photo:
+            Image.new(photo.mode, photo.size, "white").save(path)
+    said: list[str] = []
+    second = compare([twin], out, options, say=said.append)
+    assert said == ["1 runs, 0 of them scored already"]
+    assert read(folder / "log.jsonl") == log
+    thermal, rgb = (
+        [result.tables[number].rows[0].cells[0].mean for result in (first, second)]
+        for number in (0, 1)
+    )
+    assert thermal[0] == thermal[1]
+    assert rgb[0] > rgb[1] + 3
+    compare([twin], out, options, say=said.append)
+    assert said[1:] == ["1 runs, 1 of them scored already"]
+
+
 def test_a_run_that_was_cut_off_is_continued(here, small_scene, tmp_path):
     options = tiny_options(methods=("3dgs-rgbt",))
     (job,) = plan([small_scene], tmp_path / "out", options)
@@ -167,7 +205,7 @@ def test_renders_that_are_not_there_are_a_dash(here, small_scene, tmp_path):
     assert "not a folder" in result.failures["balls, Other"]
 
 
-def test_renders_that_cannot_be_scored_leave_the_other_tables(here, twin, tmp_path):
+def test_held_out_photos_that_cannot_be_decoded_are_the_reason_of_every_dash(here, twin, tmp_path):
     options = tiny_options(methods=("3dgs-rgbt",))
     compare([twin], tmp_path / "out", options)
     for kind, source in (("rgb", "images"), ("thermal", "thermal")):
@@ -179,8 +217,8 @@ def test_renders_that_cannot_be_scored_leave_the_other_tables(here, twin, tmp_pa
     for path in (twin / "images").glob("*eval*"):
         path.write_bytes(path.read_bytes()[:200])
     result = compare([twin], tmp_path / "out", options, renders={"Other": tmp_path / "other"})
-    assert list(result.failures) == ["twin, Other"]
-    assert "cannot be decoded" in result.failures["twin, Other"]
+    assert list(result.failures) == ["twin, 3dgs-rgbt, seed 0", "twin, Other"]
+    assert all("cannot be decoded" in reason for reason in result.failures.values())
     assert "cannot be decoded" in read(tmp_path / "out" / "tables" / "thermal.md")
     assert files_in(tmp_path / "out" / "figures") == set()  # no photo to show
 

@@ -11,12 +11,14 @@ from PIL import Image
 from mrgs.errors import SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.evaluation.score_run import facts_of, score_views
+from mrgs.evaluation.scored_data import ScoredData
 from mrgs.pictures.files import to_rgb8
 from mrgs.render import render_view
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL
 from mrgs.scene.camera_paths import orbit
 from mrgs.training import make_config
+from mrgs.training.fingerprint import fingerprints
 from tests.helpers.runs import trained_run
 
 
@@ -45,6 +47,8 @@ def test_evaluating_writes_scores_and_a_sheet(run):
     )
     assert document["train_seconds"] > 0
     assert document["peak_memory_bytes"] > 2**20
+    scene = run.load_scene()
+    assert ScoredData.from_json(document["data"]) == ScoredData.of(scene, fingerprints(scene))
     assert pixels(folder / "contact_sheet.png").shape[1] > 1000
     assert "PSNR" in (folder / "metrics.md").read_text()
 

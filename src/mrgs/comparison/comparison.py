@@ -82,9 +82,9 @@ def compare(
 ) -> Comparison:
     """Train and score every method on every scene, then write tables and figures.
 
-    Runs that are scored are kept, runs with a checkpoint are continued; a run that fails is
-    reported at the end. Tables and figures of an earlier call that this one does not write are
-    removed.
+    Runs that are scored are kept, and scored again where held-out images have changed since; runs
+    with a checkpoint are continued; a run that fails is reported at the end. Tables and figures of
+    an earlier call that this one does not write are removed.
 
     Args:
         scenes: the scenes' folders.
@@ -169,7 +169,9 @@ def _do(
 ) -> dict[PlannedRun, str]:
     """Train and score the runs without scores; returns the reasons of failures."""
     due = [
-        job for job in planned if not is_scored(job.folder, job.config, lpips_weights is not None)
+        job
+        for job in planned
+        if job.is_stale or not is_scored(job.folder, job.config, lpips_weights is not None)
     ]
     say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
     if due:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mrgs.comparison.methods import Options, Variant, configure
+from mrgs.comparison.same_data import SceneData, has_stale_scores, require_same_data
 from mrgs.comparison.single import require_same_config
 from mrgs.data import load_scene
 from mrgs.data.oddities import warn_of_oddities
@@ -32,6 +33,7 @@ class PlannedRun:
         seed: of every random choice.
         config: of the training.
         folder: the run's folder.
+        is_stale: whether the scores there are of other held-out images than the scene has now.
     """
 
     scene: Path
@@ -40,6 +42,7 @@ class PlannedRun:
     seed: int
     config: RunConfig
     folder: Path
+    is_stale: bool = False
 
     def __str__(self) -> str:
         return f"{self.scene_name}, {self.method}, seed {self.seed}"
@@ -56,7 +59,7 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Planned
     Raises:
         SceneError: a scene cannot be read, or has no held-out views.
         ConfigError: an option is not allowed, two scenes have one name, or a run's folder holds
-            another run.
+            another run, or one of other data than its scene has now.
     """
     if options.seeds < 1:
         raise ConfigError(
@@ -70,16 +73,20 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Planned
     named = _named(scenes, options.resolution)
     jobs = []
     for seed in range(options.seeds):
-        for name, scene in named.items():
+        for name, data in named.items():
+            scene = Path(data.scene.path)
             for label, variant in variants.items():
                 folder = output / "runs" / name / label / f"seed_{seed}"
                 jobs.append(
                     PlannedRun(scene, name, label, seed, configure(variant, options, seed), folder)
                 )
-    _claim(output / "scenes.json", named)
+    _claim(output / "scenes.json", {name: data.scene.path for name, data in named.items()})
     for job in jobs:
         require_same_config(job.folder, job.config)
-    return jobs
+        require_same_data(job.folder, named[job.scene_name])
+    return [
+        replace(job, is_stale=has_stale_scores(job.folder, named[job.scene_name])) for job in jobs
+    ]
 
 
 def _variants(options: Options) -> dict[str, Variant]:
@@ -102,11 +109,11 @@ def neighbour_methods(options: Options) -> dict[int, str]:
     }
 
 
-def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, Path]:
+def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, SceneData]:
     """The scenes by their folder's name, each checked."""
     if not scenes:
         raise ConfigError("there is nothing to compare: name at least one scene")
-    named: dict[str, Path] = {}
+    named: dict[str, SceneData] = {}
     for scene in scenes:
         loaded = load_scene(scene, resolution=resolution)
         if not loaded.eval:
@@ -117,15 +124,15 @@ def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, Path]:
             )
         with suppress(SceneError):  # a photo that cannot be read: the runs will say it
             warn_of_oddities(loaded, stacklevel=4)
-        path = scene.resolve()
-        if named.setdefault(loaded.name, path) != path:
+        other = named.setdefault(loaded.name, SceneData(loaded)).scene.path
+        if other != loaded.path:
             raise ConfigError(
-                f"{named[loaded.name]} and {path} have the same name: rename one of the folders"
+                f"{other} and {loaded.path} have the same name: rename one of the folders"
             )
     return named
 
 
-def _claim(file: Path, named: dict[str, Path]) -> None:
+def _claim(file: Path, named: dict[str, str]) -> None:
     """Note which folder each scene's name stands for, so that no other scene takes over its
     runs."""
     known: dict[str, str] = {}
@@ -138,7 +145,7 @@ def _claim(file: Path, named: dict[str, Path]) -> None:
                 options=("output",),
             ) from None
     for name, path in named.items():
-        if known.setdefault(name, str(path)) != str(path):
+        if known.setdefault(name, path) != path:
             raise ConfigError(
                 f"{file.parent} holds runs of {known[name]} under the name {name}: choose another "
                 f"folder, or, if the scene was moved, correct its path in {file}",

@@ -11,6 +11,7 @@ from typing import Any
 from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.figures import Figure, Figures, Missing, figure_names, to_json
 from mrgs.evaluation.parts import Parts
+from mrgs.evaluation.scored_data import ScoredData
 from mrgs.evaluation.truth import TRUTH_FIGURES
 from mrgs.pictures.markdown import escape_markdown
 from mrgs.scene import Modality
@@ -75,7 +76,9 @@ class RunFacts:
     device: str
 
 
-def to_document(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -> dict[str, Any]:
+def to_document(
+    facts: RunFacts, metrics: Metrics, parts: Parts | None = None, data: ScoredData | None = None
+) -> dict[str, Any]:
     """The content of ``metrics.json``.
 
     Every null has its sentence under ``reasons``, keyed by the figure's dotted path inside the
@@ -101,6 +104,8 @@ def to_document(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
         view_reasons: dict[str, str] = {}
         entry = {group: _split(figures, group, view_reasons) for group, figures in groups.items()}
         document["views"].append({"name": view.name, **entry, "reasons": view_reasons})
+    if data is not None:
+        document["data"] = data.to_json()
     return document
 
 
@@ -138,7 +143,11 @@ def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
 
 
 def write_report(
-    folder: Path, facts: RunFacts, metrics: Metrics, parts: Parts | None = None
+    folder: Path,
+    facts: RunFacts,
+    metrics: Metrics,
+    parts: Parts | None = None,
+    data: ScoredData | None = None,
 ) -> tuple[Path, Path]:
     """Write ``metrics.json`` and ``metrics.md`` into the folder; returns their paths.
 
@@ -147,13 +156,14 @@ def write_report(
         facts: of the run.
         metrics: its figures.
         parts: what its model's parts contribute; None where it has none.
+        data: of its scores; None where they are not of a run.
 
     Raises:
         RunError: a file cannot be written.
     """
     text = (
         json.dumps(
-            to_document(facts, metrics, parts), indent=2, ensure_ascii=False, allow_nan=False
+            to_document(facts, metrics, parts, data), indent=2, ensure_ascii=False, allow_nan=False
         )
         + "\n"
     )

@@ -14,6 +14,7 @@ from mrgs.evaluation.evaluate import Metrics, ViewMetrics, Visitor, evaluate
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.parts import Parts, score_parts
 from mrgs.evaluation.report import RunFacts, write_report
+from mrgs.evaluation.scored_data import ScoredData
 from mrgs.evaluation.truth import Truth
 from mrgs.pictures.files import to_picture, write_png, write_rendering
 from mrgs.pictures.palette import PaletteName
@@ -58,6 +59,7 @@ def evaluate_run(
         progress,
         run.camera_response,
         parts,
+        ScoredData.of(scene, run.facts.images),
     )
 
 
@@ -71,6 +73,7 @@ def score_views(
     progress: Progress | None = None,
     camera_response: CameraResponse = ideal_cameras,
     parts: Parts | None = None,
+    data: ScoredData | None = None,
 ) -> Metrics:
     """Score renderings of a scene's eval views, and write the scores and the contact sheet into a
     folder.
@@ -86,6 +89,7 @@ def score_views(
         camera_response: from a rendering to what the cameras would have recorded, which is compared
             with the photos.
         parts: what the model's parts contribute, for the report; None where it has none.
+        data: of the scores, for the report; None where they are not of a run.
 
     Raises:
         SceneError: the scene has no eval views, or an image cannot be read.
@@ -107,7 +111,7 @@ def score_views(
         _visitor(scene, shown, progress),
         camera_response,
     )
-    write_report(output, facts, metrics, parts)
+    write_report(output, facts, metrics, parts, data)
     write_png(
         output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
     )

@@ -1,0 +1,183 @@
+"""One run of a scene of its own, then changes to that scene."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from PIL import Image, ImageOps
+
+from mrgs.comparison.methods import Variant, configure
+from mrgs.comparison.same_data import SceneData, has_stale_scores, require_same_data
+from mrgs.comparison.single import run_one
+from mrgs.data import load_scene
+from mrgs.errors import ConfigError
+from mrgs.scene import RGB
+from mrgs.training.checkpoint_file import read_file, write_file
+from mrgs.training.run_folder import RunFolder
+from tests.helpers.comparison import tiny_options
+from tests.helpers.runs import made_once
+
+Change = Callable[[Path], None]
+
+
+@pytest.fixture
+def scene(small_scene: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(small_scene, tmp_path / "balls")
+
+
+@pytest.fixture
+def folder(small_scene: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
+
+    def write(path: Path) -> Path:
+        run_one(small_scene, path, config)
+        return path
+
+    return shutil.copytree(made_once(tmp_path_factory, "scored", write), tmp_path / "run")
+
+
+def change_photo(scene: Path, pattern: str) -> None:
+    path = min((scene / "images").glob(pattern))
+    with Image.open(path) as image:
+        changed = ImageOps.mirror(image)
+    changed.save(path)
+
+
+def train_photo(scene: Path) -> None:
+    change_photo(scene, "*train*")
+
+
+def held_out_photo(scene: Path) -> None:
+    change_photo(scene, "*eval*")
+
+
+def change_transforms(scene: Path, name: str) -> None:
+    """Move the camera of the first frame of that kind a little."""
+    path = scene / "transforms.json"
+    content = json.loads(path.read_text())
+    frame = next(each for each in content["frames"] if name in each["file_path"])
+    frame["transform_matrix"][0][3] += 0.01
+    path.write_text(json.dumps(content))
+
+
+def train_pose(scene: Path) -> None:
+    change_transforms(scene, "train")
+
+
+def held_out_pose(scene: Path) -> None:
+    change_transforms(scene, "eval")
+
+
+def temperature_range(scene: Path) -> None:
+    path = scene / "temperature_bounds.json"
+    bounds = json.loads(path.read_text())
+    path.write_text(json.dumps(bounds | {"absolute_max_temperature": 99.0}))
+
+
+def data_of(scene: Path) -> SceneData:
+    return SceneData(load_scene(scene))
+
+
+def of_an_older_version(folder: Path) -> None:
+    """Take out what older versions did not write."""
+    for path in RunFolder(folder).checkpoints():
+        tensors, header = read_file(path)
+        del header["images"]
+        write_file(path, tensors, header)
+    path = folder / "eval" / "metrics.json"
+    document = json.loads(path.read_text())
+    del document["data"]
+    path.write_text(json.dumps(document))
+
+
+def test_a_copy_of_the_scene_is_the_same(scene, folder):
+    data = data_of(scene)
+    require_same_data(folder, data)
+    assert not has_stale_scores(folder, data)
+    shutil.rmtree(folder / "checkpoints")
+    require_same_data(folder, data)
+
+
+def test_a_folder_without_a_run_is_of_any_scene(scene, tmp_path):
+    data = data_of(scene)
+    require_same_data(tmp_path / "none", data)
+    assert not has_stale_scores(tmp_path / "none", data)
+    assert vars(data).keys() == {"scene"}  # no photo was read
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (train_photo, r"photos of \S+ \(rgb\)"),
+        (train_pose, r"poses of \S+ \(rgb\), \S+ \(thermal\)"),
+        (temperature_range, "it has another temperature range"),
+    ],
+)
+@pytest.mark.parametrize("is_scored", [True, False])
+def test_other_data_for_training_are_named(change: Change, named, is_scored, scene, folder):
+    change(scene)
+    if not is_scored:
+        shutil.rmtree(folder / "eval")
+    with pytest.raises(
+        ConfigError,
+        match=rf"run holds a run of other data than balls has now \({named}\): choose another "
+        r"folder, or remove this one$",
+    ) as caught:
+        require_same_data(folder, data_of(scene))
+    assert caught.value.options == ("output",)
+
+
+@pytest.mark.parametrize("change", [held_out_photo, held_out_pose])
+def test_other_held_out_images_make_the_scores_stale(change: Change, scene, folder):
+    change(scene)
+    data = data_of(scene)
+    require_same_data(folder, data)
+    assert has_stale_scores(folder, data)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (train_photo, "training photos"),
+        (held_out_photo, r"photos of \S+ \(rgb\)"),
+        (held_out_pose, r"poses of \S+ \(rgb\), \S+ \(thermal\)"),
+        (temperature_range, "it has another temperature range"),
+    ],
+)
+def test_scores_without_a_checkpoint_are_of_the_same_data(change: Change, named, scene, folder):
+    change(scene)
+    shutil.rmtree(folder / "checkpoints")
+    with pytest.raises(ConfigError, match=rf"other data than balls has now \({named}\)"):
+        require_same_data(folder, data_of(scene))
+
+
+def test_images_of_another_modality_are_named(scene, folder, near_infrared):
+    loaded = load_scene(scene)
+    view, *others = loaded.train
+    more = replace(view, images={**view.images, near_infrared: view.images[RGB]})
+    changed = replace(loaded, train=(more, *others))
+    with pytest.raises(ConfigError, match=rf"\(it has other images: {near_infrared.name}\)"):
+        require_same_data(folder, SceneData(changed))
+
+
+def test_runs_of_an_older_version_count_as_far_as_they_say(scene, folder):
+    of_an_older_version(folder)
+    held_out_photo(scene)
+    train_photo(scene)
+    data = data_of(scene)
+    require_same_data(folder, data)
+    assert not has_stale_scores(folder, data)
+    temperature_range(scene)
+    with pytest.raises(ConfigError, match="it has another temperature range"):
+        require_same_data(folder, data_of(scene))
+
+
+def test_a_checkpoint_that_is_damaged_is_no_reason_to_refuse(scene, folder):
+    for path in RunFolder(folder).checkpoints():
+        path.write_bytes(path.read_bytes()[:100])
+    require_same_data(folder, data_of(scene))

@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from mrgs.data import load_scene
+from mrgs.evaluation.scored_data import ScoredData
+from mrgs.scene import Scene, TemperatureRange
+from mrgs.training.fingerprint import fingerprints
+
+
+@pytest.fixture
+def scene(small_scene) -> Scene:
+    return load_scene(small_scene)
+
+
+@pytest.mark.parametrize("celsius", [True, False])
+@pytest.mark.parametrize("trained", [True, False])
+def test_the_data_survive_json_without_a_null(celsius, trained, scene):
+    if not celsius:
+        scene = replace(scene, temperature=None)
+    data = ScoredData.of(scene, fingerprints(scene) if trained else ())
+    text = json.dumps(data.to_json())
+    assert "null" not in text
+    assert ScoredData.from_json(json.loads(text)) == data
+    assert data.changes(ScoredData.of(scene, fingerprints(scene)), scene) == ""
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, [], {}, {"held_out": 3}, {"held_out": [["digest", [1.0], [1.0]]]},
+     {"held_out": [], "temperature_c": [3, 1]}, {"held_out": [], "temperature_c": 7}],
+)  # fmt: skip
+def test_what_is_no_data_is_not_known(value):
+    assert ScoredData.from_json(value) is None
+
+
+def test_what_has_changed_is_named(scene):
+    data = ScoredData.of(scene, fingerprints(scene))
+    warmer = data._replace(temperature=TemperatureRange(0.0, 99.0))
+    assert data.changes(warmer, scene) == "it has another temperature range"
+    assert data.changes(data._replace(training_photos="0"), scene) == "training photos"
+    fewer = data._replace(held_out=data.held_out[:3])
+    assert data.changes(fewer, scene) == "it has 3 held-out images, not 4"
+    first, *others = data.held_out
+    photo = data._replace(held_out=(first._replace(photo="0"), *others))
+    assert data.changes(photo, scene) == f"photos of {scene.eval[0].name} (rgb)"
+    rounded = tuple(number * (1 + 1e-8) for number in first.pose)
+    moved = data._replace(held_out=(first._replace(pose=rounded), *others))
+    assert data.changes(moved, scene) == ""
