@@ -14,7 +14,7 @@ import torch
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, WriteError
 from mrgs.export import FORMATS, export
 from mrgs.field.spherical_harmonics import C0
-from mrgs.scene import RGB, THERMAL, View
+from mrgs.scene import RGB, THERMAL, View, WorldFrame
 from tests.helpers.exports import make_baked, read_ply
 from tests.helpers.gaussians import NEAR_INFRARED
 
@@ -63,8 +63,9 @@ def test_cameras_come_with_their_images(tmp_path, baked, scene):
 
 
 def test_the_page_is_one_file(tmp_path, baked, scene):
-    (path,) = export(baked, scene, "page", tmp_path)
+    (path,) = export(baked, replace(scene, world=WorldFrame(metric=True)), "page", tmp_path)
     assert path == tmp_path / "page.html"
+    assert '"length_unit": "m"' in path.read_text(encoding="utf-8")
     assert scene.name in path.read_text(encoding="utf-8")
 
 

@@ -1,11 +1,34 @@
 from __future__ import annotations
 
+import json
+import shutil
+
 import numpy as np
 
+from mrgs.export import export
 from mrgs.export.splat import write_splat
 from mrgs.export.splats import shaded_splats, to_bytes
-from mrgs.scene import RGB
+from mrgs.marks import open_marks
+from mrgs.runs.open import load_run
+from mrgs.scene import RGB, THERMAL
 from tests.helpers.exports import make_baked
+
+
+def test_the_loss_is_that_of_baking_not_of_a_corrected_emissivity(run, scene, tmp_path):
+    shutil.copytree(run.folder.path, tmp_path / "run")
+    marks = open_marks(load_run(tmp_path / "run"), scene)
+    camera = scene.train_photos(THERMAL)[0].camera
+    low, high = ((share * camera.width, share * camera.height) for share in (0.4, 0.6))
+    mark = marks.box(camera, low, high, "B1")
+    marks.change(mark.name, emissivity=0.5, reflected_c=0.0)
+    export(marks.run, scene, "splat", tmp_path / "out")
+    rgb, thermal = (
+        json.loads((tmp_path / "out" / f"{name}.splat.json").read_text(encoding="utf-8"))
+        for name in ("rgb", "thermal")
+    )
+    assert abs(rgb["baking_loss_db"]["thermal"]) < 1e-3
+    assert abs(thermal["baking_loss_db"]["thermal"]) < 1e-3
+    assert rgb["baking_loss_db"]["rgb"] > thermal["baking_loss_db"]["rgb"]
 
 
 def test_thirty_two_bytes_per_splat_the_largest_first(tmp_path):

@@ -221,3 +221,14 @@ def test_splats_of_a_region_are_corrected():
     corrected = Regions(Marks((BOX,)), render_wall, RANGE, capture).of_splats(baked)
     wanted = capture.corrected(np.array([21.5]), SurfaceSettings(0.6, -10.0))[0]
     assert corrected.temperatures_c.tolist() == pytest.approx([wanted, 24.5], abs=1e-3)
+
+
+def test_points_of_a_region_are_corrected_by_the_later_of_two_marks():
+    capture = CaptureSettings(SurfaceSettings(0.95, 20.0), TYPICAL_LAW)
+    right = ((0.5, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 1.0), (0.5, 0.0, 1.0))
+    over = replace(BOX, name="B2", points=right, emissivity=0.1, reflected_c=55.0)
+    points = np.array([[0.2, 0.0, 0.5], [0.8, 0.0, 0.5], [1.2, 0.0, 0.5]])
+    celsius = np.array([20.9, 22.1, 22.9], np.float32)
+    found = Regions(Marks((BOX, over)), render_wall, RANGE, capture).corrected_at(points, celsius)
+    wanted = capture.corrected(np.array([20.9]), SurfaceSettings(0.6, -10.0))[0]
+    assert found.tolist() == pytest.approx([wanted, 22.1, 22.9])  # none is 22.1 °C so

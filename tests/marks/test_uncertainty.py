@@ -104,6 +104,28 @@ def test_points_have_the_uncertainty_of_a_map():
     )
 
 
+def test_points_in_an_area_have_the_uncertainty_of_its_settings():
+    budget = Budget(CAPTURE, SETTINGS, accuracy=(2.0, 0.0))
+    meter = meter_of(budget)
+    own = replace(BOX, emissivity=0.5, reflected_c=10.0)
+    points = np.array([[0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]], np.float32)
+    values = np.array([21.5, 19.5], np.float32)
+    found = meter.uncertainty.of_points(points, values, meter.regions(Marks((own,))))
+    inner, outer = (Uncertainty(photos=x) for x in meter.uncertainty.of_photos(points).tolist())
+    wanted = budget.with_settings(inner, 21.5, SurfaceSettings(0.5, 10.0)).total
+    assert found == pytest.approx([wanted, budget.with_settings(outer, 19.5).total], rel=1e-5)
+    assert found[0] == pytest.approx(meter.read(own).uncertainty.total, rel=0.1)
+    assert found[0] > 1.5 * found[1]
+
+
+def test_a_surface_that_cannot_have_its_settings_has_no_uncertainty():
+    meter = meter_of(Budget(CAPTURE, SETTINGS))
+    regions = meter.regions(Marks((replace(BOX, emissivity=0.1, reflected_c=55.0),)))
+    points = np.array([[0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]], np.float32)
+    found = meter.uncertainty.of_points(points, np.full(2, 20.0, np.float32), regions)
+    assert np.isnan(found).tolist() == [True, False]
+
+
 def test_the_data_sheet_is_a_limit_and_cancels_in_differences():
     budget = Budget(accuracy=(1.0, 10.0))
     other = replace(BOX, name="B2", points=tuple((x - 1.5, y, z) for x, y, z in BOX.points))

@@ -9,11 +9,14 @@ import pytest
 
 from mrgs.errors import RunError
 from mrgs.export.maps.picture import MARGIN
-from mrgs.marks import Mark
+from mrgs.marks import Mark, Marks
+from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
+from mrgs.marks.regions import Regions
 from mrgs.pictures.palette import palette_table
 from mrgs.report.overlays import MARK
 from mrgs.report.temperature_map import MOST_PX, draw_temperature_map, temperature_map
-from mrgs.scene import WorldFrame
+from mrgs.scene import THERMAL, WorldFrame
+from tests.export.maps.conftest import CELSIUS
 
 EYE = (0.0, -7.0, 1.6)
 
@@ -26,6 +29,23 @@ def differs(one, other) -> np.ndarray:
     """Rows and columns of what is drawn in one picture and not in the other."""
     assert one.size == other.size
     return np.argwhere((np.asarray(one) != np.asarray(other)).any(axis=2))
+
+
+def test_areas_with_an_emissivity_of_their_own_are_corrected_as_the_marks_are(front, front_scene):
+    corners = ((-0.7, 0.0, 1.0), (0.7, 0.0, 1.0), (0.7, 0.0, 3.0), (-0.7, 0.0, 3.0))
+    area = Mark("B1", "box", corners, (0.0, -6.0, 2.0), emissivity=0.3, reflected_c=-5.0)
+    regions = Regions(
+        Marks((area,)), lambda camera: front.render(camera, THERMAL), CELSIUS, CaptureSettings()
+    )
+    plain, own = (
+        draw_temperature_map(front, front_scene, each).drawn.bands[0] for each in (None, regions)
+    )
+    changed = ~np.isclose(plain, own, equal_nan=True)
+    assert changed.sum() > 100
+    wanted = CaptureSettings().corrected(
+        plain[changed].astype(np.float64), SurfaceSettings(0.3, -5.0)
+    )
+    np.testing.assert_allclose(own[changed], wanted, atol=1e-3)
 
 
 def test_the_facade_is_to_scale_and_has_the_marks_at_their_places(front, front_scene):

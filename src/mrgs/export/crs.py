@@ -27,6 +27,17 @@ UTM_NORTH, UTM_SOUTH = 32600, 32700
 
 LOCAL_NAME = "the scene's own frame, metres"
 
+NORTH_IS_UP_DEG = 5.0
+"""North may be turned this far from up on a map that is said to have it up: grid north of UTM is
+off by up to 3°."""
+
+MAX_STRETCH = 0.1
+"""Metres of a CRS may be longer or shorter than those on the ground by this share."""
+
+MAX_DISTORTION = 0.05
+"""Largest distance between a similarity and the exact projection, as a share of the scene's
+radius."""
+
 
 @dataclass(frozen=True, eq=False)
 class CoordinateSystem:
@@ -37,15 +48,28 @@ class CoordinateSystem:
         wkt: as well-known text of 2001 (WKT 1), which GIS and LAS readers know best.
         matrix: from the scene's coordinates (x, y, z, 1) to easting, northing and height above sea
             level in metres, [4, 4]; the identity in a scene without a place on Earth.
-        north: whether its second axis points north.
+        on_earth: whether it is a CRS on Earth; else the scene's own frame.
         residual_m: largest distance, over the scene, between ``matrix`` and the exact projection.
     """
 
     name: str
     wkt: str
     matrix: Float64[np.ndarray, "4 4"]
-    north: bool
+    on_earth: bool
     residual_m: float
+
+    @property
+    def north_deg(self) -> float | None:
+        """Direction of north at the scene's origin, clockwise from the second axis, in degrees;
+        None in a scene without a place on Earth."""
+        if not self.on_earth:
+            return None
+        return float(np.degrees(np.arctan2(self.matrix[0, 1], self.matrix[1, 1])))
+
+    @property
+    def north(self) -> bool:
+        """Whether the second axis points north, within ``NORTH_IS_UP_DEG``."""
+        return self.north_deg is not None and abs(self.north_deg) < NORTH_IS_UP_DEG
 
     @property
     def scale(self) -> float:
@@ -73,17 +97,11 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
 
     Raises:
         ConfigError: the scene is not known to be in metres; the wanted CRS does not exist, is not
-            in metres, does not cover the scene, or the scene has no place on Earth; or pyproj is
-            not installed.
+            in metres, does not cover the scene, or is mirrored or not true to scale there; the
+            scene has no place on Earth, or lies beyond UTM; or pyproj is not installed.
     """
+    require_metres(scene)
     world = scene.world
-    if not world.metric:
-        raise ConfigError(
-            f"{scene.name} has no scale, so it has no coordinates in metres: prepare it with GPS "
-            f"or a known distance; if its poses are in metres, add "
-            f'"georeference": {{"units": "metres"}} to its transforms.json',
-            options=("known_distance",),
-        )
     if not world.is_georeferenced or world.origin is None:
         if wanted is not None:
             raise ConfigError(
@@ -100,17 +118,37 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
     return CoordinateSystem(name, crs.to_wkt("WKT1_GDAL"), matrix, True, residual_m)
 
 
-def known_coordinate_system(scene: Scene) -> CoordinateSystem | None:
+def require_metres(scene: Scene) -> None:
+    """Check that a scene is in metres.
+
+    Raises:
+        ConfigError: that is not known.
+    """
+    if not scene.world.metric:
+        raise ConfigError(
+            f"{scene.name} has no scale, so it has no coordinates in metres: prepare it with GPS "
+            f"or a known distance; if its poses are in metres, add "
+            f'"georeference": {{"units": "metres"}} to its transforms.json',
+            options=("known_distance",),
+        )
+
+
+def known_coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSystem | None:
     """The CRS of formats that do without one: None where the scene has no scale, or has a place on
-    Earth and pyproj is not installed."""
+    Earth beyond UTM, or pyproj is not installed."""
     try:
-        return coordinate_system(scene)
+        return coordinate_system(scene, wanted)
     except ConfigError:
         return None
 
 
-def place_facts(scene: Scene) -> Mapping[str, Any]:
-    """What is known of the scene's place, for a sidecar and header comments; needs no package."""
+def place_facts(scene: Scene, wanted: str | None = None) -> Mapping[str, Any]:
+    """What is known of the scene's place, for a sidecar and header comments; needs no package.
+
+    Args:
+        scene: what is exported.
+        wanted: the CRS of the export, see ``coordinate_system``.
+    """
     world = scene.world
     if not world.metric:
         return {}
@@ -119,7 +157,7 @@ def place_facts(scene: Scene) -> Mapping[str, Any]:
         facts["origin"] = world.origin._asdict()
     if world.residual_m is not None:
         facts["gps_residual_m"] = round(world.residual_m, 3)
-    system = known_coordinate_system(scene)
+    system = known_coordinate_system(scene, wanted)
     return facts if system is None else facts | system.facts()
 
 
@@ -195,7 +233,11 @@ def _from_scene(
     pyproj: ModuleType, crs: Any, origin: EarthPosition, radius: float
 ) -> tuple[Float64[np.ndarray, "4 4"], float]:
     """The similarity from ENU to a projected CRS that fits best in the plane within a radius
-    (metres), and the largest distance from the exact projection there; heights are kept."""
+    (metres), and the largest distance from the exact projection there; heights are kept.
+
+    Raises:
+        ConfigError: none fits.
+    """
     height = origin.altitude_m or 0.0
     place = f"+lat_0={origin.latitude_deg!r} +lon_0={origin.longitude_deg!r} +h_0={height!r}"
     to_degrees = pyproj.Transformer.from_pipeline(
@@ -208,17 +250,42 @@ def _from_scene(
     longitude, latitude, _ = to_degrees.transform(east, north, np.zeros_like(east))
     there = np.array(to_map.transform(longitude, latitude))
     here = np.stack([east, north])
-    # A plane's similarity is one complex factor: (E + iN) = factor · (east + i north) + offset.
+    # An affine map of the plane is two complex factors: (E + iN) = factor · (east + i north)
+    # + mirrored · (east − i north) + offset. A similarity has the first alone.
     scene, target = here[0] + 1j * here[1], there[0] + 1j * there[1]
     offset = target.mean()
-    factor = np.vdot(scene, target - offset) / np.vdot(scene, scene)
+    factor, mirrored = (
+        np.vdot(basis, target - offset) / np.vdot(basis, basis) for basis in (scene, scene.conj())
+    )
+    residual = float(np.abs(factor * scene + offset - target).max())
+    _require_similar(crs, abs(factor), abs(mirrored), residual / radius)
     matrix = np.eye(4)
     matrix[:2, :2] = [[factor.real, -factor.imag], [factor.imag, factor.real]]
     matrix[:3, 3] = offset.real, offset.imag, height
-    residual = np.abs(factor * scene + offset - target).max()
-    if not np.isfinite(residual):
-        raise ConfigError(
-            f"{crs.name} has no coordinates for the scene's place; choose another CRS",
-            options=("crs",),
+    return matrix, residual
+
+
+def _require_similar(crs: Any, scale: float, mirrored: float, distortion: float) -> None:
+    """Refuse a CRS that mirrors, stretches or distorts the scene's place.
+
+    GIS swap northing and easting, but plot southings and westings as they are (so does PROJ):
+    west, south is a half turn, and south, west a mirror image.
+    """
+    if not np.isfinite(distortion):
+        problem = "has no coordinates for the scene's place; choose another CRS"
+    elif mirrored > scale:
+        axes = " and ".join(axis.direction for axis in crs.axis_info[:2])
+        problem = (
+            f"counts towards {axes}, so maps in it would be mirror images; choose another CRS, "
+            f"whose axes point east and north (EPSG:5514 in place of EPSG:5513)"
         )
-    return matrix, float(residual)
+    elif abs(scale - 1) > MAX_STRETCH:
+        problem = (
+            f"is not true to scale at the scene's place, where a metre on the ground is "
+            f"{scale:.2f} m; choose another CRS"
+        )
+    elif distortion > MAX_DISTORTION:
+        problem = f"distorts the scene's place by {distortion:.0%}; choose another CRS, such as UTM"
+    else:
+        return
+    raise ConfigError(f"{crs.name} {problem}", options=("crs",))

@@ -19,6 +19,7 @@ from mrgs.export.maps.photos import survey
 from mrgs.export.maps.picture import Caption
 from mrgs.export.maps.write import pixel_size_m, require_map, summary, vertical, write_map
 from mrgs.export.sidecar import up_direction
+from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
@@ -33,7 +34,9 @@ def export(job: ExportJob) -> list[Path]:
     Its coordinates are metres to the right and upwards from the lower left corner of the map; where
     that lies in the scene is in the sidecar.
     """
-    drawn, facade = facade_map(job.baked, job.scene, job.maps, job.uncertainty)
+    drawn, facade = facade_map(
+        job.uncorrected, job.scene, job.maps, job.uncertainty, regions=job.regions
+    )
     grid = drawn.grid
     facts = {
         "map": "orthographic, of a façade",
@@ -49,13 +52,13 @@ def export(job: ExportJob) -> list[Path]:
         f"{job.scene.name}: facade temperatures",
         f"{size}{facing} · {grid.pixel_m * 100:g} cm per pixel",
         summary(drawn),
-        False,
+        None,
     )
     return write_map(job, "elevation", drawn, local_wkt(f"{job.scene.name} façade"), caption, facts)
 
 
-def require(scene: Scene) -> None:
-    """Check that a map can be written, see ``require_map``."""
+def require(scene: Scene, crs: str | None = None) -> None:
+    """Check that a map can be written, see ``require_map``; it lies in no CRS."""
     require_map(scene)
 
 
@@ -65,15 +68,17 @@ def facade_map(
     options: MapOptions,
     uncertainty: UncertaintyMeter | None = None,
     most_px: int | None = None,
+    regions: Regions | None = None,
 ) -> tuple[OrthographicMap, Facade]:
     """The map of a façade, and where that lies.
 
     Args:
-        baked: the model.
+        baked: the model, as the photos have it.
         scene: that it was trained on.
         options: plane and pixels.
         uncertainty: of the temperatures; None leaves its band empty.
         most_px: for the longer side of the map; None without a limit.
+        regions: surfaces with an emissivity of their own, which the map shows corrected.
 
     Raises:
         ConfigError: which way is up is not known, or the map has too many pixels.
@@ -84,7 +89,7 @@ def facade_map(
     facade = _facade(scene, options, maps)
     extent = (facade.high - facade.low)[:2]
     grid = _grid(facade, pixel_size_m(scene, maps, options, extent, most_px))
-    return draw_map(baked, scene, maps, grid, uncertainty), facade
+    return draw_map(baked, scene, maps, grid, uncertainty, regions=regions), facade
 
 
 def _facade(scene: Scene, options: MapOptions, maps: Sequence[DepthMap]) -> Facade:

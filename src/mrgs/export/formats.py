@@ -22,15 +22,15 @@ class Format:
         name: the value of ``--format``.
         files: one line for the help: the files that are written.
         export: writes the files of an ``ExportJob``; returns their paths.
-        require: raises ConfigError, before anything is written, if the format cannot be written for
-            a scene.
+        require: given a scene and the wanted CRS (None for UTM), raises ConfigError, before
+            anything is written, if the format cannot be written.
         in_all: whether an export of all formats includes it; maps are not of use to every scene.
     """
 
     name: str
     files: str
     export: Callable[..., Any]
-    require: Callable[..., Any] = lambda scene: None
+    require: Callable[..., Any] = lambda scene, crs=None: None
     in_all: bool = True
 
 

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from mrgs.export.loss import BakingLoss
 from mrgs.export.maps.options import MapOptions
 from mrgs.export.sidecar import color_facts, write_sidecar
-from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats, value_names
-from mrgs.export.surface_points import SurfacePoints, surface_points
+from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats, temperature_name
+from mrgs.export.surface_points import Columns, SurfacePoints, surface_points
+from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.palette import PaletteName
@@ -30,13 +31,17 @@ class ExportJob:
     """What one export writes, and where.
 
     Attributes:
-        baked: the exported model.
+        baked: the exported model; the temperatures of its splats are corrected one by one where
+            a marked surface has an emissivity of its own.
+        uncorrected: the same as the photos have it, for what corrects the temperatures that
+            cameras see.
         scene: that the model was trained on.
         folder: of the files.
         scale: colours of the temperatures.
         up: the up direction of the scene's frame, unit length, [3]; None if not known.
         facts: for the sidecar of every file, see ``facts_of``.
         marks: of the run that was baked; None if only the baked model is available.
+        regions: marked surfaces with an emissivity of their own; None without.
         loss: PSNR lost by baking, dB; None without a run.
         palette: of the temperatures.
         limits_c: °C of the palette's first and last colour, as the caller gave them.
@@ -44,12 +49,14 @@ class ExportJob:
     """
 
     baked: BakedModel
+    uncorrected: BakedModel
     scene: Scene
     folder: Path
     scale: ThermalScale
     up: Float64[np.ndarray, "3"] | None
     facts: dict[str, Any]
     marks: RunMarks | None
+    regions: Regions | None
     loss: BakingLoss | None
     palette: PaletteName
     limits_c: tuple[float, float] | None
@@ -68,13 +75,21 @@ class ExportJob:
     @cached_property
     def points(self) -> SurfacePoints:
         """The splats on surfaces as points with their uncertainty, computed once."""
-        points = surface_points(self.baked, self.scene)
+        points = surface_points(self.uncorrected, self.scene)
         if self.uncertainty is None:
             return points
-        (name,) = value_names(self.baked, THERMAL)
-        found = self.uncertainty.of_points(points.positions, points.columns[name])
+        name, at = temperature_name(self.baked), points.positions
+        found = self.uncertainty.of_points(at, points.columns[name], self.regions)
         own = {name.replace("temperature", "uncertainty"): found}
-        return replace(points, columns={**points.columns, **own})
+        return replace(points, columns={**self.corrected(at, points.columns), **own})
+
+    def corrected(self, positions: Float32[np.ndarray, "m 3"], columns: Columns) -> Columns:
+        """What cameras see at points of the uncorrected model, with the temperatures of marked
+        surfaces corrected."""
+        if self.regions is None:
+            return columns
+        name = temperature_name(self.baked)
+        return {**columns, name: self.regions.corrected_at(positions, columns[name])}
 
     @cached_property
     def uncertainty(self) -> UncertaintyMeter | None:
@@ -89,9 +104,11 @@ class ExportJob:
     @property
     def surface_facts(self) -> dict[str, Any]:
         """``facts`` for files whose temperatures are a surface's, not those of single splats."""
-        return self.facts | {
-            "temperature": self.facts["temperature"] | {"of": "the surface, as the cameras see it"}
-        }
+        of_surface = {"of": "the surface, as the cameras see it"}
+        if self.regions is not None:
+            own = "marked surfaces that have one are corrected, as their marks are"
+            of_surface |= {"own_emissivity": own}
+        return self.facts | {"temperature": self.facts["temperature"] | of_surface}
 
     def splats(
         self, baked: BakedModel | None = None

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 
 from mrgs.errors import ConfigError
-from mrgs.export.crs import CoordinateSystem, coordinate_system, require_pyproj
+from mrgs.export.crs import CoordinateSystem, coordinate_system
 from mrgs.export.job import ExportJob, described
 from mrgs.export.rendered import COLORS
 from mrgs.export.surface_points import SurfacePoints
@@ -36,19 +36,19 @@ def export(job: ExportJob) -> list[Path]:
     system = coordinate_system(job.scene, job.maps.crs) if job.scene.world.metric else None
     facts = job.surface_facts
     if system is not None:
-        facts |= {"crs": system.name, "coordinates": "in the CRS"}
+        facts |= {"coordinates": "in the CRS"}
     return described(write_las(job.folder / "points.las", job.points, system), facts)
 
 
-def require(scene: Scene) -> None:
-    """Check that LAS files can be written.
+def require(scene: Scene, crs: str | None = None) -> None:
+    """Check that LAS files can be written, in a CRS if the scene has a place on Earth.
 
     Raises:
-        ConfigError: laspy is not installed, or pyproj, which a scene with a place on Earth needs.
+        ConfigError: laspy is not installed, or the CRS cannot be used, see ``coordinate_system``.
     """
     require_laspy()
     if scene.world.is_georeferenced:
-        require_pyproj()
+        coordinate_system(scene, crs)
 
 
 def write_las(path: Path, points: SurfacePoints, system: CoordinateSystem | None = None) -> Path:

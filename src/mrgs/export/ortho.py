@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -24,6 +25,7 @@ from mrgs.export.maps.write import (
     vertical,
     write_map,
 )
+from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
@@ -40,25 +42,30 @@ CELL_PX = 4
 def export(job: ExportJob) -> list[Path]:
     """Write ``ortho.tif`` with its sidecar, and ``ortho.png``."""
     system = coordinate_system(job.scene, job.maps.crs)
-    drawn = map_from_above(job.baked, job.scene, system, job.maps, job.uncertainty)
+    drawn = map_from_above(
+        job.uncorrected, job.scene, system, job.maps, job.uncertainty, regions=job.regions
+    )
     north = " · north is up" if system.north else ""
     caption = Caption(
         f"{job.scene.name}: temperatures from above",
         f"{system.name}{north} · {drawn.grid.pixel_m * 100:g} cm per pixel",
         summary(drawn),
-        system.north,
+        system.north_deg,
     )
-    facts = {
+    facts: dict[str, Any] = {
         "map": "orthographic, from above",
         "map_crs": system.name,
         "map_crs_residual_m": round(system.residual_m, 6),
     }
+    if system.north_deg is not None:
+        facts["map_north_clockwise_from_up_deg"] = round(system.north_deg, 3)
     return write_map(job, "ortho", drawn, system.wkt, caption, facts)
 
 
-def require(scene: Scene) -> None:
-    """Check that a map can be written, see ``require_map``."""
+def require(scene: Scene, crs: str | None = None) -> None:
+    """Check that a map can be written, see ``require_map``, in a CRS, see ``coordinate_system``."""
     require_map(scene)
+    coordinate_system(scene, crs)
 
 
 def map_from_above(
@@ -68,16 +75,18 @@ def map_from_above(
     options: MapOptions,
     uncertainty: UncertaintyMeter | None = None,
     most_px: int | None = None,
+    regions: Regions | None = None,
 ) -> OrthographicMap:
     """The map of a scene from above.
 
     Args:
-        baked: the model.
+        baked: the model, as the photos have it.
         scene: that it was trained on.
         system: of the map's coordinates.
         options: its pixels.
         uncertainty: of the temperatures; None leaves its band empty.
         most_px: for the longer side of the map; None without a limit.
+        regions: surfaces with an emissivity of their own, which the map shows corrected.
 
     Raises:
         ConfigError: which way is up is not known, or the map has too many pixels.
@@ -94,7 +103,7 @@ def map_from_above(
     extent = np.subtract(*coverage.bounds[::-1])
     pixel_m = pixel_size_m(scene, maps, options, extent, most_px)
     grid = _grid(coverage, axes, scale, offset, slab, pixel_m)
-    return draw_map(baked, scene, maps, grid, uncertainty, coverage)
+    return draw_map(baked, scene, maps, grid, uncertainty, coverage, regions)
 
 
 def _plan_view(
@@ -102,7 +111,7 @@ def _plan_view(
 ) -> tuple[Float64[np.ndarray, "3 3"], float, Float64[np.ndarray, "2"]]:
     """Axes, scale and offset of map coordinates: those of the CRS, or of the scene's own frame with
     x to the right."""
-    if system.north:
+    if system.on_earth:
         matrix = system.matrix[:3, :3] / system.scale
         axes = np.stack([matrix[0], matrix[1], up])
         return axes, system.scale, system.matrix[:2, 3]

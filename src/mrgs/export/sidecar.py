@@ -30,7 +30,11 @@ level."""
 
 
 def facts_of(
-    baked: BakedModel, scene: Scene, up: Float64[np.ndarray, "3"] | None, loss: BakingLoss | None
+    baked: BakedModel,
+    scene: Scene,
+    up: Float64[np.ndarray, "3"] | None,
+    loss: BakingLoss | None,
+    crs: str | None = None,
 ) -> dict[str, Any]:
     """Facts about every file of an export: program, frame, units, temperatures, and the PSNR lost
     by baking.
@@ -40,6 +44,7 @@ def facts_of(
         scene: that the model was trained on.
         up: the up direction of the scene's frame, see ``up_direction``.
         loss: in dB; None if the trained model was not available.
+        crs: that the user wants, see ``coordinate_system``.
     """
     known = baked.temperature
     temperature: dict[str, Any] = {
@@ -58,7 +63,7 @@ def facts_of(
         "length_unit": "metre"
         if scene.world.metric
         else "scene unit (a metre if the scene's camera poses are in metres)",
-        **place_facts(scene),
+        **place_facts(scene, crs),
         "up": None if up is None else [round(float(x), 6) for x in up],
         "up_from": "the cameras, taken to be level" if up is not None else "not known",
         "camera_axes": "OpenCV: x right, y down, z forward",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,10 @@ _LAYOUT = [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat",
 
 def export(job: ExportJob) -> list[Path]:
     """Write a file for each modality, with its sidecar."""
-    flat = without_directions(job.baked, job.scene.train_cameras)
+    flat = without_directions(job.uncorrected, job.scene.train_cameras)
     lost = _lost(job, flat) if job.scene.modalities != (THERMAL,) else {}
     paths = []
-    for modality, splats, facts in job.splats(flat):
+    for modality, splats, facts in job.splats(replace(flat, temperatures=job.baked.temperatures)):
         if modality != THERMAL:
             facts |= lost
         paths += described(write_splat(job.folder / f"{modality}.splat", splats), facts)
@@ -31,7 +32,8 @@ def export(job: ExportJob) -> list[Path]:
 
 
 def _lost(job: ExportJob, flat: BakedModel) -> dict[str, Any]:
-    """Facts about the values that had a view dependence."""
+    """Facts about the values that had a view dependence; a model is compared with the photos
+    before its temperatures are corrected."""
     facts: dict[str, Any] = {"view_dependence": "left out"}
     if job.run is not None:
         facts["baking_loss_db"] = loss_facts(baking_loss_db(job.run, flat, job.scene))

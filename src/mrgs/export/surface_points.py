@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -21,6 +22,10 @@ MIN_OPACITY = 0.3
 and lie off the surfaces."""
 
 
+Columns: TypeAlias = Mapping[str, Float32[np.ndarray, " m"] | UInt8[np.ndarray, " m"]]
+"""Colours, temperatures and other values by their names in files."""
+
+
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
     """M points with what they carry into a file.
@@ -33,7 +38,7 @@ class SurfacePoints:
     """
 
     positions: Float32[np.ndarray, "m 3"]
-    columns: Mapping[str, Float32[np.ndarray, " m"] | UInt8[np.ndarray, " m"]]
+    columns: Columns
     opacities: Float32[np.ndarray, " m"]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, WriteError
+from mrgs.export.correction import correction_note
 from mrgs.export.crs import coordinate_system
 from mrgs.export.formats import FORMATS, Format
 from mrgs.export.job import ExportJob
@@ -19,7 +20,7 @@ from mrgs.marks import open_marks
 from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
-from mrgs.scene import Scene
+from mrgs.scene import THERMAL, Scene
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
@@ -107,10 +108,11 @@ def export(
     if maps.crs is not None:  # said now, not after minutes of baking and rendering
         coordinate_system(scene, maps.crs)
     if format == "all":
-        chosen = [each for each in FORMATS.values() if each.in_all and _is_writable(each, scene)]
+        every = [each for each in FORMATS.values() if each.in_all]
+        chosen = [each for each in every if _is_writable(each, scene, maps)]
     else:
         names = [format] if isinstance(format, str) else format
-        chosen = [_required(name, scene) for name in names]
+        chosen = [_required(name, scene, maps) for name in names]
     parts = [BAKING, *(each.name for each in chosen)]
     report = progress or (lambda number, count, name: None)
     report(1, len(parts), BAKING)
@@ -131,20 +133,20 @@ def export(
     return paths
 
 
-def _required(name: str, scene: Scene) -> Format:
+def _required(name: str, scene: Scene, maps: MapOptions) -> Format:
     """The format of a name, if it can be written."""
     if name not in FORMATS:
         raise ConfigError(
             f"unknown export format {name!r}: choose one of {', '.join(FORMATS)}, or all"
         )
-    FORMATS[name].require(scene)
+    FORMATS[name].require(scene, maps.crs)
     return FORMATS[name]
 
 
-def _is_writable(format: Format, scene: Scene) -> bool:
+def _is_writable(format: Format, scene: Scene, maps: MapOptions) -> bool:
     """Whether a format can be written; warns if not."""
     try:
-        format.require(scene)
+        format.require(scene, maps.crs)
     except ConfigError as error:
         _note_left_out(format, error)
         return False
@@ -172,8 +174,16 @@ def _job(
     require_exportable(baked)
     scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
+    facts = facts_of(baked, scene, up, loss, maps.crs)
     marks = None if run is None else open_marks(run, scene)
-    if marks is not None and (known := marks.marks).marks:
-        baked = marks.meter.regions(known).of_splats(baked)
-    facts = facts_of(baked, scene, up, loss)
-    return ExportJob(baked, scene, folder, scale, up, facts, marks, loss, palette, limits_c, maps)
+    cameras = [photo.camera for photo in scene.train_photos(THERMAL)]
+    regions = marks.meter.regions(marks.marks) if marks is not None and cameras else None
+    corrected = baked
+    if regions:
+        corrected = regions.of_splats(baked)
+        note = correction_note(baked, corrected, regions, cameras)
+        facts["temperature"] |= {"own_emissivity": note}
+    return ExportJob(
+        corrected, baked, scene, folder, scale, up, facts, marks, regions or None, loss, palette,
+        limits_c, maps,
+    )  # fmt: skip

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
@@ -26,6 +27,7 @@ from mrgs.marks.surface import (
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering, TemperatureRange
 from mrgs.system.message import Message
+from mrgs.system.pieces import pieces
 
 REGION_DEPTH = 0.08
 """A point belongs to a region if its distance from the eye differs from that of the surface by less
@@ -190,11 +192,36 @@ class Regions:
                 return region.settings
         return None
 
+    def parts(
+        self, points: Float[np.ndarray, "*shape 3"], eye: Float[np.ndarray, "3"] | None = None
+    ) -> Iterator[tuple[SurfaceSettings, Bool[np.ndarray, "*shape"]]]:
+        """The settings of each region, and which of some points on surfaces are its own; see
+        ``SurfaceRegion.holds``."""
+        flat = points.reshape(-1, 3)
+        owner = np.full(len(flat), -1, np.int16)
+        for rows in pieces(len(flat)):
+            for number, region in enumerate(self._regions):
+                owner[rows][region.holds(flat[rows], eye)] = number
+        for number, region in enumerate(self._regions):
+            yield region.settings, (owner == number).reshape(points.shape[:-1])
+
+    def corrected_at(
+        self, points: Float[np.ndarray, "n 3"], celsius: Float32[np.ndarray, " n"]
+    ) -> Float32[np.ndarray, " n"]:
+        """°C of points on surfaces, corrected where a region holds them, from what the cameras of
+        the photos see there. Where there is no such temperature the value stays."""
+        corrected = celsius.copy()
+        for settings, held in self.parts(points):
+            found = self._capture.corrected(celsius[held].astype(np.float64), settings)
+            corrected[held] = np.where(np.isfinite(found), found, celsius[held])
+        return corrected
+
     def of_splats(self, baked: BakedModel) -> BakedModel:
         """A model of splats whose temperatures are corrected one by one.
 
-        A surface that blends splats of different temperatures comes out less exactly than in
-        ``render``, which corrects what is blended.
+        What is blended of them is off by degrees where splats are large beside the region: those
+        outside reach into it uncorrected, those inside reach out. ``applied_to`` and
+        ``corrected_at`` correct what is blended.
         """
         if not self:
             return baked
@@ -211,10 +238,9 @@ class Regions:
         Where there is no such temperature the value stays."""
         assert self._temperature is not None
         corrected = values.copy()
-        for region in self._regions:
-            held = region.holds(points, eye)
+        for settings, held in self.parts(points, eye):
             celsius = self._temperature.to_celsius(values[held])
-            found = self._capture.corrected(celsius, region.settings)
+            found = self._capture.corrected(celsius, settings)
             now = self._temperature.from_celsius(found)
             corrected[held] = np.where(np.isfinite(now), now, values[held])
         return corrected

@@ -122,15 +122,22 @@ def temperature_map(run: Run, scene: Scene, regions: Regions) -> TemperatureMap 
         return None
     if not (faces_one_side(scene) or _is_seen_from_above(scene)):
         return None
-    baked = regions.of_splats(bake(run.model, scene.train_cameras, run.temperature))
+    baked = bake(run.model, scene.train_cameras, run.temperature)
     try:
-        return draw_temperature_map(baked, scene)
+        return draw_temperature_map(baked, scene, regions)
     except (ConfigError, RunError):
         return None
 
 
-def draw_temperature_map(baked: BakedModel, scene: Scene) -> TemperatureMap:
+def draw_temperature_map(
+    baked: BakedModel, scene: Scene, regions: Regions | None = None
+) -> TemperatureMap:
     """The map of a façade, or of a scene from above.
+
+    Args:
+        baked: the model, as the photos have it.
+        scene: that it was trained on.
+        regions: surfaces with an emissivity of their own, which the map shows corrected.
 
     Raises:
         ConfigError: which way is up is not known, or pyproj is not installed.
@@ -138,10 +145,10 @@ def draw_temperature_map(baked: BakedModel, scene: Scene) -> TemperatureMap:
         SceneError: a photo cannot be read.
     """
     if faces_one_side(scene):
-        drawn, _ = facade_map(baked, scene, MapOptions(), most_px=MOST_PX)
+        drawn, _ = facade_map(baked, scene, MapOptions(), most_px=MOST_PX, regions=regions)
         return TemperatureMap(drawn, True, False)
     system = coordinate_system(scene)
-    drawn = map_from_above(baked, scene, system, MapOptions(), most_px=MOST_PX)
+    drawn = map_from_above(baked, scene, system, MapOptions(), most_px=MOST_PX, regions=regions)
     return TemperatureMap(drawn, False, system.north)
 
 

@@ -86,7 +86,9 @@ def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], Pan
     """Draws the uncertainty that the board's marks have; None without thermal photos."""
     if board.uncertainty is None or THERMAL not in subject.modalities:
         return None
-    return UncertaintyPictures(board.uncertainty, subject.source, subject.temperature).images
+    return UncertaintyPictures(
+        board.uncertainty, lambda: board.regions, subject.source, subject.temperature
+    ).images
 
 
 def _uncertainty_meter(subject: Subject, draw: SurfaceRenderer) -> UncertaintyMeter | None:

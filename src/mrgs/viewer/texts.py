@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TypedDict
 
-from mrgs.scene import THERMAL, Modality
+from mrgs.scene import THERMAL, Modality, WorldFrame
 from mrgs.viewer.inspection import PointReading
 from mrgs.viewer.picking import ValueReading
 from mrgs.viewer.settings import Subject
@@ -49,9 +49,9 @@ def point(shown: PointReading, subject: Subject) -> ReadingText:
     for modality, other in reading.values.items():
         if modality != first:
             lines.append(" ".join((modality.quantity, *_value_texts(other, modality, subject))))
-    lines.append(
-        f"depth {number(reading.depth, 3)} ± {number(reading.depth_deviation, 3)} (scene units)"
-    )
+    depth, deviation_of_depth = number(reading.depth, 3), number(reading.depth_deviation, 3)
+    world = WorldFrame() if subject.scene is None else subject.scene.world
+    lines.append(f"depth {depth} ± {deviation_of_depth} {world.length_unit}")
     lines.append("position " + ", ".join(number(each, 3) for each in reading.position))
     return {"value": value, "deviation": deviation, "lines": lines}
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model
@@ -26,14 +28,20 @@ class UncertaintyPictures:
 
     Args:
         meter: says how far the temperature of a place may be from the truth.
+        regions: gives the surfaces that have an emissivity of their own now.
         source: gives access to the model.
         temperature: the scale of the thermal values; None without known °C.
     """
 
     def __init__(
-        self, meter: UncertaintyMeter, source: Source, temperature: TemperatureRange | None
+        self,
+        meter: UncertaintyMeter,
+        regions: Callable[[], Regions],
+        source: Source,
+        temperature: TemperatureRange | None,
     ) -> None:
         self._meter = meter
+        self._regions = regions
         self._source = source
         self._temperature = temperature
         self._of_splats: Float[Tensor, " n"] | None = None
@@ -60,8 +68,11 @@ class UncertaintyPictures:
         of_photos = np.where(solid, doubt / np.maximum(seen, 1e-9), np.nan)
         if self._temperature is not None:
             value = self._temperature.to_celsius(value)
-        total = self._meter.together(of_photos, value).astype(np.float32)
-        return PaneImages({THERMAL: total}, (blend.depth / alpha).numpy(), solid)
+        depth = blend.depth / alpha
+        points = camera.unproject_image(depth.double()).numpy()
+        eye = camera.position.double().numpy()
+        total = self._meter.together(of_photos, points, value, self._regions(), eye)
+        return PaneImages({THERMAL: total.astype(np.float32)}, depth.numpy(), solid)
 
 
 def _blend(model: Model, camera: Camera, of_splats: Float[Tensor, " n"]) -> Blend:

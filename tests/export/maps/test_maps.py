@@ -264,6 +264,64 @@ def test_a_wanted_crs_is_used(tmp_path, front, front_scene):
         assert file.crs.to_epsg() == 25832
 
 
+@pytest.mark.parametrize(
+    ("crs", "place", "north_deg"),
+    [
+        (None, (48.137, 11.575), -2),
+        ("EPSG:2048", (-33.9, 18.4), 180),
+        ("EPSG:3413", (70.0, 20.0), -65),
+    ],
+)
+def test_north_is_said_to_be_up_only_where_it_is(
+    tmp_path, front, front_scene, monkeypatch, crs, place, north_deg
+):
+    placed = replace(front_scene, world=WorldFrame(True, True, EarthPosition(*place, 0.0)))
+    captions = []
+
+    def picture(drawn, caption, scale):
+        captions.append(caption)
+        return Image.new("RGB", (1, 1))
+
+    monkeypatch.setattr("mrgs.export.maps.write.map_picture", picture)
+    export(front, placed, "ortho", tmp_path, maps=MapOptions(pixel_size_m=0.5, crs=crs))
+    (caption,) = captions
+    assert abs((caption.north_deg - north_deg + 180) % 360 - 180) < 1
+    assert ("north is up" in caption.subtitle) == (crs is None)
+    facts = json.loads((tmp_path / "ortho.tif.json").read_text(encoding="utf-8"))
+    assert facts["map_north_clockwise_from_up_deg"] == pytest.approx(caption.north_deg, abs=1e-3)
+
+
+def test_all_files_of_an_export_name_the_wanted_crs(tmp_path, front, front_scene):
+    options = MapOptions(pixel_size_m=0.5, crs="EPSG:3035")
+    export(front, front_scene, ["las", "points", "ortho"], tmp_path, maps=options)
+    sidecars = [json.loads(file.read_text(encoding="utf-8")) for file in tmp_path.glob("*.json")]
+    assert len(sidecars) == 3
+    assert all(facts["crs"].startswith("EPSG:3035") for facts in sidecars)
+    (matrix,) = {json.dumps(facts["crs_from_scene"]) for facts in sidecars}
+    _, elements = read_ply(tmp_path / "points.ply")
+    vertex = elements["vertex"]
+    positions = np.stack([vertex[axis].astype(float) for axis in "xyz"] + [np.ones(len(vertex))])
+    moved = np.array(json.loads(matrix)) @ positions
+    las = laspy.read(tmp_path / "points.las")
+    np.testing.assert_allclose(las.xyz, moved[:3].T, atol=2e-3)
+
+
+def test_beyond_utm_maps_lie_in_a_polar_crs_or_in_none(tmp_path, front, front_scene):
+    world = WorldFrame(True, True, EarthPosition(86.0, 20.0, 0.0))
+    arctic, options = replace(front_scene, world=world), MapOptions(pixel_size_m=0.5)
+    export(front, arctic, "elevation", tmp_path, maps=options)
+    begun = []
+    with pytest.raises(ConfigError, match=r"UTM ends .* such as EPSG:3413"):
+        export(front, arctic, "las", tmp_path, progress=lambda *part: begun.append(part))
+    assert not begun
+    export(front, arctic, "ortho", tmp_path, maps=replace(options, crs="EPSG:3413"))
+    with rasterio.open(tmp_path / "ortho.tif") as file:
+        assert file.crs.to_epsg() == 3413
+        x, y = rasterio.warp.transform("EPSG:4326", file.crs, [20.0], [86.0])
+        assert file.bounds.left < x[0] < file.bounds.right
+        assert file.bounds.bottom < y[0] < file.bounds.top
+
+
 def test_a_scene_without_a_wall_has_no_elevation(tmp_path, front, front_scene):
     ground = front.subset(torch.nonzero(front.means[:, 2] < 0.05)[:, 0])
     with pytest.raises(RunError, match=r"no façade was found: .* give three of its points"):

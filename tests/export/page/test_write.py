@@ -114,6 +114,15 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
     assert heat["scale"] == {"min": 0.0, "max": 1.0, "unit": "", "decimals": 3}
 
 
+def test_depths_have_the_unit_of_the_scene(page, baked, cameras, tmp_path):
+    assert json.loads(page.texts["facts"])["length_unit"] == "scene units"
+    assert "in scene units: the capture has no known scale" in page.texts["dd"]
+    path = write_page(baked, cameras, "t", tmp_path / "p.html", length_unit="m")
+    metric = Elements(path.read_text(encoding="utf-8"))
+    assert json.loads(metric.texts["facts"])["length_unit"] == "m"
+    assert "scene units" not in "".join(metric.texts.values())
+
+
 def test_every_modality_of_the_model_is_offered(with_nir, cameras, tmp_path):
     path = write_page(with_nir, cameras, "t", tmp_path / "p.html")
     page = Elements(path.read_text(encoding="utf-8"))

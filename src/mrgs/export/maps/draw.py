@@ -19,6 +19,7 @@ from mrgs.export.maps.photos import (
 )
 from mrgs.export.maps.shown import ShownPlaces
 from mrgs.export.splats import to_float32
+from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Scene
@@ -71,6 +72,7 @@ def draw_map(
     grid: MapGrid,
     uncertainty: UncertaintyMeter | None = None,
     coverage: Coverage | None = None,
+    regions: Regions | None = None,
 ) -> OrthographicMap:
     """Draw the splats but for those that float, seen from very far away.
 
@@ -79,12 +81,13 @@ def draw_map(
     taken, splats may leave gaps.
 
     Args:
-        baked: the model.
+        baked: the model, as the photos have it.
         scene: that it was trained on.
         maps: its surfaces, see ``survey``.
         grid: the pixels.
         uncertainty: of the temperatures; None leaves its band empty.
         coverage: what enough photos show; all else stays empty. None draws everything.
+        regions: surfaces with an emissivity of their own, which the map shows corrected.
 
     Raises:
         ConfigError: the map has more than ``MAX_PIXELS``.
@@ -116,9 +119,12 @@ def draw_map(
         raise RunError("no thermal photo shows a surface of this map: check its plane")
     bands[0], bands[5] = statistics.celsius, statistics.scatter_c
     bands[4] = np.where(np.isfinite(points[..., 0]), statistics.photos, np.nan)
+    known = np.isfinite(bands[0])
+    at, seen = points[known], bands[0][known]
     if uncertainty is not None:
-        known = np.isfinite(bands[0])
-        bands[6][known] = uncertainty.of_points(points[known], bands[0][known])
+        bands[6][known] = uncertainty.of_points(at, seen, regions)
+    if regions is not None:
+        bands[0][known] = regions.corrected_at(at, seen)
     return OrthographicMap(grid, bands)
 
 

@@ -17,7 +17,6 @@ from mrgs.pictures.drawing import (
     draw_text,
     fit_text,
     scale_bar,
-    text_width,
 )
 from mrgs.pictures.palette import PaletteName, display_range, tick_labels
 
@@ -36,13 +35,13 @@ class Caption(NamedTuple):
         title: above the map.
         subtitle: below the title.
         footer: below the map.
-        north: whether up in the map is north.
+        north_deg: direction of north in the map, clockwise from up, degrees; None if not known.
     """
 
     title: str
     subtitle: str
     footer: str
-    north: bool
+    north_deg: float | None
 
 
 def map_scale(
@@ -61,7 +60,8 @@ def map_scale(
 def map_picture(drawn: OrthographicMap, caption: Caption, scale: Scale) -> Image.Image:
     """The temperatures of a map as a picture, with its texts."""
     body, metres_per_px = map_body(drawn, scale)
-    framed = frame_map(body, metres_per_px, scale, caption.north)
+    north, angle = caption.north_deg is not None, caption.north_deg or 0.0
+    framed = frame_map(body, metres_per_px, scale, north, angle)
     picture = blank((framed.width, framed.height + MARGIN + 102))
     text = picture.width - 2 * MARGIN
     draw_text(picture, (MARGIN, MARGIN + 26), fit_text(caption.title, 30, text), 30, bold=True)
@@ -81,9 +81,14 @@ def map_body(drawn: OrthographicMap, scale: Scale) -> tuple[Image.Image, float]:
 
 
 def frame_map(
-    body: Image.Image, metres_per_px: float, scale: Scale, north: bool = False
+    body: Image.Image,
+    metres_per_px: float,
+    scale: Scale,
+    north: bool = False,
+    north_deg: float = 0.0,
 ) -> Image.Image:
-    """A map's image with its legend, a scale bar, and where up is north an arrow."""
+    """A map's image with its legend, a scale bar, and if ``north`` an arrow to the north, which is
+    ``north_deg`` clockwise from up."""
     legend = scale_bar(scale, min(body.height, 520), "vertical", size=20)
     width = max(body.width, 480) + legend.width + 3 * MARGIN
     picture = blank((width, body.height + 2 * MARGIN + 58))
@@ -92,7 +97,7 @@ def frame_map(
     below = body.height + 2 * MARGIN
     _draw_length(picture, (MARGIN, below), body.width, metres_per_px, scale.decimal)
     if north:
-        _draw_north(picture, (MARGIN + body.width - 24, below - 10))
+        _draw_north(picture, (MARGIN + body.width - 24, below + 10), north_deg)
     return picture
 
 
@@ -131,13 +136,20 @@ def _draw_length(
         draw_text(picture, (left + place * field, top + 34), label, 18, anchor="ms")
 
 
-def _draw_north(picture: Image.Image, position: tuple[float, float]) -> None:
-    """An arrow that points up, with an N below it."""
-    x, top = position
+def _draw_north(picture: Image.Image, middle: tuple[float, float], angle_deg: float) -> None:
+    """An arrow that points so many degrees clockwise from up, with an N at its tip."""
+    ahead = np.exp(1j * np.radians(angle_deg - 90))
+
+    def place(forward: float, right: float) -> tuple[float, float]:
+        at = complex(*middle) + ahead * complex(forward, right)
+        return at.real, at.imag
+
+    tip, notch = place(20, 0), place(-11, 0)
     draw = ImageDraw.Draw(picture)
-    draw.polygon([(x, top), (x - 13, top + 40), (x, top + 31)], fill=INK)
-    draw.polygon([(x, top), (x + 13, top + 40), (x, top + 31)], fill=PAPER, outline=INK)
-    draw_text(picture, (x - text_width("N", 20) / 2, top + 62), "N", 20, bold=True)
+    draw.polygon([tip, place(-20, -13), notch], fill=INK)
+    draw.polygon([tip, place(-20, 13), notch], fill=PAPER, outline=INK)
+    x, y = place(32, 0)
+    draw_text(picture, (x, y + 7), "N", 20, anchor="ms", bold=True)
 
 
 def _round_down(value: float) -> float:

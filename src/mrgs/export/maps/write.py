@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from mrgs.errors import ConfigError
-from mrgs.export.crs import coordinate_system, require_pyproj
+from mrgs.export.crs import require_metres, require_pyproj
 from mrgs.export.job import ExportJob, described
 from mrgs.export.maps.draw import BANDS, OrthographicMap
 from mrgs.export.maps.geotiff import require_rasterio, write_geotiff
@@ -39,7 +39,7 @@ def require_map(scene: Scene) -> None:
             f"{scene.name} has no temperatures in °C, which a map shows: give it a "
             f"temperature_bounds.json, or thermal photos in °C"
         )
-    coordinate_system(scene)
+    require_metres(scene)
 
 
 def pixel_size_m(

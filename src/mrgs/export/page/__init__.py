@@ -17,6 +17,8 @@ def export(job: ExportJob) -> list[Path]:
     """Write ``page.html`` into the job's folder; returns its path."""
     views = [*job.scene.eval, *job.scene.train]
     marks, assumptions = ([], ()) if job.marks is None else page_marks(job.marks)
+    if job.regions is not None:
+        assumptions = (*assumptions, job.facts["temperature"]["own_emissivity"])
     path = write_page(
         job.baked,
         {view.name: view.camera for view in views},
@@ -27,6 +29,7 @@ def export(job: ExportJob) -> list[Path]:
         notes=(*job.scene.notes, *assumptions),
         marks=marks,
         modalities=job.modalities,
+        length_unit=job.scene.world.length_unit,
         start=job.scene.train[best_view(job.scene.train_cameras, job.baked.means)].name,
     )
     return [path]

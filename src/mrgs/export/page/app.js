@@ -355,7 +355,7 @@ class Page {
     const value = scale.shown(reading.value);
     if (this.facts.readable.length > 1) element("reading-of").textContent = `: ${label}`;
     element("value").textContent = seen ? this.textOf(reading) : "–";
-    element("depth").textContent = seen ? `depth ${reading.depth.toFixed(2)} scene units` : "no surface here";
+    element("depth").textContent = seen ? `depth ${reading.depth.toFixed(2)} ${this.facts.length_unit}` : "no surface here";
     element("clipped").hidden = !seen || !metric || (value > scale.min && value < scale.max);
     element("value").dataset.value = seen ? String(value) : "";
     element("value").dataset.depth = seen ? String(reading.depth) : "";

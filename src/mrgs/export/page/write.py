@@ -33,6 +33,7 @@ from mrgs.scene import (
     THERMAL,
     Camera,
     Modality,
+    WorldFrame,
     evenly_spaced,
     in_order,
     metric_first,
@@ -47,6 +48,7 @@ ASSETS: dict[str, Any] = {
 }
 """Style sheet, scripts and their policy, see ``write_html``."""
 
+SCENE_UNITS = WorldFrame().length_unit
 RANGE_VIEWS = 8
 RANGE_WIDTH_PX = 160
 SURFACE_ALPHA = 0.5
@@ -67,6 +69,7 @@ def write_page(
     modalities: Sequence[Modality] | None = None,
     start: str | None = None,
     marks: Sequence[PageMark] = (),
+    length_unit: str = SCENE_UNITS,
 ) -> Path:
     """Write the model as one HTML page; returns its path.
 
@@ -89,6 +92,7 @@ def write_page(
             has a unit.
         start: name of the view that the page opens at; None takes the first.
         marks: that the page lists and draws, see ``page_marks``.
+        length_unit: of depths, see ``WorldFrame.length_unit``.
 
     Raises:
         ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
@@ -100,7 +104,11 @@ def write_page(
     baked = _reduced(baked, every, max_splats)
     start = start or next(iter(cameras))
     model = PageModel(baked, sh_degree, shown, cameras[start])
-    facts = _facts(baked, model, every, shown, range_c) | {"marks": list(marks)}
+    facts = {
+        **_facts(baked, model, every, shown, range_c),
+        "marks": list(marks),
+        "length_unit": length_unit,
+    }
     return write_html(
         path,
         "export/page/page.html",
@@ -118,6 +126,7 @@ def write_page(
         marks=marks,
         splats=model.count,
         left_out=len(baked) - model.count,
+        length_unit=length_unit,
         facts=script_json(facts),
         worker=Markup("\n").join(asset(f"export/page/{name}") for name in WORKER_SCRIPTS),
         parts=(Markup(part.to_json()) for part in model.parts()),

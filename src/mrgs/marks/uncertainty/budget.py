@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from statistics import median
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 
 from mrgs.data.radiometric.measurement import Atmosphere
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings, records_of
@@ -156,14 +156,25 @@ class Budget:
             *(gain * each for each in (parts.photos, parts.model, parts.detail, camera)), *settings
         )
 
-    def shared(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """What camera and settings add to the uncertainty of temperatures, as the photos have them;
-        0 where none of it is known."""
-        settings = self._settings(celsius, self.capture.surface)
-        parts = (self._camera(celsius), *(COVERAGE * part for part in settings))
-        total: Float64[np.ndarray, "..."] = np.sqrt(
-            sum(np.square(np.nan_to_num(part)) for part in parts)
-        )
+    def together(
+        self,
+        of_photos: Float[np.ndarray, "*shape"],
+        celsius: Float64[np.ndarray, "*shape"],
+        surface: SurfaceSettings | None = None,
+    ) -> Float64[np.ndarray, "*shape"]:
+        """The uncertainties of temperatures, all known parts together; NaN where that of the photos
+        is, and where a surface with these settings cannot have looked so.
+
+        Args:
+            of_photos: the parts of the photos and the model, as the photos have the places.
+            celsius: what the photos have there.
+            surface: emissivity and reflected temperature there; those of the photos if None.
+        """
+        surface = surface or self.capture.surface
+        measured = np.hypot(of_photos, np.nan_to_num(self._camera(celsius)))
+        parts = [COVERAGE * np.nan_to_num(part) for part in self._settings(celsius, surface)]
+        squares = sum(np.square(part) for part in (self._gain(celsius, surface) * measured, *parts))
+        total: Float64[np.ndarray, "*shape"] = np.sqrt(squares)
         return total
 
     def _camera(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from mrgs.marks.emissivity import SurfaceSettings
+from mrgs.marks.regions import Regions
 from mrgs.marks.surface import SurfaceRenderer
 from mrgs.marks.uncertainty.budget import Budget, Uncertainty
 from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
@@ -86,28 +87,49 @@ class UncertaintyMeter:
         return self._budget.with_settings(parts, value, surface)
 
     def of_points(
-        self, points: Float32[np.ndarray, "n 3"], values: Float32[np.ndarray, " n"]
+        self,
+        points: Float32[np.ndarray, "n 3"],
+        values: Float32[np.ndarray, " n"],
+        regions: Regions | None = None,
     ) -> Float32[np.ndarray, " n"]:
-        """Of what the cameras of the photos see at points on surfaces, all parts together; NaN
-        where no photo looked, [N].
+        """Of temperatures at points on surfaces, all parts together; NaN where no photo looked,
+        [N].
 
         Args:
             points: world coordinates.
-            values: seen there, °C or normalised.
+            values: what the cameras of the photos see there, not corrected, °C or normalised.
+            regions: surfaces whose temperatures are corrected for settings of their own.
 
         Raises:
             SceneError: a photo cannot be read.
         """
-        return self.together(self.of_photos(points), values).astype(np.float32)
+        return self.together(self.of_photos(points), points, values, regions).astype(np.float32)
 
     def of_photos(self, points: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
         """The parts of photos and model alone; see ``of_points``."""
         return self._witnesses.of_points(points).total.astype(np.float32)
 
     def together(
-        self, of_photos: Float[np.ndarray, "*shape"], values: Float[np.ndarray, "*shape"]
+        self,
+        of_photos: Float[np.ndarray, "*shape"],
+        points: Float[np.ndarray, "*shape 3"],
+        values: Float[np.ndarray, "*shape"],
+        regions: Regions | None = None,
+        eye: Float[np.ndarray, "3"] | None = None,
     ) -> Float[np.ndarray, "*shape"]:
-        """What ``of_photos`` gave, with the parts of camera and settings at these values."""
+        """What ``of_photos`` gave, with the parts of camera and settings; see ``of_points``.
+
+        Args:
+            of_photos: of the points.
+            points: world coordinates.
+            values: not corrected.
+            regions: surfaces with settings of their own.
+            eye: that sees the points, if they are pixels of an image.
+        """
         if self._budget is None:
             return of_photos
-        return np.hypot(of_photos, self._budget.shared(values.astype(np.float64)))
+        celsius = values.astype(np.float64)
+        total = self._budget.together(of_photos, celsius)
+        for settings, held in () if regions is None else regions.parts(points, eye):
+            total[held] = self._budget.together(of_photos[held], celsius[held], settings)
+        return total

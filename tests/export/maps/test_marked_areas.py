@@ -1,0 +1,62 @@
+"""A map of a wall of which an area has an emissivity of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mrgs.export.elevation import facade_map
+from mrgs.export.maps.options import MapOptions
+from mrgs.marks import Mark, Marks
+from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
+from mrgs.marks.regions import Regions
+from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.scene import THERMAL, ideal_cameras
+from mrgs.survey import Survey
+from tests.export.maps.conftest import CELSIUS
+
+LEFT, RIGHT, LOW, HIGH = -0.7, 0.7, 1.0, 3.0
+CORNERS = ((LEFT, 0.0, LOW), (RIGHT, 0.0, LOW), (RIGHT, 0.0, HIGH), (LEFT, 0.0, HIGH))
+AREA = Mark("B1", "box", CORNERS, (0.0, -6.0, 2.0), emissivity=0.3, reflected_c=-5.0)
+OWN = SurfaceSettings(0.3, -5.0)
+OPTIONS = MapOptions(pixel_size_m=0.05, plane=((-3.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 0.0, 4.0)))
+
+
+@pytest.fixture(scope="module")
+def maps(front, front_scene):
+    """The wall of wide splats without and with the area, and what its pixels show of it."""
+    wide = replace(front, scales=front.scales * 3)
+    meter = UncertaintyMeter.of(wide.render, ideal_cameras, front_scene, CELSIUS, Survey())
+    regions = Regions(
+        Marks((AREA,)), lambda camera: wide.render(camera, THERMAL), CELSIUS, CaptureSettings()
+    )
+    (plain, facade), (own, _) = (
+        facade_map(wide, front_scene, OPTIONS, meter, regions=each) for each in (None, regions)
+    )
+    grid = plain.grid
+    u = facade.low[0] + (np.arange(grid.width) + 0.5) * grid.pixel_m
+    v = facade.low[1] + (grid.height - np.arange(grid.height) - 0.5) * grid.pixel_m
+    x, z = np.meshgrid(u, v)
+
+    def within(margin: float) -> np.ndarray:
+        across = (x > LEFT + margin) & (x < RIGHT - margin)
+        return across & (z > LOW + margin) & (z < HIGH - margin)
+
+    return plain.bands, own.bands, within(0.05), ~within(-0.05)
+
+
+def test_what_cameras_see_of_it_is_corrected_and_nothing_else(maps):
+    plain, own, inside, outside = maps
+    assert inside.sum() > 500
+    wanted = CaptureSettings().corrected(plain[0][inside].astype(np.float64), OWN)
+    np.testing.assert_allclose(own[0][inside], wanted, atol=1e-3)
+    np.testing.assert_array_equal(own[0][outside], plain[0][outside])
+    np.testing.assert_array_equal(own[1:6], plain[1:6])
+
+
+def test_its_uncertainty_is_that_of_its_settings(maps):
+    plain, own, inside, outside = maps
+    np.testing.assert_array_equal(own[6][outside], plain[6][outside])
+    assert (own[6][inside] > plain[6][inside] + 1).all()

@@ -1,0 +1,67 @@
+"""Exports of a run of which an area has an emissivity of its own."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from mrgs.export import export
+from mrgs.marks import open_marks
+from mrgs.runs.open import load_run
+from mrgs.scene import THERMAL
+from tests.helpers.exports import read_ply
+
+FORMATS = ("points", "mesh", "ply", "page")
+
+
+@pytest.fixture(scope="module")
+def exported(run, scene, tmp_path_factory):
+    """The marks, and the folders without and with settings of the area."""
+    folder = tmp_path_factory.mktemp("marked")
+    shutil.copytree(run.folder.path, folder / "run")
+    marks = open_marks(load_run(folder / "run"), scene)
+    camera = scene.train_photos(THERMAL)[0].camera
+    width, height = camera.width, camera.height
+    low, high = ((share * width, share * height) for share in (0.4, 0.6))
+    mark = marks.box(camera, low, high, "B1")
+    export(marks.run, scene, FORMATS, folder / "without")
+    marks.change(mark.name, emissivity=0.5, reflected_c=0.0)
+    export(marks.run, scene, FORMATS, folder / "with")
+    return marks, folder / "without", folder / "with"
+
+
+@pytest.mark.parametrize("name", ["points.ply", "mesh.ply"])
+def test_what_cameras_see_of_it_is_corrected_and_nothing_else(exported, name):
+    marks, without, own = exported
+    plain, found = (read_ply(folder / name)[1]["vertex"] for folder in (without, own))
+    before, after = plain["temperature_c"], found["temperature_c"]
+    changed = after != before
+    assert 0 < changed.sum() < 0.5 * len(changed)
+    settings = marks.meter.capture.of_mark(marks.marks.marks[0])
+    wanted = marks.meter.capture.corrected(before[changed].astype(np.float64), settings)
+    np.testing.assert_allclose(after[changed], wanted, atol=1e-3)
+    if "uncertainty_c" in found.dtype.names:
+        larger = found["uncertainty_c"] > plain["uncertainty_c"]
+        np.testing.assert_array_equal(larger, changed & ~np.isnan(found["uncertainty_c"]))
+
+
+def test_files_say_how_exact_the_correction_is(exported):
+    _, without, own = exported
+    (of_splats, of_points, of_neither) = (
+        json.loads(path.read_text(encoding="utf-8"))["temperature"].get("own_emissivity", "")
+        for path in (
+            own / "thermal.ply.json",
+            own / "points.ply.json",
+            without / "thermal.ply.json",
+        )
+    )
+    assert "splat by splat" in of_splats
+    assert "half of their pixels are off by up to" in of_splats
+    assert of_points == "marked surfaces that have one are corrected, as their marks are"
+    assert of_neither == ""
+    page = (own / "page.html").read_text(encoding="utf-8")
+    assert of_splats in page
+    assert "coarsely in the picture" in page
