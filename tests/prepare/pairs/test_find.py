@@ -191,6 +191,33 @@ def test_the_folder_of_all_photos_may_have_any_name(photos, name, thermal):
     assert files(root, found) == [(f"DSC_{i + 100}.jpg", thermal.format(i=i)) for i in range(4)]
 
 
+@pytest.mark.parametrize("lost", [4, 11])
+def test_a_photo_that_is_missing_in_a_row_of_equal_numbers_is_doubted(photos, lost):
+    moments = [20 * i + (i * i) % 7 for i in range(16)]
+    thermal = {f"thermal/{i:02d}.tif": ("celsius", at(t)) for i, t in enumerate(moments)}
+    left = [t for i, t in enumerate(moments) if i != lost]
+    rgb = {f"rgb/{i:02d}.jpg": ("jpg", at(t + 100)) for i, t in enumerate(left)}
+    found = find_pairs(photos(thermal | rgb))
+    (warning,) = found.warnings
+    # At the end of a shifted row no other photo is nearer.
+    first = "01" if lost == 4 else "11"
+    assert warning.startswith(
+        f"By their times 3 of 15 pairs were not taken together, such as {first}.jpg and "
+        f"{first}.tif: a photo may be missing in the row."
+    )
+
+
+@pytest.mark.parametrize("jitter_s", [0, 6])
+def test_pairs_that_are_taken_by_hand_one_after_the_other_are_not_doubted(photos, jitter_s):
+    draw = random.Random(0)
+    thermal = {f"thermal/{i:02d}.tif": ("celsius", at(20 * i)) for i in range(16)}
+    rgb = {
+        f"rgb/{i:02d}.jpg": ("jpg", at(20 * i + 5 + draw.uniform(-jitter_s, jitter_s)))
+        for i in range(16)
+    }
+    assert find_pairs(photos(thermal | rgb)).warnings == ()
+
+
 def test_a_backup_of_the_card_adds_no_views(photos):
     card = {f"{kind}_{i}.jpg": (kind, at(60 * i)) for i in range(3) for kind in ("flir", "jpg")}
     names = {name: name.replace("flir", "IR").replace("jpg_", "DC_") for name in card}

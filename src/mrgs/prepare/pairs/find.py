@@ -23,6 +23,7 @@ from mrgs.prepare.pairs.rules import (
     by_names,
     by_numbers,
     by_time,
+    shifted,
 )
 from mrgs.prepare.pairs.table import by_table
 
@@ -73,7 +74,7 @@ def find_pairs(
     else:
         match = _match(inventory, rule, tolerance_s)
     pairs = [pair for pair in match.pairs if pair.partner or pair.embedded] or [*match.pairs]
-    warnings = (*match.warnings, *check_cameras(pairs, inventory))
+    warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory))
     names = view_names([pair.reference.origin.with_name(_key(pair.reference)) for pair in pairs])
     found = [_photo_pair(name, pair) for name, pair in zip(names, pairs, strict=True)]
     skipped = [*inventory.skipped, *_unused(inventory, match, pairs)]
