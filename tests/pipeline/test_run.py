@@ -17,6 +17,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.pipeline import Monitor, PipelinePlan, PlannedStage, run_pipeline
 from mrgs.pipeline import run as run_module
 from mrgs.pipeline import stages as stages_module
+from mrgs.pipeline.intake import take_in
 from mrgs.pipeline.ledger import LEDGER
 from mrgs.pipeline.quality import QUALITIES, Quality
 from mrgs.prepare import Preparation, PrepareOptions, StageReport
@@ -315,3 +316,16 @@ def test_an_unknown_quality_is_named(small_scene, tmp_path):
 def test_the_ledger_knows_every_stage(finished):
     stages = json.loads((finished / LEDGER).read_text())
     assert [*stages] == ["prepare", *(f"fast/{name}" for name in STAGES[1:])]
+
+
+def test_poses_in_a_file_that_has_changed_are_noticed(small_scene, tmp_path):
+    poses = tmp_path / "poses.json"
+    poses.write_text("{}")
+    options = PrepareOptions(poses=poses)
+    intake = take_in(small_scene, options)
+    job = stages_module.Job(intake, QUALITIES["fast"], options, tmp_path, "cpu", Monitor())
+    (first, *_) = job.stages
+    before = first.made_from()
+    assert first.made_from() == before
+    poses.write_text("{ }")
+    assert first.made_from() != before

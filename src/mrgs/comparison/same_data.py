@@ -8,7 +8,6 @@ from pathlib import Path
 from mrgs.comparison.single import read_metrics
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.scored_data import ScoredData
-from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import Scene
 from mrgs.training.checkpoint import load_facts
 from mrgs.training.facts import CheckpointFacts, differences
@@ -75,12 +74,9 @@ def _readable_facts(checkpoint: Path) -> CheckpointFacts | None:
 
 def _trained_differ(facts: CheckpointFacts, data: SceneData) -> str:
     """How the scene differs from what a run was trained on; empty if it does not."""
-    scene = data.scene
-    if added := set(scene.modalities) - set(model_modalities(facts.modalities)):
-        return f"it has other images: {', '.join(sorted(each.name for each in added))}"
     if (facts.images, facts.temperature) == (data.facts.images, data.facts.temperature):
         return ""  # without reading all photos for every run
-    return differences(facts, scene)
+    return differences(facts, data.scene)
 
 
 def _scores_differ(folder: Path, data: SceneData) -> str:

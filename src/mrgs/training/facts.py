@@ -135,9 +135,8 @@ def facts_to_resume(
     """
     _require_same_views(facts, scene)
     _require_same_temperatures(facts, scene)
-    if untrained := set(scene.modalities) - set(model_modalities(facts.modalities)):
-        names = ", ".join(sorted(each.name for each in untrained))
-        raise RunError(f"{scene.name} has images that the run began without ({names}): retrain")
+    if untrained := _untrained(facts, scene):
+        raise RunError(f"{scene.name} {untrained}: retrain")
     images = fingerprints(scene)
     if changed := _changes_since(facts, images, scene):
         if not accept_changes:
@@ -171,7 +170,7 @@ def differences(facts: CheckpointFacts, scene: Scene) -> str:
     Raises:
         SceneError: a photo cannot be read.
     """
-    if other := _other_views(facts, scene):
+    if other := _other_views(facts, scene) or _untrained(facts, scene):
         return f"it {other}"
     if facts.temperature != scene.temperature:
         return "it has another temperature range"
@@ -201,6 +200,14 @@ def _other_views(facts: CheckpointFacts, scene: Scene) -> str:
     if thermal != [point is not None for point in facts.capture.thermal_viewpoints]:
         return "has thermal photos in other views than the run was trained with"
     return ""
+
+
+def _untrained(facts: CheckpointFacts, scene: Scene) -> str:
+    """Which modalities a scene has and its model does not; empty if there are none."""
+    names = sorted(
+        each.name for each in set(scene.modalities) - set(model_modalities(facts.modalities))
+    )
+    return f"has images that the run began without ({', '.join(names)})" if names else ""
 
 
 def _require_same_temperatures(facts: CheckpointFacts, scene: Scene) -> None:
