@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.check.problems import Problem
+from mrgs.data.oddities import far_off
 from mrgs.prepare.page.previews import views_text
 from mrgs.scene import Camera, Modality, Scene, View
 from mrgs.scene.modality import in_order
@@ -30,7 +31,6 @@ _CLEARLY_MORE = 4.0
 """Another convention is named where it lets the cameras see that many times more points."""
 
 _EXTENT = (1e-3, 1e4)
-_FAR_OFF = 1e4
 _SAME_PLACE, _SAME_DIRECTION_DEG = 0.003, 0.3
 _APART, _APART_DEG = 0.5, 30.0
 _FIELD_OF_VIEW_DEG = (6.0, 130.0)
@@ -132,8 +132,8 @@ def _scale(scene: Scene, cameras: Sequence[Camera]) -> list[Problem]:
         found.append(
             Problem("error", text, "Scale the poses and the points together, best to metres.")
         )
-    offset = torch.stack([camera.position for camera in cameras]).mean(dim=0).norm().item()
-    if offset > _FAR_OFF * extent:
+    offset = far_off(cameras, extent)
+    if offset is not None:
         text = (
             f"The scene lies {offset:.2g} units from the origin, but is only {extent:.2g} in size."
         )

@@ -107,11 +107,22 @@ def _of_poses(cameras: Sequence[Camera]) -> Iterator[str]:
         )
 
 
-def _of_place(scene: Scene, cameras: Sequence[Camera]) -> Iterator[str]:
-    """A place whose coordinates single precision does not suit."""
+def far_off(cameras: Sequence[Camera], extent: float) -> float | None:
+    """Distance of a scene from the origin, where single precision does not suit it; else None.
+
+    Args:
+        cameras: of the scene.
+        extent: of the scene.
+    """
     centre = torch.stack([camera.position for camera in cameras]).mean(dim=0)
     distance = centre.norm().item()
-    if distance > _FAR_OFF * scene.extent:
+    return distance if distance > _FAR_OFF * extent else None
+
+
+def _of_place(scene: Scene, cameras: Sequence[Camera]) -> Iterator[str]:
+    """A place whose coordinates single precision does not suit."""
+    distance = far_off(cameras, scene.extent)
+    if distance is not None:
         yield (
             f"it lies {distance:.2g} units from the origin, but is only {scene.extent:.2g} in "
             f"size: move poses and points to the origin together"

@@ -76,12 +76,12 @@ class ExportJob:
     def points(self) -> SurfacePoints:
         """The splats on surfaces as points with their uncertainty, computed once."""
         points = surface_points(self.uncorrected, self.scene)
-        if self.uncertainty is None:
-            return points
         name, at = temperature_name(self.baked), points.positions
-        found = self.uncertainty.of_points(at, points.columns[name], self.regions)
-        own = {name.replace("temperature", "uncertainty"): found}
-        return replace(points, columns={**self.corrected(at, points.columns), **own})
+        columns = dict(self.corrected(at, points.columns))
+        if self.uncertainty is not None:
+            found = self.uncertainty.of_points(at, points.columns[name], self.regions)
+            columns[name.replace("temperature", "uncertainty")] = found
+        return replace(points, columns=columns)
 
     def corrected(self, positions: Float32[np.ndarray, "m 3"], columns: Columns) -> Columns:
         """What cameras see at points of the uncorrected model, with the temperatures of marked

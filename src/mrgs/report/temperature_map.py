@@ -80,7 +80,7 @@ class TemperatureMap:
         for name, corners in shown.items():
             x, y = corners.mean(axis=0).tolist()
             taken.append(draw_name(body, x, y, name, taken))
-        return frame_map(body, metres_per_px, scale, self.north)
+        return frame_map(body, metres_per_px, scale, 0.0 if self.north else None)
 
     def small(self, mark: Mark) -> Image.Image:
         """Where a mark is that lies on the map: in the colours of the photos, where there are

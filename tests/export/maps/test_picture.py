@@ -14,8 +14,8 @@ SIZE = 600
 def test_the_n_of_the_arrow_lies_towards_north(angle):
     body, scale = Image.new("RGB", (SIZE, SIZE), PAPER), Scale("grey", 0.0, 1.0, "°C")
     without, framed = (
-        np.asarray(frame_map(body, 0.01, scale, north, angle).convert("L"), float)
-        for north in (False, True)
+        np.asarray(frame_map(body, 0.01, scale, north_deg).convert("L"), float)
+        for north_deg in (None, angle)
     )
     y, x = np.nonzero(np.abs(framed - without) > 60)
     x, y = x - (MARGIN + SIZE - 24), y - (SIZE + 2 * MARGIN + 10)

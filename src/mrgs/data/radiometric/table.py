@@ -81,16 +81,14 @@ def _decoded(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def _numbers(line: str, separator: str) -> Float64[np.ndarray, " n"]:
-    """The numbers of a line, without a text in front and an empty cell behind; empty if others are
-    among them."""
-    cells = _cells(line, separator)
+def _numbers_in(cells: list[str]) -> int:
+    """How many numbers a line holds, without a text in front and an empty cell behind; 0 if others
+    are among them."""
     if cells and not cells[-1]:
-        cells.pop()
+        cells = cells[:-1]
     if cells and not _NUMBER.fullmatch(cells[0]):
-        cells.pop(0)
-    numeric = all(_NUMBER.fullmatch(cell) for cell in cells)
-    return np.array([float(cell) for cell in cells] if numeric else [], dtype=np.float64)
+        cells = cells[1:]
+    return len(cells) if all(_NUMBER.fullmatch(cell) for cell in cells) else 0
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -105,39 +103,32 @@ def _largest_block(
 ) -> tuple[list[Float64[np.ndarray, " n"]], list[str]]:
     """The numbers of the longest run of lines with equally many of them, lines with gaps among
     these; and the lines beside it."""
-    counts = [len(_numbers(line, separator)) for line in lines]
+    cells = [_cells(line, separator) for line in lines]
+    counts = [_numbers_in(each) for each in cells]
     runs = [(count, len(list(run))) for count, run in groupby(counts) if count > 1]
     if not runs:
         return [], []
     width, _ = max(runs, key=lambda run: run[0] * run[1])
-    firsts = [
-        _cells(line, separator)[0]
-        for line, count in zip(lines, counts, strict=True)
-        if count == width
-    ]
+    firsts = [each[0] for each, count in zip(cells, counts, strict=True) if count == width]
     labels = sum(_NUMBER.fullmatch(first) is None for first in firsts)
-    rows = [_row(line, separator, width, 2 * labels > len(firsts)) for line in lines]
+    rows = [_row(each, width, 2 * labels > len(firsts)) for each in cells]
     first, last = _longest_run([row is not None for row in rows])
     block = [row for row in rows[first:last] if row is not None]
     return block, [*lines[:first], *lines[last:]]
 
 
-def _row(
-    line: str, separator: str, width: int, is_labelled: bool
-) -> Float64[np.ndarray, " n"] | None:
+def _row(cells: list[str], width: int, is_labelled: bool) -> Float64[np.ndarray, " n"] | None:
     """The numbers of a line of so many, NaN where a cell holds none; None if most hold none.
 
     Args:
-        line: of the file.
-        separator: of its cells.
+        cells: of the line.
         width: how many numbers the lines hold.
         is_labelled: whether they have a text in front.
     """
-    cells = _cells(line, separator)
     if is_labelled:
-        cells.pop(0)
+        cells = cells[1:]
     if len(cells) > width and not cells[-1]:
-        cells.pop()
+        cells = cells[:-1]
     values = [float(cell) if _NUMBER.fullmatch(cell) else np.nan for cell in cells]
     if len(values) != width or 2 * np.isnan(values).sum() > width:
         return None

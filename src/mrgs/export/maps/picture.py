@@ -60,8 +60,7 @@ def map_scale(
 def map_picture(drawn: OrthographicMap, caption: Caption, scale: Scale) -> Image.Image:
     """The temperatures of a map as a picture, with its texts."""
     body, metres_per_px = map_body(drawn, scale)
-    north, angle = caption.north_deg is not None, caption.north_deg or 0.0
-    framed = frame_map(body, metres_per_px, scale, north, angle)
+    framed = frame_map(body, metres_per_px, scale, caption.north_deg)
     picture = blank((framed.width, framed.height + MARGIN + 102))
     text = picture.width - 2 * MARGIN
     draw_text(picture, (MARGIN, MARGIN + 26), fit_text(caption.title, 30, text), 30, bold=True)
@@ -81,14 +80,10 @@ def map_body(drawn: OrthographicMap, scale: Scale) -> tuple[Image.Image, float]:
 
 
 def frame_map(
-    body: Image.Image,
-    metres_per_px: float,
-    scale: Scale,
-    north: bool = False,
-    north_deg: float = 0.0,
+    body: Image.Image, metres_per_px: float, scale: Scale, north_deg: float | None
 ) -> Image.Image:
-    """A map's image with its legend, a scale bar, and if ``north`` an arrow to the north, which is
-    ``north_deg`` clockwise from up."""
+    """A map's image with its legend, a scale bar, and an arrow to the north, which is ``north_deg``
+    clockwise from up; without one if that is None."""
     legend = scale_bar(scale, min(body.height, 520), "vertical", size=20)
     width = max(body.width, 480) + legend.width + 3 * MARGIN
     picture = blank((width, body.height + 2 * MARGIN + 58))
@@ -96,7 +91,7 @@ def frame_map(
     picture.paste(legend, (width - MARGIN - legend.width, MARGIN))
     below = body.height + 2 * MARGIN
     _draw_length(picture, (MARGIN, below), body.width, metres_per_px, scale.decimal)
-    if north:
+    if north_deg is not None:
         _draw_north(picture, (MARGIN + body.width - 24, below + 10), north_deg)
     return picture
 

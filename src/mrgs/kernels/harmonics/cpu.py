@@ -13,17 +13,7 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.field.spherical_harmonics import (
-    C0,
-    C1,
-    C2,
-    C2_ZONAL,
-    C3_ORDER1,
-    C3_ORDER2,
-    C3_ORDER3,
-    C3_ZONAL,
-    MOST_BANDS,
-)
+from mrgs.field import spherical_harmonics as sh
 from mrgs.kernels.address import address
 from mrgs.kernels.dense.layers import SHARES
 from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
@@ -33,10 +23,10 @@ from mrgs.kernels.rows import listed
 _ZERO = np.float32(0)
 _HALF = np.float32(0.5)
 _TWO, _THREE, _FOUR, _SIX, _EIGHT = (np.float32(value) for value in (2, 3, 4, 6, 8))
-_C0, _C1 = np.float32(C0), np.float32(C1)
-_C2, _C2_ZONAL = np.float32(C2), np.float32(C2_ZONAL)
+_C0, _C1 = np.float32(sh.C0), np.float32(sh.C1)
+_C2, _C2_ZONAL = np.float32(sh.C2), np.float32(sh.C2_ZONAL)
 _C3_ORDER1, _C3_ORDER2, _C3_ORDER3, _C3_ZONAL = (
-    np.float32(factor) for factor in (C3_ORDER1, C3_ORDER2, C3_ORDER3, C3_ZONAL)
+    np.float32(factor) for factor in (sh.C3_ORDER1, sh.C3_ORDER2, sh.C3_ORDER3, sh.C3_ZONAL)
 )
 SMALLEST_DISTANCE = np.float32(1e-12)
 
@@ -63,8 +53,8 @@ def shade(
     require("camera_position", camera_position, (3,))
     rows = listed(rows, count)
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
-    if bands > MOST_BANDS:
-        raise ValueError(f"there are at most {MOST_BANDS} bands of harmonics, not {bands}")
+    if bands > sh.MOST_BANDS:
+        raise ValueError(f"there are at most {sh.MOST_BANDS} bands of harmonics, not {bands}")
     floors = (np.float32(floor),) * channels
     shaded: Tensor = _Shade.apply(means, dc, rest, camera_position, bands, rows, floors)
     return shaded

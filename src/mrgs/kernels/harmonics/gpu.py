@@ -15,17 +15,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.field.spherical_harmonics import (
-    C0,
-    C1,
-    C2,
-    C2_ZONAL,
-    C3_ORDER1,
-    C3_ORDER2,
-    C3_ORDER3,
-    C3_ZONAL,
-    MOST_BANDS,
-)
+from mrgs.field import spherical_harmonics as sh
 from mrgs.kernels.gpu_jit import device_function
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
 from mrgs.kernels.require import require
@@ -47,15 +37,15 @@ VARIANTS = {3: "color", 1: "scalar"}
 """By the number of channels."""
 
 SMALLEST_DISTANCE = tl.constexpr(1e-12)
-CONSTANT = tl.constexpr(C0)
-FIRST = tl.constexpr(C1)
-SECOND = tl.constexpr(C2)
-SECOND_ZONAL = tl.constexpr(C2_ZONAL)
-THIRD_ORDER1 = tl.constexpr(C3_ORDER1)
-THIRD_ORDER2 = tl.constexpr(C3_ORDER2)
-THIRD_ORDER3 = tl.constexpr(C3_ORDER3)
-THIRD_ZONAL = tl.constexpr(C3_ZONAL)
-BANDS = tl.constexpr(MOST_BANDS)
+CONSTANT = tl.constexpr(sh.C0)
+FIRST = tl.constexpr(sh.C1)
+SECOND = tl.constexpr(sh.C2)
+SECOND_ZONAL = tl.constexpr(sh.C2_ZONAL)
+THIRD_ORDER1 = tl.constexpr(sh.C3_ORDER1)
+THIRD_ORDER2 = tl.constexpr(sh.C3_ORDER2)
+THIRD_ORDER3 = tl.constexpr(sh.C3_ORDER3)
+THIRD_ZONAL = tl.constexpr(sh.C3_ZONAL)
+BANDS = tl.constexpr(sh.MOST_BANDS)
 
 
 @device_function
@@ -240,7 +230,7 @@ def shade(
     """
     count, channels, device = len(means), dc.shape[-1], means.device
     bands = min((degree + 1) ** 2 - 1, rest.shape[1])
-    if rows is not None or channels not in VARIANTS or not 0 < bands <= MOST_BANDS:
+    if rows is not None or channels not in VARIANTS or not 0 < bands <= sh.MOST_BANDS:
         return NotImplemented
     if rest.numel() > MOST_VALUES:
         return NotImplemented

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -23,8 +24,9 @@ from mrgs.prepare.pairs.rules import (
     by_names,
     by_numbers,
     by_time,
-    shifted,
+    telling_name,
 )
+from mrgs.prepare.pairs.shifted import shifted
 from mrgs.prepare.pairs.table import by_table
 
 Rule = Literal["auto", "names", "folders", "time", "thermal"]
@@ -69,15 +71,16 @@ def find_pairs(
             options=("pair_table", "pairs"),
         )
     inventory = take_inventory(photos)
+    root_name = telling_name(inventory.photos, inventory.root.resolve().name)
     if table is not None:
         match = by_table(table, inventory)
     else:
-        match = _match(inventory, rule, tolerance_s)
+        match = _match(inventory, root_name, rule, tolerance_s)
     pairs = [pair for pair in match.pairs if pair.partner or pair.embedded] or [*match.pairs]
     warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory))
     names = view_names([pair.reference.origin.with_name(_key(pair.reference)) for pair in pairs])
     found = [_photo_pair(name, pair) for name, pair in zip(names, pairs, strict=True)]
-    skipped = [*inventory.skipped, *_unused(inventory, match, pairs)]
+    skipped = [*inventory.skipped, *_unused(inventory, root_name, match, pairs)]
     return Pairing(
         tuple(sorted(found, key=lambda pair: natural(pair.name))),
         tuple(sorted(skipped, key=lambda item: natural(item.name))),
@@ -100,14 +103,15 @@ def _key(reference: Photo) -> str:
     return read_stem(reference.origin.name, reference.is_thermal).key or reference.origin.name
 
 
-def _match(inventory: Inventory, rule: Rule, tolerance_s: float) -> Match:
+def _match(inventory: Inventory, root_name: str, rule: Rule, tolerance_s: float) -> Match:
     """What the rule finds; with ``auto``, the best."""
-    references, others = by_modality(inventory.photos, inventory.root.resolve().name)
+    references, others = by_modality(inventory.photos, root_name)
     if rule == REFERENCE.name and references:
         return _alone(
             references, dict.fromkeys(others, f"only the {REFERENCE.title} photos are used")
         )
-    best = _best_match(inventory, rule, tolerance_s, min(len(references), len(others)))
+    pairable = min(len(references), len(others))
+    best = _best_match(inventory.photos, root_name, rule, tolerance_s, pairable)
     count, least = _count(best), max(_FEWEST_PAIRS, len(references) / 10)
     if 2 * max(count, len(others)) < len(references) and count < least:
         return _mostly_alone(references, others)
@@ -117,11 +121,10 @@ def _match(inventory: Inventory, rule: Rule, tolerance_s: float) -> Match:
 
 
 def _best_match(
-    inventory: Inventory, rule: Rule, tolerance_s: float, pairable: int
+    photos: Sequence[Photo], root_name: str, rule: Rule, tolerance_s: float, pairable: int
 ) -> Match | None:
     """The match with the most pairs; numbers and times count only where names fail for most
     photos."""
-    photos, root_name = inventory.photos, inventory.root.resolve().name
     best: Match | None = None
     if rule in ("auto", "names"):
         best = by_names(photos, tolerance_s)
@@ -202,10 +205,10 @@ def _no_pairs(
     return scene_error(inventory.root, f"{found}: {why}", options=options)
 
 
-def _unused(inventory: Inventory, match: Match, pairs: list[Pair]) -> list[Skipped]:
+def _unused(inventory: Inventory, root_name: str, match: Match, pairs: list[Pair]) -> list[Skipped]:
     """All photos that are in no pair, with the reason."""
     used = {photo for pair in pairs for photo in pair.photos.values()}
-    references, _ = by_modality(inventory.photos, inventory.root.resolve().name)
+    references, _ = by_modality(inventory.photos, root_name)
     wanted = dict.fromkeys(references, PARTNER)
     reasons = {
         photo: f"has no {wanted.get(photo, REFERENCE).title} photo {match.without}"

@@ -13,9 +13,6 @@ from datetime import datetime, timedelta
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Float64
-
 from mrgs.prepare.pairs.clocks import ClockOffset, clock_offset, match_times
 from mrgs.prepare.pairs.names import (
     PARTNER,
@@ -33,11 +30,6 @@ from mrgs.scene import Modality
 _NEIGHBOUR_S = 10.0
 """Photos with neighbouring numbers that were taken farther apart in time, seconds, do not belong
 together."""
-
-_FEWEST_TIMED, _FEWEST_SHIFTED = 5, 2
-_NEARER_S = 2.0
-"""A pair is doubted if its partner was taken that many seconds nearer to another photo, where at
-least so many pairs have times and so many are doubted."""
 
 NEARLY = 0.9
 """A better camera is taken even if another one has a few photos more: down to this share of the
@@ -129,7 +121,6 @@ def by_modality(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], l
     """All reference photos, and all others, which may be partners: by content, else by the folder,
     else by the name."""
     found: dict[bool, list[Photo]] = {True: [], False: []}
-    root_name = telling_name(photos, root_name)
     for photo in photos:
         by_folder = candidate_by_folder(photo, root_name)
         known = by_folder if by_folder.modality else candidate_by_name(photo)
@@ -155,7 +146,6 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
 def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
     """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
     else unique; those that are equal to the letter before those that differ in a camera suffix."""
-    root_name = telling_name(photos, root_name)
     candidates = [candidate_by_folder(photo, root_name) for photo in photos]
     pairs, reasons = _by_keys([_with_whole_name(each) for each in candidates], tolerance_s)
     taken = {*reasons, *(photo for pair in pairs for photo in pair.photos.values())}
@@ -311,43 +301,6 @@ def _near(first: Photo, second: Photo) -> bool:
     if first.exif.taken is None or second.exif.taken is None:
         return True
     return abs((first.exif.taken - second.exif.taken).total_seconds()) <= _NEIGHBOUR_S
-
-
-def shifted(pairs: Sequence[Pair]) -> tuple[str, ...]:
-    """A doubt about pairs whose times contradict them: where a photo is missing in a row of equal
-    numbers, each later one is paired with its neighbour's partner."""
-    timed = [
-        (pair, _taken(pair.reference), _taken(pair.partner))
-        for pair in pairs
-        if pair.partner is not None
-        and pair.reference.exif.taken is not None
-        and pair.partner.exif.taken is not None
-    ]
-    if len(timed) < _FEWEST_TIMED:
-        return ()
-    start = timed[0][1]
-    references_s = np.array([(taken - start).total_seconds() for _, taken, _ in timed])
-    partners_s = np.array([(taken - start).total_seconds() for _, _, taken in timed])
-    aligned_s = partners_s - np.median(partners_s - references_s)
-    gaps_s = np.abs(aligned_s - references_s)
-    wrong = (gaps_s > _nearest(aligned_s, references_s) + _NEARER_S).nonzero()[0]
-    if len(wrong) < max(_FEWEST_SHIFTED, (1 - NEARLY) * len(timed)):
-        return ()
-    names = [printable(photo.path.name) for photo in timed[wrong[0]][0].photos.values()]
-    return (
-        f"By their times {len(wrong)} of {len(timed)} pairs were not taken together, such as "
-        f"{' and '.join(names)}: a photo may be missing in the row. Pair by time, or list the "
-        f"pairs in a CSV file.",
-    )
-
-
-def _nearest(
-    values: Float64[np.ndarray, " n"], others: Float64[np.ndarray, " m"]
-) -> Float64[np.ndarray, " n"]:
-    """Distance of each value to the nearest of the others."""
-    others = np.sort(others)
-    after = np.clip(np.searchsorted(others, values), 1, len(others) - 1)
-    return np.minimum(np.abs(values - others[after - 1]), np.abs(values - others[after]))
 
 
 def by_embedded(photos: Sequence[Photo]) -> Match | None:
