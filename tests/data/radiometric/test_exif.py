@@ -58,5 +58,27 @@ def test_times_that_cannot_be_are_none(time):
     assert read_exif(with_exif(t306=time)).taken is None
 
 
+EARLY, LATE = datetime(2024, 5, 1, 12, 0, 0), datetime(2024, 5, 1, 12, 0, 9)
+
+
+def at(moment: datetime) -> str:
+    return moment.strftime("%Y:%m:%d %H:%M:%S")
+
+
+@pytest.mark.parametrize(
+    ("photo", "taken"),
+    [
+        ({0x9003: at(EARLY), 0x9291: "25"}, EARLY.replace(microsecond=250_000)),
+        ({0x9003: "0000:00:00 00:00:00", 0x9291: "25"}, LATE),
+        ({0x9003: "    :  :     :  :  "}, LATE),
+        ({0x9003: "", 0x9290: "5"}, LATE.replace(microsecond=500_000)),
+        ({0x9003: " ", 0x9004: at(EARLY), 0x9292: "125"}, EARLY.replace(microsecond=125_000)),
+        ({}, LATE),
+    ],
+)
+def test_a_time_that_was_not_set_does_not_hide_another(photo, taken):
+    assert read_exif(with_exif(t306=at(LATE), t34665=photo)).taken == taken
+
+
 def test_damage_makes_facts_none():
     assert read_exif(b"\xff\xd8\xff\xe1\0\x08Exif\0\0") == ExifFacts()

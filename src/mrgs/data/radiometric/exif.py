@@ -13,6 +13,14 @@ from typing import Any
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
+_TIMES = (
+    (Base.DateTimeOriginal, Base.SubsecTimeOriginal),
+    (Base.DateTimeDigitized, Base.SubsecTimeDigitized),
+    (Base.DateTime, Base.SubsecTime),
+)
+"""Times, and their fractions of a second. The first that is a time counts: a camera whose clock was
+not set fills one with zeros or blanks, and the last may be that of an edit."""
+
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
 
 
@@ -59,10 +67,9 @@ def read_exif(data: bytes) -> ExifFacts:
 
 
 def _facts(main: Mapping[int, Any], photo: Mapping[int, Any], gps: Mapping[int, Any]) -> ExifFacts:
-    taken = _time(
-        photo.get(Base.DateTimeOriginal) or main.get(Base.DateTime),
-        photo.get(Base.SubsecTimeOriginal),
-    )
+    tags = {**photo, Base.DateTime: main.get(Base.DateTime)}
+    times = (_time(tags.get(time), tags.get(fraction)) for time, fraction in _TIMES)
+    taken = next((time for time in times if time is not None), None)
     orientation: Any = main.get(Base.Orientation)
     return ExifFacts(
         clean_text(main.get(Base.Make)),
