@@ -64,6 +64,16 @@ def test_black_is_masked(tmp_path):
     assert decode_mask(save(tmp_path / "a.png", pixels)).tolist() == [[False, True], [True, True]]
 
 
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_the_compression_of_a_mask_does_not_show(tmp_path, mode):
+    pixels = np.zeros((40, 40), dtype=np.uint8)
+    pixels[11:29, 13:30] = 255
+    path = tmp_path / "a.jpg"
+    Image.fromarray(pixels).convert(mode).save(path, quality=60)
+    assert (decode(path).values > 0).sum() > (pixels > 0).sum() * decode(path).values.shape[2]
+    np.testing.assert_array_equal(decode_mask(path).numpy(), pixels > 0)
+
+
 def test_the_exif_orientation_is_ignored(tmp_path):
     image = Image.new("RGB", (6, 4))
     exif = image.getexif()

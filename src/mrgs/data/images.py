@@ -125,12 +125,15 @@ def of_eight_bit_levels(levels: UInt8[Tensor, "*shape"]) -> Float32[Tensor, "*sh
 
 
 def decode_mask(path: Path) -> Bool[Tensor, "h w"]:
-    """A mask image: False where it is black.
+    """A mask image: False where it is black; in a JPEG where it is darker than half, because its
+    compression leaves greys on both sides of an edge.
 
     Raises:
         SceneError: see ``decode``.
     """
-    return (decode(path).values > 0).any(dim=-1)
+    with _opened(path) as image:
+        black = 0.5 if image.format == "JPEG" else 0.0
+    return (decode(path).values > black).any(dim=-1)
 
 
 def _mask(usable: np.ndarray) -> Bool[Tensor, "h w"] | None:
