@@ -105,6 +105,17 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
         ) from None
 
 
+def decoded_text(data: bytes) -> str:
+    """The text of a file that a spreadsheet or a camera's program wrote: UTF-16 with a byte-order
+    mark (Excel's "Unicode text"), UTF-8, else Windows-1252."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", errors="replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")
+
+
 def read_json_object(path: Path) -> dict[str, Any]:
     """The JSON object in a file.
 

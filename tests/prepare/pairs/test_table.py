@@ -54,6 +54,20 @@ def test_tables(paired, content):
     assert paired(content) == BOTH
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "utf-8", "cp1252"])
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_tables_as_spreadsheets_write_them(photos, tmp_path, encoding, separator):
+    files = [("Küche – Süd/1.jpg", "Wärme/a.jpg"), ("Küche – Süd/2.jpg", "Wärme/b.jpg")]
+    lines = [separator.join(names) for names in [("RGB", "Thermal"), *files]]
+    table = tmp_path / "pairs.csv"
+    table.write_bytes("\r\n".join([*lines, ""]).encode(encoding))
+    root = photos({name: "jpg" for names in files for name in names})
+    assert [
+        tuple(pair.photos[modality].relative_to(root).as_posix() for modality in (RGB, THERMAL))
+        for pair in find_pairs(root, table=table).pairs
+    ] == files
+
+
 def test_photos_that_the_table_does_not_name(photos, tmp_path):
     table = tmp_path / "pairs.csv"
     table.write_text("eye/1.jpg,heat/a.jpg")

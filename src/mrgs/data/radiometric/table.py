@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from mrgs.data.files import scene_error
+from mrgs.data.files import decoded_text, scene_error
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import FLOAT_UNITS
@@ -48,7 +48,7 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     quotes, or beside another separator, is a decimal comma.
 
     Args:
-        data: the file's content; UTF-8, UTF-16 with a byte-order mark, or Latin-1.
+        data: the file's content; see ``decoded_text`` for its encodings.
         path: the file, for messages.
         overrides: ``unit``, where the numbers are not °C.
 
@@ -60,7 +60,7 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
             path,
             f"is a text of {len(data)} bytes, too long for a table of one photo; check the export",
         )
-    lines = _decoded(data).splitlines()
+    lines = decoded_text(data).splitlines()
     separator = next((s for s in _SEPARATORS if any(line.count(s) > 1 for line in lines)), None)
     rows, beside = ([], []) if separator is None else _largest_block(lines, separator)
     if not rows:
@@ -70,15 +70,6 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     values = _without_indices(np.stack(rows))
     candidates = _units_named(beside) or FLOAT_UNITS
     return finished(values, candidates, path, PhotoFacts("table of temperatures"), overrides)
-
-
-def _decoded(data: bytes) -> str:
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", errors="replace")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
 
 
 def _numbers_in(cells: list[str]) -> int:

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from mrgs.data.files import contained, is_file, read_bytes, scene_error, shown
+from mrgs.data.files import contained, decoded_text, is_file, read_bytes, scene_error, shown
 from mrgs.errors import SceneError
 from mrgs.prepare.pairs.inventory import Inventory
 from mrgs.prepare.pairs.names import HEADINGS, PARTNER, REFERENCE, composed, printable
@@ -24,7 +24,8 @@ def by_table(table: Path, inventory: Inventory) -> Match:
     photos.
 
     The RGB photo may be left empty: then it is embedded in the thermal photo's file, or there is
-    none. A first line with headings (``rgb``, ``thermal``) gives the order of the columns.
+    none. A first line with headings (``rgb``, ``thermal``) gives the order of the columns. Columns
+    are separated by commas, semicolons or tabs; see ``decoded_text`` for the encodings.
 
     Raises:
         SceneError: the table cannot be read, or a line names something other than two photos of the
@@ -60,12 +61,7 @@ def by_table(table: Path, inventory: Inventory) -> Match:
 
 def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
     """Number of the line, and the names of its photos by modality."""
-    data = read_bytes(table, _MAX_BYTES)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    lines = text.splitlines()
+    lines = decoded_text(read_bytes(table, _MAX_BYTES)).splitlines()
     separator = next((sign for sign in ";\t" if any(sign in line for line in lines)), ",")
     columns: tuple[Modality, ...] = _COLUMNS
     for number, line in enumerate(lines, 1):
