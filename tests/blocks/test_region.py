@@ -22,6 +22,25 @@ def test_cells_fill_the_plane_without_overlap_and_hold_equally_many_places():
     assert sum(bool(cell.contains(far)) for cell in found) == 1
 
 
+@pytest.mark.parametrize("count", [1, 2, 17, 1000])
+@pytest.mark.parametrize("parts", [2, 3, 50])
+def test_cells_end_at_quantiles(count, parts):
+    places = PLACES[:count]
+    found = [column[0].high[0] for column in cells(places, 1, parts)]
+    shares = torch.arange(1, parts, dtype=torch.float64) / parts
+    expected = torch.quantile(places[:, 0], shares).unique().tolist()
+    assert found == [*expected, math.inf]
+
+
+def test_more_places_than_torch_finds_quantiles_of():
+    count = 2**24 + 1
+    places = torch.arange(count, dtype=torch.float64)[:, None].expand(count, 2)
+    with pytest.raises(RuntimeError, match="too large"):
+        places[:, 0].quantile(0.5)
+    (low,), (high,) = cells(places, 1, 2)
+    assert low.high[0] == high.low[0] == count // 2
+
+
 def test_empty_cells_are_joined_with_their_neighbours():
     columns = cells(PLACES, 2, 3)
     bare = [*columns[0], columns[2][1]]
