@@ -2,20 +2,24 @@ from __future__ import annotations
 
 import os
 import random
+import struct
 import sys
 import tempfile
 import unicodedata
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL
+from tests.helpers.flir import FlirPhoto, jpg
 from tests.helpers.photos import photo
 
 NOON = datetime(2024, 5, 1, 12, 0, 0)
@@ -486,9 +490,72 @@ def test_zoomed_photos_are_told(photos):
     )
 
 
+def test_zoomed_thermal_photos_are_told(photos):
+    thermal = {f"thermal/{i}.png": ("jpg", {"focal_mm": 9.0 * (1 + i)}) for i in range(2)}
+    found = find_pairs(photos(thermal | {f"rgb/{i}.jpg": "jpg" for i in range(2)}))
+    assert found.warnings == (
+        "The thermal photos were taken with focal lengths of 9 mm to 18 mm, yet one lens is "
+        "assumed for all: leave out those that were zoomed.",
+    )
+
+
+def test_two_cameras_of_one_model_are_told(photos):
+    own = {i: FlirPhoto(info_fields={0x104: b"4712"} if i == 2 else {}).jpeg() for i in range(3)}
+    found = find_pairs(photos({f"{i}.jpg": own[i] for i in own}))
+    assert found.warnings == (
+        "The thermal photos are of 2 cameras of one model, by their serial numbers 4711 (2, such "
+        "as 0.jpg) and 4712 (1, such as 2.jpg), yet one lens and one offset is assumed for all: "
+        "prepare each camera separately, from a folder of its own.",
+    )
+
+
+def test_two_cameras_by_their_exif_data_are_told(photos):
+    def rgb(serial: str) -> bytes:
+        facts = Image.Exif()
+        facts.get_ifd(0x8769)[0xA431] = serial
+        return jpg(np.zeros((8, 8, 3), np.uint8), exif=facts)
+
+    content = {"rgb/0.jpg": rgb("17"), "rgb/1.jpg": rgb("18")}
+    found = find_pairs(photos(content | {f"thermal/{i}.png": "png" for i in range(2)}))
+    assert found.warnings[0].startswith(
+        "The RGB photos are of 2 cameras of one model, by their serial numbers 17 (1, such as"
+    )
+
+
+def with_view(view_deg: float) -> bytes:
+    return FlirPhoto(info_fields={0x1B4: struct.pack("<f", view_deg)}).jpeg()
+
+
+def test_one_lens_at_two_focuses_is_one_lens(photos):
+    assert find_pairs(photos({"a.jpg": with_view(25.0), "b.jpg": with_view(26.0)})).warnings == ()
+
+
+@pytest.mark.parametrize("word", ["time", "auto"])
+def test_the_times_in_flirs_own_files_count(photos, word):
+    taken = datetime(2013, 3, 12, 16, 31, 23)  # the record's
+    content = {
+        f"t/IR{i}x.fff": FlirPhoto(
+            info_fields={0x384: struct.pack("<I", 1_363_105_883 + 60 * i)}
+        ).record()
+        for i in range(3)
+    }
+    content |= {
+        f"c/{9 - i}.jpg": ("jpg", {"taken": taken + timedelta(seconds=60 * i)}) for i in range(3)
+    }
+    found = find_pairs(photos(content), rule=word)
+    assert [(pair.photos[RGB].name, pair.photos[THERMAL].name) for pair in found.pairs] == [
+        (f"{9 - i}.jpg", f"IR{i}x.fff") for i in range(3)
+    ]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
+        (
+            {"a.jpg": with_view(25.0), "b.jpg": with_view(45.0), "c.jpg": with_view(25.0)},
+            r"card: the thermal photos were taken with lenses of 25° such as a\.jpg, and of 45° "
+            r"such as b\.jpg; prepare each lens separately, from a folder of its own",
+        ),
         ({}, r"card: holds no photos; give the folder with the camera's JPEG, PNG or TIFF files"),
         (
             {"a.mp4": b"x"},

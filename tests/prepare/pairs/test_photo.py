@@ -45,7 +45,15 @@ def test_a_flir_photo(seen):
 
 
 def test_a_bare_flir_record(seen):
-    assert seen("a.fff", FlirPhoto().record()).kind == "signal"
+    view = {0x1B4: struct.pack("<f", 25.0)}
+    found = seen("a.fff", FlirPhoto(info_fields=view).record())
+    assert (found.kind, found.serial, found.field_of_view_deg) == ("signal", "4711", 25.0)
+    assert found.exif.taken == datetime(2013, 3, 12, 16, 31, 23, 250_000)
+
+
+def test_a_flir_record_without_camera_says_nothing_of_it(seen):
+    found = seen("a.fff", FlirPhoto(without=(0x20,)).record())
+    assert (found.kind, found.serial, found.exif.taken) == ("signal", None, None)
 
 
 def test_a_flir_photo_that_is_cut_off(seen):

@@ -6,6 +6,7 @@ import io
 import math
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt16
@@ -39,6 +40,29 @@ _IMAGE_OFFSET = 32
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
 """A photo whose middle temperature lies outside of these was not computed with its camera's
 constants."""
+
+
+class CameraFacts(NamedTuple):
+    """What a record says of its camera; None where it does not.
+
+    Attributes:
+        model: the maker's name of the model.
+        serial: the serial number.
+        field_of_view_deg: horizontal, of the lens that was on the camera.
+        taken: time by the camera's own clock, without a time zone.
+    """
+
+    model: str | None = None
+    serial: str | None = None
+    field_of_view_deg: float | None = None
+    taken: datetime | None = None
+
+
+def camera_facts(records: Records) -> CameraFacts:
+    """What a record says of its camera, without its pixels; a damaged one says nothing."""
+    content = records.get(CAMERA_INFO) or b""
+    order = order_of(content)
+    return CameraFacts() if order is None else _camera(RecordFields(content, order))
 
 
 def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
@@ -202,13 +226,13 @@ def _transmission(info: RecordFields, parameters: ObjectParameters, path: Path) 
 def _facts(
     info: RecordFields, records: Records, path: Path, exif: ExifFacts, measurement: Measurement
 ) -> PhotoFacts:
-    serial = clean_text(info.data[0x104:0x114])
+    camera = _camera(info)
     visible, warnings = _visible(records, path)
     return PhotoFacts(
         source="FLIR radiometric JPEG" if exif != ExifFacts() else "FLIR thermal record",
-        camera=clean_text(info.data[0xD4:0xF4]) or exif.model,
-        serial=serial,
-        taken=exif.taken or _time(info),
+        camera=camera.model or exif.model,
+        serial=camera.serial,
+        taken=exif.taken or camera.taken,
         gps=exif.gps,
         parameters=measurement.parameters,
         planck=measurement.planck,
@@ -217,6 +241,16 @@ def _facts(
         visible=visible,
         notes=(f"The air lets {100 * measurement.transmission:.1f} % of the radiation pass.",),
         warnings=warnings,
+    )
+
+
+def _camera(info: RecordFields) -> CameraFacts:
+    view_deg = info.number(0x1B4)
+    return CameraFacts(
+        clean_text(info.data[0xD4:0xF4]),
+        clean_text(info.data[0x104:0x114]),
+        view_deg if view_deg is not None and 0 < view_deg < 180 else None,
+        _time(info),
     )
 
 

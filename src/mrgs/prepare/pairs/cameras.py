@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from typing import TypeVar
 
 from mrgs.data.files import scene_error
 from mrgs.prepare.pairs.inventory import Inventory
@@ -11,15 +12,20 @@ from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import Pair
 from mrgs.scene import Modality
 
+Value = TypeVar("Value", bound=Hashable)
+
 _ZOOM = 1.02
 """Focal lengths whose ratio is larger are those of a zoom, not of rounding."""
+
+_OTHER_LENS = 1.2
+"""Fields of view whose ratio is larger are those of two lenses, not of one focused differently."""
 
 
 def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...]:
     """Warnings about the cameras of the pairs.
 
     Raises:
-        SceneError: the photos of a modality are of two cameras or of two sizes.
+        SceneError: the photos of a modality are of two models of camera, two lenses or two sizes.
     """
     partners = [pair.partner for pair in pairs if pair.partner is not None]
     embedded = [pair.reference for pair in pairs if pair.partner is None]
@@ -30,23 +36,23 @@ def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...
             f"{inventory.name(embedded[0])} is embedded, {inventory.name(partners[0])} is a file "
             f"of its own; use one of the two kinds",
         )
+    warnings: tuple[str, ...] = ()
     for modality in (PARTNER, REFERENCE):
         photos = [pair.photos[modality] for pair in pairs if modality in pair.photos]
         for attribute in (lambda photo: photo.exif.model, lambda photo: photo.size):
             _check_alike(modality, photos, attribute, inventory)
-    return _zoomed(partners)
+        _check_lenses(modality, photos, inventory)
+        warnings += (*_zoomed(modality, photos), *_several(modality, photos, inventory))
+    return warnings
 
 
 def _check_alike(
     modality: Modality,
     photos: Sequence[Photo],
-    attribute: Callable[[Photo], Hashable],
+    attribute: Callable[[Photo], Value | None],
     inventory: Inventory,
 ) -> None:
-    groups: dict[Hashable, list[Photo]] = {}
-    for photo in photos:
-        if (value := attribute(photo)) is not None:
-            groups.setdefault(value, []).append(photo)
+    groups = _grouped(photos, attribute)
     if len(groups) < 2:
         return
     most, other = sorted(groups.values(), key=len, reverse=True)[:2]
@@ -64,12 +70,53 @@ def _described(photo: Photo, inventory: Inventory) -> str:
     return f"{photo.exif.model or 'a camera'}{size} such as {inventory.name(photo)}"
 
 
-def _zoomed(photos: Sequence[Photo]) -> tuple[str, ...]:
+def _grouped(
+    photos: Sequence[Photo], attribute: Callable[[Photo], Value | None]
+) -> dict[Value, list[Photo]]:
+    """The photos by an attribute; without those that do not say."""
+    groups: dict[Value, list[Photo]] = {}
+    for photo in photos:
+        if (value := attribute(photo)) is not None:
+            groups.setdefault(value, []).append(photo)
+    return groups
+
+
+def _check_lenses(modality: Modality, photos: Sequence[Photo], inventory: Inventory) -> None:
+    by_view = _grouped(photos, lambda photo: photo.field_of_view_deg)
+    views_deg = sorted(by_view)
+    if not views_deg or views_deg[-1] <= _OTHER_LENS * views_deg[0]:
+        return
+    narrow, wide = (by_view[views_deg[end]] for end in (0, -1))
+    raise scene_error(
+        inventory.root,
+        f"the {modality.title} photos were taken with lenses of {views_deg[0]:.0f}° such as "
+        f"{inventory.name(narrow[0])}, and of {views_deg[-1]:.0f}° such as "
+        f"{inventory.name(wide[0])}; prepare each lens separately, from a folder of its own",
+    )
+
+
+def _several(modality: Modality, photos: Sequence[Photo], inventory: Inventory) -> tuple[str, ...]:
+    """A warning about cameras of one model with serial numbers of their own."""
+    by_serial = _grouped(photos, lambda photo: photo.serial)
+    if len(by_serial) < 2:
+        return ()
+    most, other = sorted(by_serial.items(), key=lambda group: -len(group[1]))[:2]
+    named = " and ".join(
+        f"{serial} ({len(own)}, such as {inventory.name(own[0])})" for serial, own in (most, other)
+    )
+    return (
+        f"The {modality.title} photos are of {len(by_serial)} cameras of one model, by their "
+        f"serial numbers {named}, yet one lens and one offset is assumed for all: prepare each "
+        f"camera separately, from a folder of its own.",
+    )
+
+
+def _zoomed(modality: Modality, photos: Sequence[Photo]) -> tuple[str, ...]:
     focal_mm = [photo.focal_mm for photo in photos if photo.focal_mm is not None]
     if not focal_mm or max(focal_mm) <= _ZOOM * min(focal_mm):
         return ()
     return (
-        f"The {PARTNER.title} photos were taken with focal lengths of {min(focal_mm):g} mm to "
+        f"The {modality.title} photos were taken with focal lengths of {min(focal_mm):g} mm to "
         f"{max(focal_mm):g} mm, yet one "
         "lens is assumed for all: leave out those that were zoomed.",
     )

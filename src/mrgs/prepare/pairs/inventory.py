@@ -133,7 +133,8 @@ def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], l
             skipped.append(Skipped(below(root, photo.path), reason))
         elif photo in used and used[photo].kind == "dji":
             exif = replace(used[photo].exif, orientation=photo.exif.orientation)
-            kept.append(replace(photo, origin=used[photo].origin, exif=exif))
+            serial = used[photo].serial
+            kept.append(replace(photo, origin=used[photo].origin, exif=exif, serial=serial))
         else:
             kept.append(photo)
     return kept, skipped

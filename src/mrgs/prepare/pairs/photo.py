@@ -6,14 +6,15 @@ import io
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
 from mrgs.data.files import read_bytes
-from mrgs.data.radiometric import ExifFacts, dji, fff, jpeg, read_exif
+from mrgs.data.radiometric import ExifFacts, dji, fff, flir, jpeg, read_exif
+from mrgs.data.radiometric.exif import clean_text
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.errors import SceneError
 
@@ -45,6 +46,8 @@ class Photo:
         embedded: whether a photo in visible light lies inside.
         exif: facts about the photo.
         focal_mm: focal length in mm; None if the file does not say.
+        field_of_view_deg: horizontal, of the thermal camera's lens; None if the file does not say.
+        serial: the camera's serial number; None if the file does not say.
     """
 
     path: Path
@@ -54,6 +57,8 @@ class Photo:
     embedded: bool = False
     exif: ExifFacts = field(default_factory=ExifFacts)
     focal_mm: float | None = None
+    field_of_view_deg: float | None = None
+    serial: str | None = None
 
     @property
     def is_thermal(self) -> bool:
@@ -113,8 +118,16 @@ def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     records = fff.Records(record, path)
     if is_jpeg and records.get(fff.RAW_DATA) is None:  # a photo in visible light
         return _image(path, origin, data)
-    embedded = records.get(fff.EMBEDDED_IMAGE) is not None
-    return Photo(path, origin, "signal", embedded=embedded, exif=exif)
+    camera = flir.camera_facts(records)
+    return Photo(
+        path,
+        origin,
+        "signal",
+        embedded=records.get(fff.EMBEDDED_IMAGE) is not None,
+        exif=replace(exif, taken=exif.taken or camera.taken),
+        field_of_view_deg=camera.field_of_view_deg,
+        serial=camera.serial,
+    )
 
 
 def _image(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
@@ -151,15 +164,18 @@ def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
             )  # of damaged tags; the photo's pixels are judged when they are read
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 size, mode = image.size, image.mode
-                focal_mm = _focal_mm(image.getexif().get_ifd(IFD.Exif).get(Base.FocalLength))
+                details = image.getexif().get_ifd(IFD.Exif)
+                focal_mm = _focal_mm(details.get(Base.FocalLength))
+                serial = clean_text(details.get(Base.BodySerialNumber))
     except Exception:  # Pillow's readers of damaged headers raise almost anything
         return "cannot be decoded as an image; copy or export it again"
     exif = read_exif(data)
+    kind: Kind = "image"
     if mode == "F" or mode.startswith("I"):
-        return Photo(path, origin, "numbers", size, exif=exif)
-    if jpeg.holds_dji_signal(data, exif.make):
-        return Photo(path, origin, "dji", size, exif=exif)
-    return Photo(path, origin, "image", size, exif=exif, focal_mm=focal_mm)
+        kind = "numbers"
+    elif jpeg.holds_dji_signal(data, exif.make):
+        kind = "dji"
+    return Photo(path, origin, kind, size, exif=exif, focal_mm=focal_mm, serial=serial)
 
 
 def _focal_mm(value: object) -> float | None:
