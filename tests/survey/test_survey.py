@@ -61,13 +61,32 @@ def test_assignments_change_some_fields():
         ("hot_places=101", "hot_places must be from 0 to 100, not 101"),
         ("cold_places=1.5", "cold_places must be of type int, not 1.5"),
         ("standard=my own", "standard must be one of EN 13187, ISO 6781-3, IEC TS 62446-3"),
-        ("date=tomorrow", "date must be of type date, not 'tomorrow'"),
+        ("date=tomorrow", "date must be a day such as 2026-05-01, without a time, not 'tomorrow'"),
+        ("date=2026-05-01 10:00", "such as 2026-05-01, without a time, not '2026-05-01 10:00'"),
+        ("date=2026-05-01 10:00:00", "without a time, not '2026-05-01 10:00:00'"),
+        ("date=01.05.2026", "without a time, not '01.05.2026'"),
+        ("date=2026", "date must be a day such as 2026-05-01, without a time, not '2026'"),
         ("remarks=" + "x" * 2001, "remarks must be a text of at most 2,000 printable characters"),
     ],
 )
 def test_what_cannot_be_stated(assignment, message):
     with pytest.raises(ConfigError, match=message):
         Survey().stating([assignment], "--set")
+
+
+@pytest.mark.parametrize("text", ["2026-05-01", "'2026-05-01'", '"2026-05-01"'])
+def test_a_date_with_and_without_quotes(tmp_path, text):
+    path = tmp_path / "survey.yaml"
+    path.write_text(f"date: {text}\n", encoding="utf-8")
+    assert read_survey(path) == Survey(date=datetime.date(2026, 5, 1))
+    assert type(read_survey(path).date) is datetime.date
+
+
+def test_a_time_that_yaml_takes_for_a_number(tmp_path):
+    path = tmp_path / "survey.yaml"
+    path.write_text("time: 10:30\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="time must be of type str, not 630; put it in quotes"):
+        read_survey(path)
 
 
 def test_a_file_that_is_no_survey(tmp_path):

@@ -225,4 +225,4 @@ def _value_of(text: str, kind: str, source: str) -> Any:
         return text
     value = parse_yaml(text, source)
     whole = isinstance(value, int) and not isinstance(value, bool)
-    return float(value) if whole and not kind.startswith("int") else value
+    return float(value) if whole and kind.startswith("float") else value

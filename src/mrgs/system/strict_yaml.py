@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import sys
 import types
 import typing
@@ -143,9 +144,25 @@ def _convert(hint: Any, value: Any, source: str) -> Any:
         return value
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         return _finite(value, source)
+    if hint is datetime.date:
+        return _day(value, source)
     if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
-        raise ConfigError(f"{source} must be of type {hint.__name__}, not {shown(value)}")
+        # YAML takes 10:30 for a number.
+        quotes = "; put it in quotes" if hint is str else ""
+        raise ConfigError(f"{source} must be of type {hint.__name__}, not {shown(value)}{quotes}")
     return value
+
+
+def _day(value: Any, source: str) -> datetime.date:
+    """A day, as YAML reads it or as a text in quotes."""
+    if isinstance(value, datetime.date) and not isinstance(value, datetime.datetime):
+        return value
+    try:
+        return datetime.date.fromisoformat(value)
+    except (TypeError, ValueError):
+        raise ConfigError(
+            f"{source} must be a day such as 2026-05-01, without a time, not {shown(str(value))}"
+        ) from None
 
 
 def _finite(value: int | float, source: str) -> float:
