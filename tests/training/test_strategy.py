@@ -16,11 +16,12 @@ import mrgs
 from mrgs import Method, Strategy, Term, load_run, make_config, open_run, register
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation import evaluate_run
-from mrgs.method.config import METHODS
+from mrgs.method.config import METHODS, to_yaml
 from mrgs.method.density import DensityUpdate
 from mrgs.runs import registry
 from mrgs.runs.registry import find_method, registered_methods
 from mrgs.training import train
+from mrgs.training.checkpoint_file import read_file, write_file
 from tests.helpers.training import short_config
 
 
@@ -164,6 +165,49 @@ def test_a_run_goes_on_with_what_it_began_with(options, message, small_scene, tm
     train(small_scene, tmp_path, config, strategy=Duplicate(), terms=[Sizes()], stop_at=1)
     with pytest.raises(RunError, match=message):
         train(small_scene, tmp_path, config, resume=True, **options)
+
+
+def test_a_run_goes_on_with_the_settings_of_a_strategy_that_it_began_with(small_scene, tmp_path):
+    config = short_config(max_steps=3)
+    train(small_scene, tmp_path, config, strategy=Duplicate(every=2), stop_at=1)
+    message = r"was trained with every=2 in Duplicate, not 3: give train\(\) the same strategy"
+    with pytest.raises(RunError, match=message):
+        train(small_scene, tmp_path, config, strategy=Duplicate(every=3), resume=True)
+    train(small_scene, tmp_path, config, strategy=Duplicate(every=2), resume=True)
+
+
+def test_settings_of_the_configuration_may_be_changed_in_its_file(small_scene, tmp_path):
+    config = short_config(max_steps=3)
+    train(small_scene, tmp_path, config, stop_at=1)
+    fewer = replace(config, densification=replace(config.densification, max_gaussians=40))
+    (tmp_path / "config.yaml").write_text(to_yaml(fewer))
+    train(small_scene, tmp_path, config, resume=True)
+
+
+@dataclass(frozen=True)
+class Composed(Blind):
+    """Holds settings that are more than a number."""
+
+    inner: Strategy = Blind()
+    share: float = 0.5
+    grows: bool = True
+    name: str = "composed"
+    until: int | None = None
+
+
+def test_what_a_strategy_states_of_its_settings():
+    expected = {"share": 0.5, "grows": True, "name": "composed", "until": None}
+    assert Composed(max_gaussians=7).settings() == {"max_gaussians": 7, **expected}
+
+
+@pytest.mark.parametrize("said", [{}, {"strategy_settings": {"renamed": 1}}])
+def test_a_checkpoint_that_does_not_say_a_setting_is_resumed(said, small_scene, tmp_path):
+    config = short_config(max_steps=3)
+    folder = train(small_scene, tmp_path, config, strategy=Duplicate(), stop_at=1)
+    tensors, header = read_file(folder.newest_checkpoint())
+    del header["strategy_settings"]
+    write_file(folder.newest_checkpoint(), tensors, {**header, **said})
+    train(small_scene, tmp_path, config, strategy=Duplicate(every=2), resume=True)
 
 
 @pytest.fixture

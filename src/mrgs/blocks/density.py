@@ -10,7 +10,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.blocks.region import Region, Ring, ScenePlane
-from mrgs.method.density import DensityStep, DensityUpdate, Strategy, StrategyState
+from mrgs.method.density import (
+    DensityStep,
+    DensityUpdate,
+    Setting,
+    Strategy,
+    StrategyState,
+)
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians, Reach
@@ -61,6 +67,10 @@ class LocalDensityControl(Strategy):
 
     inner: Strategy = field(kw_only=True)
     part: Part = field(kw_only=True)
+
+    def settings(self) -> Mapping[str, Setting]:
+        """None: they follow from the plan of the blocks, which is compared."""
+        return {}
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:  # noqa: D102
         return self.inner.initial_state(gaussians)

@@ -18,6 +18,7 @@ from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
 from mrgs.render import Model
 from mrgs.system.gpu import HOST
+from mrgs.system.limits import shown
 from mrgs.system.randomness import seeded
 from mrgs.training.checkpoint_file import read_file, read_header, write_file
 from mrgs.training.checkpoint_layout import (
@@ -32,6 +33,8 @@ from mrgs.training.state import TrainingState, learned_layers
 
 UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
 """What is raised for tensors that are not those of the configuration."""
+
+_SETTINGS = "strategy_settings"
 
 
 def tensors_of(state: TrainingState) -> dict[str, Tensor]:
@@ -69,7 +72,9 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
 def header_of(state: TrainingState, facts: CheckpointFacts) -> dict[str, Any]:
     """The header of a state's checkpoint, for JSON."""
     made_with = _made_with(state.strategy, state.terms)
-    return {**facts.to_json(), "skipped_in_a_row": int(state.skipped_in_a_row), **made_with}
+    settings = {_SETTINGS: dict(state.strategy.settings())}
+    skipped = {"skipped_in_a_row": int(state.skipped_in_a_row)}
+    return {**facts.to_json(), **skipped, **made_with, **settings}
 
 
 def write(
@@ -188,22 +193,25 @@ def state_of(
         terms: of the loss, if the run was given any.
 
     Raises:
-        RunError: it is not of this configuration, or of another strategy or other terms.
+        RunError: it is not of this configuration, or of another strategy, a strategy with other
+            settings, or other terms.
     """
-    strategy = config.densification if strategy is None else strategy
+    chosen = config.densification if strategy is None else strategy
     try:
         model = _model(tensors, config, facts).to(device)
     except UNFIT as error:
         raise unfit(path, error) from error
     with seeded(config.seed):
         all_terms = configured_terms(config, terms, model.gaussians.modalities)
-    _require_made_with(path, header, _made_with(strategy, all_terms))
+    _require_made_with(path, header, _made_with(chosen, all_terms))
+    if strategy is not None:
+        _require_settings(path, header, strategy)
     try:
         for term, module in learned_layers(all_terms).items():
             _load_module(module, below(tensors, f"terms.{term}."))
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
-        state = TrainingState.around(model, all_terms, strategy, config, facts.capture, generator)
+        state = TrainingState.around(model, all_terms, chosen, config, facts.capture, generator)
         _load_training(state, tensors)
         state.skipped_in_a_row += skipped_in_a_row_of(header)
         state.step = facts.step
@@ -278,6 +286,23 @@ def _require_made_with(path: Path, header: Mapping[str, Any], made_with: dict[st
             raise RunError(
                 f"{path} was trained with {name} {header.get(name)}, not {value}: give train() "
                 f"the same strategy and terms again"
+            )
+
+
+def _require_settings(path: Path, header: Mapping[str, Any], strategy: Strategy) -> None:
+    """A strategy that Python gives has the settings that it had; those of a configuration are in
+    the run's config.yaml.
+
+    Raises:
+        RunError: they are others.
+    """
+    before = header.get(_SETTINGS, {})
+    for name, value in strategy.settings().items():
+        if name in before and before[name] != value:
+            raise RunError(
+                f"{path} was trained with {name}={shown(before[name])} in "
+                f"{type(strategy).__name__}, not {shown(value)}: give train() the same strategy "
+                f"and terms again"
             )
 
 

@@ -3,7 +3,13 @@
 from typing import TypeAlias
 
 from mrgs.method.density.adaptive import AdaptiveDensityControl
-from mrgs.method.density.strategy import DensityStep, DensityUpdate, Strategy, StrategyState
+from mrgs.method.density.strategy import (
+    DensityStep,
+    DensityUpdate,
+    Setting,
+    Strategy,
+    StrategyState,
+)
 
 ConfiguredStrategy: TypeAlias = AdaptiveDensityControl
 """The strategies that ``densification`` in a config.yaml can name: a union, told apart by the field
@@ -14,6 +20,7 @@ __all__ = [
     "ConfiguredStrategy",
     "DensityStep",
     "DensityUpdate",
+    "Setting",
     "Strategy",
     "StrategyState",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple, TypeAlias
 
 import torch
@@ -23,6 +23,10 @@ MOST_GAUSSIANS = 10**9
 
 StrategyState: TypeAlias = dict[str, Tensor]
 """What a strategy remembers between steps, by name; saved in checkpoints."""
+
+
+Setting: TypeAlias = bool | int | float | str | None
+"""Of a strategy, as a checkpoint's header holds it."""
 
 
 class DensityStep(NamedTuple):
@@ -84,6 +88,12 @@ class Strategy(ABC):
                 f"{shown(self.max_gaussians)}",
                 options=("max_gaussians",),
             )
+
+    def settings(self) -> Mapping[str, Setting]:
+        """What a resumed run must have as it began, by name: the fields that are numbers, texts,
+        truth values or None. A name that only one of both has is not compared."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, Setting)}
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:
         """What the strategy remembers before the first step; nothing by default.
