@@ -13,6 +13,7 @@ from PIL import Image
 from mrgs.data.radiometric import Overrides, ThermalPhoto, read_thermal_photo
 from mrgs.errors import RunError, SceneError, ToolError
 from mrgs.prepare import PrepareOptions, convert, stages
+from mrgs.prepare import contents as contents_module
 from mrgs.prepare.cache import Cache
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
 from mrgs.prepare.convert import convert_photos
@@ -393,6 +394,31 @@ def test_nothing_is_done_twice(made, monkeypatch, photos):
     assert read == ["1_rgb.jpg"]
     made({}, Overrides(unit="fahrenheit"))
     assert read == ["1_rgb.jpg", "0_rgb.jpg", "1_rgb.jpg", "2_rgb.jpg"]
+
+
+def test_a_photo_exported_again_with_its_old_size_and_time_is_read_again(made, photos, scene):
+    made(SET)
+    file = photos({}) / "1_t.tif"
+    before, status = pixels(scene / "thermal/1.tiff"), file.stat()
+    Image.fromarray(pixels(file) + np.float32(5)).save(file)
+    assert file.stat().st_size == status.st_size
+    os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert made({}).views[1].range_c == (15.0, 35.0)
+    np.testing.assert_array_equal(pixels(scene / "thermal/1.tiff"), before + np.float32(5))
+
+
+def test_photos_are_read_again_only_where_their_files_changed(made, photos, scene, monkeypatch):
+    """A photo that was touched is compared by its content, and not converted again."""
+    made(SET)
+    digested = []
+    original = contents_module.digest
+    monkeypatch.setattr(
+        contents_module, "digest", lambda path: digested.append(path.name) or original(path)
+    )
+    cache = Cache(scene / "prepare")
+    (photos({}) / "2_t.tif").touch()
+    convert_photos(find_pairs(photos({})), scene, Overrides(), cache, quiet)
+    assert (cache.made, digested) == (0, ["2_t.tif"])
 
 
 def test_a_refused_photo_is_not_read_again(made, scene, photos):

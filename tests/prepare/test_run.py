@@ -175,7 +175,7 @@ CHANGES: dict[str, tuple[Callable[[Path, Path], object], PrepareOptions, list[st
     "same photo, copied again": (
         lambda photos, scene: touch(photos / "rgb" / "shot_02.png"),
         PrepareOptions(),
-        ["pairs", "images", "scene files"],
+        ["pairs"],
     ),
     "other photo": (
         lambda photos, scene: repaint(photos / "rgb" / "shot_02.png"),

@@ -8,6 +8,7 @@ import hashlib
 import io
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -19,8 +20,9 @@ from PIL import Image
 from mrgs.data.files import scene_error
 from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto, read_thermal_photo
 from mrgs.data.transforms import TRANSFORMS
-from mrgs.errors import SceneError, ToolError
+from mrgs.errors import RunError, SceneError, ToolError
 from mrgs.prepare.cache import CACHE_FOLDER, Cache, digest
+from mrgs.prepare.contents import Contents, Stamp, stamp_of
 from mrgs.prepare.contract import (
     ConvertedImage,
     ConvertedPhotos,
@@ -41,11 +43,11 @@ IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 VIEWS = "photos"
 """The folder in the cache that holds a result for each pair."""
 
+CONTENTS = "contents.json"
+"""The file in the cache that remembers what the photos hold."""
+
 _VERSION = 6
 """Raise it when the same photos give other images."""
-
-Stamp = list[tuple[str, int, int]]
-"""Path, size in bytes and modification time (ns) of a pair's files."""
 
 Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
@@ -108,21 +110,13 @@ def convert_photos(
     _check_folders(pairing, scene)
     orientations = _common_orientations(pairing.pairs) if turn else dict.fromkeys(IMAGE_FOLDERS, 1)
     _remove_other_views(scene, cache, {pair.name for pair in pairing.pairs})
-    units: dict[str, str] = {}  # by suffix, guessed for the first photo
-    views: list[ConvertedView] = []
-    skipped: list[Skipped] = []
-    for index, pair in enumerate(pairing.pairs):
-        progress("reading and writing", index, len(pairing.pairs))
-        suffix = pair.photos[THERMAL].suffix.lower()
-        unit = units.get(suffix)
-        outcome = _cached(pair, _Conversion(scene, overrides, unit, orientations), cache)
-        if (view := outcome.view) is None:
-            skipped.append(Skipped(pair.name, outcome.refusal))
-            continue
-        views.append(view)
-        if view.facts.unit is not None and overrides.unit is None and overrides.bounds_c is None:
-            units.setdefault(suffix, view.facts.unit)
-    progress("reading and writing", len(pairing.pairs), len(pairing.pairs))
+    contents = Contents(cache.folder / CONTENTS)
+    settings = _Conversion(scene, overrides, None, orientations)
+    try:
+        views, skipped = _convert_all(pairing.pairs, settings, cache, contents, progress)
+    finally:
+        with suppress(RunError):  # a full disk: the next call reads them again
+            contents.save()
     if not views:
         first = f"; the first: {skipped[0].reason}" if skipped else "; find pairs first"
         raise SceneError(f"none of the {len(pairing.pairs)} pairs can be used{first}")
@@ -134,12 +128,42 @@ def convert_photos(
     return ConvertedPhotos(tuple(views), tuple(skipped), _differing_parameters(views))
 
 
-def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache) -> _CachedPair:
-    """The pair's view or refusal, from the cache if its photos and images are unchanged."""
+def _convert_all(
+    pairs: Sequence[PhotoPair],
+    settings: _Conversion,
+    cache: Cache,
+    contents: Contents,
+    progress: Progress,
+) -> tuple[list[ConvertedView], list[Skipped]]:
+    """The views, and the pairs that cannot be used; the unit of numbers in one file format is
+    guessed for its first photo."""
+    overrides = settings.overrides
+    units: dict[str, str] = {}  # by suffix
+    views: list[ConvertedView] = []
+    skipped: list[Skipped] = []
+    for index, pair in enumerate(pairs):
+        progress("reading and writing", index, len(pairs))
+        suffix = pair.photos[THERMAL].suffix.lower()
+        outcome = _cached(pair, settings._replace(unit=units.get(suffix)), cache, contents)
+        if (view := outcome.view) is None:
+            skipped.append(Skipped(pair.name, outcome.refusal))
+            continue
+        views.append(view)
+        if view.facts.unit is not None and overrides.unit is None and overrides.bounds_c is None:
+            units.setdefault(suffix, view.facts.unit)
+    progress("reading and writing", len(pairs), len(pairs))
+    return views, skipped
+
+
+def _cached(
+    pair: PhotoPair, settings: _Conversion, cache: Cache, contents: Contents
+) -> _CachedPair:
+    """The pair's view or refusal, from the cache if the content of its photos is unchanged, and its
+    images are there."""
 
     def make() -> _CachedPair:
         try:
-            return _CachedPair(_convert(pair, stamp, settings))
+            return _CachedPair(_convert(pair, stamps, settings))
         except SceneError as error:
             # Permissions, a network drive, another program: the next call may find them in order.
             if isinstance(error, ToolError) or not all(map(digest, pair.photos.values())):
@@ -147,11 +171,12 @@ def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache) -> _CachedPair
             return _CachedPair(None, str(error))
 
     try:
-        stamp = _stamp(pair)
+        stamps = _stamps(pair)
+        held = [contents.digest(path) for path in pair.photos.values()]
         return cache.get(
             f"{VIEWS}/{pair.name}",
             _CachedPair,
-            (_VERSION, pair, stamp, *settings[1:]),
+            (_VERSION, pair, held, *settings[1:]),
             make,
             lambda found: [settings.scene / file for file in found.files],
         )
@@ -159,7 +184,7 @@ def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache) -> _CachedPair
         return _CachedPair(None, str(error))
 
 
-def _convert(pair: PhotoPair, stamp: Stamp, settings: _Conversion) -> ConvertedView:
+def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Conversion) -> ConvertedView:
     """Read a pair, rotate it upright and write it.
 
     Raises:
@@ -175,7 +200,7 @@ def _convert(pair: PhotoPair, stamp: Stamp, settings: _Conversion) -> ConvertedV
         RGB: _rgb_file(pair, thermal, orientations),
         THERMAL: _thermal_file(thermal, orientations[THERMAL]),
     }
-    if _stamp(pair) != stamp:
+    if _stamps(pair) != stamps:
         raise scene_error(
             source,
             "this photo or its RGB photo changed while it was read; wait until it is copied",
@@ -259,22 +284,22 @@ def _most_frequent(orientations: Iterable[int]) -> int:
     return min(counts, key=lambda found: (-counts[found], found), default=1)
 
 
-def _stamp(pair: PhotoPair) -> Stamp:
+def _stamps(pair: PhotoPair) -> list[Stamp]:
     """The state of the pair's files.
 
     Raises:
         SceneError: one is gone.
     """
-    found = []
-    for path in pair.photos.values():
-        try:
-            status = path.stat()
-        except OSError as error:
-            raise scene_error(
-                path, f"cannot be read ({error.strerror}); it was there before, put it back"
-            ) from None
-        found.append((str(path), status.st_size, status.st_mtime_ns))
-    return found
+    return [_stamp(path) for path in pair.photos.values()]
+
+
+def _stamp(path: Path) -> Stamp:
+    try:
+        return stamp_of(path)
+    except OSError as error:
+        raise scene_error(
+            path, f"cannot be read ({error.strerror}); it was there before, put it back"
+        ) from None
 
 
 def _check_folders(pairing: Pairing, scene: Path) -> None:
