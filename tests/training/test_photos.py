@@ -131,6 +131,24 @@ def test_what_was_fetched_and_is_not_next_is_forgotten(counting_image):
     assert not kept._ahead
 
 
+def test_no_thread_is_left_behind():
+    begun, may_end = threading.Event(), threading.Event()
+
+    def load() -> Pixels:
+        begun.set()
+        assert may_end.wait(timeout=60)
+        return Pixels(eight_bit(4))
+
+    image, never = (PosedImage(posed_image(eight_bit(4)).camera, load) for _ in range(2))
+    kept = HostPhotos(limit_bytes=0)
+    kept.fetch([image, never])
+    (reader,) = kept._reader._threads
+    assert begun.wait(timeout=60)
+    threading.Timer(0.05, may_end.set).start()
+    kept.close()
+    assert not reader.is_alive()
+
+
 @pytest.mark.parametrize(("free", "limit"), [(10**9, 4 * 10**8), (None, 2 * 2**30)])
 def test_the_limit_is_a_share_of_the_free_memory(free, limit, monkeypatch):
     monkeypatch.setattr(photos, "free_memory", lambda: free)

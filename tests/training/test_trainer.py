@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from dataclasses import replace
 from itertools import cycle
 
@@ -16,7 +17,7 @@ from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import render_view
 from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, View
-from mrgs.training import METHODS, driver, train, view_pass
+from mrgs.training import METHODS, driver, train, trainer, view_pass
 from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.photos import HostPhotos
 from mrgs.training.run_folder import RunFolder
@@ -401,6 +402,33 @@ def test_photos_for_which_there_is_no_memory_are_not_fetched(small_scene, tmp_pa
     )
     train(small_scene, tmp_path / "run", short_config(max_steps=2))
     assert len(released) == 1
+
+
+def test_the_next_photos_come_while_a_step_is_computed(small_scene, tmp_path, monkeypatch):
+    events = []
+
+    def noted(name, original):
+        return lambda *args, **kwargs: (events.append(name), original(*args, **kwargs))[1]
+
+    monkeypatch.setattr(HostPhotos, "fetch", noted("fetch", HostPhotos.fetch))
+    monkeypatch.setattr(trainer, "training_step", noted("step", trainer.training_step))
+    train(small_scene, tmp_path / "run", short_config(max_steps=2))
+    assert events == ["fetch", "step", "fetch", "step"]
+
+
+def test_a_training_that_fails_leaves_no_thread(small_scene, tmp_path):
+    def readers():
+        return {each for each in threading.enumerate() if each.name.startswith("mrgs-photos")}
+
+    def fail(statistics):
+        assert readers() - before
+        raise ZeroDivisionError
+
+    before = readers()
+    with pytest.raises(ZeroDivisionError) as caught:
+        train(small_scene, tmp_path / "run", short_config(), on_step=fail)
+    assert caught.tb is not None  # it holds the trainer, whose thread has ended nonetheless
+    assert readers() <= before
 
 
 def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_path, monkeypatch):

@@ -16,8 +16,10 @@ grow in number."""
 
 
 class DevicePhotos:
-    """Photos on a GPU: kept there while they fit, the others copied from the host, ahead of their
-    turn on request.
+    """Photos on a GPU: kept there while they fit, the others copied from the host. On request they
+    are copied ahead of their turn, or read by a thread where they have yet to be.
+
+    The thread leaves the GPU alone, which takes nothing from others while a step is recorded.
 
     Args:
         device: a CUDA device.
@@ -38,6 +40,7 @@ class DevicePhotos:
         self._host = HostPhotos(host_limit_bytes, pinned=device.type == "cuda")
         self._copier = _Copier(device)
         self._ahead: dict[PosedImage, Copied] = {}
+        self._copies_ahead = True
 
     def load(self, image: PosedImage) -> Pixels:
         """The pixels of an image, on the device."""
@@ -50,7 +53,7 @@ class DevicePhotos:
         return self._copier.receive(self._copier.send(self._host.load(image)))
 
     def _load_to_keep(self, image: PosedImage) -> Pixels:
-        pixels = change_each(image.load(), lambda tensor: tensor.to(self._device))
+        pixels = change_each(self._host.read(image), lambda tensor: tensor.to(self._device))
         if bytes_of(pixels) <= self._left_bytes:
             self._kept[image] = pixels
             self._left_bytes -= bytes_of(pixels)
@@ -59,15 +62,15 @@ class DevicePhotos:
         return pixels
 
     def fetch(self, images: Sequence[PosedImage]) -> None:
-        """Begin to copy these images, the next to be loaded; what was fetched and not loaded is
-        forgotten."""
+        """Begin to copy or to read these images, the next to be loaded; what was fetched and not
+        loaded is forgotten."""
         due = [image for image in images if image not in self._kept]
         self._ahead = {image: copied for image, copied in self._ahead.items() if image in due}
-        if self._left_bytes > 0:  # it will be kept: no need to hurry
-            return
-        for image in due:
-            if image not in self._ahead:
+        coming = [image for image in due if image not in self._ahead]
+        if self._copies_ahead:
+            for image in filter(self._host.keeps, coming):
                 self._ahead[image] = self._copier.send(self._host.load(image))
+        self._host.fetch(coming)
 
     def release(self) -> None:
         """Give back the memory of the GPU; from now on every photo is copied when its turn
@@ -75,6 +78,12 @@ class DevicePhotos:
         self._kept.clear()
         self._ahead.clear()
         self._left_bytes = 0
+        self._copies_ahead = False
+
+    def close(self) -> None:
+        """Forget the copies on their way, and end the thread."""
+        self._ahead.clear()
+        self._host.close()
 
 
 class Copied(NamedTuple):

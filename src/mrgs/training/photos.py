@@ -37,6 +37,9 @@ class PhotoSource(Protocol):
     def release(self) -> None:
         """Give back the memory of a GPU, which is needed for something else."""
 
+    def close(self) -> None:
+        """Stop loading; nothing is asked for any more."""
+
 
 class HostPhotos:
     """Photos in the host's memory: those that are read first are kept while they fit, the others
@@ -66,13 +69,25 @@ class HostPhotos:
         """
         if image in self._kept:
             return self._kept[image].pixels()
-        coming = self._ahead.pop(image, None)
-        pixels = image.load() if coming is None else coming.result()
+        pixels = self.read(image)
         if self._pinned:
             pixels = change_each(pixels, Tensor.pin_memory)
         if self._left_bytes > 0:
             self._keep(image, pixels)
         return pixels
+
+    def keeps(self, image: PosedImage) -> bool:
+        """Whether an image is in memory, and need not be read."""
+        return image in self._kept
+
+    def read(self, image: PosedImage) -> Pixels:
+        """The pixels of an image that is not kept and will not be.
+
+        Raises:
+            SceneError: it cannot be read.
+        """
+        coming = self._ahead.pop(image, None)
+        return image.load() if coming is None else coming.result()
 
     def _keep(self, image: PosedImage, pixels: Pixels) -> None:
         stored = _Stored.of(pixels, exact=self._pinned)
@@ -96,6 +111,11 @@ class HostPhotos:
 
     def release(self) -> None:
         """Nothing: no memory of a GPU is held."""
+
+    def close(self) -> None:
+        """End the thread, which finishes the photo that it is reading."""
+        self._ahead.clear()
+        self._reader.shutdown(cancel_futures=True)
 
 
 class _Stored(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from copy import deepcopy
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -120,7 +120,8 @@ def open_training(
             run.state.sampler.restrict(part.views)
         # A resumed run goes on with the cameras as they are now, in every process.
         run.state.model.dilation = run.config.dilation_of(run.facts.capture)
-        yield Trainer(run, processes)
+        with closing(Trainer(run, processes)) as trainer:
+            yield trainer
 
 
 def train(
@@ -285,15 +286,19 @@ class Trainer(Driver[StepStatistics]):
         """Compare the kernels in use with their plain definitions; the training stays the same."""
         check_kernels(self.state, self.scene, self.config, self._scale)
 
+    def close(self) -> None:
+        """Stop loading photos."""
+        self._photos.close()
+
     def _take_step(self) -> StepStatistics:
         result = self._with_enough_memory(self._step_on_next_views)
-        self._fetch_next_views()
         self._align_replicas()
         self._with_enough_memory(lambda: self._control_density(result))
         return result.statistics
 
     def _step_on_next_views(self) -> StepResult:
         views = [self._with_photos(number) for number in self.state.sampler.next()[self._share]]
+        self._fetch_next_views()
         return training_step(
             self.state, views, self.config, self._scale, self._exchange, self._recorder
         )
@@ -340,7 +345,7 @@ class Trainer(Driver[StepStatistics]):
             )
 
     def _fetch_next_views(self) -> None:
-        """Let their photos come ahead of their turn, if there is memory for them."""
+        """Let their photos come while the step is computed, if there is memory for them."""
         following = self.state.sampler.peek()[self._share]
         if not following:
             return
