@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from mrgs.pipeline.ledger import LEDGER, Ledger, folder_stamps
+from mrgs.pipeline.ledger import LEDGER, Ledger
 
 
 @pytest.fixture
@@ -67,13 +67,25 @@ def test_opening_marks_the_folder_and_keeps_what_is_there(done, tmp_path):
     assert json.loads((tmp_path / "new" / LEDGER).read_text()) == {}
 
 
-def test_stamps_see_changes_and_leave_out_what_does_not_count(tmp_path):
+def test_contents_see_changes_and_leave_out_what_does_not_count(tmp_path):
+    folder = tmp_path / "scene"
     for name in ("a.txt", "prepare/x.bin", "check.html", "images/prepare.png"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(name)
-    stamps = folder_stamps(tmp_path, without=("prepare", "*.html"))
-    assert [name for name, _, _ in stamps] == ["a.txt", "images/prepare.png"]
-    (tmp_path / "check.html").write_text("other")
-    assert folder_stamps(tmp_path, without=("prepare", "*.html")) == stamps
-    os.utime(tmp_path / "a.txt", (1, 1))
-    assert folder_stamps(tmp_path, without=("prepare", "*.html")) != stamps
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).write_text(name)
+
+    def held() -> list[tuple[str, str]]:
+        return Ledger(tmp_path).contents_of(folder, without=("prepare", "*.html"))
+
+    before, status = held(), (folder / "a.txt").stat()
+    assert [name for name, _ in before] == ["a.txt", "images/prepare.png"]
+    (folder / "check.html").write_text("other")
+    os.utime(folder / "a.txt", (1, 1))
+    assert held() == before
+    (folder / "a.txt").write_text("b.txt")
+    os.utime(folder / "a.txt", ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert held() != before
+
+
+def test_a_stage_that_was_begun_is_known(done):
+    assert done.is_known("train")
+    assert not done.is_known("score")

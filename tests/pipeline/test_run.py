@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -159,13 +160,51 @@ def test_another_quality_keeps_the_first_one(own, small_scene):
 
 
 def test_a_changed_scene_is_trained_anew_and_the_old_model_is_kept(own, tmp_path):
-    scene = write_scene(tmp_path / "scene")
+    scene = write_scene(tmp_path / "scene", two_cameras=True)
     watcher = Watcher(stop_at="score")
     with pytest.raises(KeyboardInterrupt):
         run_pipeline(scene, own, quality="fast", monitor=watcher)
     assert watcher.ran == ["check", "train"]
     assert (own / "fast-1" / "report.html").is_file()
     assert not (own / "fast" / "report.html").exists()
+
+
+def exported_again(file: Path, content: bytes) -> None:
+    """Another content of the same size, with the old time."""
+    status = file.stat()
+    assert len(content) == status.st_size
+    file.write_bytes(content)
+    os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+def test_a_photo_with_its_old_size_and_time_is_a_change(small_scene, tmp_path):
+    scene, output = shutil.copytree(small_scene, tmp_path / "scene"), tmp_path / "results"
+
+    def ran(stop_at: str) -> list[str]:
+        watcher = Watcher(stop_at=stop_at)
+        with pytest.raises(KeyboardInterrupt):
+            run_pipeline(scene, output, quality="fast", monitor=watcher)
+        return watcher.ran
+
+    image = min((scene / "thermal").iterdir())
+    original = image.read_bytes()
+    image.write_bytes(original + bytes(100))  # what is behind its end is not read
+    assert ran("score") == ["check", "train"]
+    exported_again(image, original + bytes(100))
+    assert ran("score") == [], "it holds the same"
+    exported_again(image, original + b"1" * 100)
+    assert ran("score") == ["check", "train"]
+
+
+def test_a_photo_exported_again_is_prepared(prepared, tmp_path):
+    photos, options = photos_in(tmp_path / "photos"), PrepareOptions(thermal_fov_deg=57.0)
+    for number in range(2):
+        watcher = Watcher(stop_at="train")
+        with pytest.raises(KeyboardInterrupt):
+            run_pipeline(photos, quality="fast", options=options, monitor=watcher)
+        assert watcher.ran == ["prepare"], number
+        file = photos / "DJI_0004_T.tiff"
+        exported_again(file, file.read_bytes()[:-1] + b"x")
 
 
 def test_a_training_that_was_stopped_is_resumed(small_scene, tmp_path):
@@ -318,11 +357,11 @@ def test_the_ledger_knows_every_stage(finished):
     assert [*stages] == ["prepare", *(f"fast/{name}" for name in STAGES[1:])]
 
 
-def test_poses_in_a_file_that_has_changed_are_noticed(small_scene, tmp_path):
+def test_poses_in_a_file_that_has_changed_are_noticed(tmp_path):
     poses = tmp_path / "poses.json"
     poses.write_text("{}")
     options = PrepareOptions(poses=poses)
-    intake = take_in(small_scene, options)
+    intake = take_in(photos_in(tmp_path / "photos"), options)
     job = stages_module.Job(intake, QUALITIES["fast"], options, tmp_path, "cpu", Monitor())
     (first, *_) = job.stages
     before = first.made_from()

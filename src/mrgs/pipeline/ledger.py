@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from mrgs.data.files import visible_files
+from mrgs.prepare.contents import Contents
 from mrgs.system.atomic import replacing
 
 LEDGER = "pipeline.json"
+CONTENTS = "contents.json"
+"""The file that remembers what the files of the scene hold."""
 
 Stamp = tuple[str, int, int]
 """Path, size in bytes and time of the last change (ns)."""
@@ -28,6 +31,7 @@ class Ledger:
         self._folder = folder
         self._file = folder / LEDGER
         self._stages = _read(self._file)
+        self._contents = Contents(folder / CONTENTS)
 
     def open(self) -> None:
         """Make the file if there is none: it marks the folder as a pipeline's.
@@ -69,6 +73,28 @@ class Ledger:
         self._stages[stage] = {"made_from": made_from, "files": sizes}
         self._write()
 
+    def is_known(self, stage: str) -> bool:
+        """Whether a stage was ever begun here."""
+        return stage in self._stages
+
+    def contents_of(self, folder: Path, without: Sequence[str] = ()) -> list[tuple[str, str]]:
+        """Names and SHA-256 of all visible files below a folder, sorted. Only those that changed
+        since the last call, also of another process, are read.
+
+        Args:
+            folder: where.
+            without: names of folders, or endings such as ``*.html``, that do not count.
+
+        Raises:
+            RunError: what they hold cannot be remembered.
+        """
+        found = [
+            (path.relative_to(folder).as_posix(), self._contents.digest(path))
+            for path in _counting_files(folder, without)
+        ]
+        self._contents.save()
+        return found
+
     def _write(self) -> None:
         with replacing(self._file) as temporary:
             temporary.write_text(json.dumps(self._stages, indent=1), encoding="utf-8")
@@ -92,27 +118,21 @@ def _size(path: Path) -> int | None:
 
 
 def file_stamp(path: Path, root: Path) -> Stamp:
-    """The stamp of a file below a folder. A copy that keeps its times is the same file."""
+    """The stamp of a file below a folder, which only this program writes. A copy that keeps its
+    times is the same file."""
     status = path.stat()
     return path.relative_to(root).as_posix(), status.st_size, status.st_mtime_ns
 
 
-def folder_stamps(folder: Path, without: Sequence[str] = ()) -> tuple[Stamp, ...]:
-    """The stamps of all visible files below a folder, sorted.
-
-    Args:
-        folder: where.
-        without: names of folders, or endings such as ``*.html``, that do not count.
-    """
-    return tuple(
-        sorted(
-            file_stamp(path, folder)
-            for path in visible_files(folder)
-            if path.is_file()
-            and not any(
-                part.match(pattern)
-                for pattern in without
-                for part in (Path(name) for name in path.relative_to(folder).parts)
-            )
+def _counting_files(folder: Path, without: Sequence[str]) -> list[Path]:
+    """All visible files below a folder, sorted, but for those that do not count."""
+    return sorted(
+        path
+        for path in visible_files(folder)
+        if path.is_file()
+        and not any(
+            part.match(pattern)
+            for pattern in without
+            for part in (Path(name) for name in path.relative_to(folder).parts)
         )
     )

@@ -200,7 +200,9 @@ def _planned(job: Job, work: Workload, computer: Computer) -> tuple[PlannedStage
 
 
 def _is_done(job: Job, stage: Stage) -> bool:
-    return job.ledger.is_done(stage.name, stage.made_from())
+    """Whether a stage is done; what its inputs hold is only read where there is a result."""
+    known = job.ledger.is_known(stage.name)
+    return known and job.ledger.is_done(stage.name, stage.made_from())
 
 
 def _run_stages(job: Job, plan: PipelinePlan, monitor: Monitor) -> None:

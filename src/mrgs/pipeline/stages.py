@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from mrgs.check import check_scene
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
@@ -16,11 +15,11 @@ from mrgs.export import FORMATS, export
 from mrgs.marks.store import judged_content
 from mrgs.method.config import to_yaml
 from mrgs.pipeline.intake import Intake
-from mrgs.pipeline.ledger import Ledger, file_stamp, folder_stamps
+from mrgs.pipeline.ledger import Ledger, file_stamp
 from mrgs.pipeline.monitor import Monitor
 from mrgs.pipeline.quality import METHOD, QUALITIES, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
-from mrgs.prepare.cache import CACHE_FOLDER, fingerprint
+from mrgs.prepare.cache import CACHE_FOLDER, digest, fingerprint, stamps
 from mrgs.report import write_report
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.registry import find_method
@@ -112,23 +111,26 @@ class Job:
         )
 
     def _made_from_source(self) -> str:
-        source, options = self.intake.source, self.options
+        options = self.options
+        if self.intake.kind == "scene":
+            return fingerprint(self._held_by_scene(), options)
+        # Only ``prepare`` asks what the photos hold: where nothing has changed it takes no time.
         files = [
-            file_stamp(path, path.parent)
+            digest(path)
             for path in (options.pair_table, options.thermal_camera, options.poses)
             if path is not None and path.is_file()
         ]
         given = options.poses
-        poses = folder_stamps(given) if given is not None and given.is_dir() else ()
-        return fingerprint(self._stamps_of(source), options, files, poses)
+        poses = stamps(given) if given is not None and given.is_dir() else ()
+        return fingerprint(stamps(self.intake.source), options, files, poses)
 
     def _made_from_scene(self) -> str:
-        return fingerprint(self._stamps_of(self.scene), to_yaml(self.config))
+        return fingerprint(self._held_by_scene(), to_yaml(self.config))
 
     def _made_from_model(self) -> str:
         newest = RunFolder(self.model).newest_checkpoint()
-        scene = self._stamps_of(self.scene)
-        return fingerprint(version("mrgs"), file_stamp(newest, self.model), scene)
+        stamp = file_stamp(newest, self.model)
+        return fingerprint(version("mrgs"), stamp, self._held_by_scene())
 
     def _made_from_scores(self) -> str:
         scores = self.model / "eval" / "metrics.json"
@@ -141,12 +143,10 @@ class Job:
         stated = survey.read_bytes().hex() if survey.is_file() else ""
         return fingerprint(self._made_from_model(), stated, judged_content(self.model))
 
-    @staticmethod
-    def _stamps_of(folder: Path) -> tuple[Any, ...]:
-        """The stamps of photos or of a scene, without pages and without the cache of prepare."""
-        if folder.is_file():
-            folder = folder.parent
-        return folder_stamps(folder, without=(CACHE_FOLDER, "*.html"))
+    def _held_by_scene(self) -> list[tuple[str, str]]:
+        """What the scene's files hold, without pages and without the cache of prepare."""
+        folder = self.scene.parent if self.scene.is_file() else self.scene
+        return self.ledger.contents_of(folder, without=(CACHE_FOLDER, "*.html"))
 
     def _prepare(self, report: Report) -> list[Path]:
         made = self._prepared(report)
