@@ -26,7 +26,7 @@ from mrgs.prepare.contract import (
     Skipped,
 )
 from mrgs.prepare.rig.contract import RigCalibration, RigView
-from mrgs.scene import RGB, THERMAL, PointCloud
+from mrgs.scene import RGB, THERMAL, EarthPosition, PointCloud, WorldFrame
 
 EXIF = ExifFacts("FLIR", None, datetime(2026, 3, 1, 12, 0, 0, 250_000), GpsPosition(48.1, -11.5))
 
@@ -102,6 +102,7 @@ def reconstruction() -> Reconstruction:
         failed=(),
         reprojection_px=None,
         source="test",
+        world=WorldFrame(True, True, EarthPosition(48.1, 11.5, None), 0.5),
     )
 
 
@@ -113,6 +114,8 @@ def test_tensors_come_back_bit_for_bit(tmp_path):
     assert torch.equal(after.points.colors, before.points.colors)
     assert [after.visible[name].tolist() for name in "ab"] == [[0, 1, 2], []]
     assert after.lenses == before.lenses
+    assert after.world == before.world
+    assert isinstance(after.world.origin, EarthPosition)
 
 
 def test_numbers_that_are_not_finite_come_back(tmp_path):

@@ -11,6 +11,7 @@ from PIL import Image
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
 from mrgs.prepare.existing import existing_poses
+from mrgs.scene import EarthPosition, WorldFrame
 
 
 def photos(folder: Path, names: list[str], size: tuple[int, int] = (40, 30)) -> dict[str, Path]:
@@ -53,6 +54,20 @@ def test_transforms(small_scene, tmp_path):
         small_scene / "transforms.json", photos(tmp_path / "photos", list(truth))
     )
     assert by_file.viewmats.keys() == truth.keys()
+
+
+def test_transforms_of_a_georeferenced_scene(small_scene, tmp_path):
+    scene = shutil.copytree(small_scene, tmp_path / "scene")
+    content = json.loads((scene / "transforms.json").read_text())
+    content["georeference"] = {
+        "units": "metres",
+        "axes": "east north up",
+        "origin": {"latitude_deg": 48.0, "longitude_deg": 11.0, "altitude_m": 500.0},
+    }
+    (scene / "transforms.json").write_text(json.dumps(content))
+    names = [view.name for view in load_scene(scene).train]
+    found = existing_poses(scene, photos(tmp_path / "photos", names))
+    assert found.world == WorldFrame(True, True, EarthPosition(48.0, 11.0, 500.0))
 
 
 @pytest.mark.parametrize("folder", ["sparse/0", "."])

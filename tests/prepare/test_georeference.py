@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +13,11 @@ from scipy.spatial.transform import Rotation
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
-from mrgs.prepare.contract import Reconstruction
+from mrgs.prepare.contract import Georeference, Reconstruction
 from mrgs.prepare.earth import SEMI_MAJOR_AXIS_M, enu
 from mrgs.prepare.georeference import KnownDistance, apply, georeference
 from mrgs.prepare.levelling import centres, up_of_cameras
-from mrgs.scene import PointCloud
+from mrgs.scene import EarthPosition, PointCloud, WorldFrame
 
 LENS = Lens(400, 300, 300.0, 300.0, 200.0, 150.0, (-0.1, 0.02, 0.0, 0.0))
 PLACE = GpsPosition(48.137, 11.575, 520.0)
@@ -57,8 +58,6 @@ def reconstruction_of(positions: np.ndarray, points: np.ndarray | None = None) -
 
 def displaced(truth: Reconstruction, seed: int) -> Reconstruction:
     """The same in a world that was turned, moved and scaled."""
-    from mrgs.prepare.contract import Georeference
-
     rng = np.random.default_rng(seed)
     turn = Rotation.random(random_state=rng).as_matrix()
     scale, shift = float(rng.uniform(0.05, 2)), torch.from_numpy(rng.normal(0, 3, 3))
@@ -287,11 +286,21 @@ def test_a_known_distance_sets_the_scale(tracks):
     assert shape_of(apply(placed, found)).std() == pytest.approx(shape_of(truth).std(), rel=2e-3)
 
 
-def test_a_known_distance_decides_against_gps():
-    truth = reconstruction_of(around(), wall().points.positions.double().numpy())
+def around_wall() -> Reconstruction:
+    """Cameras around the points of a wall."""
+    return reconstruction_of(around(), wall().points.positions.double().numpy())
+
+
+def twice_as_long(truth: Reconstruction) -> KnownDistance:
+    """2.5 m between two points of ``around_wall``, said to be 5 m."""
     a, b = pixel_of(truth, "view_9", [-1.0, 0, -1.0]), pixel_of(truth, "view_9", [1.0, 0, 0.5])
+    return KnownDistance("view_9", a, b, 5.0)
+
+
+def test_a_known_distance_decides_against_gps():
+    truth = around_wall()
     found = displaced(truth, 8)
-    placed = georeference(found, gps_of(around()), KnownDistance("view_9", a, b, 5.0))
+    placed = georeference(found, gps_of(around()), twice_as_long(truth))
     assert placed.north
     assert placed.scale_error is None
     assert placed.text.startswith(
@@ -303,11 +312,80 @@ def test_a_known_distance_decides_against_gps():
     assert shape_of(apply(placed, found)) == pytest.approx(2 * shape_of(truth), abs=0.2)
 
 
-def test_given_poses_stay():
-    found = georeference(reconstruction_of(around()), gps_of(around()), as_given=True)
+def test_given_poses_without_gps_stay():
+    found = georeference(reconstruction_of(around()), {}, as_given=True)
     assert (found.scale, found.metric) == (1.0, False)
     assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
     assert found.text == "The scale is arbitrary. The axes are those of the given poses."
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gps_places_given_poses(seed):
+    positions = around()
+    truth = reconstruction_of(positions)
+    given = displaced(truth, seed)
+    found = georeference(given, gps_of(positions), as_given=True)
+    assert found.metric
+    assert found.north
+    assert found.origin is not None
+    assert found.text == (
+        "The GPS positions of 12 photos give metres and the axes east, north, up; the cameras are "
+        f"{found.residual_m:.2g} m off them (median). The given poses are turned and scaled to "
+        "them."
+    )
+    assert shape_of(apply(found, given)) == pytest.approx(shape_of(truth), abs=0.05)
+
+
+@pytest.mark.parametrize("height", [True, False])
+def test_given_poses_that_agree_with_gps_keep_their_scale_and_axes(height):
+    """Surveyed poses are surer than GPS: only their origin moves to that of GPS."""
+    positions, offset = around(), np.array([300.0, -200.0, 40.0])
+    noisy = positions + np.random.default_rng(1).normal(0, 0.5, positions.shape)
+    truth = reconstruction_of(positions)
+    stay = Georeference(
+        1.0, torch.eye(3).double(), torch.from_numpy(offset), False, False, None, None, ""
+    )
+    given = apply(stay, truth)
+    found = georeference(given, gps_of(noisy, height), as_given=True)
+    assert (found.scale, found.metric, found.north) == (1.0, True, True)
+    assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
+    assert found.text.endswith(" The given poses have these already, and stay as they are.")
+    moved = centres(apply(found, given), given.viewmats).mean(axis=0)
+    true = enu([gps_of(positions)[name] for name in given.viewmats], found.origin).mean(axis=0)
+    assert moved[: 3 if height else 2] == pytest.approx(true[: 3 if height else 2], abs=1.0)
+
+
+def test_a_known_distance_changes_the_scale_of_given_poses_that_agree_with_gps():
+    given = around_wall()
+    found = georeference(given, gps_of(around()), twice_as_long(given), as_given=True)
+    assert found.scale == pytest.approx(2.0, rel=1e-2)
+    assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
+    assert found.text.startswith("The scale is that of the known distance. The GPS positions of")
+    assert found.text.endswith(" The given poses have these already, and stay as they are.")
+
+
+def test_given_poses_that_gps_cannot_place_stay():
+    given = reconstruction_of(around(0.3))
+    noisy = around(0.3) + np.random.default_rng(0).normal(0, 1, (12, 3))
+    found = georeference(given, gps_of(noisy), as_given=True)
+    assert (found.scale, found.metric, found.north) == (1.0, False, False)
+    assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
+    assert found.warnings[0].startswith("The GPS positions are not used: they are ")
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_given_poses_that_know_their_place_on_earth_stay(known):
+    world = WorldFrame(True, True, EarthPosition(48.0, 11.0, 500.0), 0.4, 0.01)
+    given = replace(around_wall(), world=world)
+    distance = twice_as_long(given) if known else None
+    found = georeference(given, gps_of(around()), distance, as_given=True)
+    assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
+    assert found.world == (replace(world, scale_error=None) if known else world)
+    assert found.text == (
+        f"The scale is that of {'the known distance' if known else 'the given poses, in metres'}. "
+        "The axes are those of the given poses, with north."
+    )
+    assert found.scale == (pytest.approx(2.0, rel=1e-2) if known else 1.0)
 
 
 @pytest.mark.parametrize(

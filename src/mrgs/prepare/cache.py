@@ -222,6 +222,8 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
         return tensors[str(value)]
     if hint is Path:
         return Path(value)
+    if isinstance(hint, type) and issubclass(hint, tuple):  # a NamedTuple
+        return hint(*value)
     if hint is datetime:
         return datetime.fromisoformat(value)
     return value

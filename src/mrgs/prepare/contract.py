@@ -155,6 +155,7 @@ class Reconstruction:
         source: origin of the poses, one sentence.
         images: modality of the images with these poses.
         warnings: sentences that the user should read.
+        world: what the file of given poses says about their frame.
     """
 
     viewmats: Mapping[str, Float64[Tensor, "4 4"]]
@@ -166,6 +167,7 @@ class Reconstruction:
     source: str
     images: Modality = RGB
     warnings: tuple[str, ...] = ()
+    world: WorldFrame = field(default=WorldFrame())
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 
@@ -26,7 +26,7 @@ from mrgs.data.points import point_cloud
 from mrgs.data.sources import ReadingNotes
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
-from mrgs.scene import Modality, PointCloud
+from mrgs.scene import Modality, PointCloud, WorldFrame
 from mrgs.scene.modality import in_order
 
 Item = TypeVar("Item")
@@ -71,8 +71,9 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
     Raises:
         SceneError: no poses are found, they are damaged, or fewer than three belong to the images.
     """
-    poses, points, what, notes = _read(folder)
-    by_stem = _unique(poses, folder)
+    given = _read(folder)
+    what, points = given.file, given.points
+    by_stem = _unique(given.poses, folder)
     viewmats, lenses, failed = {}, {}, []
     for name, path in images.items():
         pose = by_stem.get(name)
@@ -88,7 +89,7 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
             f"{MIN_VIEWS} are needed; "
             f"the names there are like {theirs}: give the poses of these photos",
         )
-    warnings = tuple(notes.repaired)
+    warnings = tuple(given.notes.repaired)
     if points is None:
         points = PointCloud(torch.zeros(0, 3), torch.zeros(0, 3))
         warnings += (
@@ -97,13 +98,30 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
         )
     source = f"The poses of {len(viewmats)} of {len(images)} photos are those of {what}."
     return Reconstruction(
-        viewmats, lenses, points, None, tuple(failed), None, source, warnings=warnings
+        viewmats,
+        lenses,
+        points,
+        None,
+        tuple(failed),
+        None,
+        source,
+        warnings=warnings,
+        world=given.world,
     )
 
 
-def _read(folder: Path) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes]:
+class _Given(NamedTuple):
     """Poses by the names of their images without folders and extension, points, the name of the
-    file, and what was repaired."""
+    file, what was repaired, and what is known of the world."""
+
+    poses: Sequence[RegisteredImage]
+    points: PointCloud | None
+    file: str
+    notes: ReadingNotes
+    world: WorldFrame = WorldFrame()
+
+
+def _read(folder: Path) -> _Given:
     if folder.suffix == ".json" and is_file(folder):
         return _from_transforms(folder.parent.resolve(), folder.parent.resolve() / folder.name)
     if not folder.is_dir():
@@ -123,18 +141,17 @@ def _read(folder: Path) -> tuple[Sequence[RegisteredImage], PointCloud | None, s
         RegisteredImage(_stem(image.name), image.lens, image.viewmat)
         for image in read_images(model)
     ]
-    return poses, point_cloud(*read_points3d(model), notes), model.file("images").name, notes
+    points = point_cloud(*read_points3d(model), notes)
+    return _Given(poses, points, model.file("images").name, notes)
 
 
-def _from_transforms(
-    root: Path, file: Path
-) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes]:
+def _from_transforms(root: Path, file: Path) -> _Given:
     source = read_transforms(root, file)
     poses = []
     for view in source.views:
         image = _first(view.images)
         poses.append(RegisteredImage(_stem(view.key), image.lens, image.viewmat))
-    return poses, source.points, file.name, source.notes
+    return _Given(poses, source.points, file.name, source.notes, source.world)
 
 
 def _first(images: Mapping[Modality, Item]) -> Item:

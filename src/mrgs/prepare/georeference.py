@@ -3,6 +3,7 @@ the cameras were held."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -15,9 +16,15 @@ from mrgs.prepare.gps import UnusableGpsError, place_by_gps
 from mrgs.prepare.known_distance import KnownDistance, length_of
 from mrgs.prepare.levelling import levelled
 from mrgs.prepare.similarity import Similarity
-from mrgs.scene import PointCloud
+from mrgs.scene import PointCloud, WorldFrame
 
 __all__ = ["KnownDistance", "apply", "georeference"]
+
+ARBITRARY = "The scale is arbitrary."
+KNOWN = "The scale is that of the known distance."
+
+_UPRIGHT = math.cos(math.radians(10))
+"""Given poses whose z axis is so near to up, as the cameras were held, are upright."""
 
 
 def georeference(
@@ -33,27 +40,28 @@ def georeference(
         reconstruction: poses in any world.
         gps: positions of photos by view; those of views without a pose are ignored.
         known: a length in a photo; it overrides the scale from GPS.
-        as_given: the poses come from the user: only their scale changes, and only by ``known``.
+        as_given: the poses come from the user. Their axes stay where their file says where on Earth
+            they lie, where GPS agrees with them, and where there is no usable GPS.
 
     Raises:
         SceneError: the known distance cannot be measured in the reconstruction.
     """
     scale = None if known is None else known.metres / length_of(known, reconstruction)
-    if as_given:
-        return _without_gps(
-            Similarity(1.0, np.eye(3), np.zeros(3)), scale, "The axes are those of the given poses."
-        )
     level = levelled(reconstruction)
+    if as_given and level.rotation[2, 2] > _UPRIGHT:
+        level = Similarity(1.0, np.eye(3), np.zeros(3))
     positions = {name: gps[name] for name in sorted(gps) if name in reconstruction.viewmats}
+    if as_given and reconstruction.world.is_georeferenced:
+        return _as_given(reconstruction.world, scale)
     warnings: tuple[str, ...] = ()
     if positions:
         try:
-            return place_by_gps(reconstruction, positions, level, scale)
+            return place_by_gps(reconstruction, positions, level, scale, as_given=as_given)
         except UnusableGpsError as reason:
             warnings = (f"The GPS positions are not used: {reason}.",)
-    return _without_gps(
-        level, scale, "North is not known; up is guessed from how the cameras were held.", warnings
-    )
+    if as_given:
+        return _as_given(reconstruction.world, scale, warnings)
+    return _without_gps(level, scale, warnings)
 
 
 def apply(georeference: Georeference, reconstruction: Reconstruction) -> Reconstruction:
@@ -74,21 +82,39 @@ def apply(georeference: Georeference, reconstruction: Reconstruction) -> Reconst
     return replace(reconstruction, viewmats=viewmats, points=points)
 
 
-def _without_gps(
-    similarity: Similarity, scale: float | None, text: str, warnings: tuple[str, ...] = ()
-) -> Georeference:
+def _without_gps(level: Similarity, scale: float | None, warnings: tuple[str, ...]) -> Georeference:
     factor = 1.0 if scale is None else scale
-    says = (
-        "The scale is arbitrary." if scale is None else "The scale is that of the known distance."
-    )
     return Georeference(
         scale=factor,
-        rotation=torch.from_numpy(similarity.rotation),
-        translation=torch.from_numpy(factor * similarity.translation),
+        rotation=torch.from_numpy(level.rotation),
+        translation=torch.from_numpy(factor * level.translation),
         metric=scale is not None,
         north=False,
         origin=None,
         residual_m=None,
-        text=f"{says} {text}",
+        text=f"{ARBITRARY if scale is None else KNOWN} North is not known; up is guessed from how "
+        f"the cameras were held.",
         warnings=warnings,
+    )
+
+
+def _as_given(
+    world: WorldFrame, scale: float | None, warnings: tuple[str, ...] = ()
+) -> Georeference:
+    """The frame of the given poses, of which their file may know something; only a known distance
+    changes their scale."""
+    origin = None if world.origin is None else GpsPosition(*world.origin)
+    metres = "The scale is that of the given poses, in metres." if world.metric else ARBITRARY
+    axes = "The axes are those of the given poses"
+    return Georeference(
+        scale=1.0 if scale is None else scale,
+        rotation=torch.eye(3, dtype=torch.float64),
+        translation=torch.zeros(3, dtype=torch.float64),
+        metric=world.metric or scale is not None,
+        north=world.north,
+        origin=origin,
+        residual_m=world.residual_m,
+        text=f"{metres if scale is None else KNOWN} {axes}{', with north' * world.north}.",
+        warnings=warnings,
+        scale_error=world.scale_error if scale is None else None,
     )

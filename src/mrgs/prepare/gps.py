@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from jaxtyping import Float64
+from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
 from mrgs.data.radiometric import GpsPosition
@@ -41,6 +42,11 @@ DISAGREEMENT = 0.1
 """Log ratio of the scale by GPS and that by a known distance above which the user is warned."""
 
 
+AGREEMENT = 3.0
+"""Given poses whose scale and axes differ by fewer standard deviations from those by GPS stay: they
+are surer than it."""
+
+
 class UnusableGpsError(Exception):
     """Why the positions cannot be used for this reconstruction; half a sentence."""
 
@@ -50,6 +56,8 @@ def place_by_gps(
     gps: Mapping[str, GpsPosition],
     level: Similarity,
     scale: float | None,
+    *,
+    as_given: bool = False,
 ) -> Georeference:
     """The similarity to metres east, north and up of the middle one of the positions.
 
@@ -61,6 +69,8 @@ def place_by_gps(
         gps: positions by view, all with a pose.
         level: turns the reconstruction upright.
         scale: metres per unit, where it is known; then the positions only turn and move.
+        as_given: where the poses are in metres and have these axes, as far as GPS knows, only their
+            origin moves.
 
     Raises:
         UnusableGpsError: too few positions, or too much noise for how far the cameras are apart.
@@ -74,14 +84,13 @@ def place_by_gps(
     if len(with_height) >= max(MIN_POSITIONS, len(gps) / 2):
         solution = _in_space(reconstruction, with_height, scale is None)
         if solution.turn_deg <= MAX_TURN_DEG:
-            return _georeference(solution, scale, ())
+            return _placed(solution, scale, (), reconstruction, with_height, as_given)
         reason = "the cameras stand on a line, about which GPS leaves the rotation open"
     solution = _on_the_plane(reconstruction, gps, level, scale is None)
     if solution.turn_deg > MAX_TURN_DEG:
         raise UnusableGpsError(_too_close(solution))
-    return _georeference(
-        solution, scale, (f"The vertical is guessed from how the cameras were held: {reason}.",)
-    )
+    guessed = (f"The vertical is guessed from how the cameras were held: {reason}.",)
+    return _placed(solution, scale, guessed, reconstruction, gps, as_given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,6 +223,42 @@ def _georeference(
         text=text if scale is None else f"The scale is that of the known distance. {text}",
         warnings=warnings,
         scale_error=solution.scale_error if scale is None else None,
+    )
+
+
+def _placed(
+    solution: _Solution,
+    scale: float | None,
+    warnings: tuple[str, ...],
+    reconstruction: Reconstruction,
+    gps: Mapping[str, GpsPosition],
+    as_given: bool,
+) -> Georeference:
+    """The solution as it is; of given poses that it agrees with, only the origin moves."""
+    found = _georeference(solution, scale, warnings)
+    if not as_given:
+        return found
+    if not _agrees(solution):
+        return replace(found, text=f"{found.text} The given poses are turned and scaled to them.")
+    places = torch.from_numpy(centres(reconstruction, gps)[solution.fit.inliers])
+    middle, kept = places.mean(dim=0), 1.0 if scale is None else scale
+    moved = found.scale * found.rotation @ middle + found.translation
+    return replace(
+        found,
+        scale=kept,
+        rotation=torch.eye(3, dtype=torch.float64),
+        translation=moved - kept * middle,
+        text=f"{found.text} The given poses have these already, and stay as they are.",
+    )
+
+
+def _agrees(solution: _Solution) -> bool:
+    """Whether the poses had this scale and these axes before, as far as GPS knows."""
+    similarity = solution.similarity
+    turn_deg = math.degrees(np.linalg.norm(Rotation.from_matrix(similarity.rotation).as_rotvec()))
+    return (
+        abs(math.log(similarity.scale)) <= AGREEMENT * solution.scale_error
+        and turn_deg <= AGREEMENT * solution.turn_deg
     )
 
 
