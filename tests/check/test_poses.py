@@ -93,13 +93,33 @@ def test_points_outside_all_views_are_told(tabletop):
     assert "33% of the points lie outside all views" in problem.text
 
 
-@pytest.mark.parametrize("factor", [1e-5, 1e6])
-def test_a_scale_that_is_wildly_off_is_told(tabletop, factor):
+def scaled(tabletop, factor: float):
     points = PointCloud(tabletop.scene.points.positions * factor, tabletop.scene.points.colors)
-    scaled = tabletop.posed(lambda view: with_cameras(view, lambda c: at(c, c.position * factor)))
-    (problem,) = pose_problems(replace(scaled.scene, points=points))
+    posed = tabletop.posed(lambda view: with_cameras(view, lambda c: at(c, c.position * factor)))
+    return replace(posed.scene, points=points)
+
+
+def test_a_scale_that_is_wildly_off_is_told(tabletop):
+    (problem,) = pose_problems(scaled(tabletop, 1e6))
     assert problem.severity == "error"
     assert "the scale is wildly off" in problem.text
+
+
+@pytest.mark.parametrize(
+    ("factor", "share", "remedy"), [(1e-3, 100, 1_000), (1e-5, 100, 100_000), (0.0125, 9, 100)]
+)
+def test_a_scene_before_the_near_plane_is_told(factor, share, remedy, tabletop):
+    (problem,) = pose_problems(scaled(tabletop, factor))
+    assert problem.severity == "error"
+    assert problem.text == (
+        f"{share}% of what the cameras see lies nearer than 0.01 units, where nothing is rendered."
+    )
+    assert problem.remedy == f"Scale the poses and the points together, such as by {remedy:,}."
+
+
+@pytest.mark.parametrize("factor", [1e5, 1e3, 0.02, 0.015])
+def test_units_that_suit_are_no_problem(factor, tabletop):
+    assert pose_problems(scaled(tabletop, factor)) == []
 
 
 def test_a_scene_in_map_coordinates_is_told(tabletop):

@@ -10,18 +10,19 @@ import torch
 from safetensors.torch import load_file
 
 from mrgs.data import load_scene
-from mrgs.errors import DeviceError, RunError, SceneError, TrainingError
+from mrgs.errors import DeviceError, MrgsWarning, RunError, SceneError, TrainingError
 from mrgs.method.config import from_yaml
 from mrgs.method.density import adaptive
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import render_view
 from mrgs.runs.open import load_run
-from mrgs.scene import RGB, THERMAL, View
+from mrgs.scene import RGB, THERMAL, Camera, View
 from mrgs.training import METHODS, driver, train, trainer, view_pass
 from mrgs.training.checkpoint import load_facts, load_model
 from mrgs.training.photos import HostPhotos
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import initial_state
+from tests.helpers.changed_views import with_cameras
 from tests.helpers.runs import trained_run
 from tests.helpers.training import short_config
 
@@ -402,6 +403,29 @@ def test_photos_for_which_there_is_no_memory_are_not_fetched(small_scene, tmp_pa
     )
     train(small_scene, tmp_path / "run", short_config(max_steps=2))
     assert len(released) == 1
+
+
+def test_a_scene_before_the_near_plane_is_doubted(small_scene, tmp_path):
+    scene = load_scene(small_scene)
+    near = replace(scene, train=tuple(map(a_thousandth, scene.train)))
+    near = replace(near, points=replace(scene.points, positions=scene.points.positions / 1000))
+    message = (
+        "100% of what the cameras see lies nearer than 0.01 units, where nothing is rendered: "
+        "scale poses and points together, such as by 1,000"
+    )
+    with pytest.warns(MrgsWarning, match=message):
+        train(near, tmp_path / "run", short_config(max_steps=1))
+
+
+def a_thousandth(view: View) -> View:
+    """A view where lengths are a thousandth."""
+
+    def smaller(camera: Camera) -> Camera:
+        viewmat = camera.viewmat.clone()
+        viewmat[:3, 3] /= 1000
+        return replace(camera, viewmat=viewmat)
+
+    return with_cameras(view, smaller)
 
 
 def test_the_next_photos_come_while_a_step_is_computed(small_scene, tmp_path, monkeypatch):

@@ -13,6 +13,8 @@ from torch import Tensor
 from mrgs.check.problems import Problem
 from mrgs.data.oddities import far_off
 from mrgs.prepare.page.previews import views_text
+from mrgs.rasterizer.contract import NEAR_PLANE
+from mrgs.rasterizer.near_plane import too_near
 from mrgs.scene import Camera, Modality, Scene, View
 from mrgs.scene.modality import in_order
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV
@@ -30,7 +32,9 @@ _UNSEEN = 0.25
 _CLEARLY_MORE = 4.0
 """Another convention is named where it lets the cameras see that many times more points."""
 
-_EXTENT = (1e-3, 1e4)
+_LARGEST_EXTENT = 1e6
+"""Inverse depths of larger scenes are less than a loss takes for nothing (``distortion_loss``)."""
+
 _SAME_PLACE, _SAME_DIRECTION_DEG = 0.003, 0.3
 _APART, _APART_DEG = 0.5, 30.0
 _FIELD_OF_VIEW_DEG = (6.0, 130.0)
@@ -124,10 +128,18 @@ def _number_of_views(scene: Scene) -> list[Problem]:
 
 
 def _scale(scene: Scene, cameras: Sequence[Camera]) -> list[Problem]:
-    """Numbers that 32-bit floats, or the step sizes of training, do not suit."""
+    """Lengths that the near plane, or 32-bit floats, do not suit."""
     found = []
     extent = scene.extent
-    if not _EXTENT[0] <= extent <= _EXTENT[1]:
+    near = too_near(cameras, scene.points.positions)
+    if near is not None:
+        text = (
+            f"{near.share:.0%} of what the cameras see lies nearer than {NEAR_PLANE:g} units, "
+            f"where nothing is rendered."
+        )
+        remedy = f"Scale the poses and the points together, such as by {near.factor:,}."
+        found.append(Problem("error", text, remedy))
+    if extent > _LARGEST_EXTENT:
         text = f"The cameras span {2 * extent:.2g} units: the scale is wildly off."
         found.append(
             Problem("error", text, "Scale the poses and the points together, best to metres.")

@@ -18,6 +18,8 @@ from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import SceneScale, Term
 from mrgs.method.parts import part_spreads
+from mrgs.rasterizer.contract import NEAR_PLANE
+from mrgs.rasterizer.near_plane import too_near
 from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
@@ -116,6 +118,7 @@ def open_training(
         _require_enough_views(run, len(run.scene.train) if part is None else len(part.views))
         if processes is None or processes.is_first:
             _check_room(run)
+            _warn_if_too_near(run.scene)
         if part is not None:
             run.state.sampler.restrict(part.views)
         # A resumed run goes on with the cameras as they are now, in every process.
@@ -172,8 +175,8 @@ def train(
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
-            in its place; the newest checkpoint is damaged and an older one is used; or changes of
-            the scene are accepted.
+            in its place; the newest checkpoint is damaged and an older one is used; changes of the
+            scene are accepted; or much of the scene lies before the near plane.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -216,6 +219,19 @@ def _check_room(run: TrainingStart[TrainConfig, TrainingState]) -> None:
     most = max(run.config.densification.max_gaussians, len(run.state.model.gaussians))
     size = checkpoint_bytes(run.config, run.scene.modalities, most)
     warn_if_short(run.folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
+
+
+def _warn_if_too_near(scene: Scene) -> None:
+    """Warn of a scene whose unit of length puts much of it before the near plane."""
+    near = too_near(scene.train_cameras, scene.points.positions)
+    if near is not None:
+        warnings.warn(
+            f"{scene.name}: {near.share:.0%} of what the cameras see lies nearer than "
+            f"{NEAR_PLANE:g} units, where nothing is rendered: scale poses and points together, "
+            f"such as by {near.factor:,}",
+            MrgsWarning,
+            stacklevel=5,
+        )
 
 
 def _require_enough_views(run: TrainingStart[TrainConfig, TrainingState], count: int) -> None:
