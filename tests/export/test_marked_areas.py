@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from mrgs.export import export
 from mrgs.marks import open_marks
+from mrgs.marks.regions import Regions
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL
 from tests.helpers.exports import read_ply
@@ -62,6 +64,19 @@ def test_files_say_how_exact_the_correction_is(exported):
     assert "half of their pixels are off by up to" in of_splats
     assert of_points == "marked surfaces that have one are corrected, as their marks are"
     assert of_neither == ""
-    page = (own / "page.html").read_text(encoding="utf-8")
-    assert of_splats in page
-    assert "coarsely in the picture" in page
+
+
+def test_the_page_corrects_what_is_seen_of_it(exported):
+    _, without, own = exported
+    plain, corrected = ((folder / "page.html").read_text("utf-8") for folder in (without, own))
+    assert '"areas": null' in plain
+    assert '"areas": {' in corrected
+    assert "splat by splat" not in corrected
+    of_splats = [re.findall(r'"data": "([^"]+)"', text) for text in (plain, corrected)]
+    assert of_splats[0] == of_splats[1]
+
+
+def test_splats_are_corrected_only_for_files_of_splats(exported, scene, tmp_path, monkeypatch):
+    marks, _, _ = exported
+    monkeypatch.setattr(Regions, "of_splats", None)
+    export(marks.run, scene, ("points", "cameras"), tmp_path)

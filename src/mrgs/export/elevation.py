@@ -34,9 +34,7 @@ def export(job: ExportJob) -> list[Path]:
     Its coordinates are metres to the right and upwards from the lower left corner of the map; where
     that lies in the scene is in the sidecar.
     """
-    drawn, facade = facade_map(
-        job.uncorrected, job.scene, job.maps, job.uncertainty, regions=job.regions
-    )
+    drawn, facade = facade_map(job.baked, job.scene, job.maps, job.uncertainty, regions=job.regions)
     grid = drawn.grid
     facts = {
         "map": "orthographic, of a façade",

@@ -34,12 +34,13 @@ _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 def export(job: ExportJob) -> list[Path]:
     """Write a file for each modality, with its sidecar; each holds the temperatures and the values
     of modalities other than RGB."""
+    model = job.splat_model
     properties = {
         name: values
-        for modality in job.baked.modalities
+        for modality in model.modalities
         if modality != RGB
         for name, values in zip(
-            value_names(job.baked, modality), base_values(job.baked, modality).T, strict=True
+            value_names(model, modality), base_values(model, modality).T, strict=True
         )
     }
     paths = []

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from mrgs.export.correction import correction_note
 from mrgs.export.loss import BakingLoss
 from mrgs.export.maps.options import MapOptions
 from mrgs.export.sidecar import color_facts, write_sidecar
@@ -31,15 +32,13 @@ class ExportJob:
     """What one export writes, and where.
 
     Attributes:
-        baked: the exported model; the temperatures of its splats are corrected one by one where
-            a marked surface has an emissivity of its own.
-        uncorrected: the same as the photos have it, for what corrects the temperatures that
-            cameras see.
+        baked: the exported model, as the photos have it.
         scene: that the model was trained on.
         folder: of the files.
         scale: colours of the temperatures.
         up: the up direction of the scene's frame, unit length, [3]; None if not known.
-        facts: for the sidecar of every file, see ``facts_of``.
+        facts: for the sidecar of every file, see ``facts_of``; ``surface_facts`` and
+            ``splat_facts`` also say how marked surfaces are corrected.
         marks: of the run that was baked; None if only the baked model is available.
         regions: marked surfaces with an emissivity of their own; None without.
         loss: PSNR lost by baking, dB; None without a run.
@@ -49,7 +48,6 @@ class ExportJob:
     """
 
     baked: BakedModel
-    uncorrected: BakedModel
     scene: Scene
     folder: Path
     scale: ThermalScale
@@ -75,7 +73,7 @@ class ExportJob:
     @cached_property
     def points(self) -> SurfacePoints:
         """The splats on surfaces as points with their uncertainty, computed once."""
-        points = surface_points(self.uncorrected, self.scene)
+        points = surface_points(self.baked, self.scene)
         name, at = temperature_name(self.baked), points.positions
         columns = dict(self.corrected(at, points.columns))
         if self.uncertainty is not None:
@@ -84,8 +82,8 @@ class ExportJob:
         return replace(points, columns=columns)
 
     def corrected(self, positions: Float32[np.ndarray, "m 3"], columns: Columns) -> Columns:
-        """What cameras see at points of the uncorrected model, with the temperatures of marked
-        surfaces corrected."""
+        """What cameras see at points of the model, with the temperatures of marked surfaces
+        corrected."""
         if self.regions is None:
             return columns
         name = temperature_name(self.baked)
@@ -110,17 +108,32 @@ class ExportJob:
             of_surface |= {"own_emissivity": own}
         return self.facts | {"temperature": self.facts["temperature"] | of_surface}
 
+    @cached_property
+    def splat_model(self) -> BakedModel:
+        """The model for files of splats: where a marked surface has an emissivity of its own, their
+        temperatures are corrected one by one."""
+        return self.baked if self.regions is None else self.regions.of_splats(self.baked)
+
+    @cached_property
+    def splat_facts(self) -> dict[str, Any]:
+        """``facts`` for files of ``splat_model``."""
+        if self.regions is None:
+            return self.facts
+        cameras = [photo.camera for photo in self.scene.train_photos(THERMAL)]
+        note = correction_note(self.baked, self.splat_model, self.regions, cameras)
+        return self.facts | {"temperature": self.facts["temperature"] | {"own_emissivity": note}}
+
     def splats(
         self, baked: BakedModel | None = None
     ) -> Iterator[tuple[Modality, SplatArrays, dict[str, Any]]]:
         """Yield each modality to write, its splats, and the facts about their file.
 
         Args:
-            baked: the model to take them from; the job's if None.
+            baked: the model to take them from; ``splat_model`` if None.
         """
-        baked = baked or self.baked
+        baked = baked or self.splat_model
         for modality in self.modalities:
-            facts = self.facts | color_facts(modality, self.scale, baked)
+            facts = self.splat_facts | color_facts(modality, self.scale, baked)
             yield modality, modality_splats(baked, modality, self.scale), facts
 
 

@@ -49,7 +49,7 @@ class ThermalMesh:
 def export(job: ExportJob) -> list[Path]:
     """Write ``mesh.ply`` and its sidecar."""
     path, facts = job.folder / "mesh.ply", job.surface_facts
-    mesh = build_mesh(job.uncorrected, job.scene)
+    mesh = build_mesh(job.baked, job.scene)
     mesh = replace(mesh, columns=job.corrected(mesh.vertices, mesh.columns))
     write_mesh_ply(path, mesh, comment_lines(facts))
     return described(path, {**facts, "vertices": len(mesh.vertices), "faces": len(mesh.faces)})

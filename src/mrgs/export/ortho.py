@@ -43,7 +43,7 @@ def export(job: ExportJob) -> list[Path]:
     """Write ``ortho.tif`` with its sidecar, and ``ortho.png``."""
     system = coordinate_system(job.scene, job.maps.crs)
     drawn = map_from_above(
-        job.uncorrected, job.scene, system, job.maps, job.uncertainty, regions=job.regions
+        job.baked, job.scene, system, job.maps, job.uncertainty, regions=job.regions
     )
     north = " · north is up" if system.north else ""
     caption = Caption(

@@ -29,8 +29,8 @@ def export(job: ExportJob) -> list[Path]:
         path = job.folder / f"{modality}.ply"
         paths += described(write_splat_ply(path, splats, comment_lines(facts)), facts)
     path = job.folder / "rgb_thermal.ply"
-    combined = write_combined_ply(path, job.baked, comment_lines(job.facts))
-    return [*paths, *described(combined, job.facts)]
+    combined = write_combined_ply(path, job.splat_model, comment_lines(job.splat_facts))
+    return [*paths, *described(combined, job.splat_facts)]
 
 
 def write_splat_ply(path: Path, splats: SplatArrays, comments: Sequence[str] = ()) -> Path:

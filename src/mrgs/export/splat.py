@@ -21,10 +21,11 @@ _LAYOUT = [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat",
 
 def export(job: ExportJob) -> list[Path]:
     """Write a file for each modality, with its sidecar."""
-    flat = without_directions(job.uncorrected, job.scene.train_cameras)
+    flat = without_directions(job.baked, job.scene.train_cameras)
     lost = _lost(job, flat) if job.scene.modalities != (THERMAL,) else {}
     paths = []
-    for modality, splats, facts in job.splats(replace(flat, temperatures=job.baked.temperatures)):
+    corrected = replace(flat, temperatures=job.splat_model.temperatures)
+    for modality, splats, facts in job.splats(corrected):
         if modality != THERMAL:
             facts |= lost
         paths += described(write_splat(job.folder / f"{modality}.splat", splats), facts)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, WriteError
-from mrgs.export.correction import correction_note
 from mrgs.export.crs import coordinate_system
 from mrgs.export.formats import FORMATS, Format
 from mrgs.export.job import ExportJob
@@ -176,14 +175,9 @@ def _job(
     loss = None if run is None else baking_loss_db(run, baked, scene)
     facts = facts_of(baked, scene, up, loss, maps.crs)
     marks = None if run is None else open_marks(run, scene)
-    cameras = [photo.camera for photo in scene.train_photos(THERMAL)]
-    regions = marks.meter.regions(marks.marks) if marks is not None and cameras else None
-    corrected = baked
-    if regions:
-        corrected = regions.of_splats(baked)
-        note = correction_note(baked, corrected, regions, cameras)
-        facts["temperature"] |= {"own_emissivity": note}
+    regions = None
+    if marks is not None and scene.train_photos(THERMAL):
+        regions = marks.meter.regions(marks.marks) or None
     return ExportJob(
-        corrected, baked, scene, folder, scale, up, facts, marks, regions or None, loss, palette,
-        limits_c, maps,
-    )  # fmt: skip
+        baked, scene, folder, scale, up, facts, marks, regions, loss, palette, limits_c, maps
+    )

@@ -111,6 +111,12 @@ class CaptureSettings:
         celsius: Float64[np.ndarray, "..."] = self.law.celsius(of_object - self.law.o)
         return celsius
 
+    def signal_change(self, surface: SurfaceSettings) -> tuple[float, float]:
+        """Gain and offset, counts, from a surface's own signal as the photos have it, ``law``'s
+        plus ``law.o``, to that of ``corrected``."""
+        difference = self._reflected(self.surface) - self._reflected(surface)
+        return self.surface.emissivity / surface.emissivity, difference / surface.emissivity
+
     def _reflected(self, surface: SurfaceSettings) -> float:
         if surface.reflected_c is None:
             return 0.0

@@ -128,6 +128,7 @@ class Regions:
         capture: what the photos were computed with.
 
     Attributes:
+        capture: see above.
         problems: of marks that cannot be regions, one sentence by name.
     """
 
@@ -141,7 +142,7 @@ class Regions:
         self._marks = tuple(mark for mark in marks.marks if mark.has_settings)
         self._render = render
         self._temperature = temperature
-        self._capture = capture
+        self.capture = capture
         found = {mark.name: self._problem(mark) for mark in self._marks}
         self.problems = {name: problem for name, problem in found.items() if problem}
         self._regions = [
@@ -152,7 +153,7 @@ class Regions:
         if self._temperature is None:
             return Message("{name}: without °C there is no emissivity to correct", name=mark.name)
         try:
-            self._capture.of_mark(mark)
+            self.capture.of_mark(mark)
             measuring_camera(mark)
         except ConfigError as error:
             return error.message
@@ -161,11 +162,14 @@ class Regions:
     def __bool__(self) -> bool:
         return bool(self._regions)
 
+    def __iter__(self) -> Iterator[SurfaceRegion]:
+        return iter(self._regions)
+
     def _region(self, mark: Mark) -> SurfaceRegion:
         surface = see(self._render, measuring_camera(mark))
         inside = outline_mask(surface.camera, mark.points)
         plane = RegionPlane.through(surface, inside)
-        return SurfaceRegion(self._capture.of_mark(mark), surface, inside, plane)
+        return SurfaceRegion(self.capture.of_mark(mark), surface, inside, plane)
 
     def applied_to(self, rendering: Rendering, camera: Camera) -> Rendering:
         """A rendering with the temperatures of the regions corrected; the same without regions."""
@@ -212,7 +216,7 @@ class Regions:
         the photos see there. Where there is no such temperature the value stays."""
         corrected = celsius.copy()
         for settings, held in self.parts(points):
-            found = self._capture.corrected(celsius[held].astype(np.float64), settings)
+            found = self.capture.corrected(celsius[held].astype(np.float64), settings)
             corrected[held] = np.where(np.isfinite(found), found, celsius[held])
         return corrected
 
@@ -240,7 +244,7 @@ class Regions:
         corrected = values.copy()
         for settings, held in self.parts(points, eye):
             celsius = self._temperature.to_celsius(values[held])
-            found = self._capture.corrected(celsius, settings)
+            found = self.capture.corrected(celsius, settings)
             now = self._temperature.from_celsius(found)
             corrected[held] = np.where(np.isfinite(now), now, values[held])
         return corrected

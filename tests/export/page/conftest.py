@@ -1,15 +1,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
+from mrgs.export.page import write_page
+from mrgs.export.page.marks import PageMark
+from mrgs.marks.regions import Regions
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
+from mrgs.scene import RGB, THERMAL, Camera, Modality, TemperatureRange
+from tests.helpers.browsers import chromium, new_page
 from tests.helpers.gaussians import NEAR_INFRARED
+from tests.helpers.pages import SETTLED
 
 
 def look_at_origin(angle: float, height: float = 0.8, width: int = 96, rows: int = 64) -> Camera:
@@ -72,3 +79,49 @@ def with_nir(baked: BakedModel) -> BakedModel:
         sh_dc={**baked.sh_dc, NEAR_INFRARED: 0.5 * base},
         sh_rest={**baked.sh_rest, NEAR_INFRARED: 0.15 * rest},
     )
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture
+def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
+    """Opens the page with the network off; whatever the page reports as an error fails the test."""
+    path = tmp_path / "page.html"
+    errors: list[str] = []
+    contexts = []
+
+    def open_it(
+        shown: BakedModel = baked,
+        *,
+        modalities: tuple[Modality, ...] = (RGB, THERMAL),
+        marks: Sequence[PageMark] = (),
+        regions: Regions | None = None,
+        **options: Any,
+    ) -> Any:
+        write_page(
+            shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities,
+            marks=marks, regions=regions,
+        )  # fmt: skip
+        page = new_page(browser, offline=True, **options)
+        contexts.append(page.context)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on(
+            "console",
+            lambda message: errors.append(message.text) if message.type == "error" else None,
+        )
+        page.on(
+            "request",
+            lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "blob") else None,
+        )
+        page.goto(path.as_uri())
+        page.wait_for_selector(SETTLED)
+        return page
+
+    yield open_it
+    for context in contexts:
+        context.close()
+    assert errors == []

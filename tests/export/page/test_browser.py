@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,11 +21,11 @@ from mrgs.rasterizer import dilation
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
-from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
+from tests.helpers.browsers import needs_chromium, wait_until
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.packed import as_model, unpack
+from tests.helpers.pages import SETTLED, fitted, picture, psnr, read, shown
 
-SETTLED = "#view[data-settled=true]"
 PIXELS = [
     (0.5, 0.5),
     (0.4, 0.45),
@@ -42,78 +41,6 @@ pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = [needs_chromium, pytest.mark.slow]
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture
-def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
-    """Opens the page with the network off; whatever the page reports as an error fails the test."""
-    path = tmp_path / "page.html"
-    errors: list[str] = []
-    contexts = []
-
-    def open_it(
-        shown: BakedModel = baked,
-        *,
-        modalities: tuple[Modality, ...] = (RGB, THERMAL),
-        marks: Sequence[PageMark] = (),
-        **options: Any,
-    ) -> Any:
-        write_page(
-            shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities,
-            marks=marks,
-        )  # fmt: skip
-        page = new_page(browser, offline=True, **options)
-        contexts.append(page.context)
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on(
-            "console",
-            lambda message: errors.append(message.text) if message.type == "error" else None,
-        )
-        page.on(
-            "request",
-            lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "blob") else None,
-        )
-        page.goto(path.as_uri())
-        page.wait_for_selector(SETTLED)
-        return page
-
-    yield open_it
-    for context in contexts:
-        context.close()
-    assert errors == []
-
-
-def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """The camera whose image the page shows on a canvas of this size: the whole frame, centred."""
-    scale = min(width / camera.width, height / camera.height)
-    K = camera.K * scale
-    K[0, 2] += (width - scale * camera.width) / 2
-    K[1, 2] += (height - scale * camera.height) / 2
-    K[2, 2] = 1
-    return Camera(K, camera.viewmat, width, height)
-
-
-def picture(page: Any) -> np.ndarray:
-    """The picture alone, without what lies over it."""
-    show = "(nodes, visibility) => nodes.forEach((node) => { node.style.visibility = visibility; })"
-    over = page.locator("#scales, .tools, #tip, #marker")
-    over.evaluate_all(show, "hidden")
-    content = page.locator("#view").screenshot()
-    over.evaluate_all(show, "")
-    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), dtype=np.float64)
-
-
-def shown(page: Any, modality: str) -> np.ndarray:
-    """The picture of a modality."""
-    page.click(f"[data-modality={modality}]")
-    page.wait_for_selector(SETTLED)
-    return picture(page)
-
-
 def colours_of_view_3(page: Any, cameras: dict[str, Camera]) -> tuple[np.ndarray, Camera]:
     """The picture of the colours from there, and its camera."""
     page.select_option("#camera", "view 3")
@@ -125,20 +52,6 @@ def colours_of_view_3(page: Any, cameras: dict[str, Camera]) -> tuple[np.ndarray
 def bytes_of(rendering: Rendering) -> np.ndarray:
     """The colours as a picture has them."""
     return 255 * rendering[RGB].image.clamp(0, 1).numpy()
-
-
-def psnr(got: np.ndarray, expected: np.ndarray) -> float:
-    return 10 * np.log10(255**2 / np.square(got - expected).mean())
-
-
-def read(page: Any, x: int, y: int) -> tuple[float, float]:
-    """The value and the depth that the page shows under the cursor."""
-    box = page.locator("#view").bounding_box()
-    page.locator("#value").evaluate("element => { element.dataset.value = 'asked'; }")
-    page.mouse.move(box["x"] + x + 0.5, box["y"] + y + 0.5)
-    page.wait_for_selector("#value:not([data-value=asked])")
-    value = page.locator("#value")
-    return float(value.get_attribute("data-value")), float(value.get_attribute("data-depth"))
 
 
 def reaching_the_plane_of(camera: Camera, baked: BakedModel) -> BakedModel:
@@ -157,7 +70,7 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
     page = open_page(baked, viewport={"width": 800, "height": 420})
     colours, camera = colours_of_view_3(page, cameras)
     height, width = colours.shape[:2]
-    expected = baked.render(camera)
+    expected = baked.render(camera, THERMAL)
     assert psnr(colours, bytes_of(expected)) > 45
 
     heat = shown(page, "thermal")
@@ -165,7 +78,7 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
     seen = expected[THERMAL].alpha.numpy() >= 0.5
     assert psnr(heat[seen], colorize(celsius, 0.0, 80.0, "inferno")[seen]) > 40
 
-    depth = (expected[THERMAL].depth / expected[THERMAL].alpha).numpy()
+    depth = expected.surface_depth(THERMAL).numpy()
     for x, y in [(int(share_x * width), int(share_y * height)) for share_x, share_y in PIXELS]:
         assert seen[y, x]
         told_c, told_depth = read(page, x, y)
@@ -185,7 +98,7 @@ def test_a_picture_coarser_than_the_photos_is_dilated_less(
     colours, camera = colours_of_view_3(page, cameras)
     height, width = colours.shape[:2]
     expected, *others = (
-        replace(baked, dilation=each).render(camera)
+        replace(baked, dilation=each).render(camera, THERMAL)
         for each in (baked.dilation, Dilation(300.0), Dilation(0.3))
     )
     assert psnr(colours, bytes_of(expected)) > 45
@@ -202,9 +115,7 @@ def test_a_picture_coarser_than_the_photos_is_dilated_less(
         pytest.approx(depth, abs=0.01),
     )
     for other in others:
-        other_c, other_depth = reading_at(other, baked, x, y)
-        assert abs(other_c - celsius) > 0.4
-        assert abs(other_depth - depth) > 0.02
+        assert abs(reading_at(other, baked, x, y)[0] - celsius) > 0.4
 
 
 def test_needles_keep_their_shape(open_page, baked, cameras):
@@ -220,9 +131,8 @@ def test_needles_keep_their_shape(open_page, baked, cameras):
 
 def reading_at(rendering: Rendering, baked: BakedModel, x: int, y: int) -> tuple[float, float]:
     """What the page ought to tell of a pixel: °C and depth."""
-    heat = rendering[THERMAL]
-    celsius = baked.temperature.to_celsius(heat.image[y, x, 0])
-    return float(celsius), float(heat.depth[y, x] / heat.alpha[y, x])
+    celsius = baked.temperature.to_celsius(rendering[THERMAL].image[y, x, 0])
+    return float(celsius), float(rendering.surface_depth(THERMAL)[y, x])
 
 
 def test_a_page_in_parts_ends_with_the_picture_of_a_whole_one(open_page, monkeypatch):
@@ -256,10 +166,11 @@ def test_a_third_modality_is_shown_and_read(open_page, with_nir, cameras, tmp_pa
     page.select_option("#camera", "view 3")
     grey = shown(page, "nir")
     height, width = grey.shape[:2]
-    expected = with_nir.render(fitted(cameras["view 3"], width, height))[NEAR_INFRARED]
-    values, alpha = expected.image[..., 0].numpy(), expected.alpha.numpy()
+    expected = with_nir.render(fitted(cameras["view 3"], width, height), NEAR_INFRARED)
+    _, _, alpha = expected[NEAR_INFRARED]
+    values = expected[NEAR_INFRARED].image[..., 0].numpy()
     assert psnr(grey, 255 * values.clip(0, 1)[..., None]) > 40
-    depth = expected.depth.numpy() / alpha
+    depth = expected.surface_depth(NEAR_INFRARED).numpy()
     for x, y in [(int(share_x * width), int(share_y * height)) for share_x, share_y in PIXELS]:
         assert alpha[y, x] >= 0.5
         assert read(page, x, y) == pytest.approx((values[y, x], depth[y, x]), abs=0.01)

@@ -17,8 +17,6 @@ def export(job: ExportJob) -> list[Path]:
     """Write ``page.html`` into the job's folder; returns its path."""
     views = [*job.scene.eval, *job.scene.train]
     marks, assumptions = ([], ()) if job.marks is None else page_marks(job.marks)
-    if job.regions is not None:
-        assumptions = (*assumptions, job.facts["temperature"]["own_emissivity"])
     path = write_page(
         job.baked,
         {view.name: view.camera for view in views},
@@ -28,6 +26,7 @@ def export(job: ExportJob) -> list[Path]:
         range_c=job.limits_c,
         notes=(*job.scene.notes, *assumptions),
         marks=marks,
+        regions=job.regions,
         modalities=job.modalities,
         length_unit=job.scene.world.length_unit,
         start=job.scene.train[best_view(job.scene.train_cameras, job.baked.means)].name,

@@ -63,10 +63,11 @@ class Page {
     this.partsShown = 0;
     this.drawnAt = -Infinity;
     this.drawMs = 0;
-    const { model, modalities, readable } = this.facts;
-    this.worker.postMessage({ open: { slots: model.slots, dilation: model.dilation, modalities, readable } });
+    const { model, modalities, readable, areas } = this.facts;
+    this.worker.postMessage({ open: { slots: model.slots, dilation: model.dilation, modalities, readable, areas: areas?.areas } });
     this.worker.onmessage = ({ data }) => {
       if (data.failure) showFailure(data.failure);
+      else if (data.depths) this.takeAreas(data.depths);
       else if (data.part) this.partDecoded(data.part);
       else if (data.order) this.sorted(data);
       else if (data.id !== undefined) this.seen(data);
@@ -101,6 +102,18 @@ class Page {
   refine() {
     this.version++;
     this.sortIfIdle();
+  }
+
+  takeAreas(depths) {
+    const { areas } = this.facts;
+    this.areas = new Areas(areas, depths, this.modalities[areas.modality].scale);
+    this.drawsAreas = this.renderer.addAreas(this.areas);
+    element("uncorrected").hidden = this.drawsAreas;
+  }
+
+  // The areas in what a camera sees of a modality; null where there are none.
+  areasFor(modality, camera) {
+    return this.areas?.modality === modality ? this.areas.seenFrom(camera) : null;
   }
 
   get complete() {
@@ -167,7 +180,9 @@ class Page {
     const share = Math.min(1, FIT_WIDTH_PX / width);
     const camera = this.viewpoint.cameraFor(...[width, height].map((side) => Math.max(1, Math.round(side * share))));
     const { name, scale } = this.scaled;
-    const seen = this.renderer.seenValues(camera, { modality: name }, SURFACE_ALPHA).sort((a, b) => a - b);
+    const areas = this.drawsAreas ? this.areasFor(name, camera) : null;
+    const pixels = this.renderer.seenPixels(camera, { modality: name, areas }, SURFACE_ALPHA);
+    const seen = pixels.map(([value, at, depth]) => areas?.corrected(value, at, depth) ?? value).sort((a, b) => a - b);
     this.requestFrame();
     if (!seen.length) return;
     const [low, high] = [0.005, 0.995].map((part) => scale.shown(seen[Math.round(part * (seen.length - 1))]));
@@ -263,7 +278,8 @@ class Page {
     }
     const share = inMotion ? this.resolution : 1;
     const [width, height] = [this.canvas.width, this.canvas.height].map((n) => Math.max(1, Math.round(n * share)));
-    this.renderer.draw(this.viewpoint.cameraFor(width, height), this.look());
+    const camera = this.viewpoint.cameraFor(width, height);
+    this.renderer.draw(camera, this.look(camera));
     if (!this.complete) this.timeDrawing();
     this.placeMarker();
     this.drawMarks();
@@ -283,10 +299,11 @@ class Page {
     this.drawMs = this.drawnAt - begun;
   }
 
-  look() {
+  look(camera) {
     const { name, metric, scale } = this.shown;
     return {
       modality: name,
+      areas: this.drawsAreas ? this.areasFor(name, camera) : null,
       palette: metric ? element("palette").value : null,
       range: this.range.map((number) => scale.normalised(number)),
       isotherm: this.isotherm,
@@ -330,9 +347,11 @@ class Page {
   }
 
   answered({ reading }) {
-    const asked = this.reading;
+    const { then, camera, pixel } = this.reading;
     this.reading = null;
-    asked.then(reading, asked.camera, asked.pixel);
+    const areas = this.areasFor(reading.modality, camera);
+    const value = areas?.corrected(reading.value, pixel, reading.depth) ?? reading.value;
+    then({ ...reading, recorded: reading.value, value }, camera, pixel);
     this.askIfIdle();
   }
 
@@ -352,11 +371,11 @@ class Page {
   showReading(reading) {
     const seen = reading.alpha >= SURFACE_ALPHA;
     const { label, metric, scale } = this.modalities[reading.modality];
-    const value = scale.shown(reading.value);
+    const [value, recorded] = [reading.value, reading.recorded].map((each) => scale.shown(each));
     if (this.facts.readable.length > 1) element("reading-of").textContent = `: ${label}`;
     element("value").textContent = seen ? this.textOf(reading) : "–";
     element("depth").textContent = seen ? `depth ${reading.depth.toFixed(2)} ${this.facts.length_unit}` : "no surface here";
-    element("clipped").hidden = !seen || !metric || (value > scale.min && value < scale.max);
+    element("clipped").hidden = !seen || !metric || (recorded > scale.min && recorded < scale.max);
     element("value").dataset.value = seen ? String(value) : "";
     element("value").dataset.depth = seen ? String(reading.depth) : "";
   }

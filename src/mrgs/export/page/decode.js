@@ -33,6 +33,12 @@ function decodeAppearance(planes, header, name, channels) {
   };
 }
 
+// Of an area, as its camera sees it: steps of the logarithm, from 1 for the nearest; 0 where it does not see the area.
+async function decodeDepths({ depths, nearest, step }) {
+  const codes = new Uint16Array(await gunzip(fromBase64(depths)));
+  return Float32Array.from(codes, (code) => (code ? nearest * Math.exp(step * (code - 1)) : 0));
+}
+
 async function gunzip(bytes) {
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Response(stream).arrayBuffer();

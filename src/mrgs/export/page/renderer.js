@@ -20,7 +20,8 @@ class Renderer {
     );
     for (const appearance of Object.values(this.appearances)) addHarmonics(gl, appearance, this.rows, 0, []);
     this.palettes = Object.fromEntries(Object.entries(palettes).map(([name, rgb]) => [name, paletteTexture(gl, rgb)]));
-    this.target = null;
+    this.target = new Target(gl, 1, this.floatTarget ? gl.RGBA16F : gl.RGBA8, gl.LINEAR);
+    this.surface = null;
     this.createArrays();
   }
 
@@ -51,6 +52,19 @@ class Renderer {
     }
   }
 
+  // The depths of areas, as textures, if the device can draw what they are compared with; returns whether it can.
+  addAreas({ list }) {
+    const gl = this.gl;
+    if (!this.floatTarget) return false;
+    this.surface = new Surface(gl);
+    for (const area of list) {
+      const { width, height } = area.camera;
+      area.texture = newTexture(gl, gl.R32F, width, height, gl.NEAREST);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, gl.RED, gl.FLOAT, area.depths);
+    }
+    return true;
+  }
+
   setOrder(order) {
     const gl = this.gl;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
@@ -67,11 +81,35 @@ class Renderer {
     gl.disable(gl.BLEND);
     gl.useProgram(screen.program);
     gl.bindVertexArray(this.noArrays);
-    bindTexture(gl, 0, this.target.texture, screen.at("blended"));
+    bindTexture(gl, 0, this.target.textures[0], screen.at("blended"));
     bindTexture(gl, 1, this.palettes[look.palette ?? "grey"], screen.at("palette"));
     gl.uniform1i(screen.at("mapped"), look.palette !== null);
     gl.uniform2fv(screen.at("range"), look.range);
     gl.uniform2fv(screen.at("isotherm"), look.isotherm);
+    gl.uniform1i(screen.at("ofArea"), false);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    if (look.areas) for (const view of look.areas.views) this.drawArea(view, camera);
+  }
+
+  // The pixels of an area once more, corrected.
+  drawArea({ area, turn, shift, normal, offset }, camera) {
+    const { gl, screen } = this;
+    const { near, law, scale } = area;
+    const { fx, fy, cx, cy } = area.camera;
+    gl.uniform1i(screen.at("ofArea"), true);
+    bindTexture(gl, 2, area.texture, screen.at("depths"));
+    bindTexture(gl, 3, this.surface.depths.textures[0], screen.at("surface"));
+    gl.uniform1f(screen.at("farthest"), this.surface.farthest);
+    gl.uniform2f(screen.at("size"), camera.width, camera.height);
+    gl.uniform4f(screen.at("lens"), camera.fx, camera.fy, camera.cx, camera.cy);
+    gl.uniform4f(screen.at("areaLens"), fx, fy, cx, cy);
+    gl.uniformMatrix3fv(screen.at("turn"), true, turn);
+    gl.uniform3fv(screen.at("shift"), shift);
+    gl.uniform4f(screen.at("plane"), ...normal, offset);
+    gl.uniform1f(screen.at("near"), near);
+    gl.uniform3f(screen.at("law"), law.amplitude, law.b, law.f);
+    gl.uniform2f(screen.at("change"), area.gain, area.offset);
+    gl.uniform2f(screen.at("kelvin"), scale.min + ZERO_CELSIUS_K, scale.span);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
@@ -81,29 +119,38 @@ class Renderer {
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 
-  // The normalised values of all pixels that show a surface, of an image that is drawn for this alone.
-  seenValues(camera, look, surfaceAlpha) {
+  // Value, place and, where there are areas, depth of all pixels that show a surface, of an image that is drawn for this
+  // alone.
+  seenPixels(camera, look, surfaceAlpha) {
     const { gl } = this;
     this.blend(camera, look);
+    const depths = look.areas ? this.surface.read(camera) : [];
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
     const pixels = new (this.floatTarget ? Float32Array : Uint8Array)(4 * camera.width * camera.height);
     gl.readPixels(0, 0, camera.width, camera.height, gl.RGBA, this.floatTarget ? gl.FLOAT : gl.UNSIGNED_BYTE, pixels);
     const one = this.floatTarget ? 1 : 255;
-    const values = [];
-    for (let i = 0; i < pixels.length; i += 4) if (pixels[i + 3] >= surfaceAlpha * one) values.push(pixels[i] / one);
-    return values;
+    const seen = [];
+    for (let i = 0; i < pixels.length; i += 4) {
+      if (pixels[i + 3] < surfaceAlpha * one) continue;
+      const [row, column] = [Math.floor(i / 4 / camera.width), (i / 4) % camera.width];
+      seen.push([pixels[i] / one, [column + 0.5, camera.height - row - 0.5], depths[i / 4]]);
+    }
+    return seen;
   }
 
-  blend(camera, look) {
+  blend(camera, { modality, areas }) {
     const { gl, splats } = this;
-    const appearance = this.appearances[look.modality];
-    this.resizeTarget(camera.width, camera.height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
-    gl.viewport(0, 0, camera.width, camera.height);
-    gl.clearColor(0, 0, 0, 0);
-    gl.clear(gl.COLOR_BUFFER_BIT);
-    gl.enable(gl.BLEND);
-    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    const drawSplats = (program) => this.drawSplats(program, camera, this.appearances[modality]);
+    if (areas) this.surface.draw(camera, areas.limits, drawSplats);
+    this.target.begin(camera.width, camera.height, 0);
     gl.useProgram(splats.program);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    drawSplats(splats);
+  }
+
+  // With a program that is in use.
+  drawSplats(splats, camera, appearance) {
+    const { gl } = this;
     gl.bindVertexArray(this.arrays);
     bindTexture(gl, 0, this.geometry, splats.at("geometry"));
     bindTexture(gl, 1, appearance.harmonics, splats.at("harmonics"));
@@ -121,20 +168,6 @@ class Renderer {
     gl.uniform1i(splats.at("degree"), appearance.degree);
     gl.uniform2fv(splats.at("bands"), appearance.bands);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
-  }
-
-  resizeTarget(width, height) {
-    const gl = this.gl;
-    if (this.target && this.target.width === width && this.target.height === height) return;
-    if (this.target) {
-      gl.deleteTexture(this.target.texture);
-      gl.deleteFramebuffer(this.target.framebuffer);
-    }
-    const texture = newTexture(gl, this.floatTarget ? gl.RGBA16F : gl.RGBA8, width, height, gl.LINEAR);
-    const framebuffer = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-    this.target = { texture, framebuffer, width, height };
   }
 }
 

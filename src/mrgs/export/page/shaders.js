@@ -26,6 +26,8 @@ uniform vec2 bands[4];         // lowest value and step of each degree
 in uint splat;
 out vec2 deviations;           // from the projected mean along the ellipse's axes, standard deviations
 flat out vec4 value;           // what is blended, and the opacity
+flat out float middle;         // z of the mean
+out float nearness;            // z of the mean over z where the pixel's ray meets the splat
 
 uvec4 texels[3];
 
@@ -90,11 +92,11 @@ void main() {
   vec3 area = cross(n0, n1);
   float determinant = dot(area, area) + dilation * (xx + yy + dilation);
 
-  float middle = 0.5 * (xx + yy);
+  float halfTrace = 0.5 * (xx + yy);
   float halfDifference = 0.5 * (xx - yy);
   float radius = length(vec2(halfDifference, xy));
-  float largest = middle + radius + dilation;
-  vec2 axis = radius < 1e-6 * (middle + dilation) ? vec2(1.0, 0.0)
+  float largest = halfTrace + radius + dilation;
+  vec2 axis = radius < 1e-6 * (halfTrace + dilation) ? vec2(1.0, 0.0)
     : xx > yy ? normalize(vec2(radius + halfDifference, xy)) : normalize(vec2(xy, radius - halfDifference));
   float tau = sqrt(2.0 * log(255.0 * opacity));
   vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
@@ -104,19 +106,78 @@ void main() {
   vec2 place = (focal * slope + centre + offset) / size;
   gl_Position = vec4(2.0 * place.x - 1.0, 1.0 - 2.0 * place.y, 0.0, 1.0);
   value = vec4(vec3(own.y), opacity);
+  vec2 withDepth = vec2(dot(n0, depthRow * axes), dot(n1, depthRow * axes));
+  vec2 depthSlope = vec2((yy + dilation) * withDepth.x - xy * withDepth.y, (xx + dilation) * withDepth.y - xy * withDepth.x);
+  middle = mean.z;
+  nearness = 1.0 - dot(offset, depthSlope) / (determinant * mean.z);
   if (texelsPerSplat > 0) value.rgb = shade(index, normalize(position - eye));
+}`;
+
+const SPLAT_ALPHA = `
+in vec2 deviations;
+flat in vec4 value;
+
+float alphaHere() {
+  return min(0.999, value.a * exp(-0.5 * dot(deviations, deviations)));
 }`;
 
 const SPLAT_FRAGMENT = `#version 300 es
 precision highp float;
-in vec2 deviations;
-flat in vec4 value;
+${SPLAT_ALPHA}
 out vec4 blended;
 
 void main() {
-  float alpha = min(0.999, value.a * exp(-0.5 * dot(deviations, deviations)));
+  float alpha = alphaHere();
   if (alpha < 1.0 / 255.0) discard;
   blended = vec4(value.rgb * alpha, alpha);
+}`;
+
+const SPLAT_DEPTH = `
+flat in float middle;
+in float nearness;
+uniform vec2 limits;           // z of the first and the last of eight steps
+
+float depthHere() {
+  return middle / max(nearness, 0.25);
+}
+
+vec4 stepsFrom(float first) {
+  return limits.x * pow(vec4(limits.y / limits.x), (first + vec4(0.0, 1.0, 2.0, 3.0)) / 7.0);
+}`;
+
+// What passes the splats before each of eight steps of depth.
+const PASSED_FRAGMENT = `#version 300 es
+precision highp float;
+${SPLAT_ALPHA}
+${SPLAT_DEPTH}
+layout(location = 0) out vec4 nearer;
+layout(location = 1) out vec4 farther;
+
+void main() {
+  float alpha = alphaHere();
+  if (alpha < 1.0 / 255.0) discard;
+  nearer = alpha * step(depthHere(), stepsFrom(0.0));
+  farther = alpha * step(depthHere(), stepsFrom(4.0));
+}`;
+
+// The mean depth, in units of the last step, of the splats between the two steps where half of the light is blocked.
+const SURFACE_FRAGMENT = `#version 300 es
+precision highp float;
+${SPLAT_ALPHA}
+${SPLAT_DEPTH}
+uniform sampler2D nearer;
+uniform sampler2D farther;
+out vec4 blended;
+
+void main() {
+  float alpha = alphaHere();
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec4 ones = vec4(1.0);
+  float before = dot(ones, step(0.5, texelFetch(nearer, at, 0))) + dot(ones, step(0.5, texelFetch(farther, at, 0)));
+  float depth = depthHere();
+  vec2 between = stepsFrom(before - 1.0).xy;
+  if (alpha < 1.0 / 255.0 || before < 1.0 || before > 7.0 || depth <= between.x || depth > between.y) discard;
+  blended = vec4(depth / limits.y * alpha, 0.0, 0.0, alpha);
 }`;
 
 const SCREEN_VERTEX = `#version 300 es
@@ -133,15 +194,52 @@ uniform sampler2D palette;
 uniform bool mapped;       // through the palette; else the blended values are colours
 uniform vec2 range;        // normalised values of the palette's ends
 uniform vec2 isotherm;     // of the band; empty where the first is larger
+uniform bool ofArea;       // draw the pixels of an area alone, corrected; as in areas.js, which has what follows
+uniform sampler2D depths;
+uniform sampler2D surface; // its depth in units of the farthest, times alpha
+uniform float farthest;
+uniform vec2 size;
+uniform vec4 lens;
+uniform vec4 areaLens;
+uniform mat3 turn;
+uniform vec3 shift;
+uniform vec4 plane;
+uniform float near;
+uniform vec3 law;
+uniform vec2 change;
+uniform vec2 kelvin;       // of the normalised value 0, and the span to 1
 in vec2 place;
 out vec4 shown;
 
 const vec3 NOTHING_SEEN = vec3(0.227, 0.259, 0.306);
 const vec3 ISOTHERM = vec3(0.20, 0.95, 0.35);
 
+bool isOfArea(float depth) {
+  vec2 pixel = vec2(place.x, 1.0 - place.y) * size;
+  vec3 point = depth * vec3((pixel - lens.zw) / lens.xy, 1.0);
+  float along = dot(plane.xyz, point);
+  if (along != 0.0 && abs(plane.w / along - 1.0) < near) point *= plane.w / along;
+  vec3 there = turn * point + shift;
+  ivec2 at = ivec2(floor(areaLens.xy * there.xy / there.z + areaLens.zw));
+  if (there.z <= 0.0 || any(lessThan(at, ivec2(0))) || any(greaterThanEqual(at, textureSize(depths, 0)))) return false;
+  float seen = texelFetch(depths, at, 0).r;
+  return seen > 0.0 && abs(seen - there.z) < near * seen;
+}
+
+float withSettings(float value) {
+  float signal = change.x * law.x / (exp(law.y / (kelvin.x + kelvin.y * value)) - law.z) + change.y;
+  float found = (law.y / log(law.x / signal + law.z) - kelvin.x) / kelvin.y;
+  return signal > 0.0 && !isnan(found) && !isinf(found) ? found : value;
+}
+
 void main() {
   vec4 sum = texture(blended, place);
   vec3 value = sum.rgb;
+  if (ofArea) {
+    vec4 there = texture(surface, place);
+    if (sum.a < 0.5 || there.a == 0.0 || !isOfArea(farthest * there.r / there.a)) discard;
+    value.r = withSettings(value.r);
+  }
   if (!mapped) {
     shown = vec4(value, 1.0);
     return;

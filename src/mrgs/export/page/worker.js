@@ -5,6 +5,8 @@ const ALPHA_MAX = 0.999;
 const ALPHA_MIN = 1 / 255;
 const TRANSMITTANCE_MIN = 1e-4;
 const FRUSTUM_MARGIN = 0.3;
+const SURFACE_TRANSMITTANCES = [0.6, 0.4];
+const STEEPEST = 4;
 const LARGEST_TAU2 = 2 * Math.log(255);
 
 let model;
@@ -21,9 +23,10 @@ onmessage = ({ data }) => {
   if (data.read) postMessage({ reading: readPixel(data.read), id: data.read.id });
 };
 
-// Room for all splats, of which none is there yet.
-function open({ slots, dilation, readable, ...rest }) {
+// Room for all splats, of which none is there yet. The depths of areas come before the first part.
+function open({ slots, dilation, readable, areas, ...rest }) {
   modalities = rest.modalities;
+  if (areas) decoding = Promise.all(areas.map(decodeDepths)).then((depths) => postMessage({ depths }));
   model = {
     slots,
     dilation,
@@ -117,8 +120,8 @@ function countingSort(indices, key) {
   return sorted;
 }
 
-// What a one-channel image and its depth show at the pixel with the centre (x, y): blended here in full precision,
-// because what the screen holds is rounded.
+// What a one-channel image shows at the pixel with the centre (x, y), and the depth of the surface, where half of the
+// light is blocked: blended here in full precision, because what the screen holds is rounded.
 function readPixel({ camera, x, y, modality }) {
   const appearance = model.appearances[modality];
   const dilation = dilationOf(model.dilation, camera);
@@ -129,19 +132,26 @@ function readPixel({ camera, x, y, modality }) {
       if (hit) hits.push(hit);
     }
   }
-  hits.sort((a, b) => a.depth - b.depth || a.index - b.index);
+  hits.sort((a, b) => a.z - b.z || a.index - b.index);
   let transmittance = 1;
   let value = 0;
   let depth = 0;
+  let shares = 0;
   for (const hit of hits) {
     if (transmittance < TRANSMITTANCE_MIN) break;
-    const weight = hit.alpha * transmittance;
-    value += weight * valueOf(appearance, hit.index, camera.position);
-    depth += weight * hit.depth;
+    value += hit.alpha * transmittance * valueOf(appearance, hit.index, camera.position);
+    const before = ofSurface(transmittance);
     transmittance *= 1 - hit.alpha;
+    const share = before - ofSurface(transmittance);
+    depth += share * hit.depth;
+    shares += share;
   }
-  const alpha = 1 - transmittance;
-  return { modality, value, depth: depth / Math.max(alpha, 1e-9), alpha };
+  return { modality, value, depth: depth / Math.max(shares, 1e-9), alpha: 1 - transmittance };
+}
+
+function ofSurface(transmittance) {
+  const [begins, ends] = SURFACE_TRANSMITTANCES;
+  return Math.min(Math.max(transmittance, ends), begins);
 }
 
 // A splat's value as seen from a point.
@@ -172,7 +182,8 @@ function harmonics([x, y, z]) {
   ];
 }
 
-// The splat's alpha in an image at a pixel, or nothing below 1/255.
+// The splat's alpha in an image at a pixel, and its z in the middle and where the pixel's ray meets it; nothing below
+// 1/255.
 function splatAt(camera, dilation, px, py, i, opacity) {
   const { rotation: r, translation: t, fx, fy, cx, cy } = camera;
   const m = model.means;
@@ -196,7 +207,11 @@ function splatAt(camera, dilation, px, py, i, opacity) {
   const squared = (yy + dilation) * dx * dx - 2 * xy * dx * dy + (xx + dilation) * dy * dy;
   const falloff = Math.exp((-0.5 * Math.max(squared, 0)) / determinant);
   const alpha = Math.min(ALPHA_MAX, opacity * falloff);
-  return alpha < ALPHA_MIN ? null : { index: i, depth: z, alpha };
+  if (alpha < ALPHA_MIN) return null;
+  const [xz, yz] = [dot(n0, along), dot(n1, along)];
+  const slope = [(yy + dilation) * xz - xy * yz, (xx + dilation) * yz - xy * xz].map((each) => each / determinant);
+  const nearness = 1 - (dx * slope[0] + dy * slope[1]) / z;
+  return { index: i, z, depth: z / Math.max(nearness, 1 / STEEPEST), alpha };
 }
 
 function clampSlope(slope, centre, focal, size) {

@@ -11,9 +11,11 @@ import numpy as np
 from markupsafe import Markup
 
 from mrgs.errors import ConfigError
+from mrgs.export.page.areas import area_facts
 from mrgs.export.page.marks import PageMark
 from mrgs.export.page.parts import PageModel
 from mrgs.export.page.visibility import most_visible
+from mrgs.marks.regions import Regions
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.palette import PaletteName, display_range
@@ -39,7 +41,10 @@ from mrgs.scene import (
     metric_first,
 )
 
-SCRIPTS = ("base64.js", "dilation.js", "shaders.js", "renderer.js", "stream.js", "app.js")
+SCRIPTS = (
+    "base64.js", "dilation.js", "areas.js", "shaders.js", "surface.js", "renderer.js", "stream.js",
+    "app.js",
+)  # fmt: skip
 WORKER_SCRIPTS = ("base64.js", "dilation.js", "decode.js", "worker.js")
 ASSETS: dict[str, Any] = {
     "styles": [STAGE_STYLE, MARKS_STYLE],
@@ -69,6 +74,7 @@ def write_page(
     modalities: Sequence[Modality] | None = None,
     start: str | None = None,
     marks: Sequence[PageMark] = (),
+    regions: Regions | None = None,
     length_unit: str = SCENE_UNITS,
 ) -> Path:
     """Write the model as one HTML page; returns its path.
@@ -92,6 +98,7 @@ def write_page(
             has a unit.
         start: name of the view that the page opens at; None takes the first.
         marks: that the page lists and draws, see ``page_marks``.
+        regions: surfaces with an emissivity of their own, whose temperatures the page corrects.
         length_unit: of depths, see ``WorldFrame.length_unit``.
 
     Raises:
@@ -104,8 +111,10 @@ def write_page(
     baked = _reduced(baked, every, max_splats)
     start = start or next(iter(cameras))
     model = PageModel(baked, sh_degree, shown, cameras[start])
+    areas = area_facts(regions) if regions and THERMAL in shown else None
     facts = {
-        **_facts(baked, model, every, shown, range_c),
+        **_facts(baked, model, every, shown, range_c, regions),
+        "areas": areas,
         "marks": list(marks),
         "length_unit": length_unit,
     }
@@ -116,6 +125,7 @@ def write_page(
         **ASSETS,
         modalities=facts["modalities"],
         has_thermal=THERMAL in shown,
+        has_areas=areas is not None,
         date=date.today().isoformat(),
         temperature=baked.temperature,
         palettes=PALETTE_CHOICES,
@@ -141,14 +151,20 @@ def _reduced(baked: BakedModel, cameras: Sequence[Camera], max_splats: int | Non
 
 
 def visible_range(
-    baked: BakedModel, modality: Modality, cameras: Sequence[Camera]
+    baked: BakedModel,
+    modality: Modality,
+    cameras: Sequence[Camera],
+    regions: Regions | None = None,
 ) -> tuple[float, float]:
     """Limits of a one-channel modality that hold all but half a percent, at each end, of what some
-    of the cameras see; in its unit."""
+    of the cameras see; in its unit, with the temperatures of regions corrected."""
     seen = []
     for index in evenly_spaced(len(cameras), RANGE_VIEWS):
         small = cameras[index].with_width(RANGE_WIDTH_PX)
-        blend = baked.render({modality: small})[modality]
+        rendering = baked.render({modality: small})
+        if regions is not None:
+            rendering = regions.applied_to(rendering, small)
+        blend = rendering[modality]
         values = shown_values(modality, blend.image, None)
         seen.append(values[blend.alpha.numpy() >= SURFACE_ALPHA])
     low, high = display_range(np.concatenate(seen))
@@ -191,6 +207,7 @@ def _facts(
     cameras: Sequence[Camera],
     shown: Sequence[Modality],
     range_c: tuple[float, float] | None,
+    regions: Regions | None,
 ) -> dict[str, Any]:
     """What the page's script reads as JSON."""
     return {
@@ -198,7 +215,7 @@ def _facts(
         "cameras": [camera_facts(camera) for camera in cameras],
         "world": world_facts(cameras),
         "palettes": palette_facts(PALETTE_CHOICES),
-        "modalities": [_modality_facts(each, baked, cameras, range_c) for each in shown],
+        "modalities": [_modality_facts(each, baked, cameras, range_c, regions) for each in shown],
         "readable": [each.name for each in metric_first(shown) if each.channels == 1],
     }
 
@@ -208,12 +225,13 @@ def _modality_facts(
     baked: BakedModel,
     cameras: Sequence[Camera],
     range_c: tuple[float, float] | None,
+    regions: Regions | None,
 ) -> Mapping[str, Any]:
     """A modality for the page's script, with the ends of its palette."""
     if modality == THERMAL and range_c is not None:
         ends = range_c
     elif modality.is_metric:
-        ends = visible_range(baked, modality, cameras)
+        ends = visible_range(baked, modality, cameras, regions)
     else:
         ends = range_of(modality, baked.temperature)
     return modality_facts(modality, baked.temperature, ends)
