@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from mrgs.comparison import comparison
+from mrgs.comparison import comparison, single
 from mrgs.comparison.comparison import compare
 from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import PlannedRun, plan
@@ -106,10 +106,18 @@ def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twi
     assert opened == ["mrgs-fourier", "mrgs"] * 2
 
 
-def test_what_is_scored_is_not_done_again(here, small_scene, tmp_path):
+def test_what_is_scored_is_not_done_again_and_read_once(here, small_scene, tmp_path, monkeypatch):
     first = compare([small_scene], tmp_path / "out", tiny_options(methods=("3dgs-rgbt",)))
     said: list[str] = []
+    read_folders: list[Path] = []
+
+    def read_metrics(folder: Path) -> Any:
+        read_folders.append(folder)
+        return json.loads(read(folder / "metrics.json")) if folder.is_dir() else None
+
+    monkeypatch.setattr(single, "read_metrics", read_metrics)
     second = compare([small_scene], tmp_path / "out", tiny_options(), say=said.append)
+    assert read_folders.count(tmp_path / "out/runs/balls/3dgs-rgbt/seed_0/eval") == 1
     assert here == ["balls, 3dgs-rgbt, seed 0", "balls, mrgs, seed 0"]
     assert said == ["2 runs, 1 of them scored already"]
     assert second.tables[0].rows[0].cells == first.tables[0].rows[0].cells

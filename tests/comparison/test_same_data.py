@@ -12,8 +12,8 @@ import pytest
 from PIL import Image, ImageOps
 
 from mrgs.comparison.methods import Variant, configure
-from mrgs.comparison.same_data import SceneData, has_stale_scores, require_same_data
-from mrgs.comparison.single import run_one
+from mrgs.comparison.same_data import SceneData, are_stale, require_same_data
+from mrgs.comparison.single import run_one, run_scores
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError
 from mrgs.scene import RGB
@@ -97,16 +97,16 @@ def of_an_older_version(folder: Path) -> None:
 
 def test_a_copy_of_the_scene_is_the_same(scene, folder):
     data = data_of(scene)
-    require_same_data(folder, data)
-    assert not has_stale_scores(folder, data)
+    require_same_data(folder, data, run_scores(folder))
+    assert not are_stale(run_scores(folder), data)
     shutil.rmtree(folder / "checkpoints")
-    require_same_data(folder, data)
+    require_same_data(folder, data, run_scores(folder))
 
 
 def test_a_folder_without_a_run_is_of_any_scene(scene, tmp_path):
     data = data_of(scene)
-    require_same_data(tmp_path / "none", data)
-    assert not has_stale_scores(tmp_path / "none", data)
+    require_same_data(tmp_path / "none", data, run_scores(tmp_path / "none"))
+    assert not are_stale(run_scores(tmp_path / "none"), data)
     assert vars(data).keys() == {"scene"}  # no photo was read
 
 
@@ -128,7 +128,7 @@ def test_other_data_for_training_are_named(change: Change, named, is_scored, sce
         match=rf"run holds a run of other data than balls has now \({named}\): choose another "
         r"folder, or remove this one$",
     ) as caught:
-        require_same_data(folder, data_of(scene))
+        require_same_data(folder, data_of(scene), run_scores(folder))
     assert caught.value.options == ("output",)
 
 
@@ -136,8 +136,8 @@ def test_other_data_for_training_are_named(change: Change, named, is_scored, sce
 def test_other_held_out_images_make_the_scores_stale(change: Change, scene, folder):
     change(scene)
     data = data_of(scene)
-    require_same_data(folder, data)
-    assert has_stale_scores(folder, data)
+    require_same_data(folder, data, run_scores(folder))
+    assert are_stale(run_scores(folder), data)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_scores_without_a_checkpoint_are_of_the_same_data(change: Change, named,
     change(scene)
     shutil.rmtree(folder / "checkpoints")
     with pytest.raises(ConfigError, match=rf"other data than balls has now \({named}\)"):
-        require_same_data(folder, data_of(scene))
+        require_same_data(folder, data_of(scene), run_scores(folder))
 
 
 def test_images_of_another_modality_are_named(scene, folder, near_infrared):
@@ -163,7 +163,7 @@ def test_images_of_another_modality_are_named(scene, folder, near_infrared):
     changed = replace(loaded, train=(more, *others))
     began_without = rf"\(it has images that the run began without \({near_infrared.name}\)\)"
     with pytest.raises(ConfigError, match=began_without):
-        require_same_data(folder, SceneData(changed))
+        require_same_data(folder, SceneData(changed), run_scores(folder))
 
 
 def test_runs_of_an_older_version_count_as_far_as_they_say(scene, folder):
@@ -171,14 +171,14 @@ def test_runs_of_an_older_version_count_as_far_as_they_say(scene, folder):
     held_out_photo(scene)
     train_photo(scene)
     data = data_of(scene)
-    require_same_data(folder, data)
-    assert not has_stale_scores(folder, data)
+    require_same_data(folder, data, run_scores(folder))
+    assert not are_stale(run_scores(folder), data)
     temperature_range(scene)
     with pytest.raises(ConfigError, match="it has another temperature range"):
-        require_same_data(folder, data_of(scene))
+        require_same_data(folder, data_of(scene), run_scores(folder))
 
 
 def test_a_checkpoint_that_is_damaged_is_no_reason_to_refuse(scene, folder):
     for path in RunFolder(folder).checkpoints():
         path.write_bytes(path.read_bytes()[:100])
-    require_same_data(folder, data_of(scene))
+    require_same_data(folder, data_of(scene), run_scores(folder))

@@ -27,7 +27,7 @@ from mrgs.comparison.processes import run_jobs
 from mrgs.comparison.progress import Progress
 from mrgs.comparison.results import Outcome, failed, outcome
 from mrgs.comparison.shared import lead_jobs
-from mrgs.comparison.single import is_scored, read_metrics
+from mrgs.comparison.single import Scores, is_scored, read_metrics, run_scores
 from mrgs.comparison.table import Table
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables
 from mrgs.comparison.text import to_csv, to_latex, to_markdown
@@ -117,8 +117,12 @@ def compare(
     if lpips_weights is not None:
         Lpips.from_file(lpips_weights)  # better now than after the first training
     planned = plan(scenes, output, options)
-    failures = _do(planned, jobs, device, lpips_weights, say, processes)
-    found = [_run_outcome(job, failures) for job in planned]
+    due = _due(planned, lpips_weights, say)
+    failures = _do(due, jobs, device, lpips_weights, say, processes) if due else {}
+    found = [
+        _run_outcome(job, run_scores(job.folder) if job in due else job.scores, failures)
+        for job in planned
+    ]
     paths = {job.scene_name: job.scene for job in planned}
     for name, folder in renders.items():
         for scene, path in paths.items():
@@ -159,23 +163,24 @@ def _check_names(options: Options, renders: Mapping[str, Path]) -> None:
         taken.add(name)
 
 
+def _due(planned: Sequence[PlannedRun], lpips_weights: Path | None, say: Say) -> list[PlannedRun]:
+    """The runs without scores."""
+    with_lpips = lpips_weights is not None
+    due = [job for job in planned if not is_scored(job.scores, job.folder, job.config, with_lpips)]
+    say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
+    return due
+
+
 def _do(
-    planned: Sequence[PlannedRun],
+    due: Sequence[PlannedRun],
     jobs: int,
     device: DeviceName,
     lpips_weights: Path | None,
     say: Say,
     processes: Processes | None,
 ) -> dict[PlannedRun, str]:
-    """Train and score the runs without scores; returns the reasons of failures."""
-    due = [
-        job
-        for job in planned
-        if job.is_stale or not is_scored(job.folder, job.config, lpips_weights is not None)
-    ]
-    say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
-    if due:
-        _check_room(due)
+    """Train and score runs; returns the reasons of failures."""
+    _check_room(due)
     progress = Progress(due, jobs if processes is None else processes.count, say)
     if processes is not None:
         hooks = (progress.on_message, progress.on_tick)
@@ -193,12 +198,13 @@ def _check_room(due: Sequence[PlannedRun]) -> None:
     warn_if_short(due[0].folder, needed, f"these {len(due)} runs")
 
 
-def _run_outcome(job: PlannedRun, failures: Mapping[PlannedRun, str]) -> Outcome:
-    document = read_metrics(job.folder / "eval")
-    if job in failures or document is None:
+def _run_outcome(
+    job: PlannedRun, scores: Scores | None, failures: Mapping[PlannedRun, str]
+) -> Outcome:
+    if job in failures or scores is None:
         reason = failures.get(job, f"{job.folder / 'eval' / 'metrics.json'} cannot be read")
         return failed(job.scene_name, job.method, job.seed, f"the run failed: {reason}")
-    return outcome(job.scene_name, job.method, job.seed, document)
+    return outcome(job.scene_name, job.method, job.seed, scores)
 
 
 def _renders_outcome(

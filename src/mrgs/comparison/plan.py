@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mrgs.comparison.methods import Options, Variant, configure
-from mrgs.comparison.same_data import SceneData, has_stale_scores, require_same_data
-from mrgs.comparison.single import require_same_config
+from mrgs.comparison.same_data import SceneData, are_stale, require_same_data
+from mrgs.comparison.single import Scores, require_same_config, run_scores
 from mrgs.data import load_scene
 from mrgs.data.oddities import warn_of_oddities
 from mrgs.errors import ConfigError, SceneError
@@ -33,7 +33,7 @@ class PlannedRun:
         seed: of every random choice.
         config: of the training.
         folder: the run's folder.
-        is_stale: whether the scores there are of other held-out images than the scene has now.
+        scores: there before, unless they are of other held-out images than the scene has now.
     """
 
     scene: Path
@@ -42,7 +42,7 @@ class PlannedRun:
     seed: int
     config: RunConfig
     folder: Path
-    is_stale: bool = False
+    scores: Scores | None = None
 
     def __str__(self) -> str:
         return f"{self.scene_name}, {self.method}, seed {self.seed}"
@@ -81,12 +81,15 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Planned
                     PlannedRun(scene, name, label, seed, configure(variant, options, seed), folder)
                 )
     _claim(output / "scenes.json", {name: data.scene.path for name, data in named.items()})
-    for job in jobs:
-        require_same_config(job.folder, job.config)
-        require_same_data(job.folder, named[job.scene_name])
-    return [
-        replace(job, is_stale=has_stale_scores(job.folder, named[job.scene_name])) for job in jobs
-    ]
+    return [_with_scores(job, named[job.scene_name]) for job in jobs]
+
+
+def _with_scores(job: PlannedRun, data: SceneData) -> PlannedRun:
+    """A run, checked against what its folder holds already; errors as for ``plan``."""
+    scores = run_scores(job.folder)
+    require_same_config(job.folder, job.config, scores)
+    require_same_data(job.folder, data, scores)
+    return job if are_stale(scores, data) else replace(job, scores=scores)
 
 
 def _variants(options: Options) -> dict[str, Variant]:

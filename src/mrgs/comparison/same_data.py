@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 from pathlib import Path
 
-from mrgs.comparison.single import read_metrics
+from mrgs.comparison.single import Scores
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.scored_data import ScoredData
 from mrgs.scene import Scene
@@ -31,17 +31,22 @@ class SceneData:
         return ScoredData.of(self.scene, self.facts.images)
 
 
-def require_same_data(folder: Path, data: SceneData) -> None:
+def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> None:
     """A folder that holds a run holds one of what its scene holds now, as far as the run says it.
 
     Held-out images may differ where a checkpoint is there, which can be scored again.
+
+    Args:
+        folder: of the run.
+        data: of its scene.
+        scores: in the folder.
 
     Raises:
         ConfigError: it was trained, or scored, on other data; the message says what has changed.
         SceneError: a photo cannot be read.
     """
     facts = _facts_of(folder)
-    changed = _scores_differ(folder, data) if facts is None else _trained_differ(facts, data)
+    changed = _scores_differ(scores, data) if facts is None else _trained_differ(facts, data)
     if changed:
         raise ConfigError(
             f"{folder} holds a run of other data than {data.scene.name} has now ({changed}): "
@@ -50,13 +55,13 @@ def require_same_data(folder: Path, data: SceneData) -> None:
         )
 
 
-def has_stale_scores(folder: Path, data: SceneData) -> bool:
-    """Whether the folder holds scores of other data than its scene has now.
+def are_stale(scores: Scores | None, data: SceneData) -> bool:
+    """Whether scores are of other data than their scene has now.
 
     Raises:
         SceneError: a photo cannot be read.
     """
-    return bool(_scores_differ(folder, data))
+    return bool(_scores_differ(scores, data))
 
 
 def _facts_of(folder: Path) -> CheckpointFacts | None:
@@ -79,9 +84,8 @@ def _trained_differ(facts: CheckpointFacts, data: SceneData) -> str:
     return differences(facts, data.scene)
 
 
-def _scores_differ(folder: Path, data: SceneData) -> str:
-    """How the scene differs from what a folder's scores say of theirs; empty if it does not, or
-    they say nothing."""
-    document = read_metrics(folder / "eval") or {}
-    scored = ScoredData.from_json(document.get("data"))
+def _scores_differ(scores: Scores | None, data: SceneData) -> str:
+    """How the scene differs from what scores say of theirs; empty if it does not, or they say
+    nothing."""
+    scored = ScoredData.from_json((scores or {}).get("data"))
     return "" if scored is None else scored.changes(data.scored, data.scene)

@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 from mrgs.comparison.methods import OnStep, device_of, read_config, train_run
 from mrgs.errors import ConfigError
@@ -54,21 +54,30 @@ def run_one(
     return True
 
 
-def is_scored(folder: Path, config: RunConfig, with_lpips: bool) -> bool:
-    """Whether the folder holds the scores of the finished run, with LPIPS if they must have it.
+Scores: TypeAlias = dict[str, Any]
+"""The content of a ``metrics.json``."""
+
+
+def is_scored(scores: Scores | None, folder: Path, config: RunConfig, with_lpips: bool) -> bool:
+    """Whether the scores in a run's folder are those of the finished run, with LPIPS if they must
+    have it.
 
     Scores of an older version, which lack a figure, do not count if the run can be scored again as
     it is.
     """
-    document = read_metrics(folder / "eval")
-    if document is None or document.get("steps") != config.max_steps:
+    if scores is None or scores.get("steps") != config.max_steps:
         return False
-    if not _has_every_figure(document) and _is_trained(folder, config):
+    if not _has_every_figure(scores) and _is_trained(folder, config):
         return False
-    return not with_lpips or _has_lpips(document)
+    return not with_lpips or _has_lpips(scores)
 
 
-def read_metrics(folder: Path) -> dict[str, Any] | None:
+def run_scores(folder: Path) -> Scores | None:
+    """The scores in a run's folder; None where there are none that can be read."""
+    return read_metrics(folder / "eval")
+
+
+def read_metrics(folder: Path) -> Scores | None:
     """The content of a folder's ``metrics.json``; None where there is none that can be read."""
     try:
         document = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
@@ -77,15 +86,15 @@ def read_metrics(folder: Path) -> dict[str, Any] | None:
     return document if isinstance(document, dict) else None
 
 
-def require_same_config(folder: Path, config: RunConfig) -> None:
-    """A folder that holds a run holds one of this configuration.
+def require_same_config(folder: Path, config: RunConfig, scores: Scores | None) -> None:
+    """A folder that holds a run, or its scores, holds one of this configuration.
 
     Raises:
         ConfigError: it was trained with another; the message names the first value that differs.
         RunError: its configuration cannot be read.
     """
     run = RunFolder(folder)
-    if not run.config_file.exists() or not (run.checkpoints() or read_metrics(folder / "eval")):
+    if not run.config_file.exists() or not (run.checkpoints() or scores):
         return
     there, here = (flat(dataclasses.asdict(cast(Any, each))) for each in (read_config(run), config))
     if (name := first_difference(here, there)) is not None:
