@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from mrgs.errors import ConfigError, RunError
@@ -62,6 +63,16 @@ def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras)
     assert heat["range"] == pytest.approx(visible_range(baked, THERMAL, list(cameras.values())))
     assert facts["readable"] == ["thermal"]
     assert facts["world"]["up"][2] > 0.9
+
+
+def test_the_palette_starts_with_the_corrected_temperatures(baked, cameras, tmp_path):
+    class Warmer:
+        def applied_to(self, rendering, camera):
+            return rendering.with_images({THERMAL: rendering[THERMAL].image + 0.1})
+
+    seen = list(cameras.values())
+    plain, corrected = (visible_range(baked, THERMAL, seen, each) for each in (None, Warmer()))
+    np.testing.assert_allclose(corrected, np.add(plain, 10), atol=1e-4)
 
 
 def test_nothing_comes_from_elsewhere(page):
