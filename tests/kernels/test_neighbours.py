@@ -8,6 +8,7 @@ from mrgs.field.heat import nearest_neighbours as nearest_neighbours_plain
 from mrgs.field.heat import neighbour_distances
 from mrgs.kernels.neighbours import cpu
 from mrgs.kernels.neighbours.cpu import nearest_neighbours
+from mrgs.scene import crowds
 from mrgs.system.operation import plainly
 
 
@@ -36,7 +37,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("k", [1, 8, 60, 299])
 def test_points_at_crowded_places_have_their_nearest_neighbours(k, monkeypatch):
-    monkeypatch.setattr(cpu, "CROWDED", 50)
+    monkeypatch.setattr(crowds, "CROWDED", 50)
     points = crowded_points()
     found = nearest_neighbours(points, k)
     with plainly():
@@ -56,7 +57,7 @@ def test_no_tree_holds_a_crowd(flat, searched):
     nearest_neighbours(points, 8)
     (kept,) = searched
     assert len(kept) == 4000 + 8 + 1
-    assert np.unique(kept, axis=0, return_counts=True)[1].max() <= cpu.CROWDED
+    assert np.unique(kept, axis=0, return_counts=True)[1].max() <= crowds.CROWDED
 
 
 def test_a_few_points_at_one_place_are_searched_as_all_others(searched):

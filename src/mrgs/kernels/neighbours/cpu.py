@@ -8,9 +8,7 @@ from jaxtyping import Float, Float64, Int64
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-CROWDED = 1_000
-"""Of more points than this at one place, few are put into the tree: it cannot divide them, and
-would compare each with all of them."""
+from mrgs.scene.crowds import crowds, spare_points
 
 
 def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n {k}"]:
@@ -27,31 +25,17 @@ def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n 
 
 
 def _nearest(points: Float64[np.ndarray, "n 3"], k: int) -> Int64[np.ndarray, "n {k}"]:
-    """The k nearest other points of each, k < n."""
-    spare = _spare_members(points, k)
-    if not spare:
+    """The k nearest other points of each, k < n. At a crowded place nobody needs more than k + 1
+    points: the others there have the first k as their neighbours."""
+    crowded = crowds(points, k + 1)
+    if not crowded:
         return _nearest_in_tree(points, k)
-    kept = np.delete(np.arange(len(points)), np.concatenate([each for each, _ in spare]))
+    kept = np.delete(np.arange(len(points)), spare_points(crowded, k + 1))
     index = np.empty((len(points), k), np.int64)
     index[kept] = kept[_nearest_in_tree(points[kept], k)]
-    for members, nearest in spare:
-        index[members] = nearest
+    for crowd in crowded:
+        index[crowd[k + 1 :]] = crowd[:k]
     return index
-
-
-def _spare_members(
-    points: Float64[np.ndarray, "n 3"], k: int
-) -> list[tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " {k}"]]]:
-    """Of each crowded place, the points that nobody needs as a neighbour, and k others there."""
-    most = max(CROWDED, k + 1)
-    if np.unique(points[:, 0], return_counts=True)[1].max() <= most:
-        return []
-    _, place, counts = np.unique(points, axis=0, return_inverse=True, return_counts=True)
-    by_place, ends = np.argsort(place.ravel(), kind="stable"), np.cumsum(counts)
-    crowds = [
-        by_place[ends[each] - counts[each] : ends[each]] for each in np.flatnonzero(counts > most)
-    ]
-    return [(crowd[k + 1 :], crowd[:k]) for crowd in crowds]
 
 
 def _nearest_in_tree(points: Float64[np.ndarray, "n 3"], k: int) -> Int64[np.ndarray, "n {k}"]:

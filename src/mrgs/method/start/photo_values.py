@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from mrgs.scene import Camera, PosedImage, evenly_spaced
+from mrgs.scene.crowds import crowds, spare_points
 
 PHOTOS = 64
 """At most so many photos are read, evenly spread."""
@@ -80,8 +81,10 @@ def with_neighbours_values(
     unknown = values.isnan().any(dim=1)
     if unknown.all():
         return values
-    known = values[~unknown].double().numpy()
-    tree = cKDTree(positions[~unknown].double().numpy())
+    known, places = values[~unknown].double().numpy(), positions[~unknown].double().numpy()
+    spare = spare_points(crowds(places, NEIGHBOURS), NEIGHBOURS)
+    known, places = np.delete(known, spare, axis=0), np.delete(places, spare, axis=0)
+    tree = cKDTree(places)
     nearest = range(1, min(NEIGHBOURS, len(known)) + 1)
     distance, index = tree.query(positions[unknown].double().numpy(), k=list(nearest), workers=-1)
     weight = 1 / np.square(distance.clip(SMALLEST_DISTANCE))
