@@ -259,6 +259,27 @@ def test_marks_are_listed_drawn_and_hidden_behind_surfaces(open_page, tmp_path):
     assert labels.count() == 0
 
 
+def test_a_long_list_of_marks_scrolls_beside_the_picture(open_page):
+    box = mark("box", [[0.0, 0.0, 2.0]] * 4, emissivity=0.5, reflected_c=-10.0)
+    page = open_page(marks=[box] * 30, viewport={"width": 800, "height": 600})
+    first = page.locator("#mark-list details").first
+    first.locator("summary").press("Enter")
+    assert "emissivity 0.5, reflected temperature −10\u00a0°C" in first.inner_text()
+    assert page.evaluate("document.documentElement.scrollHeight <= window.innerHeight")
+
+
+def test_keys_turn_the_view_and_read_its_middle(open_page):
+    page = open_page(viewport={"width": 800, "height": 600})
+    view = page.get_by_role("application", name="3D view")
+    view.press("Enter")
+    page.wait_for_selector("#marker-text:text-matches('°C')")
+    middle = page.locator("#value").inner_text()
+    for _ in range(8):
+        view.press("ArrowLeft")
+    view.press("Enter")
+    wait_until(lambda: page.locator("#value").inner_text() != middle, "the view turned", page)
+
+
 def test_orbit_zoom_and_the_way_back(open_page):
     page = open_page(viewport={"width": 800, "height": 420})
     page.click("[data-modality=rgb]")

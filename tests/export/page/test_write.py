@@ -116,7 +116,7 @@ def test_all_text_is_escaped(baked, cameras, tmp_path):
 
 def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path):
     notes = " ".join(page.texts[name] for name in ("li", "h2"))
-    for word in ("emissivity", "shiny", "unreliable", "-10 to 90 °C"):
+    for word in ("emissivity", "shiny", "unreliable", "−10 to 90 °C"):
         assert word in notes
     unknown = write_page(replace(baked, temperature=None), cameras, "t", tmp_path / "unknown.html")
     text = Elements(unknown.read_text(encoding="utf-8"))

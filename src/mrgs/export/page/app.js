@@ -133,6 +133,9 @@ class Page {
     element("next").addEventListener("click", () => this.jumpTo(cameras.selectedIndex + 1));
     element("home").addEventListener("click", () => this.jumpTo(this.start));
     element("back").addEventListener("click", () => this.jumpTo(cameras.selectedIndex));
+    this.canvas.addEventListener("keydown", ({ key }) => {
+      if (key === "Enter") this.placeSpot(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2);
+    });
     this.canvas.addEventListener("webglcontextlost", () => showFailure("The graphics driver stopped: reload the page."));
   }
 
@@ -397,7 +400,7 @@ class Page {
       }
       const lines = document.createElement("div");
       lines.className = "lines muted";
-      lines.textContent = [mark.severity && `Severity ${mark.severity}`, ...mark.lines, mark.note].filter(Boolean).join("\n");
+      lines.textContent = [mark.severity && `Severity ${mark.severity}`, ...mark.lines, settingsOf(mark), mark.note].filter(Boolean).join("\n");
       row.append(summary, lines);
       if (mark.profile.length) row.append(profileChart(mark.profile));
       return row;
@@ -451,6 +454,14 @@ class Page {
     marker.style.transform = `translate(${place[0]}px, ${place[1]}px)`;
     element("marker-text").textContent = this.spot.text;
   }
+}
+
+// The settings of a mark's surface that are not those of the photos.
+function settingsOf({ emissivity, reflected_c: reflected }) {
+  const own = [];
+  if (emissivity !== null) own.push(`emissivity ${emissivity}`);
+  if (reflected !== null) own.push(`reflected temperature ${withMinus(String(reflected))}\u00a0°C`);
+  return own.join(", ");
 }
 
 function showFailure(message) {

@@ -55,6 +55,8 @@ function profileChart(profile) {
   const known = profile.filter(([, value]) => value !== null).map(([, value]) => value);
   if (!known.length) return chart;
   const [low, high, end] = [Math.min(...known), Math.max(...known), profile[profile.length - 1][0]];
+  chart.setAttribute("role", "img");
+  chart.setAttribute("aria-label", `Profile: ${[low, high].map((value) => withMinus(value.toFixed(1))).join(" to ")}`);
   const span = Math.max(high - low, 1e-6);
   const x = (distance) => left + ((width - left - 4) * distance) / end;
   const y = (value) => 8 + ((height - bottom - 14) * (high - value)) / span;
