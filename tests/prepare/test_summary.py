@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -22,6 +23,7 @@ from mrgs.prepare.summary import (
     summarize_thermal_camera,
 )
 from mrgs.scene import RGB, THERMAL, PointCloud
+from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform
 from tests.helpers.converted import converted_view
 
 VIEW = converted_view(
@@ -77,6 +79,23 @@ def test_poses_say_how_well_they_fit():
     )
 
 
+def calibration(turn_deg: float = 0.0) -> RigCalibration:
+    """A thermal camera 3 cm beside the RGB camera, turned about the optical axis."""
+    turn = torch.from_numpy(matrix_from_rotvec([0.0, 0.0, math.radians(turn_deg)]))
+    pose = rigid_transform(turn, torch.tensor([0.03, 0.0, 0.0], dtype=torch.float64))
+    lens = Lens(640, 480, 640.0, 640.0, 320.0, 240.0)
+    views = (RigView("a", pose, 5, 0.1, 0.2),)
+    return RigCalibration(lens, pose, views, (0.28, 0.5), 0.36, 0.1, ("Hold still.",))
+
+
+@pytest.mark.parametrize(("turn_deg", "said"), [(93, 90), (-88, 90), (178, 180), (-179, 180)])
+def test_a_thermal_camera_on_its_side_is_said(turn_deg, said):
+    assert summarize_thermal_camera(calibration(turn_deg), RGB, True).lines[1:] == (
+        f"The thermal images are turned by about {said}° relative to the RGB images; the offset "
+        "includes this turn.",
+    )
+
+
 @pytest.mark.parametrize(
     ("metric", "per_unit", "offset", "more"),
     [
@@ -88,18 +107,7 @@ def test_poses_say_how_well_they_fit():
     ],
 )
 def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, offset, more):
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[0, 3] = 0.03
-    views = (RigView("a", pose, 5, 0.1, 0.2),)
-    rig = RigCalibration(
-        Lens(640, 480, 640.0, 640.0, 320.0, 240.0),
-        pose,
-        views,
-        (0.28, 0.5),
-        0.36,
-        0.1,
-        ("Hold still.",),
-    )
+    rig = calibration()
     if per_unit is not None:
         rig = replace(rig, target=TargetFit(5, 5, (0.1, 0.2), per_unit))
         more = ("The target is in 5 pairs; residual 0.10 px.", *more)

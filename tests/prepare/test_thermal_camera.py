@@ -113,6 +113,16 @@ def test_one_camera_has_images_of_one_shape(calibrate, tmp_path):
         calibrate(one_camera=True)
 
 
+def test_one_camera_of_which_one_image_lies_on_its_side(calibrate, tmp_path):
+    Image.fromarray(np.full((40, 30), 100, np.uint8)).save(tmp_path / "thermal" / "b.png")
+    with pytest.raises(
+        SceneError,
+        match=r"b: .* thermal image 30×40: .*\. They would after a quarter turn: only one of the "
+        r"two files says in its EXIF orientation how the camera was held\. Give both the same",
+    ):
+        calibrate(one_camera=True)
+
+
 @pytest.mark.parametrize("options", [{"one_camera": True}, {"thermal_fov_deg": 40.0}])
 def test_thermal_images_alone_have_no_second_camera(calibrate, asked, options):
     assert calibrate(images=THERMAL) is None

@@ -85,12 +85,23 @@ def summarize_thermal_camera(
         f"{width_deg:.1f}° wide, {offset} from the RGB camera; residual "
         f"{rig.residual_px[0]:.2f} px, uncertainty ±{rig.uncertainty_px:.2f} px."
     ]
+    if turn_deg := _quarter_turn_deg(rig):
+        lines.append(
+            f"The thermal images are turned by about {turn_deg}° relative to the RGB images; the "
+            f"offset includes this turn."
+        )
     if rig.target is not None:
         pairs, residual_px = _count(rig.target.pairs, "pair"), rig.target.residual_px[0]
         lines.append(f"The target is in {pairs}; residual {residual_px:.2f} px.")
     if scale:
         lines.append("The target gives the scale: the scene is in metres.")
     return StageSummary(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
+
+
+def _quarter_turn_deg(rig: RigCalibration) -> int:
+    """By how many quarter turns the thermal images are turned: 0°, 90° or 180°."""
+    sine, cosine = rig.extrinsics[1, 0].item(), rig.extrinsics[0, 0].item()
+    return abs(90 * round(math.degrees(math.atan2(sine, cosine)) / 90))
 
 
 def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:

@@ -139,14 +139,24 @@ def _check_same_shape(scene: Path, view: ConvertedView) -> None:
         SceneError: they do.
     """
     rgb, thermal = (probe(scene / view.images[modality].file) for modality in (RGB, THERMAL))
-    if abs(rgb.width * thermal.height / (rgb.height * thermal.width) - 1) > SHAPE_TOLERANCE:
-        raise scene_error(
-            view.name,
-            f"its RGB image has {rgb.width}×{rgb.height} px and its thermal image "
-            f"{thermal.width}×{thermal.height}: "
-            "they cannot show the same pixel for pixel, as from one camera",
-            options=("one_camera",),
+    if _alike(rgb.width / rgb.height, thermal.width / thermal.height):
+        return
+    sizes = (
+        f"its RGB image has {rgb.width}×{rgb.height} px and its thermal image "
+        f"{thermal.width}×{thermal.height}: they cannot show the same pixel for pixel, as from one "
+        f"camera"
+    )
+    if _alike(rgb.height / rgb.width, thermal.width / thermal.height):
+        sizes += (
+            ". They would after a quarter turn: only one of the two files says in its EXIF "
+            "orientation how the camera was held. Give both the same orientation, or leave out "
+            "that it is one camera"
         )
+    raise scene_error(view.name, sizes, options=("one_camera",))
+
+
+def _alike(aspect: float, other: float) -> bool:
+    return abs(aspect / other - 1) <= SHAPE_TOLERANCE
 
 
 def _rig_pair(view: ConvertedView, scene: Path, reconstruction: Reconstruction) -> RigPair:

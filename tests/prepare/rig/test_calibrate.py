@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from mrgs.data.lens import Lens
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.calibrate import calibrate_rig
 from mrgs.prepare.rig.contract import RigOptions
@@ -41,6 +42,28 @@ def test_inverted_contrast_does_not_matter():
     room = build_room(views=3, inverted=True)
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
     assert max(room.errors_px(found)) < 0.2
+
+
+QUARTER = torch.tensor([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).double()
+
+
+def turned(pixels: Pixels) -> Pixels:
+    """The pixels by a quarter turn anticlockwise, in which x is what y was."""
+    return Pixels(pixels.values.rot90().contiguous(), None)
+
+
+def test_thermal_images_that_lie_on_their_side_are_placed(room):
+    """A thermal camera that does not note how it was held, beside one that does."""
+    pairs = [
+        replace(pair, load_thermal=lambda pair=pair: turned(pair.load_thermal()))
+        for pair in room.pairs
+    ]
+    own = room.lens
+    lens = Lens(own.height, own.width, own.fy, own.fx, own.cy, own.width - own.cx, own.radial)
+    truth = replace(room, pairs=pairs, lens=lens, extrinsics=QUARTER @ room.extrinsics)
+    found = calibrate_rig(pairs, room.points, RigOptions(field_of_view_deg=44.0))
+    assert max(truth.errors_px(found)) < 0.5
+    assert found.warnings == ()
 
 
 def test_a_result_repeats(room):

@@ -59,13 +59,25 @@ def test_an_unknown_field_of_view_is_found():
     assert found.best.score > 1.5 * found.chance
 
 
+@pytest.mark.parametrize("turn_deg", [90.0, -90.0, 180.0, 87.0])
+def test_quarter_turns_are_found(turn_deg):
+    """As where only one of the cameras notes how they were held."""
+    found = first_guess(pairs(1.1, turn_deg, (0.05, -0.04)), 48.0)
+    assert found.best.focal_widths == pytest.approx(1.1, rel=0.03)
+    assert found.best.turn_deg == pytest.approx(turn_deg, abs=1)
+    assert found.best.shift_widths == pytest.approx((0.05, -0.04), abs=0.02)
+    assert found.stands_out
+
+
 def test_pairs_that_do_not_belong_together_stand_out_no_more_than_chance():
     right = pairs(1.1, 0.0, (0.0, 0.0))
     wrong = [
         ReducedPair(pair.name, pair.photo, pair.camera, pair.depth, other.thermal)
         for pair, other in zip(right, right[1:] + right[:1], strict=True)
     ]
-    assert first_guess(wrong, 48.0).best.score < 0.5 * first_guess(right, 48.0).best.score
+    found = first_guess(wrong, 48.0)
+    assert found.best.score < 0.5 * first_guess(right, 48.0).best.score
+    assert not found.stands_out
 
 
 def test_focal_widths():

@@ -25,16 +25,11 @@ from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
 from mrgs.prepare.rig.target.observed import ObservedTarget, observe_target
 from mrgs.scene import PointCloud
+from mrgs.scene.rotations import matrix_from_rotvec, rotvec_from_matrix
 from mrgs.scene.view import evenly_spaced
 
 FEWEST_PAIRS = 3
 _SEARCH_PAIRS = 12
-_CLEAR = 1.3
-_LEAST_CORRELATION = 0.35
-"""The best first guess must beat every clearly different one by that factor, and reach this over
-the root of the number of pairs. Pairs that belong together reached 1.5 and 0.7 at the least; pairs
-that do not, never both."""
-
 
 _MOVING = 1.0
 """A larger median motion of the pairs, in pixels, gives a warning."""
@@ -149,13 +144,14 @@ def _guess(
         )
     chosen = [pairs[index] for index in evenly_spaced(len(pairs), _SEARCH_PAIRS)]
     found = first_guess(chosen, field_of_view_deg)
-    if found.best.score < max(_CLEAR * found.chance, _LEAST_CORRELATION / np.sqrt(len(chosen))):
+    if not found.stands_out:
         raise SceneError(
             "the thermal camera cannot be placed: the edges in the thermal images agree with "
             "those in the photos no better than by chance (correlation "
-            f"{found.best.score:.2f}, by chance {found.chance:.2f}). Check that the pairs belong "
-            "together, and give the thermal camera's field of view, its lens and offset, or a "
-            "target in sight; if both images show the same, say that there is one camera",
+            f"{found.best.score:.2f}, by chance {found.chance:.2f}), upright or by quarter turns. "
+            "Check that the pairs belong together, and give the thermal camera's field of view, "
+            "its lens and offset, or a target in sight; if both images show the same, say that "
+            "there is one camera",
             options=("thermal_fov_deg", "thermal_camera", "target", "one_camera"),
         )
     return found.best
@@ -178,9 +174,10 @@ def _start(
     )  # fmt: skip
     if guess is not None:
         right, down = guess.shift_widths
-        turn = np.radians(guess.turn_deg)
         rig[0] = np.log(guess.focal_widths * width)
-        rig[6:9] = torch.tensor([-down / guess.focal_widths, right / guess.focal_widths, -turn])
+        aim = matrix_from_rotvec([-down / guess.focal_widths, right / guess.focal_widths, 0.0])
+        turn = matrix_from_rotvec([0.0, 0.0, -np.radians(guess.turn_deg)])
+        rig[6:9] = torch.from_numpy(rotvec_from_matrix(aim @ turn))
     if options.thermal_lens is not None:
         rig[LENS], sigma[LENS] = lens_parameters(options.thermal_lens), 0.0
     if options.extrinsics is not None:

@@ -1,13 +1,14 @@
 """A first guess of the thermal camera: its focal length and direction, from all pairs together.
 
 The two cameras are close to each other, so that far enough away one image is the other, scaled,
-shifted and perhaps rotated a little. For each scale and rotation, the structure of the photo is
-correlated with that of the thermal image over all shifts, and the correlations are averaged over
-the pairs, because a single pair may be ambiguous.
+shifted and perhaps rotated a little, or by quarter turns. For each scale and rotation, the
+structure of the photo is correlated with that of the thermal image over all shifts, and the
+correlations are averaged over the pairs, because a single pair may be ambiguous.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,12 +20,19 @@ from scipy.ndimage import gaussian_filter
 from mrgs.prepare.rig.images import Plane, ReducedPair, sampled
 from mrgs.prepare.rig.structure import structure
 
+CLEAR = 1.3
+LEAST_CORRELATION = 0.35
+"""The best first guess must beat every clearly different one by that factor, and reach this over
+the root of the number of pairs. Pairs that belong together reached 1.5 and 0.7 at the least; pairs
+that do not, never both."""
+
 WIDTH_PX = 96
 _BLUR_PX = 1.5
 _SCALE_STEP = 1.07
 _NARROWEST_DEG, _WIDEST_DEG = 15.0, 100.0
 _FINE_STEPS = (0.95, 0.975, 1.0, 1.025, 1.05)
 _TURNS_DEG = (-6.0, -3.0, 0.0, 3.0, 6.0)
+_QUARTERS_DEG = (90.0, -90.0, 180.0)
 _LEAST_OVERLAP = 0.35
 _KNOWN_WITHIN = 1.1
 _NEAR_SCALE = 1.25
@@ -55,25 +63,50 @@ class Guess:
 @dataclass(frozen=True)
 class Found:
     """The best guess, and the best score among clearly different ones: the level of chance in these
-    images."""
+    images; of so many pairs."""
 
     best: Guess
     chance: float
+    pairs: int
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether the guess is no chance."""
+        return self.best.score >= max(
+            CLEAR * self.chance, LEAST_CORRELATION / math.sqrt(self.pairs)
+        )
 
 
 def first_guess(pairs: Sequence[ReducedPair], field_of_view_deg: float | None) -> Found:
     """Search fields of view from 15° to 100° (or around a given one), rotations up to 6°, and
-    shifts up to 0.4 widths.
+    shifts up to 0.4 widths. If nothing stands out, the same about each quarter turn: one of the
+    cameras may be mounted on its side, or only one may note how it was held.
 
     Args:
         pairs: at working size.
         field_of_view_deg: horizontal, of the thermal camera; None if not known.
     """
     thermal = [_structure(pair.thermal) for pair in pairs]
-    coarse = [_correlated(pairs, thermal, focal, 0.0) for focal in _focals(field_of_view_deg)]
+    focals = _focals(field_of_view_deg)
+    upright = _about(pairs, thermal, focals, 0.0)
+    if upright.stands_out:
+        return upright
+    found = [upright, *(_about(pairs, thermal, focals, turn) for turn in _QUARTERS_DEG)]
+    found.sort(key=lambda one: -one.best.score)
+    return Found(found[0].best, max(found[0].chance, found[1].best.score), len(pairs))
+
+
+def _about(
+    pairs: Sequence[ReducedPair],
+    thermal: Sequence[Float32[np.ndarray, "c h w"]],
+    focals: Sequence[float],
+    about_deg: float,
+) -> Found:
+    """The best guess near a rotation."""
+    coarse = [_correlated(pairs, thermal, focal, about_deg) for focal in focals]
     best, second = max(coarse, key=lambda found: found.best.score), 0.0
     fine = [
-        _correlated(pairs, thermal, best.best.focal_widths * step, turn)
+        _correlated(pairs, thermal, best.best.focal_widths * step, about_deg + turn)
         for step in _FINE_STEPS
         for turn in _TURNS_DEG
     ]
@@ -81,7 +114,7 @@ def first_guess(pairs: Sequence[ReducedPair], field_of_view_deg: float | None) -
     for found in coarse:
         near = abs(np.log(found.best.focal_widths / best.best.focal_widths)) < np.log(_NEAR_SCALE)
         second = max(second, found.chance if near else found.best.score)
-    return Found(best.best, second)
+    return Found(best.best, second, len(pairs))
 
 
 def _focals(field_of_view_deg: float | None) -> list[float]:
@@ -137,7 +170,7 @@ def _correlated(
     near = (np.abs(down - down[row]) < _NEAR_SHIFT)[:, None] & (
         np.abs(right - right[column]) < _NEAR_SHIFT
     )
-    return Found(guess, float(np.where(near, 0.0, total).max()))
+    return Found(guess, float(np.where(near, 0.0, total).max()), len(pairs))
 
 
 def _shifts(count: int, thermal: int, side: int) -> Float[np.ndarray, " n"]:
