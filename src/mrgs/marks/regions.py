@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Float64
 
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
@@ -214,11 +214,7 @@ class Regions:
     ) -> Float32[np.ndarray, " n"]:
         """°C of points on surfaces, corrected where a region holds them, from what the cameras of
         the photos see there. Where there is no such temperature the value stays."""
-        corrected = celsius.copy()
-        for settings, held in self.parts(points):
-            found = self.capture.corrected(celsius[held].astype(np.float64), settings)
-            corrected[held] = np.where(np.isfinite(found), found, celsius[held])
-        return corrected
+        return self._where_held(points, celsius, self.capture.corrected)
 
     def of_splats(self, baked: BakedModel) -> BakedModel:
         """A model of splats whose temperatures are corrected one by one.
@@ -240,11 +236,28 @@ class Regions:
     ) -> Float[np.ndarray, " n"]:
         """Normalised temperatures of points, corrected where a region holds them; see ``holds``.
         Where there is no such temperature the value stays."""
-        assert self._temperature is not None
+        scale = self._temperature
+        assert scale is not None
+        return self._where_held(
+            points,
+            values,
+            lambda part, settings: scale.from_celsius(
+                self.capture.corrected(scale.to_celsius(part), settings)
+            ),
+            eye,
+        )
+
+    def _where_held(
+        self,
+        points: Float[np.ndarray, "n 3"],
+        values: Float[np.ndarray, " n"],
+        correct: Callable[[Float64[np.ndarray, " k"], SurfaceSettings], Float64[np.ndarray, " k"]],
+        eye: Float[np.ndarray, "3"] | None = None,
+    ) -> Float[np.ndarray, " n"]:
+        """Values of points, corrected where a region holds them; where that gives none the value
+        stays."""
         corrected = values.copy()
         for settings, held in self.parts(points, eye):
-            celsius = self._temperature.to_celsius(values[held])
-            found = self.capture.corrected(celsius, settings)
-            now = self._temperature.from_celsius(found)
-            corrected[held] = np.where(np.isfinite(now), now, values[held])
+            found = correct(values[held].astype(np.float64), settings)
+            corrected[held] = np.where(np.isfinite(found), found, values[held])
         return corrected
