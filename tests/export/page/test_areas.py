@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from mrgs.export.page import write_page
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
@@ -20,7 +21,7 @@ from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Rendering, TemperatureRange
 from mrgs.scene.radiometry import Planck
-from tests.helpers.browsers import needs_chromium
+from tests.helpers.browsers import needs_chromium, new_page
 from tests.helpers.pages import SETTLED, fitted, picture, psnr, read
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -151,3 +152,23 @@ def test_only_what_the_photos_have_at_the_end_of_their_range_is_doubted(opened, 
     assert page.locator("#clipped").is_hidden()
     assert page.locator("#uncorrected").is_hidden()
     assert "as in the figures of the marks" in page.locator("aside").inner_text()
+
+
+def test_a_browser_without_images_of_floats_says_so_and_reads_corrected_values(
+    browser, table, regions, cameras, tmp_path
+):
+    path = write_page(table, cameras, "t", tmp_path / "page.html", regions=regions)
+    page = new_page(browser, viewport=WINDOW)
+    page.add_init_script("WebGL2RenderingContext.prototype.getExtension = () => null;")
+    page.goto(path.as_uri())
+    page.wait_for_selector(SETTLED)
+    page.select_option("#camera", "view 3")
+    page.wait_for_selector(SETTLED)
+    height, width = picture(page).shape[:2]
+    camera = fitted(cameras["view 3"], width, height)
+    rendering = regions.applied_to(seen(table, camera), camera)
+    after = np.where(rendering[THERMAL].alpha >= 0.5, celsius(table, rendering), 0.0)
+    y, x = np.unravel_index(after.argmax(), after.shape)
+    assert read(page, int(x), int(y))[0] == pytest.approx(after[y, x], abs=0.5)
+    assert page.locator("#uncorrected").is_visible()
+    page.context.close()
