@@ -187,6 +187,16 @@ def test_what_is_assumed_is_said():
     assert (stated.accuracy, stated.notes) == ((1.0, 0.0), ())
 
 
+def test_per_cent_alone_do_not_make_the_camera_exact_about_0_degrees():
+    """Data sheets say ± 2 °C or 2 %, whichever is greater."""
+    budget = Budget.of(None, Survey(camera_accuracy_percent=3.0))
+    assert budget.accuracy == (2.0, 3.0)
+    assert "stated in per cent alone: it is taken as ± 2 °C or 3 % of" in budget.notes[0]
+    parts = Uncertainty(0.1, 0.0)
+    assert budget.with_settings(parts, 5.0).camera == pytest.approx(0.95 * 2)
+    assert budget.with_settings(parts, 100.0).camera == pytest.approx(0.95 * 3)
+
+
 def test_panels_show_the_uncertainty_and_its_parts():
     reading = meter_of(Budget(accuracy=(2.0, 0.0))).read(BOX)
     text = mark_text(reading, "", RANGE, WorldFrame())

@@ -64,7 +64,7 @@ class Survey:
         camera_serial: its serial number, where the photos do not have it.
         camera_accuracy_c: limit of error in the camera's data sheet, K.
         camera_accuracy_percent: the same as a share of the reading in °C, per cent; the larger of
-            the two counts.
+            the two counts. Without the K, 2 K are assumed.
         emissivity_uncertainty: standard uncertainty of the emissivities.
         reflected_uncertainty_c: standard uncertainty of the reflected temperatures, K.
         distance_uncertainty_percent: standard uncertainty of the distances, per cent.

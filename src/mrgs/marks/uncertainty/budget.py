@@ -252,16 +252,28 @@ def _median_of(known: Sequence[ObjectParameters]) -> ObjectParameters:
 
 
 def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | None, list[str]]:
-    stated = survey.camera_accuracy_c, survey.camera_accuracy_percent
-    if any(each is not None for each in stated):
-        return (stated[0] or 0.0, stated[1] or 0.0), []
+    """Limit of error of the camera, K and per cent, and what of it was assumed."""
+    kelvin, percent = survey.camera_accuracy_c, survey.camera_accuracy_percent
+    if kelvin is not None:
+        return (kelvin, percent or 0.0), []
+    usual = f"{USUAL_ACCURACY:g}"
+    if percent is not None:
+        # Data sheets state both; by the per cent alone a camera would be exact about 0 °C.
+        return (USUAL_ACCURACY, percent), [
+            Message(
+                "The camera's accuracy is stated in per cent alone: it is taken as ± {kelvin} °C "
+                "or {percent} % of the reading, whichever is more.",
+                kelvin=usual,
+                percent=f"{percent:g}",
+            )
+        ]
     if has_camera:
         return (USUAL_ACCURACY, USUAL_ACCURACY), [
             Message(
                 "The camera's accuracy is taken as ± {kelvin} °C or {percent} % of the reading, "
                 "whichever is more.",
-                kelvin=f"{USUAL_ACCURACY:g}",
-                percent=f"{USUAL_ACCURACY:g}",
+                kelvin=usual,
+                percent=usual,
             )
         ]
     return None, ["The accuracy of the thermal camera is not known, and not included."]
