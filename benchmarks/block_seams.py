@@ -60,7 +60,7 @@ def scores(run: Run, scene: Scene, plan: BlockPlan) -> dict[str, Score]:
     squares: dict[str, list[list[np.ndarray]]] = {"band": [[], [], []], "elsewhere": [[], [], []]}
     for view in scene.eval:
         rendering = run.camera_response(run.render_view(view), view.camera)
-        ideal = run.temperatures_c(run.render_view(view)).numpy()
+        ideal = run.temperatures_c(run.render_view(view), min_alpha=0).numpy()
         band = near_cuts(view, scene, plan)
         measured = (
             (rendering[RGB].image - view.images[RGB].load().values).square().mean(dim=2).numpy(),

@@ -58,8 +58,18 @@ def test_thermal_may_have_a_camera_of_its_own(run):
 
 def test_temperatures_are_celsius(run):
     rendering = run.render(run.load_scene().eval[0].images[RGB].camera)
+    expected = MIN_C + (MAX_C - MIN_C) * rendering[THERMAL].image[..., 0]
+    torch.testing.assert_close(run.temperatures_c(rendering, min_alpha=0), expected)
+    covered = rendering[THERMAL].alpha >= 0.5
     celsius = run.temperatures_c(rendering)
-    torch.testing.assert_close(celsius, MIN_C + (MAX_C - MIN_C) * rendering[THERMAL].image[..., 0])
+    assert 0 < covered.float().mean() < 1
+    torch.testing.assert_close(celsius[covered], expected[covered])
+    assert celsius[~covered].isnan().all()
+
+
+def test_what_the_model_does_not_show_has_no_temperature(run):
+    away = Camera.from_fov(8, 6, fov_deg=50).look_at([3, 0, 1], target=[9, 0, 1])
+    assert run.temperatures_c(run.render(away)).isnan().all()
 
 
 def test_without_a_temperature_range_there_is_no_celsius(run):

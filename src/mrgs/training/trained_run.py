@@ -115,8 +115,18 @@ class TrainedRun(ABC):
         """
         return rendering
 
-    def temperatures_c(self, rendering: Rendering) -> Float[Tensor, "h w"]:
+    def temperatures_c(
+        self, rendering: Rendering, min_alpha: float = MIN_ALPHA
+    ) -> Float[Tensor, "h w"]:
         """The rendered temperatures in °C.
+
+        Args:
+            rendering: of this run.
+            min_alpha: a pixel that the model covers less has no temperature. 0 gives every pixel
+                its value, which tends to the scene's lowest temperature where nothing is.
+
+        Returns:
+            °C, NaN where there is no temperature, [H, W].
 
         Raises:
             ValueError: the scene has no known °C, or the rendering no thermal image.
@@ -125,7 +135,9 @@ class TrainedRun(ABC):
             raise ValueError(
                 "no °C: the scene has no temperature range, or the rendering has no thermal image"
             )
-        return self.temperature.to_celsius(rendering[THERMAL].image[..., 0])
+        image, _, alpha = rendering[THERMAL]
+        celsius = self.temperature.to_celsius(image[..., 0])
+        return torch.where(alpha < min_alpha, torch.nan, celsius)
 
     def temperature_at(self, points: Array) -> Float[Tensor, " n"]:
         """Temperatures of points on surfaces, as the scene's thermal cameras see them in the model.
