@@ -116,6 +116,12 @@ class Page {
     return this.areas?.modality === modality ? this.areas.seenFrom(camera) : null;
   }
 
+  // Those that a picture must be corrected in.
+  drawnAreas(modality, camera) {
+    const areas = this.drawsAreas ? this.areasFor(modality, camera) : null;
+    return areas?.areInPicture ? areas : null;
+  }
+
   get complete() {
     return this.partsShown === this.facts.model.parts;
   }
@@ -183,7 +189,7 @@ class Page {
     const share = Math.min(1, FIT_WIDTH_PX / width);
     const camera = this.viewpoint.cameraFor(...[width, height].map((side) => Math.max(1, Math.round(side * share))));
     const { name, scale } = this.scaled;
-    const areas = this.drawsAreas ? this.areasFor(name, camera) : null;
+    const areas = this.drawnAreas(name, camera);
     const pixels = this.renderer.seenPixels(camera, { modality: name, areas }, SURFACE_ALPHA);
     const seen = pixels.map(([value, at, depth]) => areas?.corrected(value, at, depth) ?? value).sort((a, b) => a - b);
     this.requestFrame();
@@ -306,7 +312,7 @@ class Page {
     const { name, metric, scale } = this.shown;
     return {
       modality: name,
-      areas: this.drawsAreas ? this.areasFor(name, camera) : null,
+      areas: this.drawnAreas(name, camera),
       palette: metric ? element("palette").value : null,
       range: this.range.map((number) => scale.normalised(number)),
       isotherm: this.isotherm,

@@ -22,17 +22,19 @@ class Area {
     this.corners = this.boxCorners();
   }
 
-  // Of the box about its surface.
+  // Of the box about all that may lie on it.
   boxCorners() {
-    const { camera, depths } = this;
+    const { camera, depths, near } = this;
     const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
     for (let i = 0; i < depths.length; i++) {
       if (!depths[i]) continue;
       const pixel = [(i % camera.width) + 0.5, Math.floor(i / camera.width) + 0.5];
-      pointAt(camera, pixel, depths[i]).forEach((at, axis) => {
-        low[axis] = Math.min(low[axis], at);
-        high[axis] = Math.max(high[axis], at);
-      });
+      for (const share of [1 - near, 1 + near]) {
+        pointAt(camera, pixel, share * depths[i]).forEach((at, axis) => {
+          low[axis] = Math.min(low[axis], at);
+          high[axis] = Math.max(high[axis], at);
+        });
+      }
     }
     return Array.from({ length: 8 }, (_, corner) => low.map((at, axis) => (corner & (1 << axis) ? high[axis] : at)));
   }
@@ -53,15 +55,32 @@ class SeenAreas {
   constructor(camera, list) {
     this.camera = camera;
     this.views = list.map((area) => ({ area, ...turnedTo(camera, area) }));
-    this.limits = this.depthLimits(list);
+    const corners = list.flatMap((area) => area.corners);
+    this.limits = this.depthLimits(corners.map((corner) => this.inCamera(corner)[2]), list[0].near);
+    this.rectangle = this.rectangleAbout(corners);
   }
 
-  // Of whatever may lie on an area.
-  depthLimits(list) {
-    const depths = list.flatMap(({ near, corners }) =>
-      corners.flatMap((corner) => [1 - near, 1 + near].map((factor) => factor * this.inCamera(corner)[2])));
-    const farthest = Math.max(...depths, Number.MIN_VALUE);
-    return [Math.max(Math.min(...depths), farthest / WIDEST_LIMITS), farthest];
+  // Of what may lie on an area, before it is moved to the area's plane.
+  depthLimits(depths, near) {
+    const farthest = Math.max(...depths) / (1 - near);
+    return [Math.max(Math.min(...depths) / (1 + near), farthest / WIDEST_LIMITS), farthest];
+  }
+
+  // Of the picture, as shares of it; all of it where an area reaches behind the camera.
+  rectangleAbout(corners) {
+    const { width, height } = this.camera;
+    const places = corners.map((corner) => project(this.camera, corner));
+    if (places.includes(null)) return [0, 0, 1, 1];
+    const [across, down] = [places.map(([x]) => x / width), places.map(([, y]) => y / height)];
+    const [left, top] = [across, down].map((each) => Math.max(0, Math.min(...each)));
+    const [right, bottom] = [across, down].map((each) => Math.min(1, Math.max(...each)));
+    return [left, top, Math.max(left, right), Math.max(top, bottom)];
+  }
+
+  // Whether any may be in the picture.
+  get areInPicture() {
+    const [left, top, right, bottom] = this.rectangle;
+    return left < right && top < bottom && this.limits[1] > 0;
   }
 
   inCamera(point) {

@@ -88,7 +88,17 @@ class Renderer {
     gl.uniform2fv(screen.at("isotherm"), look.isotherm);
     gl.uniform1i(screen.at("ofArea"), false);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    if (look.areas) for (const view of look.areas.views) this.drawArea(view, camera);
+    if (look.areas) this.inside(look.areas.rectangle, this.canvas, () => look.areas.views.forEach((view) => this.drawArea(view, camera)));
+  }
+
+  // Draw only within a rectangle of an image: left, top, right and bottom as shares of it.
+  inside([left, top, right, bottom], { width, height }, draw) {
+    const { gl } = this;
+    const [x, y] = [Math.floor(left * width), Math.floor((1 - bottom) * height)];
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(x, y, Math.ceil(right * width) - x, Math.ceil((1 - top) * height) - y);
+    draw();
+    gl.disable(gl.SCISSOR_TEST);
   }
 
   // The pixels of an area once more, corrected.
@@ -141,7 +151,7 @@ class Renderer {
   blend(camera, { modality, areas }) {
     const { gl, splats } = this;
     const drawSplats = (program) => this.drawSplats(program, camera, this.appearances[modality]);
-    if (areas) this.surface.draw(camera, areas.limits, drawSplats);
+    if (areas) this.inside(areas.rectangle, camera, () => this.surface.draw(camera, areas.limits, drawSplats));
     this.target.begin(camera.width, camera.height, 0);
     gl.useProgram(splats.program);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);

@@ -135,14 +135,10 @@ void main() {
 const SPLAT_DEPTH = `
 flat in float middle;
 in float nearness;
-uniform vec2 limits;           // z of the first and the last of eight steps
+uniform float steps[8];        // rising z
 
 float depthHere() {
   return middle / max(nearness, 0.25);
-}
-
-vec4 stepsFrom(float first) {
-  return limits.x * pow(vec4(limits.y / limits.x), (first + vec4(0.0, 1.0, 2.0, 3.0)) / 7.0);
 }`;
 
 // What passes the splats before each of eight steps of depth.
@@ -154,10 +150,12 @@ layout(location = 0) out vec4 nearer;
 layout(location = 1) out vec4 farther;
 
 void main() {
+  float depth = depthHere();
+  if (depth > steps[7]) discard;
   float alpha = alphaHere();
   if (alpha < 1.0 / 255.0) discard;
-  nearer = alpha * step(depthHere(), stepsFrom(0.0));
-  farther = alpha * step(depthHere(), stepsFrom(4.0));
+  nearer = alpha * step(depth, vec4(steps[0], steps[1], steps[2], steps[3]));
+  farther = alpha * step(depth, vec4(steps[4], steps[5], steps[6], steps[7]));
 }`;
 
 // The mean depth, in units of the last step, of the splats between the two steps where half of the light is blocked.
@@ -170,14 +168,15 @@ uniform sampler2D farther;
 out vec4 blended;
 
 void main() {
-  float alpha = alphaHere();
+  float depth = depthHere();
+  if (depth <= steps[0] || depth > steps[7]) discard;
   ivec2 at = ivec2(gl_FragCoord.xy);
   vec4 ones = vec4(1.0);
-  float before = dot(ones, step(0.5, texelFetch(nearer, at, 0))) + dot(ones, step(0.5, texelFetch(farther, at, 0)));
-  float depth = depthHere();
-  vec2 between = stepsFrom(before - 1.0).xy;
-  if (alpha < 1.0 / 255.0 || before < 1.0 || before > 7.0 || depth <= between.x || depth > between.y) discard;
-  blended = vec4(depth / limits.y * alpha, 0.0, 0.0, alpha);
+  int before = int(dot(ones, step(0.5, texelFetch(nearer, at, 0))) + dot(ones, step(0.5, texelFetch(farther, at, 0))));
+  if (before == 0 || before == 8 || depth <= steps[before - 1] || depth > steps[before]) discard;
+  float alpha = alphaHere();
+  if (alpha < 1.0 / 255.0) discard;
+  blended = vec4(depth / steps[7] * alpha, 0.0, 0.0, alpha);
 }`;
 
 const SCREEN_VERTEX = `#version 300 es

@@ -11,21 +11,22 @@ class Surface {
   }
 
   // `drawSplats` draws all splats with a program, farthest first.
-  draw({ width, height }, limits, drawSplats) {
+  draw({ width, height }, [nearest, farthest], drawSplats) {
     const { gl, passed, within, intervals, depths } = this;
+    const steps = Array.from({ length: 8 }, (_, k) => nearest * (farthest / nearest) ** (k / 7));
     intervals.begin(width, height, 1);
     gl.useProgram(passed.program);
-    gl.uniform2fv(passed.at("limits"), limits);
+    gl.uniform1fv(passed.at("steps"), steps);
     gl.blendFunc(gl.ZERO, gl.ONE_MINUS_SRC_COLOR);
     drawSplats(passed);
     depths.begin(width, height, 0);
     gl.useProgram(within.program);
-    gl.uniform2fv(within.at("limits"), limits);
+    gl.uniform1fv(within.at("steps"), steps);
     bindTexture(gl, 3, intervals.textures[0], within.at("nearer"));
     bindTexture(gl, 4, intervals.textures[1], within.at("farther"));
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     drawSplats(within);
-    [, this.farthest] = limits;
+    this.farthest = farthest;
   }
 
   // Of an image that was drawn, from its lowest row on; 0 where there is none.
