@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import json
 import re
@@ -12,9 +13,16 @@ import pytest
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.export.page import write_page
+from mrgs.export.page.areas import area_facts
 from mrgs.export.page.packing import pack
 from mrgs.export.page.write import visible_range
+from mrgs.marks import Mark, Marks
+from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
+from mrgs.marks.regions import Regions
 from mrgs.scene import THERMAL
+from tests.helpers.walls import RANGE, render_wall
+
+SQUARE = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
 
 
 class Elements(HTMLParser):
@@ -73,6 +81,25 @@ def test_the_palette_starts_with_the_corrected_temperatures(baked, cameras, tmp_
     seen = list(cameras.values())
     plain, corrected = (visible_range(baked, THERMAL, seen, each) for each in (None, Warmer()))
     np.testing.assert_allclose(corrected, np.add(plain, 10), atol=1e-4)
+
+
+def test_areas_have_their_depths_where_the_model_shows_them():
+    capture = CaptureSettings(SurfaceSettings(0.95, 20.0), TYPICAL_LAW)
+    seen, aside = (
+        Mark(name, "box", tuple((x + shift, 0.0, z) for x, z in SQUARE), (shift, -5.0, 0.0),
+             emissivity=0.5, reflected_c=0.0)
+        for name, shift in (("B1", 0.0), ("B2", 30.0))
+    )  # fmt: skip
+    facts = area_facts(Regions(Marks((seen, aside)), render_wall, RANGE, capture))
+    (area,) = facts["areas"]
+    width, height = area["camera"]["width"], area["camera"]["height"]
+    codes = np.frombuffer(gzip.decompress(base64.b64decode(area["depths"])), "<u2")
+    assert len(codes) == width * height
+    assert (codes > 0).mean() > 0.99
+    depths = area["nearest"] * np.exp(area["step"] * (codes[codes > 0] - 1.0))
+    np.testing.assert_allclose(depths, 5.0, rtol=1e-3)
+    assert area["gain"] == 0.95 / 0.5
+    assert area_facts(Regions(Marks((aside,)), render_wall, RANGE, capture)) is None
 
 
 def test_nothing_comes_from_elsewhere(page):

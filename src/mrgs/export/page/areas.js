@@ -3,6 +3,7 @@
 
 const ZERO_CELSIUS_K = 273.15;
 const WIDEST_LIMITS = 50; // the farthest over the nearest
+const RIM = 0.01; // of the picture, about what the middles of an area's pixels span
 
 class Areas {
   // The depths are those that each area's own camera sees; 0 where it does not see the area.
@@ -72,8 +73,8 @@ class SeenAreas {
     const places = corners.map((corner) => project(this.camera, corner));
     if (places.includes(null)) return [0, 0, 1, 1];
     const [across, down] = [places.map(([x]) => x / width), places.map(([, y]) => y / height)];
-    const [left, top] = [across, down].map((each) => Math.max(0, Math.min(...each)));
-    const [right, bottom] = [across, down].map((each) => Math.min(1, Math.max(...each)));
+    const [left, top] = [across, down].map((each) => Math.max(0, Math.min(...each) - RIM));
+    const [right, bottom] = [across, down].map((each) => Math.min(1, Math.max(...each) + RIM));
     return [left, top, Math.max(left, right), Math.max(top, bottom)];
   }
 

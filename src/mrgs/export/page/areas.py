@@ -21,18 +21,22 @@ DEPTH_STEP = 1e-3
 NO_PLANE = RegionPlane(np.zeros(3), 0.0)
 
 
-def area_facts(regions: Regions) -> dict[str, Any]:
-    """What ``areas.js`` reads: the camera's law, by the names of ``Planck``, and each region."""
+def area_facts(regions: Regions) -> dict[str, Any] | None:
+    """What ``areas.js`` reads: the camera's law, by the names of ``Planck``, and each region; None
+    where the model shows none of them."""
     law = regions.capture.law
+    areas = [
+        _facts(region, regions.capture)
+        for region in regions
+        if (region.inside & np.isfinite(region.surface.depth)).any()
+    ]
+    if not areas:
+        return None
     return {
         "modality": THERMAL.name,
         "near": REGION_DEPTH,
         "law": {"amplitude": law.r1 / law.r2, "b": law.b, "f": law.f},
-        "areas": [
-            _facts(region, regions.capture)
-            for region in regions
-            if (region.inside & np.isfinite(region.surface.depth)).any()
-        ],
+        "areas": areas,
     }
 
 
