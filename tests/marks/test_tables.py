@@ -11,8 +11,16 @@ import pytest
 
 from mrgs.data.radiometric import GpsPosition
 from mrgs.marks import Mark, Marks
-from mrgs.marks.measure import MarkMeter, MarkReading
-from mrgs.marks.tables import size_text, text_rows, value_text, write_csv, write_geojson
+from mrgs.marks.measure import SEVERAL_SURFACES, MarkMeter, MarkReading
+from mrgs.marks.tables import (
+    settings_texts,
+    size_text,
+    text_rows,
+    value_text,
+    write_csv,
+    write_geojson,
+)
+from mrgs.marks.texts import mark_text
 from mrgs.prepare.earth import enu
 from mrgs.scene import EarthPosition, TemperatureRange, WorldFrame
 from tests.helpers.walls import RANGE, render_wall
@@ -37,6 +45,28 @@ def test_people_read_rounded_numbers_with_units(readings):
     assert rows[1][6:8] == ("–", "2.00 m")
     assert rows[2][7] == "1.00 m²"
     assert size_text(readings[1], WorldFrame()) == "2.00 scene units"
+
+
+def test_a_spot_in_an_area_says_what_it_is_corrected_for(tmp_path: Path):
+    area = Mark("B1", "box", SQUARE, EYE, emissivity=0.5, reflected_c=-5.0)
+    beside = replace(SPOT, name="S2", points=((-0.5, 0.0, 0.25),))
+    over_the_edge = Mark("L1", "line", ((-1.0, 0.0, 0.5), (0.9, 0.0, 0.5)), EYE)
+    marks = Marks((area, SPOT, beside, over_the_edge))
+    readings = MarkMeter(render_wall, RANGE).measure(marks)
+    assert [settings_texts(each) for each in readings[1:]] == [
+        ["ε 0.5", "T_refl −5.0 °C"], [], [],
+    ]  # fmt: skip
+    assert "corrected for ε 0.5, T_refl −5.0 °C" in text_rows(readings, RANGE, METRES)[1][-1]
+    assert (
+        "corrected for ε 0.5, T_refl −5.0 °C" in mark_text(readings[1], "", RANGE, METRES)["lines"]
+    )
+    table, _ = write_csv(tmp_path / "marks.csv", readings, RANGE, METRES)
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["emissivity"], row["reflected_c"]) for row in rows] == [
+        ("0.5", "-5"), ("0.5", "-5"), ("", ""), ("", ""),
+    ]  # fmt: skip
+    assert [each.remarks for each in readings] == [(), (), (), (SEVERAL_SURFACES,)]
 
 
 def test_lengths_and_areas_say_what_the_scale_leaves_open(readings, tmp_path: Path):

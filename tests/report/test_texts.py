@@ -15,7 +15,14 @@ import mrgs
 from mrgs.evaluation.report import COLUMNS, SPREADS
 from mrgs.evaluation.report import PART_NAMES as KNOCK_OUTS
 from mrgs.marks.emissivity import CaptureSettings
-from mrgs.marks.measure import NO_PHOTO, NO_SURFACE, NO_THERMAL
+from mrgs.marks.measure import (
+    NARROW_COLD,
+    NARROW_HOT,
+    NO_PHOTO,
+    NO_SURFACE,
+    NO_THERMAL,
+    SEVERAL_SURFACES,
+)
 from mrgs.marks.texts import PART_NAMES
 from mrgs.marks.uncertainty.budget import Budget
 from mrgs.report.conditions import LABELS, conditions_of
@@ -106,6 +113,9 @@ def test_what_marks_may_say_is_translated():
         NO_SURFACE,
         NO_PHOTO,
         NO_THERMAL,
+        NARROW_HOT,
+        NARROW_COLD,
+        SEVERAL_SURFACES,
     ]
     for language in TRANSLATED:
         t = Texts(language)

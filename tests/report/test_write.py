@@ -281,7 +281,8 @@ def test_the_report_lists_the_marks_with_pictures_and_profile(run: Run, tmp_path
         assert f"{reading.mean:.1f}" in text
     assert "near the <middle>" in text
     assert "severity: 3" in text
-    assert "ε 0.8, T_refl −5 °C" in text
+    assert re.search(r"ε 0\.8, +T_refl −5\.0 °C", text)
+    assert text.count("Corrected for ε 0.8, T_refl −5.0 °C.") == 3  # spot and line lie in the box
     assert "temperatures are taken as apparent ones" in text
     assert "svg" in page.tags
     html = path.read_text(encoding="utf-8")
@@ -327,7 +328,7 @@ def test_proposals_in_a_region_have_its_emissivity(run: Run):
     marks.box(camera, (x - 2, y - 2), (x + 2, y + 2), emissivity=0.5, reflected_c=0.0)
     regions = marks.meter.regions(marks.marks)
     place = before.position[None]
-    settings = regions.settings_at(place)
+    settings = regions.shares_at(place)[0].settings
     assert settings is not None
     apparent = scene.temperature.to_celsius(before.value)
     (expected,) = marks.meter.capture.corrected(np.array([apparent]), settings)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mrgs.errors import ConfigError
-from mrgs.marks.emissivity import CaptureSettings
+from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.mark import Mark, Marks
 from mrgs.marks.regions import Regions
 from mrgs.marks.resolution import RESOLVED_PX, Resolution
@@ -40,6 +40,12 @@ NO_THERMAL = "the model has no temperatures"
 
 NARROW_HOT = "The hot place is narrower than three pixels of the photos: it is likely hotter."
 NARROW_COLD = "The cold place is narrower than three pixels of the photos: it is likely colder."
+
+SEVERAL_SURFACES = (
+    "It lies on surfaces of different emissivity: each part is corrected for its own."
+)
+ONE_SURFACE = 0.95
+"""Share of a mark from which on it counts as lying on one surface."""
 
 STANDING_OUT_C, STANDING_OUT_SHARE = 1.0, 0.03
 """What a narrow place is at least hotter or colder than what lies beside it, to be remarked: K, or
@@ -81,6 +87,8 @@ class MarkReading:
         covered: share of the mark where the model shows a surface.
         photos: how many thermal photos see it; None if their cameras are not known.
         profile: of a line; else None.
+        surface: emissivity and reflected temperature that most of it is corrected for: those of the
+            area with an emissivity of its own in which it lies; None for those of the photos.
         problem: why there is no temperature, one sentence; empty if there is one.
         remarks: what to know of the temperatures, a sentence each.
     """
@@ -100,6 +108,7 @@ class MarkReading:
     covered: float = 0.0
     photos: int | None = None
     profile: Profile | None = None
+    surface: SurfaceSettings | None = None
     problem: str = ""
     remarks: tuple[str, ...] = ()
 
@@ -178,21 +187,23 @@ class MarkMeter:
             )
             reading, places = _read_pixels(mark, surface, values, mask)
         reading = self._with_photos(reading, places)
-        return reading if reading.problem else self._with_uncertainty(reading, places, regions)
+        if reading.problem:
+            return reading
+        return self._with_uncertainty(_on_surface(reading, places, regions), places)
 
     def _with_uncertainty(
-        self, reading: MarkReading, places: Float[np.ndarray, "n 3"], regions: Regions
+        self, reading: MarkReading, places: Float[np.ndarray, "n 3"]
     ) -> MarkReading:
         """With the uncertainty of its mean, where the photos are known."""
         if self.uncertainty is None:
             return reading
         step = -(-len(places) // CHECKED_POINTS)
-        settings = regions.settings_at(places)
-        value = reading.mean
+        value, settings = reading.mean, reading.surface
         if settings is not None:
             value = float(self.capture.as_photos(np.array([value]), settings)[0])
         found = self.uncertainty.of_mark(places[::step].astype(np.float32), value, settings)
-        return replace(reading, uncertainty=found, remarks=self._remarks(reading, found))
+        remarks = (*reading.remarks, *self._remarks(reading, found))
+        return replace(reading, uncertainty=found, remarks=remarks)
 
     def _remarks(self, reading: MarkReading, uncertainty: Uncertainty) -> tuple[str, ...]:
         """Which of its extremes the photos do not resolve; of a spot only its middle, as what is
@@ -285,6 +296,15 @@ def line_samples(mark: Mark) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray
     distances = np.linspace(0.0, ends[-1], PROFILE_SAMPLES)
     points = np.stack([np.interp(distances, ends, corners[:, i]) for i in range(3)], axis=1)
     return points, distances
+
+
+def _on_surface(
+    reading: MarkReading, places: Float[np.ndarray, "n 3"], regions: Regions
+) -> MarkReading:
+    """With the settings of the surface that most of it lies on."""
+    settings, share = regions.shares_at(places)[0]
+    remarks = () if share >= ONE_SURFACE else (SEVERAL_SURFACES,)
+    return replace(reading, surface=settings, remarks=remarks)
 
 
 def _with_values(

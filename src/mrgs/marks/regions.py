@@ -80,6 +80,18 @@ class RegionPlane(NamedTuple):
         return found
 
 
+class SettingsShare(NamedTuple):
+    """Settings that hold for a part of a surface.
+
+    Attributes:
+        settings: of the surface; None for those of the photos.
+        share: of the surface, over 0 to 1.
+    """
+
+    settings: SurfaceSettings | None
+    share: float
+
+
 @dataclass(frozen=True, eq=False)
 class SurfaceRegion:
     """The surface within the outline of a mark, as seen from the mark's eye.
@@ -188,13 +200,12 @@ class Regions:
         """The model from a camera, with the temperatures of the regions corrected."""
         return self.applied_to(self._render(camera), camera)
 
-    def settings_at(self, points: Float[np.ndarray, "n 3"]) -> SurfaceSettings | None:
-        """The settings of the region that holds most of some points; None for those of the
-        photos."""
-        for region in reversed(self._regions):
-            if region.holds(points).mean() > 0.5:
-                return region.settings
-        return None
+    def shares_at(self, points: Float[np.ndarray, "n 3"]) -> list[SettingsShare]:
+        """The settings that hold for some points, and for which share of them; those for most of
+        them first."""
+        shares = [SettingsShare(each, float(held.mean())) for each, held in self.parts(points)]
+        photos = SettingsShare(None, 1.0 - sum(each.share for each in shares))
+        return sorted([photos, *shares], key=lambda each: each.share, reverse=True)
 
     def parts(
         self, points: Float[np.ndarray, "*shape 3"], eye: Float[np.ndarray, "3"] | None = None

@@ -78,6 +78,31 @@ def total_uncertainty(reading: MarkReading) -> float:
     return math.nan if reading.uncertainty is None else reading.uncertainty.total
 
 
+def settings_texts(reading: MarkReading) -> list[str]:
+    """The emissivity and the reflected temperature that a mark is corrected for; empty for those of
+    the photos."""
+    emissivity, reflected = _settings_of(reading)
+    texts = [] if emissivity is None else [f"ε {emissivity:.3g}"]
+    if reflected is not None:
+        texts.append(f"T_refl {reflected:.1f} °C".replace("-", "−"))
+    return texts
+
+
+def corrected_text(reading: MarkReading) -> str:
+    """What a mark is corrected for, in words; empty where it is as the photos have it."""
+    settings = ", ".join(settings_texts(reading))
+    return f"corrected for {settings}" if settings and not reading.problem else ""
+
+
+def _settings_of(reading: MarkReading) -> tuple[float | None, float | None]:
+    """Emissivity and reflected temperature of the surface, in which a spot, too, may lie; what the
+    mark states where nothing could be corrected."""
+    if reading.problem:
+        return reading.mark.emissivity, reading.mark.reflected_c
+    surface = reading.surface
+    return (None, None) if surface is None else (surface.emissivity, surface.reflected_c)
+
+
 def text_rows(
     readings: Sequence[MarkReading], temperature: TemperatureRange | None, world: WorldFrame
 ) -> list[tuple[str, ...]]:
@@ -98,7 +123,17 @@ def text_rows(
             size_text(reading, world),
             DASH if reading.photos is None else str(reading.photos),
             reading.mark.severity or DASH,
-            "; ".join(filter(None, (reading.problem, *reading.remarks, _line(reading.mark.note)))),
+            "; ".join(
+                filter(
+                    None,
+                    (
+                        reading.problem,
+                        corrected_text(reading),
+                        *reading.remarks,
+                        _line(reading.mark.note),
+                    ),
+                )
+            ),
         )
         for reading in readings
     ]
@@ -113,6 +148,7 @@ def facts_of_reading(
     length_unit = "m" if world.metric else "units"
     x, y, z = np.mean(mark.points, axis=0).tolist()
     parts = asdict(reading.uncertainty or Uncertainty())
+    emissivity, reflected = _settings_of(reading)
     numbers = {
         f"mean_{value_unit}": reading.mean,
         f"min_{value_unit}": reading.low,
@@ -135,8 +171,8 @@ def facts_of_reading(
         "severity": mark.severity,
         **{name: _known(value) for name, value in numbers.items()},
         "photos": reading.photos,
-        "emissivity": mark.emissivity,
-        "reflected_c": mark.reflected_c,
+        "emissivity": emissivity,
+        "reflected_c": reflected,
         "x": x,
         "y": y,
         "z": z,

@@ -6,7 +6,7 @@ import math
 from typing import TypedDict
 
 from mrgs.marks.measure import MarkReading
-from mrgs.marks.tables import size_text, total_uncertainty, value_text
+from mrgs.marks.tables import corrected_text, size_text, total_uncertainty, value_text
 from mrgs.scene import TemperatureRange, WorldFrame
 
 PART_NAMES = {
@@ -123,6 +123,8 @@ def _lines(
         lines.append(f"{low} to {high}")
     if doubt := uncertainty_text(reading, temperature):
         lines.append(doubt)
+    if not reading.mark.has_settings and (corrected := corrected_text(reading)):
+        lines.append(corrected)
     lines.extend(reading.remarks)
     lines.append(size_text(reading, world))
     if reading.covered < MOSTLY_COVERED and not reading.problem:

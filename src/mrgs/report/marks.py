@@ -15,7 +15,7 @@ from mrgs.marks import MarkReading
 from mrgs.marks.mark import Mark
 from mrgs.marks.moisture import temperature_factor
 from mrgs.marks.regions import Regions
-from mrgs.marks.tables import DASH, size_text, total_uncertainty, value_text
+from mrgs.marks.tables import DASH, settings_texts, size_text, total_uncertainty, value_text
 from mrgs.marks.texts import PART_NAMES
 from mrgs.marks.uncertainty import Uncertainty
 from mrgs.pictures.html import InlineImage, inline_image
@@ -59,7 +59,8 @@ class ShownMark(NamedTuple):
         compared_with: name of that mark; empty for none.
         size: length, area or diameter.
         photos: how many see it.
-        emissivity: of its surface, with the reflected temperature, where it has its own.
+        settings: emissivity and reflected temperature of its surface; empty for those of the
+            photos.
         note: the user's.
         problem: why it has no temperature.
         remarks: what to know of the temperatures.
@@ -82,7 +83,7 @@ class ShownMark(NamedTuple):
     compared_with: str
     size: str
     photos: str
-    emissivity: str
+    settings: list[str]
     note: str
     problem: str
     remarks: list[str]
@@ -161,7 +162,7 @@ def _shown(
         "" if math.isnan(reading.difference) else mark.against or reference,
         size_text(reading, scene.world),
         "–" if reading.photos is None else str(reading.photos),
-        _settings_text(mark),
+        settings_texts(reading),
         mark.note,
         reading.problem,
         list(reading.remarks),
@@ -194,16 +195,6 @@ def _factor(mean: float, survey: Survey) -> str:
     ):
         return DASH
     return f"{temperature_factor(mean, inside, outside):.2f}"
-
-
-def _settings_text(mark: Mark) -> str:
-    """Emissivity and reflected temperature of a mark's surface; empty without its own."""
-    texts = []
-    if mark.emissivity is not None:
-        texts.append(f"ε {mark.emissivity:g}")
-    if mark.reflected_c is not None:
-        texts.append(f"T_refl {mark.reflected_c:g} °C".replace("-", "−"))
-    return ", ".join(texts)
 
 
 def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:
