@@ -203,3 +203,11 @@ def test_panels_show_the_uncertainty_and_its_parts():
     assert text["value"] == "21.5 ± 1.9 °C"
     assert text["lines"][1].startswith("± for 95 of 100 cases: photos 0.3, model 0.")
     assert text["lines"][1].endswith("data sheet 1.9")
+
+
+def test_panels_say_that_the_camera_is_no_part_of_the_uncertainty():
+    """± alone would promise that the truth lies within it."""
+    text = mark_text(meter_of().read(BOX), "", RANGE, WorldFrame())
+    assert text["lines"][1].startswith(
+        "± for 95 of 100 cases, without the camera's own error: photos 0.3, model"
+    )

@@ -409,6 +409,26 @@ def test_the_report_says_how_many_are_held_back(run: Run, tmp_path: Path, monkey
     assert "H1" not in text
 
 
+@pytest.mark.parametrize(
+    ("accuracy", "said", "not_said"),
+    [
+        ("", "If the thermal camera itself had no error, the truth would lie within", "The truth"),
+        ("camera_accuracy_c: 1", "The truth lies within ± in 95 of 100 cases.", "had no error"),
+    ],
+)
+def test_the_report_promises_no_more_than_is_known_of_the_camera(
+    run: Run, tmp_path: Path, accuracy: str, said: str, not_said: str
+):
+    marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
+    marks.spot(camera, (20, 15))
+    (run.folder.path / "survey.yaml").write_text(accuracy, encoding="utf-8")
+    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    (run.folder.path / "survey.yaml").unlink()
+    uncertainty = text[text.index("Uncertainty") :]
+    assert said in uncertainty
+    assert not_said not in uncertainty
+
+
 def test_what_too_few_photos_see_is_no_proposal(run: Run, monkeypatch: pytest.MonkeyPatch):
     marks, scene = open_marks(run), run.load_scene()
     marks.meter.uncertainty = Doubting(0.0)

@@ -58,14 +58,16 @@ def value_with_uncertainty(reading: MarkReading, temperature: TemperatureRange |
 
 
 def uncertainty_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
-    """The parts of the uncertainty; empty where it is not known."""
+    """The parts of the uncertainty, and whether the camera's own error is missing; empty where it
+    is not known."""
     if reading.uncertainty is None or not reading.uncertainty.known:
         return ""
     parts = ", ".join(
         f"{PART_NAMES[name]} {value_text(part, temperature)}"
         for name, part in reading.uncertainty.known.items()
     )
-    return f"± for 95 of 100 cases: {parts}"
+    without = "" if "camera" in reading.uncertainty.known else ", without the camera's own error"
+    return f"± for 95 of 100 cases{without}: {parts}"
 
 
 def mark_text(

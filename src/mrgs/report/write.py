@@ -14,6 +14,7 @@ from mrgs.marks.emissivity import records_of
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import DASH
+from mrgs.marks.texts import PART_NAMES
 from mrgs.pictures.html import PAGE_STYLE, InlineImage, inline_image, write_html
 from mrgs.report.conditions import conditions_of, stated_rows
 from mrgs.report.marks import (
@@ -192,6 +193,7 @@ def write_report(
     findings = _findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
     every = (*findings.marks, *(proposal.mark for proposal in findings.proposals))
+    parts = known_parts(every)
     return write_html(
         path,
         "report/report.html",
@@ -212,7 +214,8 @@ def write_report(
         judged=bool(findings.marks or marks.marks.dropped),
         assumptions=marks.meter.capture.notes if regions else (),
         doubts=() if marks.meter.uncertainty is None else marks.meter.uncertainty.notes,
-        parts_of_uncertainty=known_parts(every),
+        parts_of_uncertainty=parts,
+        camera_is_known=PART_NAMES["camera"] in parts.values(),
         every=every,
         has_factor=any(mark.factor != DASH for mark in every),
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),

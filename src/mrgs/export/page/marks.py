@@ -13,7 +13,8 @@ PageMark: TypeAlias = dict[str, Any]
 
 
 def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
-    """The marks of a run, and what was assumed for surfaces with an emissivity of their own.
+    """The marks of a run, and what was assumed for their uncertainties and for surfaces with an
+    emissivity of their own.
 
     Raises:
         RunError: ``marks.json`` holds the marks of another model.
@@ -34,8 +35,9 @@ def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
                 "label": label_text(reading, temperature),
             }
         )
+    of_uncertainty = () if marks.meter.uncertainty is None else marks.meter.uncertainty.notes
     has_own = any(mark.has_settings for mark in known.marks)
-    return shown, marks.meter.capture.notes if has_own else ()
+    return shown, (*of_uncertainty, *(marks.meter.capture.notes if has_own else ()))
 
 
 def _rounded(point: Place) -> list[float]:
