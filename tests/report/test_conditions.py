@@ -31,7 +31,7 @@ def test_a_plant_needs_sun():
 
 
 @pytest.mark.parametrize(
-    ("pixel_m", "stated", "met"), [(0.028, "2.8 cm", True), (0.05, "5 cm", False)]
+    ("pixel_m", "stated", "met"), [(0.028, "2.8 cm", True), (0.05, "5.0 cm", False)]
 )
 def test_a_cell_of_a_module_is_five_pixels_wide(pixel_m, stated, met):
     row = conditions_of(Survey(standard="IEC TS 62446-3"), pixel_m)[-1]
@@ -40,6 +40,28 @@ def test_a_cell_of_a_module_is_five_pixels_wide(pixel_m, stated, met):
 
 def test_without_a_standard_there_are_none():
     assert conditions_of(Survey(inside_c=21.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("stated", "text"),
+    [
+        ({"irradiance_w_m2": 1050.0}, "1050 W/m²"),
+        ({"hours_without_sun": 1000.0}, "1000 h"),
+        ({"wind_m_s": 0.04}, "0.0 m/s"),
+        ({"inside_c": 21.25}, "21.2 °C"),
+        ({"outside_c": -0.04}, "0.0 °C"),
+        ({"humidity_percent": 45.0}, "45 %"),
+    ],
+)
+def test_what_is_stated_has_the_decimals_of_its_unit_and_no_exponent(stated, text):
+    ((_, shown),) = stated_rows(Survey(**stated), Texts())
+    assert shown == text
+
+
+def test_a_condition_is_judged_by_what_is_read():
+    """16.4 - 6.4 is 9.999999999999998 in binary, and reads 10.0 K."""
+    (row, *_) = conditions_of(Survey(standard="EN 13187", inside_c=16.4, outside_c=6.4))
+    assert (row.stated, row.met) == ("10.0 K", True)
 
 
 @pytest.mark.parametrize(("language", "row"), [("en", "21.5 °C"), ("de", "21,5 °C")])

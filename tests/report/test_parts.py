@@ -12,7 +12,7 @@ from mrgs.marks import Mark
 from mrgs.report.mark_pictures import _part_about
 from mrgs.report.sections import capture_rows, thermal_pixel_m
 from mrgs.report.texts import Texts
-from mrgs.scene import THERMAL, Camera, EarthPosition, WorldFrame
+from mrgs.scene import THERMAL, Camera, EarthPosition, TemperatureRange, WorldFrame
 from mrgs.survey import Survey
 
 
@@ -38,6 +38,12 @@ def test_the_report_says_where_lengths_come_from(small_scene: Path, world: World
     language = "de" if "neben" in text else "en"
     rows = dict(capture_rows(scene, Survey(), Texts(language)))
     assert text in rows[Texts(language)("Lengths")]
+
+
+def test_a_hot_range_is_written_without_an_exponent(small_scene: Path):
+    scene = replace(load_scene(small_scene), temperature=TemperatureRange(-20.0, 1650.0))
+    rows = dict(capture_rows(scene, Survey(), Texts("de")))
+    assert rows["Temperaturbereich"] == "−20,0 bis 1650,0 °C"
 
 
 def test_the_pixel_of_the_thermal_photos_is_that_on_what_they_show(small_scene: Path):

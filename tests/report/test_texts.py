@@ -47,7 +47,7 @@ def said() -> set[str]:
     ]
     return {
         *re.findall(r'\bt\("([^"]+)"', "".join(sources)),
-        *(label for _, label, _ in _SETTINGS),
+        *(label for _, label, *_ in _SETTINGS),
         *(title for title, _ in COLUMNS.values()),
         *get_args(Side),
         *(label for label, _ in LABELS.values()),

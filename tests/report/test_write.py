@@ -105,7 +105,7 @@ def test_the_report_tells_spots_capture_training_and_limits(run, tmp_path):
     page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
     for words in (
         "Anomalies found by the program", "H1", "position x, y, z",
-        "6 training, 2 evaluation", "8, 40 × 30 pixels", "10 °C to 30 °C",
+        "6 training, 2 evaluation", "8, 40 × 30 pixels", "10.0 °C to 30.0 °C",
         "not in the scene's files",
         "60 of 60", "Emissivity", "Reflections", "not covered by photos",
         "The thermal photo reads",

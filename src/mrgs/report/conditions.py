@@ -17,8 +17,12 @@ MOST_WIND_PLANT_M_S = 28 / 3.6
 """4 Beaufort."""
 
 MOST_CLOUD_EIGHTHS = 2.0
-MOST_PIXEL_M = 0.03
+MOST_PIXEL_CM = 3.0
 """So that a cell of a module is five pixels wide."""
+
+
+ONE_DECIMAL = ("°C", "K", "m/s", "cm")
+"""Units whose values always have a decimal."""
 
 
 class Condition(NamedTuple):
@@ -55,7 +59,7 @@ def difference_k(survey: Survey) -> float | None:
     """The air inside minus the air outside."""
     if survey.inside_c is None or survey.outside_c is None:
         return None
-    return survey.inside_c - survey.outside_c
+    return _rounded(survey.inside_c - survey.outside_c)
 
 
 def _difference(survey: Survey) -> Condition:
@@ -73,14 +77,14 @@ def _steady(survey: Survey) -> Condition:
         least = min(inside - low, inside - high, key=abs) if (inside - low) * (
             inside - high
         ) > 0 else 0.0  # fmt: skip
-        stated, met = _text(least, "K"), abs(least) >= LEAST_DIFFERENCE_K
+        stated, met = _text(least, "K"), abs(_rounded(least)) >= LEAST_DIFFERENCE_K
     return Condition("The same, over the 24 hours before", "at least 10 K", stated, met)
 
 
 def _wind(most: float, asked: str) -> Callable[[Survey], Condition]:
     def check(survey: Survey) -> Condition:
         found = survey.wind_m_s
-        met = None if found is None else found <= most
+        met = None if found is None else _rounded(found) <= most
         return Condition("Wind", asked, _text(found, "m/s"), met)
 
     return check
@@ -88,7 +92,7 @@ def _wind(most: float, asked: str) -> Callable[[Survey], Condition]:
 
 def _sun(survey: Survey) -> Condition:
     found = survey.hours_without_sun
-    met = None if found is None else found >= LEAST_HOURS_WITHOUT_SUN
+    met = None if found is None else _rounded(found) >= LEAST_HOURS_WITHOUT_SUN
     return Condition("Without direct sun", "at least 2 h", _text(found, "h"), met)
 
 
@@ -98,7 +102,7 @@ def _dry(survey: Survey) -> Condition:
 
 def _irradiance(survey: Survey) -> Condition:
     found = survey.irradiance_w_m2
-    met = None if found is None else found >= LEAST_IRRADIANCE_W_M2
+    met = None if found is None else _rounded(found) >= LEAST_IRRADIANCE_W_M2
     return Condition(
         "Irradiance in the plane of the modules", "at least 600 W/m²", _text(found, "W/m²"), met
     )
@@ -106,18 +110,30 @@ def _irradiance(survey: Survey) -> Condition:
 
 def _clouds(survey: Survey) -> Condition:
     found = survey.cloud_eighths
-    met = None if found is None else found <= MOST_CLOUD_EIGHTHS
+    met = None if found is None else _rounded(found) <= MOST_CLOUD_EIGHTHS
     return Condition("Clouds", "at most 2 eighths of the sky", _text(found, "/ 8"), met)
 
 
 def _resolution(pixel_m: float | None) -> Condition:
     found = None if pixel_m is None else 100 * pixel_m
-    met = None if pixel_m is None else pixel_m <= MOST_PIXEL_M
+    met = None if found is None else _rounded(found) <= MOST_PIXEL_CM
     return Condition("Pixel of the thermal photos", "at most 3 cm", _text(found, "cm"), met)
 
 
 def _text(value: float | None, unit: str) -> str:
-    return "" if value is None else f"{value:.3g} {unit}".replace("-", "−")
+    """A value with its unit, in the same decimals wherever the unit stands: one, which units that
+    are mostly stated whole have only where they need it."""
+    if value is None:
+        return ""
+    text = f"{_rounded(value):.1f}"
+    if unit not in ONE_DECIMAL:
+        text = text.removesuffix(".0")
+    return f"{text} {unit}".replace("-", "−")
+
+
+def _rounded(value: float) -> float:
+    """As it is shown, so that what is judged is what is read; without a minus before 0."""
+    return round(value, 1) + 0.0
 
 
 _BUILDING = (_difference, _steady, _wind(MOST_WIND_BUILDING_M_S, "at most 5 m/s"), _sun, _dry)

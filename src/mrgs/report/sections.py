@@ -68,7 +68,7 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
             t("Temperature range"),
             t("no °C known: relative values")
             if temperature is None
-            else f"{_span([temperature.min_c, temperature.max_c], t)} °C",
+            else f"{_span([temperature.min_c, temperature.max_c], 1, t)} °C",
         ),
         (t("Lengths"), _lengths(scene.world, t)),
         *_record_rows(records_of(scene), survey, t),
@@ -83,7 +83,7 @@ def _lengths(world: WorldFrame, t: Texts) -> str:
         return t("in metres")
     return t(
         "in metres; the cameras are {residual} m off their GPS positions (median)",
-        residual=t.number(f"{world.residual_m:.2g}"),
+        residual=t.number(f"{world.residual_m:.2f}"),
     )
 
 
@@ -113,8 +113,8 @@ def _record_rows(records: Sequence[PhotoRecord], survey: Survey, t: Texts) -> li
         first, last = f"{t.date(times[0])} {times[0]:%H:%M}", f"{times[-1]:%H:%M}"
         taken = t("{low} to {high}", low=first, high=last)
     settings = "; ".join(
-        f"{t(label)} {_span([getattr(each, name) for each in known], t)}{unit}"
-        for name, label, unit in _SETTINGS
+        f"{t(label)} {_span([getattr(each, name) for each in known], decimals, t)}{unit}"
+        for name, label, unit, decimals in _SETTINGS
     )
     return [
         (t("Thermal camera, serial number"), ", ".join(sorted(cameras)) or missing),
@@ -124,20 +124,20 @@ def _record_rows(records: Sequence[PhotoRecord], survey: Survey, t: Texts) -> li
 
 
 _SETTINGS = (
-    ("emissivity", "emissivity", ""),
-    ("reflected_c", "reflected temperature", " °C"),
-    ("distance_m", "distance", " m"),
-    ("atmospheric_c", "air", " °C"),
-    ("humidity", "relative humidity", ""),
+    ("emissivity", "emissivity", "", 2),
+    ("reflected_c", "reflected temperature", " °C", 1),
+    ("distance_m", "distance", " m", 1),
+    ("atmospheric_c", "air", " °C", 1),
+    ("humidity", "relative humidity", "", 2),
 )
-"""Parameters of a photo, their names and units in the report."""
+"""Parameters of a photo, their names, units and decimals in the report."""
 
 
-def _span(values: Sequence[float], t: Texts) -> str:
+def _span(values: Sequence[float], decimals: int, t: Texts) -> str:
     """The values' range, or the one value that all have."""
     if not values:
         return ""
-    low, high = (t.number(f"{each:.3g}") for each in (min(values), max(values)))
+    low, high = (t.number(f"{each:.{decimals}f}") for each in (min(values), max(values)))
     return low if low == high else t("{low} to {high}", low=low, high=high)
 
 

@@ -86,7 +86,7 @@ class ShownMap(NamedTuple):
         size = {
             "width": t.number(f"{width:.1f}"),
             "height": t.number(f"{height:.1f}"),
-            "pixel": t.number(f"{100 * drawn.drawn.grid.pixel_m:.2g}"),
+            "pixel": t.number(f"{100 * drawn.drawn.grid.pixel_m:.1f}"),
         }
         what = (
             t("Temperatures of the façade from the front, to scale:")
