@@ -215,11 +215,20 @@ def test_screenshots_are_numbered(inspection, camera, subject):
 
 
 def test_what_cannot_be_written_is_named(subject, camera):
-    inspection = Inspection(replace(subject, folder=subject.folder / "file"))
-    (subject.folder / "file").write_text("in the way")
+    inspection = Inspection(subject)
+    (subject.folder / "renders").write_text("in the way")
     inspection.picture(camera)
     with pytest.raises(RunError, match=r"0001\.png cannot be written"):
         inspection.screenshot()
+
+
+def test_nothing_is_written_beside_a_run_that_is_gone(subject, camera):
+    gone = subject.folder / "stick" / "run"
+    inspection = Inspection(replace(subject, folder=gone))
+    inspection.picture(camera)
+    with pytest.raises(RunError, match=r"run is gone: nothing can be saved until it is back"):
+        inspection.screenshot()
+    assert not gone.parent.exists()
 
 
 @pytest.mark.parametrize("with_mp4", [True, False])

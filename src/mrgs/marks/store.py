@@ -19,7 +19,7 @@ from mrgs.errors import ConfigError, MrgsWarning, RunError
 from mrgs.marks.mark import Mark, Marks
 from mrgs.runs.open import TrainedRun
 from mrgs.scene import Camera, Scene
-from mrgs.system.atomic import write_error, write_text
+from mrgs.system.atomic import require_folder, write_error, write_text
 from mrgs.system.limits import shown
 
 FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
@@ -104,11 +104,7 @@ class MarkStore:
     @property
     def stamp(self) -> tuple[int, int] | None:
         """Changes whenever the file does; None without one."""
-        try:
-            status = self.file.stat()
-        except OSError:
-            return None
-        return status.st_mtime_ns, status.st_size
+        return file_stamp(self.file)
 
     def read(self) -> Marks:
         """The marks; none where there is no file.
@@ -117,9 +113,10 @@ class MarkStore:
             MrgsWarning: the file is damaged; it is kept under another name, and there are no marks.
 
         Raises:
-            RunError: the file cannot be read, is of a newer version of the program, or its marks
-                are those of another model.
+            RunError: the run's folder is gone, or the file cannot be read, is of a newer version of
+                the program, or its marks are those of another model.
         """
+        require_folder(self.folder)
         return self._read(self.file, _marks_of, Marks())
 
     def edit(self, change: Change) -> Marks:
@@ -224,6 +221,7 @@ class MarkStore:
     @contextmanager
     def _locked(self) -> Iterator[None]:
         """One change at a time, whatever process makes it."""
+        require_folder(self.folder)  # the lock would make it anew
         lock = FileLock(self.folder / LOCK_FILE)
         try:
             lock.acquire(timeout=PATIENCE_S)
@@ -237,6 +235,15 @@ class MarkStore:
             yield
         finally:
             lock.release()
+
+
+def file_stamp(path: Path) -> tuple[int, int] | None:
+    """Changes whenever a file does; None without one."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_size
 
 
 def judged_content(folder: Path) -> str:

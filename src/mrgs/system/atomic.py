@@ -76,6 +76,20 @@ def write_texts(path: Path, texts: Iterable[str]) -> Path:
     return path
 
 
+def require_folder(folder: Path) -> None:
+    """Check that a folder is still there, before something is written that belongs to what it
+    held: on a drive that was pulled out, ``replacing`` would make an empty one in its place.
+
+    Raises:
+        WriteError: it is gone.
+    """
+    if not folder.is_dir():
+        raise WriteError(
+            f"the folder {folder} is gone: nothing can be saved until it is back; reconnect its "
+            f"drive, or move it back"
+        )
+
+
 def remove(path: Path) -> None:
     """Remove a file if it is there.
 

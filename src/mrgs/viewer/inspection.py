@@ -21,6 +21,7 @@ from mrgs.marks.texts import label_text
 from mrgs.pictures.files import write_png
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, Modality, View
+from mrgs.system.atomic import require_folder
 from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
 from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
 from mrgs.viewer.layout import Pane, Place, panes_of, place_at
@@ -372,7 +373,7 @@ class Inspection:
         """
         if self.drawn is None:
             raise ConfigError("wait for the first picture, then take a screenshot")
-        folder = self.subject.folder / "renders" / "screenshots"
+        folder = self._folder("screenshots")
         drawn = self.picture(self.drawn.camera)
         image = annotate(
             drawn.pixels, drawn.panes, drawn.images, drawn.scales, self.marks(), self.outlines()
@@ -386,7 +387,7 @@ class Inspection:
             ConfigError: there are no keyframes.
             RunError: the file cannot be written.
         """
-        folder = self.subject.folder / "renders" / "paths"
+        folder = self._folder("paths")
         return save_path(_next_free(folder, ".json"), self.keyframes, seconds, VIDEO_FPS)
 
     def render_video(self, seconds: float, mp4: bool | None = None) -> Iterator[VideoProgress]:
@@ -411,7 +412,7 @@ class Inspection:
             )
         path = smooth_path(self.keyframes, round(seconds * VIDEO_FPS))
         size = fitted_size(path[0].width, path[0].height, VIDEO_SIDE_PX)
-        folder = self.subject.folder / "renders" / "videos"
+        folder = self._folder("videos")
         target = _next_free(folder, "")
         mp4 = can_write_mp4() if mp4 is None else mp4
         with frame_writer(folder, target.name, size, mp4=mp4) as add:
@@ -421,6 +422,15 @@ class Inspection:
                 yield VideoProgress(number, len(path))
         written = target.with_suffix(".mp4") if mp4 else target
         yield VideoProgress(len(path), len(path), written)
+
+    def _folder(self, name: str) -> Path:
+        """Where files of a kind are written.
+
+        Raises:
+            WriteError: the run's folder is gone.
+        """
+        require_folder(self.subject.folder)
+        return self.subject.folder / "renders" / name
 
     def _video_frames(self, cameras: Sequence[Camera]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         self.point = None
