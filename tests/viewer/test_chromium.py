@@ -14,10 +14,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mrgs.marks.moisture import dew_point_c
+from mrgs.marks.store import MarkStore
 from mrgs.pictures.palette import palette_table
 from mrgs.pictures.stage import PALETTE_CHOICES
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
+from mrgs.survey import SURVEY_FILE
+from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.painting import NO_SURFACE_COLOR
 from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
 
@@ -93,6 +97,11 @@ def shown_celsius(page: Any, selector: str) -> float:
     return float(page.locator(selector).inner_text().split()[0].replace("−", "-"))
 
 
+def limits_of(page: Any) -> tuple[float, ...]:
+    texts = (page.locator(name).input_value() for name in ("#low", "#high"))
+    return tuple(float(text.replace("−", "-")) for text in texts)
+
+
 def test_the_temperature_under_the_cursor_needs_no_click(open_page, viewer, small_run, tmp_path):
     page = open_page()
     assert "token" not in page.url
@@ -133,20 +142,16 @@ def test_marks_and_scale_lie_over_the_picture_and_not_in_it(open_page):
 
 def test_the_scale_stays_while_the_view_moves(open_page):
     page = open_page()
-    limits = page.locator("#low").input_value(), page.locator("#high").input_value()
+    limits = limits_of(page)
     x, y = middle(page)
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x + 150, y + 10, steps=5)
     page.mouse.up()
     page.wait_for_selector(SETTLED)
-    assert (page.locator("#low").input_value(), page.locator("#high").input_value()) == limits
+    assert limits_of(page) == limits
     page.check("#follow")
-    wait_until(
-        lambda: (page.locator("#low").input_value(), page.locator("#high").input_value()) != limits,
-        "the scale follows when asked to",
-        page,
-    )
+    wait_until(lambda: limits_of(page) != limits, "the scale follows when asked to", page)
 
 
 def test_home_leads_back(open_page, viewer):
@@ -209,6 +214,144 @@ def test_marks_are_drawn_with_the_mouse_listed_changed_and_undone(open_page, vie
     page.click("[data-kind=spot]")
     page.keyboard.press("Escape")
     assert page.locator("#selector").is_hidden()
+
+
+@pytest.fixture
+def board(viewer: Viewer) -> MarkBoard:
+    board = viewer._subject.board
+    assert board is not None
+    return board
+
+
+@pytest.fixture
+def disk(board: MarkBoard) -> MarkStore:
+    """The marks, as another program opens them."""
+    return MarkStore(board._store.folder, board._store._spread)
+
+
+def draw_box(page: Any, left: float = 0.45) -> Any:
+    """Draw a box in the middle of the picture, and unfold it; returns its row."""
+    rows = page.locator("#mark-list details")
+    count, area = rows.count(), page.locator("#view").bounding_box()
+    page.click("[data-kind=box]")
+    for number, share in enumerate((left, left + 0.1)):
+        page.mouse.move(area["x"] + share * area["width"], area["y"] + share * area["height"])
+        (page.mouse.up if number else page.mouse.down)()
+    wait_until(lambda: rows.count() == count + 1, "the box is listed", page)
+    rows.last.locator("summary").click()
+    return rows.last
+
+
+def said(row: Any, label: str) -> str:
+    """What stands below a field."""
+    return row.get_by_label(label, exact=True).locator("xpath=following-sibling::p[1]").inner_text()
+
+
+def test_what_is_typed_after_a_new_name_is_saved(open_page, board):
+    page = open_page()
+    row = draw_box(page)
+    row.get_by_label("Name").select_text()
+    for text in ("Door", "a note", "2"):
+        page.keyboard.type(text, delay=30)
+        page.keyboard.press("Tab")
+    wait_until(lambda: board.marks.marks[0].severity == "2", "the severity is saved", page)
+    mark = board.marks.marks[0]
+    assert (mark.name, mark.note) == ("Door", "a note")
+    assert row.locator("summary b").inner_text() == "Door"
+    assert row.get_attribute("open") is not None
+
+
+def test_what_is_being_typed_stays_when_other_things_change(open_page, board, disk):
+    page = open_page()
+    row = draw_box(page)
+    note = row.get_by_label("Note")
+    note.focus()
+    page.keyboard.type("half a no")
+    disk.edit(lambda marks: marks.changing("B1", severity="3"))
+    severity = row.get_by_label("Severity")
+    wait_until(lambda: severity.input_value() == "3", "what another program wrote is shown", page)
+    page.keyboard.type("te")
+    page.keyboard.press("Tab")
+    wait_until(lambda: board.marks.marks[0].note == "half a note", "the note is saved", page)
+    assert board.marks.marks[0].severity == "3"
+    disk.edit(lambda marks: marks.without("B1"))
+    wait_until(lambda: row.count() == 0, "what another program deletes goes", page)
+
+
+def test_numbers_are_typed_with_a_point_or_a_comma(open_page, viewer, board):
+    page = open_page()
+    row = draw_box(page)
+    for label, text in (("Emissivity", "0,85"), ("Reflected, °C", "−12,5")):
+        row.get_by_label(label, exact=True).fill(text)
+        page.keyboard.press("Tab")
+        if label == "Emissivity":
+            row.locator(".problem:has-text('give it too')").wait_for()
+    wait_until(lambda: board.marks.marks[0].reflected_c is not None, "both are saved", page)
+    assert (board.marks.marks[0].emissivity, board.marks.marks[0].reflected_c) == (0.85, -12.5)
+    row.locator(".problem:empty").wait_for(state="attached")
+    page.fill("#low", "-5,5")
+    page.press("#low", "Enter")
+    page.fill("#high", "20.12")
+    page.press("#high", "Enter")
+    assert limits_of(page) == (-5.5, 20.1)
+    inspection = viewer.browsers[0].inspection
+    wait_until(lambda: inspection.settings.limits[THERMAL] == (-5.5, 20.1), "it is used", page)
+    page.select_option("#isotherm", "above")
+    page.fill("#isotherm-low", "15,5")
+    page.press("#isotherm-low", "Enter")
+    wait_until(lambda: inspection.settings.isotherm == (15.5, 1e6), "it is taken", page)
+
+
+def test_what_cannot_be_is_refused_at_its_field(open_page, board):
+    page = open_page()
+    draw_box(page)
+    row = draw_box(page, 0.4)
+    name, emissivity = (row.get_by_label(each) for each in ("Name", "Emissivity"))
+    for text in ("8,5,1", "1.2", "lots"):
+        emissivity.fill(text)
+        page.keyboard.press("Tab")
+        assert said(row, "Emissivity") == "Not saved: Emissivity: a number from 0.01 to 1."
+    name.fill("B1")
+    page.keyboard.press("Tab")
+    wait_until(lambda: said(row, "Name") != "", "it is refused", page)
+    assert said(row, "Name") == ("Not saved: two marks are named 'B1': choose another name.")
+    assert name.get_attribute("aria-invalid") == "true"
+    assert (name.input_value(), emissivity.input_value()) == ("B1", "lots")
+    name.fill("Door")
+    page.keyboard.press("Tab")
+    wait_until(lambda: board.marks.marks[1].name == "Door", "another name is taken", page)
+    wait_until(lambda: said(row, "Name") == "", "the complaint goes", page)
+    assert name.get_attribute("maxlength") == "40"
+    for text, reason in (
+        ("-1e9", "a number from −273 to 5000."),
+        ("-300", "a number from −273 to 5000."),
+        ("900", "The upper end must be above the lower."),
+    ):
+        page.fill("#low", text)
+        page.press("#low", "Enter")
+        assert page.locator("#range-said").inner_text().endswith(reason)
+    page.locator("summary:has-text('Screenshot')").click()
+    for text in ("", "0"):
+        page.fill("#seconds", text)
+        page.click("#save-path")
+        assert page.locator("#seconds-said").inner_text().endswith("a number from 0.5 to 600.")
+
+
+def test_alarms_begin_with_what_the_survey_states(open_page, board):
+    survey = board._store.folder / SURVEY_FILE
+    survey.write_text("inside_c: 22.5\nhumidity_percent: 61")
+    board.refresh()
+    page = open_page()
+    page.select_option("#isotherm", "dew")
+    air, humidity = page.locator("#isotherm-low"), page.locator("#isotherm-high")
+    assert (air.input_value(), humidity.input_value()) == ("22.5", "61")
+    dew_point = dew_point_c(22.5, 0.61)
+    assert page.locator("#isotherm-said").inner_text().endswith(f"{dew_point:.1f} °C.")
+    air.fill("-300")
+    air.press("Enter")
+    assert page.locator("#isotherm-said").inner_text() == "Air, °C: a number from −45 to 60."
+    survey.unlink()
+    board.refresh()
 
 
 def test_proposals_are_accepted_and_dropped(open_page, viewer, tmp_path):

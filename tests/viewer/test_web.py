@@ -189,10 +189,13 @@ def test_messages_that_mean_nothing_are_answered_and_have_no_effect(viewer):
     async def visit(connection: ClientConnection) -> None:
         nonsense = ["", "{", "[]", '{"type": "no"}', b"\x00\xff", look(position=[1e300, 0, 0])]
         nonsense += [look(rotation=[1.0] * 9), '{"type": "choose", "mode": 999}']
-        nonsense += ['{"type": "photo", "index": 99999}', '{"type": "delete_mark", "mark": "S9"}']
+        nonsense += ['{"type": "photo", "index": 99999}', '{"type": "judge", "mark": 5}']
         for data in nonsense:
             await connection.send(data)
             assert (await answer(connection, "status"))["failed"]
+        await connection.send('{"type": "delete_mark", "mark": 999}')
+        refused = await answer(connection, "refused")
+        assert (refused["mark"], refused["text"]) == (999, "this mark has been deleted")
         assert (await picture(connection))["number"] == 1
 
     browse(viewer, visit)
@@ -311,23 +314,25 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         assert (marks[0]["name"], marks[0]["kind"]) == ("S1", "spot")
         corners = [[0.45, 0.45], [0.55, 0.55]]
         await connection.send(json.dumps({"type": "add_mark", "kind": "box", "points": corners}))
-        assert len((await answer(connection, "marks"))["of"]) == 2
+        numbers = [mark["id"] for mark in (await answer(connection, "marks"))["of"]]
+        assert len(numbers) == 2
         (pane,) = (await picture(connection, number=2))["panes"]
         ((x, y, label),) = pane["marks"]
         assert (x, y) == pytest.approx((0.5, 0.5), abs=0.02)
         assert label.startswith("S1  ")
         (outline,) = pane["outlines"]
         assert len(outline["corners"]) == 4
-        change = {
-            "type": "change_mark", "mark": "B1", "name": "Ball", "note": "warm", "severity": "2",
-        }  # fmt: skip
+        spot, box = numbers
+        change = {"type": "change_mark", "mark": box, "name": "Ball", "note": "warm"}
         await connection.send(json.dumps({**change, "emissivity": 0.9, "reflected_c": 15}))
         changed = (await answer(connection, "marks"))["of"][1]
         assert (changed["name"], changed["note"], changed["emissivity"]) == ("Ball", "warm", 0.9)
-        assert changed["severity"] == "2"
-        await connection.send('{"type": "refer_to", "mark": "S1"}')
+        await connection.send(json.dumps({"type": "change_mark", "mark": box, "severity": "2"}))
+        changed = (await answer(connection, "marks"))["of"][1]
+        assert (changed["name"], changed["severity"], changed["emissivity"]) == ("Ball", "2", 0.9)
+        await connection.send(json.dumps({"type": "refer_to", "mark": spot}))
         assert (await answer(connection, "marks"))["of"][1]["difference"].startswith("ΔT ")
-        await connection.send('{"type": "delete_mark", "mark": "Ball"}')
+        await connection.send(json.dumps({"type": "delete_mark", "mark": box}))
         assert len((await answer(connection, "marks"))["of"]) == 1
         await connection.send('{"type": "act", "what": "undo"}')
         assert len((await answer(connection, "marks"))["of"]) == 2

@@ -12,6 +12,7 @@ from mrgs.pictures.palette import PaletteName, palette_table
 from mrgs.pictures.values import decimals_of, range_of, unit_label
 from mrgs.scene import Camera, Modality, TemperatureRange
 from mrgs.scene.camera_paths import focus_point
+from mrgs.survey import Survey
 
 STAGE_STYLE = "pictures/web/stage.css"
 """Style sheet of the pages with a 3D view."""
@@ -21,11 +22,13 @@ MARKS_STYLE = "pictures/web/marks.css"
 
 STAGE_SCRIPTS = (
     "pictures/web/navigation.js",
+    "pictures/web/numbers.js",
     "pictures/web/scale.js",
+    "pictures/web/range.js",
     "pictures/web/isotherm.js",
     "pictures/web/marks.js",
 )
-"""Scripts of the same: where the camera is, and the scale beside it."""
+"""Scripts of the same: where the camera is, the scale beside it, and the marks."""
 
 PALETTE_CHOICES: tuple[PaletteName, ...] = (
     "inferno",
@@ -87,3 +90,8 @@ def modality_facts(
         },
         "range": list(limits),
     }
+
+
+def air_facts(survey: Survey) -> dict[str, float | None]:
+    """What the air was like, for ``isotherm.js``; None for what the survey does not state."""
+    return {name: getattr(survey, name) for name in ("inside_c", "outside_c", "humidity_percent")}

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import threading
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.stereo import PhotoStereo
-from mrgs.marks.store import MarkStore
+from mrgs.marks.store import MarkStore, file_stamp
 from mrgs.marks.surface import SeenSurface
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.scene import Camera
+from mrgs.survey import SURVEY_FILE, Survey, read_survey
+from mrgs.viewer.numbers import MarkNumbers
 
 Listener = Callable[[], None]
+Appraiser = Callable[[Survey], UncertaintyMeter]
 
 
 class MarkBoard:
@@ -26,33 +33,55 @@ class MarkBoard:
         store: keeps the marks in the run's folder.
         meter: measures them in the model.
         stereo: finds depths by the photos; None to take those of the model.
+        appraise: the uncertainty of the temperatures by what the survey states; None where it is
+            not known.
 
     Attributes:
         marks: as they were measured.
+        numbers: of each; it stays the same when a mark is renamed.
         readings: one for each.
         proposals: of the report, measured in the same way.
         regions: surfaces with an emissivity of their own.
         stereo: as given.
+        survey: of the run.
+        problems: why the files of the run are not what is shown, a sentence each.
+
+    Raises:
+        ConfigError: the survey has a value that cannot be.
+        RunError: the survey cannot be read.
     """
 
     def __init__(
-        self, store: MarkStore, meter: MarkMeter, stereo: PhotoStereo | None = None
+        self,
+        store: MarkStore,
+        meter: MarkMeter,
+        stereo: PhotoStereo | None = None,
+        appraise: Appraiser | None = None,
     ) -> None:
         self.marks = Marks()
+        self.numbers: list[int] = []
         self.readings: list[MarkReading] = []
         self.proposals: list[MarkReading] = []
         self.stereo = stereo
         self.regions: Regions = meter.regions(self.marks)
+        self.problems: tuple[str, ...] = ()
         self._store = store
         self._meter = meter
-        self._stamp: tuple[int, int] | None = None
+        self._appraise = appraise
+        self._identities = MarkNumbers()
+        self._files: object = None
         self._lock = threading.Lock()
         self._listeners: list[Listener] = []
+        self._follow(self._survey_now())
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is assumed of the photos where a surface has an emissivity of its own."""
-        return self._meter.capture.notes if self.regions else ()
+        """What is assumed of the photos where a surface has an emissivity of its own, and what the
+        ± leaves out."""
+        assumed = self._meter.capture.notes if self.regions else ()
+        shown = any(reading.uncertainty for reading in (*self.readings, *self.proposals))
+        left_out = self.uncertainty.notes if shown and self.uncertainty is not None else ()
+        return (*assumed, *left_out)
 
     @property
     def uncertainty(self) -> UncertaintyMeter | None:
@@ -73,14 +102,31 @@ class MarkBoard:
         with self._lock:
             self._listeners = [each for each in self._listeners if each != listener]
 
-    def refresh(self) -> None:
-        """Measure what another program has changed.
+    @property
+    def is_stale(self) -> bool:
+        """Whether the files of the run have changed since they were read; takes three looks at the
+        disk."""
+        return self._files != self._files_now()
 
-        Raises:
-            RunError: the file cannot be read, or holds the marks of another model.
-        """
-        if self._store.stamp != self._stamp:
-            self._show(self._store.read())
+    def refresh(self) -> None:
+        """Measure what another program has changed. Files that cannot be read change nothing but
+        ``problems``."""
+        if not self.is_stale:
+            return
+        self._files = self._files_now()
+        before = self.marks, self.survey, self.problems
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", MrgsWarning)
+            try:
+                self._read()
+                self.problems = ()
+            except MrgsError as error:
+                self.problems = (str(error),)
+        if caught:  # of a damaged file, which reading has moved away
+            self.problems = (*self.problems, *(str(each.message) for each in caught))
+            self._files = self._files_now()
+        if (self.marks, self.survey, self.problems) != before:
+            self._tell()
 
     def add(self, kind: MarkKind, places: tuple[Place, ...], eye: Place, radius: float) -> None:
         """Add a mark under the next free name.
@@ -89,9 +135,23 @@ class MarkBoard:
             ConfigError: it cannot be.
             RunError: it cannot be saved.
         """
-        self._show(
-            self._store.edit(
-                lambda marks: marks.adding(Mark(marks.free_name(kind), kind, places, eye, radius))
+        self.edit(
+            lambda marks: marks.adding(Mark(marks.free_name(kind), kind, places, eye, radius))
+        )
+
+    def change(self, number: int, fields: dict[str, Any]) -> None:
+        """Change fields of the mark of a number; errors as for ``add``."""
+        self.edit(lambda marks: marks.changing(self._name(marks, number), **fields))
+
+    def delete(self, number: int) -> None:
+        """Delete the mark of a number; errors as for ``add``."""
+        self.edit(lambda marks: marks.without(self._name(marks, number)))
+
+    def refer_to(self, number: int | None) -> None:
+        """Let all differences refer to the mark of a number, or to none; errors as for ``add``."""
+        self.edit(
+            lambda marks: replace(
+                marks, reference="" if number is None else self._name(marks, number)
             )
         )
 
@@ -108,12 +168,45 @@ class MarkBoard:
         """
         self._show(self._store.undo())
 
+    def _name(self, marks: Marks, number: int) -> str:
+        """What the mark of a number is called on the disk now."""
+        numbers = self._identities.of(marks.marks)
+        if number not in numbers:
+            raise ConfigError("this mark has been deleted")
+        return marks.marks[numbers.index(number)].name
+
+    def _files_now(self) -> object:
+        folder = self._store.folder
+        return folder.is_dir(), self._store.stamp, file_stamp(folder / SURVEY_FILE)
+
+    def _read(self) -> None:
+        """Measure what the files hold, unless it is what is measured already."""
+        marks, survey = self._store.read(), self._survey_now()
+        if (marks, survey) != (self.marks, self.survey):
+            if survey != self.survey:
+                self._follow(survey)
+            self._measure(marks)
+
+    def _survey_now(self) -> Survey:
+        return read_survey(self._store.folder / SURVEY_FILE)
+
+    def _follow(self, survey: Survey) -> None:
+        """Take uncertainties from what a survey states."""
+        self.survey = survey
+        if self._appraise is not None:
+            self._meter.uncertainty = self._appraise(survey)
+
     def _show(self, marks: Marks) -> None:
-        self._stamp = self._store.stamp
+        self._measure(marks)
+        self._tell()
+
+    def _measure(self, marks: Marks) -> None:
         self.regions = self._meter.regions(marks)
         self.readings = self._meter.measure(marks, self.regions)
         self.proposals = self._meter.measure(Marks(marks.proposals), self.regions)
-        self.marks = marks
+        self.marks, self.numbers = marks, self._identities.of(marks.marks)
+
+    def _tell(self) -> None:
         with self._lock:
             listeners = list(self._listeners)
         for listener in listeners:

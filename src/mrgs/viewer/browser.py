@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import io
+import itertools
 import logging
 import math
 import struct
 import threading
 import time
-import warnings
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from PIL import Image
 
-from mrgs.errors import ConfigError, MrgsError, MrgsWarning
+from mrgs.errors import ConfigError, MrgsError
 from mrgs.marks.mark import Marks
+from mrgs.marks.measure import MarkReading
 from mrgs.marks.texts import mark_text
 from mrgs.pictures.drawing import Scale
-from mrgs.pictures.stage import PALETTE_CHOICES, camera_facts, modality_facts, palette_facts
+from mrgs.pictures.stage import (
+    PALETTE_CHOICES,
+    air_facts,
+    camera_facts,
+    modality_facts,
+    palette_facts,
+)
 from mrgs.pictures.values import range_of
 from mrgs.scene import Modality, WorldFrame
 from mrgs.viewer import texts
@@ -60,8 +66,6 @@ FEWEST_PIXELS = 240
 MOVING_JPEG: dict[str, Any] = {"quality": 80}
 SHARP_JPEG: dict[str, Any] = {"quality": 93, "subsampling": 0}
 
-_CHANGED_FIELDS = ("name", "note", "severity", "emissivity", "reflected_c")
-
 _log = logging.getLogger(__name__)
 
 Send = Callable[[str | bytes], "Future[None]"]
@@ -91,6 +95,7 @@ class Browser:
         self._lock = threading.Lock()
         self._look: Look | None = None
         self._sending = False
+        self._changes = itertools.count()
         self._moving_side_px = float(subject.source.most_pixels["moving"])
         self._tell("hello", **self._hello(start), note=note)
         if subject.board is not None:
@@ -126,8 +131,10 @@ class Browser:
                 self._tell("hover", text=self.inspection.hover(message.x, message.y))
             case Choose():
                 self._choose(message)
-            case AddMark() | ChangeMark() | DeleteMark() | Judge() | ReferTo():
-                self._do(("mark", id(message)), lambda: self._edit_marks(message))
+            case ChangeMark() | DeleteMark() | ReferTo():
+                self._edit(lambda: self._edit_mark(message), message.mark)
+            case AddMark() | Judge():
+                self._edit(lambda: self._add_mark(message))
             case ReadPoint():
                 self._do("read", lambda: self._read(message.x, message.y))
             case GoToPhoto():
@@ -144,7 +151,7 @@ class Browser:
             case "fit":
                 self._do("fit", self._fit)
             case "undo":
-                self._do(("undo", id(message)), self._board.undo)
+                self._edit(lambda: self._board.undo())
             case "screenshot":
                 self._do("screenshot", lambda: self._saved(self.inspection.screenshot()))
             case "add_keyframe":
@@ -160,33 +167,49 @@ class Browser:
             raise ConfigError("marks need the scene: open the run with it")
         return self._subject.board
 
-    def _edit_marks(self, message: AddMark | ChangeMark | DeleteMark | Judge | ReferTo) -> None:
-        """Add or change a mark, save it, and measure; then every browser is told."""
+    def _edit(self, change: Callable[[], None], number: int | None = None) -> None:
+        """Have marks changed by the worker; what is refused is said where they are listed, at the
+        mark of a number if there is one. No change replaces another that waits."""
+        self._do(
+            ("mark", next(self._changes)), change, lambda error: self._refuse_change(error, number)
+        )
+
+    def _edit_mark(self, message: ChangeMark | DeleteMark | ReferTo) -> None:
+        """Change a mark, save it, and measure; then every browser is told."""
+        match message:
+            case ChangeMark():
+                self._board.change(message.mark, message.fields)
+            case DeleteMark():
+                self._board.delete(message.mark)
+            case ReferTo():
+                self._board.refer_to(message.mark)
+
+    def _add_mark(self, message: AddMark | Judge) -> None:
+        """Add a mark, or judge a proposed one; the same follows."""
         match message:
             case AddMark():
                 self.inspection.add_mark(message.kind, message.points)
                 self._tell_point()
-            case ChangeMark():
-                fields = {name: getattr(message, name) for name in _CHANGED_FIELDS}
-                self._board.edit(lambda marks: marks.changing(message.mark, **fields))
-            case DeleteMark():
-                self._board.edit(lambda marks: marks.without(message.mark))
             case Judge():
                 judge = Marks.accepting if message.accept else Marks.dropping
                 self._board.edit(lambda marks: judge(marks, message.mark))
-            case ReferTo():
-                self._board.edit(lambda marks: replace(marks, reference=message.mark))
 
-    def _do(self, name: Hashable, job: Callable[[], None]) -> None:
+    def _do(
+        self,
+        name: Hashable,
+        job: Callable[[], None],
+        report: Callable[[Exception], None] | None = None,
+    ) -> None:
         """Have a job done by the worker; what it raises is told to the user."""
+        report = report or self._report
 
         def contained() -> None:
             try:
                 job()
             except (MrgsError, ValueError) as error:
-                self._report(error)
+                report(error)
             except Exception as error:
-                self._report(error)
+                report(error)
                 raise
 
         self._worker.put((id(self), name), contained)
@@ -308,27 +331,31 @@ class Browser:
         self._tell("point", of=None if point is None else texts.point(point, self._subject))
 
     def _show_marks(self) -> None:
-        """Measure what the file holds, for a browser that has just come."""
+        """Measure what the files hold, for a browser that has just come."""
         try:
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always", MrgsWarning)
-                self._board.refresh()
+            self._board.refresh()
         finally:
             self._marks_changed()
-        for warning in caught:
-            self._say(str(warning.message), failed=True)
 
     def _marks_changed(self) -> None:
         board = self._board
-        scene, temperature = self._subject.scene, self._subject.temperature
-        world = WorldFrame() if scene is None else scene.world
-        reference = board.marks.reference
-        marks, proposals = (
-            [mark_text(each, reference, temperature, world) for each in readings]
-            for readings in (board.readings, board.proposals)
+        proposals = [self._mark(reading) for reading in board.proposals]
+        marks = [
+            {"id": number, **self._mark(reading)}
+            for number, reading in zip(board.numbers, board.readings, strict=True)
+        ]
+        self._tell(
+            "marks", of=marks, proposals=proposals, notes=board.notes, problems=board.problems
         )
-        self._tell("marks", of=marks, proposals=proposals, notes=board.notes)
         self._redraw()
+
+    def _mark(self, reading: MarkReading) -> dict[str, Any]:
+        """A mark for the panel; why it has no temperature stands apart from its other lines."""
+        scene = self._subject.scene
+        world = WorldFrame() if scene is None else scene.world
+        text = mark_text(reading, self._board.marks.reference, self._subject.temperature, world)
+        lines = text["lines"][1:] if reading.problem else text["lines"]
+        return {**text, "lines": lines, "problem": reading.problem}
 
     def _path_changed(self) -> None:
         self._tell("keyframes", text=texts.keyframes(len(self.inspection.keyframes)))
@@ -377,6 +404,7 @@ class Browser:
             "modalities": [self._modality(each) for each in subject.modalities],
             "readable": bool(subject.readable),
             "marks": subject.board is not None,
+            "air": {} if subject.board is None else air_facts(subject.board.survey),
         }
 
     def _modality(self, modality: Modality) -> Any:
@@ -391,6 +419,9 @@ class Browser:
     def _saved(self, path: Path) -> None:
         place = path.relative_to(self._subject.folder).as_posix()
         self._say(f"Saved in the run's folder: {place}")
+
+    def _refuse_change(self, error: Exception, number: int | None) -> None:
+        self._tell("refused", mark=number, text=str(error) or repr(error))
 
     def _report(self, error: Exception) -> None:
         self._say(str(error) or repr(error), failed=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 import numpy as np
 import torch
+from msgspec import UNSET, UnsetType
 
-from mrgs.marks.mark import LONGEST_NAME, LONGEST_NOTE, LONGEST_SEVERITY, MarkKind
+from mrgs.marks.mark import MarkKind
 from mrgs.pictures.palette import PaletteName
 from mrgs.scene import Camera
 from mrgs.scene.rotations import rigid_transform
@@ -109,9 +110,8 @@ class ReadPoint(BrowserMessage, tag="read"):
 Corners: TypeAlias = Annotated[
     tuple[tuple[Share, Share], ...], msgspec.Meta(min_length=1, max_length=200)
 ]
-Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
-Note: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_NOTE)]
-Severity: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_SEVERITY)]
+Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=10_000)]
+"""More than any field of a mark may have: a mark itself says in words what it refuses."""
 
 
 class AddMark(BrowserMessage, tag="add_mark"):
@@ -122,25 +122,30 @@ class AddMark(BrowserMessage, tag="add_mark"):
 
 
 class ChangeMark(BrowserMessage, tag="change_mark"):
-    """Give a mark other fields; see ``Mark``.
+    """Give a mark other fields, see ``Mark``; those that are left out stay as they are.
 
     Attributes:
-        mark: its name until now.
-        name: its name from now on.
+        mark: its number, see ``MarkNumbers``.
     """
 
-    mark: Name
-    name: Name
-    note: Note
-    severity: Severity
-    emissivity: Number | None
-    reflected_c: Number | None
+    mark: Index
+    name: Text | UnsetType = UNSET
+    note: Text | UnsetType = UNSET
+    severity: Text | UnsetType = UNSET
+    emissivity: Number | UnsetType | None = UNSET
+    reflected_c: Number | UnsetType | None = UNSET
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """The fields that change, by name."""
+        names = [name for name in self.__struct_fields__ if name != "mark"]
+        return {name: found for name in names if (found := getattr(self, name)) is not UNSET}
 
 
 class DeleteMark(BrowserMessage, tag="delete_mark"):
-    """Delete a mark."""
+    """Delete the mark of a number."""
 
-    mark: Name
+    mark: Index
 
 
 class Judge(BrowserMessage, tag="judge"):
@@ -151,14 +156,14 @@ class Judge(BrowserMessage, tag="judge"):
         accept: whether it becomes a mark.
     """
 
-    mark: Name
+    mark: Text
     accept: bool
 
 
 class ReferTo(BrowserMessage, tag="refer_to"):
-    """Let all differences refer to a mark; to none if its name is empty."""
+    """Let all differences refer to the mark of a number; None for none."""
 
-    mark: Name
+    mark: Index | None
 
 
 class GoToPhoto(BrowserMessage, tag="photo"):
@@ -210,7 +215,12 @@ def decode(data: str | bytes) -> AnyMessage:
     Raises:
         ValueError: it is none: not JSON, unknown, or a value out of its range.
     """
-    return _decoder.decode(data)
+    try:
+        return _decoder.decode(data)
+    except ValueError as error:
+        raise ValueError(
+            f"the viewer does not understand what the page sent: reload the page ({error})"
+        ) from error
 
 
 def encode(value: object) -> str:

@@ -16,16 +16,18 @@ from mrgs.marks.run_marks import stereo_of, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import SurfaceRenderer, before_background
 from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.marks.uncertainty.budget import Budget
+from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
 from mrgs.pictures.stage import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene
 from mrgs.scene.overview import best_view
-from mrgs.survey import SURVEY_FILE, read_survey
-from mrgs.viewer.board import MarkBoard
+from mrgs.viewer.board import Appraiser, MarkBoard
 from mrgs.viewer.cameras import camera_around
 from mrgs.viewer.fields import PaneImages
 from mrgs.viewer.picking import render_surface
+from mrgs.viewer.remembering import RememberingMeter
 from mrgs.viewer.settings import Start, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
 from mrgs.viewer.uncertainty import UncertaintyPictures
@@ -70,34 +72,33 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
     def draw(camera: Camera) -> Rendering:
         return subject.source.run(lambda model: render_surface(model, camera, subject))
 
-    meter = MarkMeter(
+    changes = not isinstance(subject.source, TrainedSource)  # what is found is of one step alone
+    meter = (MarkMeter if changes else RememberingMeter)(
         before_background(draw, subject.scene),
         subject.temperature,
         thermal_cameras(subject.scene),
         CaptureSettings.of(subject.scene),
-        _uncertainty_meter(subject, draw),
     )
-    changes = not isinstance(subject.source, TrainedSource)  # its depths would be of another step
     stereo = None if changes else stereo_of(meter, subject.scene)
-    return MarkBoard(MarkStore(subject.folder, spread), meter, stereo)
+    appraise = None if changes else _appraiser(subject, draw)
+    return MarkBoard(MarkStore(subject.folder, spread), meter, stereo, appraise)
 
 
 def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], PaneImages] | None:
     """Draws the uncertainty that the board's marks have; None without thermal photos."""
     if board.uncertainty is None or THERMAL not in subject.modalities:
         return None
-    return UncertaintyPictures(
-        board.uncertainty, lambda: board.regions, subject.source, subject.temperature
-    ).images
+    return UncertaintyPictures(board, subject.source, subject.temperature).images
 
 
-def _uncertainty_meter(subject: Subject, draw: SurfaceRenderer) -> UncertaintyMeter | None:
-    """None without photos, and for a model that still changes."""
-    if subject.scene is None or not isinstance(subject.source, TrainedSource):
+def _appraiser(subject: Subject, draw: SurfaceRenderer) -> Appraiser | None:
+    """None without photos."""
+    scene, temperature = subject.scene, subject.temperature
+    if scene is None:
         return None
-    survey = read_survey(subject.folder / SURVEY_FILE)
-    return UncertaintyMeter.of(
-        draw, subject.camera_response, subject.scene, subject.temperature, survey
+    witnesses = PhotoWitnesses(draw, subject.camera_response, scene.train, temperature)
+    return lambda survey: UncertaintyMeter(
+        witnesses, None if temperature is None else Budget.of(scene, survey)
     )
 
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mrgs.marks.regions import Regions
-from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model
 from mrgs.scene import THERMAL, Blend, Camera, TemperatureRange
+from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.fields import SOLID_ALPHA, PaneImages
 from mrgs.viewer.source import Source
 
@@ -27,21 +25,16 @@ class UncertaintyPictures:
     temperatures are.
 
     Args:
-        meter: says how far the temperature of a place may be from the truth.
-        regions: gives the surfaces that have an emissivity of their own now.
+        board: has the meter, by what the survey states now, and the surfaces that have an
+            emissivity of their own.
         source: gives access to the model.
         temperature: the scale of the thermal values; None without known °C.
     """
 
     def __init__(
-        self,
-        meter: UncertaintyMeter,
-        regions: Callable[[], Regions],
-        source: Source,
-        temperature: TemperatureRange | None,
+        self, board: MarkBoard, source: Source, temperature: TemperatureRange | None
     ) -> None:
-        self._meter = meter
-        self._regions = regions
+        self._board = board
         self._source = source
         self._temperature = temperature
         self._of_splats: Float[Tensor, " n"] | None = None
@@ -55,10 +48,12 @@ class UncertaintyPictures:
         Raises:
             SceneError: a photo cannot be read.
         """
+        meter = self._board.uncertainty
+        assert meter is not None
         with self._lock:
             if self._of_splats is None:
                 means = self._source.run(lambda model: model.gaussians.means.detach().cpu())
-                found = self._meter.of_photos(means.float().numpy())
+                found = meter.of_photos(means.float().numpy())
                 self._of_splats = torch.from_numpy(found)
             of_splats = self._of_splats
         blend = self._source.run(lambda model: _blend(model, camera, of_splats))
@@ -71,7 +66,7 @@ class UncertaintyPictures:
         depth = blend.depth / alpha
         points = camera.unproject_image(depth.double()).numpy()
         eye = camera.position.double().numpy()
-        total = self._meter.together(of_photos, points, value, self._regions(), eye)
+        total = meter.together(of_photos, points, value, self._board.regions, eye)
         return PaneImages({THERMAL: total.astype(np.float32)}, depth.numpy(), solid)
 
 

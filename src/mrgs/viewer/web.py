@@ -31,6 +31,9 @@ from mrgs.viewer.worker import Worker
 
 SOCKET_PATH = "/socket"
 SECONDS_TO_CLOSE = 2.0
+WATCH_S = 1.0
+"""Between two looks at the files that other programs may change, while a browser is connected."""
+
 MOST_WAITING = 64
 """Messages that a browser has not taken; one that lets more wait is cut off."""
 
@@ -153,7 +156,17 @@ class Viewer:
             return
         async with server:
             ready.set_result(next(iter(server.sockets)).getsockname()[1])
+            watching = asyncio.create_task(self._watch())
             await self._stop.wait()
+            watching.cancel()
+
+    async def _watch(self) -> None:
+        """Have what other programs write into the run's folder shown, while somebody looks."""
+        board = self._subject.board
+        while board is not None:
+            await asyncio.sleep(WATCH_S)
+            if self.browsers and board.is_stale:
+                self._worker.put("marks", board.refresh)
 
     async def _serve_browser(self, connection: ServerConnection) -> None:
         waiting = 0

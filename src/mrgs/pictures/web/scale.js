@@ -15,8 +15,6 @@ class Scale {
   text(number) { return this.number(number) + (this.unit ? ` ${this.unit}` : ""); }
 }
 
-const withMinus = (text) => text.replace("-", "−");
-
 // The smallest of 1, 2, 2.5 or 5 times a power of ten that divides a range into at most about `count` parts.
 function tickStep(low, high, count) {
   const rough = (high - low) / Math.max(count, 1);

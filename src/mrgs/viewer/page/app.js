@@ -4,6 +4,7 @@ const REST_MS = 160;
 const STILL_MS = 500;
 const MAX_PIXEL_RATIO = 3;
 const LONGEST_SIDE_PX = 4096;
+const VIDEO_SECONDS = [0.5, 600];
 const FRUSTUM_DEPTH = 0.06; // of the distance between the camera and what it turns about
 
 const element = (id) => document.getElementById(id);
@@ -117,7 +118,8 @@ class Page {
       note: ({ text }) => this.noted(text),
       hover: ({ text }) => this.showTip(text),
       point: ({ of }) => this.showPoint(of),
-      marks: ({ of, proposals, notes }) => this.marksChanged(of, proposals, notes),
+      marks: (facts) => this.marksChanged(facts),
+      refused: ({ mark, text }) => { if (!this.marks.refuse(mark, text)) this.sayOfMarks(text, true); },
       limits: ({ of }) => this.limitsChanged(of),
       status: ({ text, failed }) => this.say(text, failed),
       keyframes: ({ text }) => { element("keyframes").textContent = text; },
@@ -179,23 +181,23 @@ class Page {
     changed(["compare"], () => this.choose(element("compare").value === "" ? 0 : Number(element("compare").value)));
     element("share").addEventListener("input", () => this.sendChoices());
     changed(["palette"], () => this.sendChoices());
-    this.isotherm = new IsothermControl(() => { if (this.ready) this.sendChoices(); });
-    changed(["low", "high"], () => this.readRange());
+    this.range = new RangeControl((low, high) => this.setRange(low, high));
+    this.isotherm = new IsothermControl(() => { if (this.ready) this.sendChoices(); }, this.facts.air);
     changed(["follow"], () => this.setFollow(element("follow").checked));
     pressed("fit", () => { this.setFollow(false); this.connection.send("act", { what: "fit" }); });
     pressed("whole", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
     pressed("undo", act("undo"));
-    pressed("no-reference", () => this.connection.send("refer_to", { mark: "" }));
+    pressed("no-reference", () => this.connection.send("refer_to", { mark: null }));
     this.drawing = new MarkDrawing((kind, corners) => {
       const points = corners.map((corner) => Object.values(this.shareOf(...corner)));
       this.connection.send("add_mark", { kind, points });
-    }, (text) => this.say(text, false));
+    }, (text) => this.sayOfMarks(text, false));
+    this.marks = new MarkList(element("mark-list"), (type, facts) => this.connection.send(type, facts));
     pressed("screenshot", act("screenshot"));
     pressed("add-keyframe", act("add_keyframe"));
     pressed("clear-path", act("clear_path"));
-    const seconds = () => ({ seconds: element("seconds").valueAsNumber || 8 });
-    pressed("video", () => this.connection.send("video", seconds()));
-    pressed("save-path", () => this.connection.send("save_path", seconds()));
+    pressed("video", () => this.sendPath("video"));
+    pressed("save-path", () => this.sendPath("save_path"));
     const photo = element("photo");
     changed(["photo"], () => this.goToPhoto(photo.selectedIndex));
     pressed("previous", () => this.goToPhoto(photo.selectedIndex - 1));
@@ -252,9 +254,7 @@ class Page {
 
   showRange() {
     const { scale, range, follow } = this.scaled;
-    const [low, high] = range;
-    const number = (value) => value.toFixed(scale.decimals);
-    [element("low").value, element("high").value] = [number(low), number(high)];
+    this.range.show(range, scale);
     element("follow").checked = follow;
   }
 
@@ -263,14 +263,6 @@ class Page {
     this.scaled.follow = false;
     this.showRange();
     this.sendChoices();
-  }
-
-  readRange() {
-    const [low, high] = [element("low").valueAsNumber, element("high").valueAsNumber];
-    const valid = Number.isFinite(low) && Number.isFinite(high) && low < high;
-    element("high").setCustomValidity(valid ? "" : "The upper end must be above the lower.");
-    element("high").reportValidity();
-    if (valid) this.setRange(low, high);
   }
 
   setFollow(follow) {
@@ -295,6 +287,11 @@ class Page {
     });
   }
 
+  sendPath(type) {
+    const seconds = numberIn(element("seconds"), element("seconds-said"), "Seconds", VIDEO_SECONDS);
+    if (seconds !== null) this.connection.send(type, { seconds });
+  }
+
   // --- what is shown ---
 
   shown(facts) {
@@ -312,14 +309,15 @@ class Page {
     this.showRange();
   }
 
-  marksChanged(marks, proposals, notes) {
+  marksChanged({ of: marks, proposals, notes, problems }) {
     const send = (type, facts) => this.connection.send(type, facts);
-    const open = new Set([...element("mark-list").querySelectorAll("details[open]")].map((each) => each.dataset.name));
-    element("mark-list").replaceChildren(...marks.map((mark) => markRow(mark, open.has(mark.name), send)));
+    this.marks.show(marks);
     element("proposal-list").replaceChildren(...proposals.map((mark) => proposalRow(mark, send)));
     element("proposals").hidden = !proposals.length;
     element("mark-notes").textContent = notes.join(" ");
+    element("mark-problems").textContent = problems.join(" ");
     element("no-reference").hidden = !marks.some((mark) => mark.reference);
+    if (!this.drawing.kind) this.sayOfMarks("", false);
   }
 
   noted(text) {
@@ -330,6 +328,11 @@ class Page {
   say(text, failed) {
     element("said").textContent = text;
     element("said").classList.toggle("warning", failed);
+  }
+
+  sayOfMarks(text, failed) {
+    element("marks-said").textContent = text;
+    element("marks-said").classList.toggle("warning", failed);
   }
 
   ended() {

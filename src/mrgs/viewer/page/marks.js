@@ -2,6 +2,8 @@
 
 const FEWEST_CORNERS = { spot: 1, line: 2, box: 2, polygon: 3 };
 const CLOSE_PX = 12;
+const EMISSIVITY = [0.01, 1];
+const REFLECTED_C = [-200, 3500];
 const HINTS = {
   spot: "Click on the surface.",
   line: "Click where the line begins and at each corner, then Done; or drag it.",
@@ -94,36 +96,132 @@ class MarkDrawing {
   }
 }
 
-// A mark in the panel: what was measured, and a form for what can be changed.
-function markRow(mark, open, send) {
-  const row = document.createElement("details");
-  row.dataset.name = mark.name;
-  row.open = open;
-  const summary = document.createElement("summary");
-  const texts = [["b", mark.name], ["span", mark.reference ? "reference" : mark.difference], ["span", mark.value]];
-  summary.append(...texts.map(([tag, text]) => make(tag, text, tag === "span" && text !== mark.value ? "muted" : "")));
-  const form = document.createElement("form");
-  form.append(make("div", mark.lines.join("\n"), "lines muted"));
-  if (mark.profile.length) form.append(profileChart(mark.profile));
-  const fields = { name: field(form, "Name", "text", mark.name), note: field(form, "Note", "text", mark.note) };
-  fields.severity = field(form, "Severity", "text", mark.severity, { maxLength: 40, placeholder: "class 1 to 3, or words" });
-  fields.severity.setAttribute("list", "severities");
-  if (mark.area) {
-    fields.emissivity = field(form, "Emissivity", "number", mark.emissivity, { min: 0.01, max: 1, step: 0.01, placeholder: "as photos" });
-    fields.reflected_c = field(form, "Reflected, °C", "number", mark.reflected_c, { step: "any", placeholder: "as photos" });
+// The marks in the panel. A row stays the same as long as its mark has the same number, whatever else changes: so it
+// keeps what is unfolded, what is being typed, and the cursor.
+class MarkList {
+  constructor(list, send) {
+    this.list = list;
+    this.send = send;
+    this.rows = new Map();
   }
-  const number = (input) => (input && Number.isFinite(input.valueAsNumber) ? input.valueAsNumber : null);
-  const save = () => send("change_mark", {
-    mark: mark.name, name: fields.name.value, note: fields.note.value, severity: fields.severity.value,
-    emissivity: number(fields.emissivity), reflected_c: number(fields.reflected_c),
-  });
-  for (const input of Object.values(fields)) input.addEventListener("change", () => form.reportValidity() && save());
-  form.addEventListener("submit", (event) => event.preventDefault());
-  const buttons = make("div", "", "row");
-  buttons.append(button("Reference", () => send("refer_to", { mark: mark.name })), button("Delete", () => send("delete_mark", { mark: mark.name })));
-  form.append(buttons);
-  row.append(summary, form);
-  return row;
+
+  show(marks) {
+    const rows = new Map(marks.map((mark) => [mark.id, this.rows.get(mark.id) ?? new MarkRow(mark, this.send)]));
+    for (const [number, row] of this.rows) if (!rows.has(number)) row.root.remove();
+    this.rows = rows;
+    marks.forEach((mark, index) => {
+      const row = rows.get(mark.id);
+      const there = this.list.children[index];
+      if (there !== row.root) this.list.insertBefore(row.root, there ?? null);
+      row.update(mark);
+    });
+  }
+
+  // Why a mark was not changed, said in its row; returns whether it could be.
+  refuse(number, reason) {
+    return this.rows.get(number)?.refuse(reason) ?? false;
+  }
+}
+
+// One mark: what was measured, and a form for what can be changed.
+class MarkRow {
+  constructor(mark, send) {
+    this.root = document.createElement("details");
+    this.texts = { name: make("b"), difference: make("span", "", "muted"), value: make("span") };
+    this.problem = make("div", "", "problem warning");
+    this.lines = make("div", "", "lines muted");
+    this.chart = make("div", "", "profile");
+    this.form = document.createElement("form");
+    this.form.addEventListener("submit", (event) => event.preventDefault());
+    this.form.append(this.problem, this.lines, this.chart);
+    this.fields = markFields(mark).map((field) => new MarkField(this.form, field, (change) => {
+      send("change_mark", { mark: mark.id, ...change });
+    }));
+    const buttons = make("div", "", "row");
+    buttons.append(
+      button("Reference", () => send("refer_to", { mark: mark.id })),
+      button("Delete", () => send("delete_mark", { mark: mark.id })),
+    );
+    this.form.append(buttons);
+    const summary = document.createElement("summary");
+    summary.append(...Object.values(this.texts));
+    this.root.append(summary, this.form);
+  }
+
+  update(mark) {
+    this.texts.name.textContent = mark.name;
+    this.texts.difference.textContent = mark.reference ? "reference" : mark.difference;
+    this.texts.value.textContent = mark.value;
+    this.problem.textContent = mark.problem;
+    this.lines.textContent = mark.lines.join("\n");
+    this.chart.replaceChildren(...(mark.profile.length ? [profileChart(mark.profile)] : []));
+    for (const field of this.fields) field.update(mark);
+  }
+
+  // Of a change that was sent: its field keeps what was typed, and is marked. Returns whether there is one.
+  refuse(reason) {
+    const sent = this.fields.filter((field) => field.isSent);
+    for (const { input, said } of sent) refuse([input], said, `Not saved: ${reason}.`);
+    return sent.length > 0;
+  }
+}
+
+// The fields of a mark: their labels, the limits of numbers, and more attributes.
+function markFields({ area }) {
+  const texts = [
+    { name: "name", label: "Name", more: { maxLength: 40 } },
+    { name: "note", label: "Note", more: { maxLength: 2000 } },
+    { name: "severity", label: "Severity", more: { maxLength: 40, placeholder: "class 1 to 3, or words" }, list: "severities" },
+  ];
+  if (!area) return texts;
+  return [
+    ...texts,
+    { name: "emissivity", label: "Emissivity", limits: EMISSIVITY, more: { inputMode: "decimal", placeholder: "as photos" } },
+    { name: "reflected_c", label: "Reflected, °C", limits: REFLECTED_C, more: { placeholder: "as photos" } },
+  ];
+}
+
+// A field of a mark. What is typed and not saved yet is overwritten by no answer.
+class MarkField {
+  constructor(form, { name, label, limits, more, list }, send) {
+    Object.assign(this, { name, label, limits, send });
+    this.saved = "";
+    this.sent = null;
+    this.input = document.createElement("input");
+    Object.assign(this.input, { type: "text", autocomplete: "off", ...more });
+    if (list) this.input.setAttribute("list", list);
+    this.input.setAttribute("aria-label", label);
+    this.input.addEventListener("change", () => this.changed());
+    this.said = make("p", "", "said warning");
+    this.said.setAttribute("role", "status");
+    form.append(make("label", label), this.input, this.said);
+  }
+
+  // Whether what it shows has been sent, and is not saved.
+  get isSent() { return this.sent !== null && this.sent === this.input.value && this.sent !== this.saved; }
+
+  update(mark) {
+    const typed = this.input.value !== this.saved;
+    this.saved = String(mark[this.name] ?? "");
+    if (typed && this.input.value !== this.saved) return;
+    this.input.value = this.saved;
+    refuse([this.input], this.said, "");
+  }
+
+  changed() {
+    const value = this.limits ? this.number() : this.input.value;
+    if (value === undefined) return;
+    this.input.value = this.sent = String(value ?? "");
+    refuse([this.input], this.said, "");
+    if (this.sent !== this.saved) this.send({ [this.name]: value });
+  }
+
+  // Null for an empty field, undefined for what is no number.
+  number() {
+    if (!this.input.value.trim()) return null;
+    const number = numberIn(this.input, this.said, `Not saved: ${this.label}`, this.limits);
+    return number ?? undefined;
+  }
 }
 
 // A proposal of the report, to be judged; its details are a tooltip.
@@ -135,7 +233,7 @@ function proposalRow(mark, send) {
   return row;
 }
 
-function make(tag, text, name) {
+function make(tag, text = "", name = "") {
   const made = document.createElement(tag);
   made.textContent = text;
   if (name) made.className = name;
@@ -147,13 +245,4 @@ function button(text, onClick) {
   made.type = "button";
   made.addEventListener("click", onClick);
   return made;
-}
-
-function field(form, text, type, value, more = {}) {
-  const label = make("label", text);
-  const input = document.createElement("input");
-  Object.assign(input, { type, value: value ?? "", ...more });
-  input.setAttribute("aria-label", text);
-  form.append(label, input);
-  return input;
 }
