@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import importlib.util
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -35,6 +36,16 @@ def check_arrays() -> None:
     if importlib.util.find_spec("beartype") is not None:
         jaxtyping.jaxtyped = functools.partial(_checked, jaxtyping.jaxtyped)
         jaxtyping.install_import_hook(_checked_modules(), CHECKER)
+
+
+@contextmanager
+def unchecked() -> Iterator[None]:
+    """Calls as users make them, to whom the code itself must say which type it wants."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        yield
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def _checked(jaxtyped: Callable, checked: Any = None, **options: Any) -> Any:

@@ -7,6 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mrgs.scene import Camera
+from tests.helpers.array_checks import unchecked
 
 SIZES = st.integers(1, 5_000)
 FOCALS = st.floats(0.2, 5.0)
@@ -106,6 +107,41 @@ def test_the_precision_is_that_of_what_is_given():
     torch.testing.assert_close(camera().unproject(pixel, depth), point)
 
 
+@pytest.mark.parametrize("kind", [torch.tensor, np.array, list])
+def test_points_and_pixels_are_integers_arrays_and_lists(kind):
+    """Integers count as float64, so that no fraction of the camera is cut off."""
+    original, point = camera(), [[1, 2, 9], [0, -3, 7]]
+    expected = original.project(torch.tensor(point).double())
+    pixel, depth = original.project(kind(point))
+    assert torch.equal(pixel, expected[0])
+    assert torch.equal(depth, expected[1])
+    pixels, depths = [[3, 4], [50, 6]], [8, 9]
+    found = original.unproject(kind(pixels), kind(depths))
+    doubles = torch.tensor(pixels).double(), torch.tensor(depths).double()
+    assert torch.equal(found, original.unproject(*doubles))
+    assert original.contains(kind(pixels)).tolist() == [True, False]
+    image = original.unproject_image(kind([[2, 3], [4, 5]]))
+    assert torch.equal(image, original.unproject_image(torch.tensor([[2.0, 3], [4, 5]]).double()))
+
+
+def test_gradients_flow_through_projections():
+    point = torch.tensor([0.5, 1.0, 5.0], requires_grad=True)
+    pixel, depth = camera().project(point)
+    camera().unproject(pixel, depth).sum().backward()
+    torch.testing.assert_close(point.grad, torch.ones(3))
+
+
+def test_points_and_pixels_of_another_shape():
+    for message, call in {
+        r"points must have shape \[..., 3\], not \[2\]": lambda: camera().project([1, 2]),
+        r"pixels must have shape \[..., 2\], not \[3\]": lambda: camera().unproject([1, 2, 3], 1),
+        r"pixels must have shape \[..., 2\], not \[\]": lambda: camera().contains(torch.ones(())),
+        r"depth must have shape \[H, W\], not \[2\]": lambda: camera().unproject_image([1, 2]),
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
 def test_position_and_forward_are_the_axes_of_the_camera():
     original = camera()
     at_centre = original.viewmat[:3, :3] @ original.position + original.viewmat[:3, 3]
@@ -182,6 +218,12 @@ def test_arrays_and_lists_become_float64_tensors():
     np.testing.assert_array_equal(made.K, K)
 
 
+def changed(matrix: np.ndarray, place: tuple[int, ...], value: float | np.ndarray) -> np.ndarray:
+    copy = np.array(matrix)
+    copy[place] = value
+    return copy
+
+
 @pytest.mark.parametrize(
     ("K", "viewmat", "size", "message"),
     [
@@ -189,11 +231,60 @@ def test_arrays_and_lists_become_float64_tensors():
         (np.eye(3), np.eye(4)[:3], (4, 3), r"viewmat must have shape \[4, 4\], not \[3, 4\]"),
         (np.eye(3), [["a"] * 4] * 4, (4, 3), "viewmat must be an array of numbers"),
         (np.eye(3), np.eye(4), (0, 3), "at least one pixel, not 0×3"),
+        (np.eye(3), np.eye(4), (4.0, 3), "width must be a whole number, not 4.0"),
+        (np.eye(3), np.eye(4), (4, "3"), "height must be a whole number, not '3'"),
+        (np.zeros((3, 3)), np.eye(4), (4, 3), "last row of K is 0 0 0, not 0 0 1: give"),
+        (2 * np.eye(3), np.eye(4), (4, 3), "last row of K is 0 0 2, not 0 0 1: give"),
+        (np.diag([5.0, -5, 1]), np.eye(4), (4, 3), "focal lengths in K must be above 0, not 5 -5"),
+        (changed(np.eye(3), (0, 1), 0.2), np.eye(4), (4, 3), r"K has a skew \(K\[0, 1\] = 0.2"),
+        (changed(np.eye(3), (0, 0), np.inf), np.eye(4), (4, 3), "K holds NaN or infinity"),
+        (np.eye(3), changed(np.eye(4), (0, 3), np.nan), (4, 3), "viewmat holds NaN or infinity"),
+        (np.eye(3), np.diag([2.0, 2, 2, 1]), (4, 3), "not a rotation and a translation"),
+        (np.eye(3), np.diag([1.0, 1, -1, 1]), (4, 3), "not a rotation and a translation"),
+        (np.eye(3), changed(np.eye(4), (0, 1), 0.01), (4, 3), "not a rotation and a translation"),
+        (np.eye(3), changed(np.eye(4), (3,), 5.0), (4, 3), "last row of viewmat is 5 5 5 5, not 0"),
     ],
 )
 def test_what_is_no_camera(K, viewmat, size, message):
-    with pytest.raises(ValueError, match=message):
+    with unchecked(), pytest.raises(ValueError, match=message):
         Camera(K, viewmat, *size)
+
+
+def test_a_rotation_of_few_digits_is_replaced_by_the_nearest_and_others_keep_every_bit():
+    original = camera()
+    rounded = Camera(original.K, original.viewmat.numpy().round(4), 40, 30)
+    rotation = rounded.viewmat[:3, :3]
+    torch.testing.assert_close(rotation.T @ rotation, torch.eye(3).double(), rtol=0, atol=1e-14)
+    torch.testing.assert_close(rounded.viewmat, original.viewmat, rtol=0, atol=1e-4)
+    for exact in (original.viewmat, original.viewmat.float()):
+        assert torch.equal(Camera(original.K, exact, 40, 30).viewmat, exact.double())
+
+
+def test_a_camera_keeps_its_matrices_when_the_callers_change():
+    K, viewmat = camera().K, camera().viewmat.numpy()
+    made = Camera(K, viewmat, 40, 30)
+    K[0, 0], viewmat[0, 3] = 1, 9
+    assert torch.equal(made.K, camera().K)
+    assert torch.equal(made.viewmat, camera().viewmat)
+
+
+def test_sizes_of_numpy_become_ints():
+    with unchecked():
+        made = Camera(np.eye(3), np.eye(4), np.int64(64), np.uint8(48))
+    assert (type(made.width), type(made.height)) == (int, int)
+
+
+def test_places_are_finite():
+    with pytest.raises(ValueError, match="position holds NaN or infinity"):
+        camera().look_at([np.nan, 1, 1], [0, 0, 0])
+    with pytest.raises(ValueError, match="target holds NaN or infinity"):
+        camera().look_at([1, 1, 1], [0, 0, np.inf])
+
+
+def test_tensors_in_lists_may_require_gradients():
+    three = torch.tensor(3.0, requires_grad=True)
+    placed = camera().look_at([three, 0, 1], [0, 0, 0])
+    assert placed.position.tolist() == pytest.approx([3, 0, 1])
 
 
 def test_a_camera_is_one_short_line():

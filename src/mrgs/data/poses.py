@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mrgs.data.files import MAX_MAGNITUDE, scene_error, shown
+from mrgs.scene.camera_matrices import (
+    ORTHONORMAL_TOLERANCE,
+    ends_in_last_row,
+    nearest_rotations,
+)
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV, matrix_from_quaternion, rigid_transform
-
-_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
-
-ORTHONORMAL_TOLERANCE = 1e-3
-"""Largest entry of |RᵀR − I| that counts as rounding; it is then removed."""
 
 
 def matrix_from_json(
@@ -63,7 +63,7 @@ def nearest_rotation(matrix: NDArray[np.float64], what: str, file: Path) -> NDAr
     Raises:
         SceneError: the matrix is not a rotation within ``ORTHONORMAL_TOLERANCE``.
     """
-    rotations, is_rotation = _nearest_rotations(matrix[None])
+    rotations, is_rotation = nearest_rotations(matrix[None])
     if not is_rotation[0]:
         raise scene_error(
             file,
@@ -82,7 +82,7 @@ def viewmat_from_opengl(
     Raises:
         SceneError: not a rigid motion.
     """
-    if not _ends_in_last_row(camera_to_world):
+    if not ends_in_last_row(camera_to_world):
         raise scene_error(file, f"the last row of {what} is not 0 0 0 1; correct it")
     nearest_rotation(camera_to_world[:3, :3], what, file)
     viewmat = viewmats_from_opengl([camera_to_world])[0]
@@ -98,34 +98,16 @@ def viewmats_from_opengl(
     if not cameras_to_world:
         return []
     given = np.stack([matrix[:3] for matrix in cameras_to_world])
-    rotations, is_rotation = _nearest_rotations(given[:, :, :3])
+    rotations, is_rotation = nearest_rotations(given[:, :, :3])
     from_world = OPENGL_FROM_OPENCV[:3, :3] @ rotations.transpose(0, 2, 1)
     viewmats = np.tile(np.eye(4), (len(given), 1, 1))
     viewmats[:, :3, :3] = from_world
     viewmats[:, :3, 3] = -(from_world @ given[:, :, 3:])[:, :, 0]
     # Each in memory of its own: one camera that is kept must not keep all the others.
     return [
-        torch.from_numpy(viewmat.copy()) if rigid and _ends_in_last_row(matrix) else None
+        torch.from_numpy(viewmat.copy()) if rigid and ends_in_last_row(matrix) else None
         for viewmat, rigid, matrix in zip(viewmats, is_rotation, cameras_to_world, strict=True)
     ]
-
-
-def _nearest_rotations(
-    matrices: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The rotations nearest to matrices [N, 3, 3], and which of these are rotations within
-    ``ORTHONORMAL_TOLERANCE``; the others' results mean nothing."""
-    deviation = np.abs(matrices.transpose(0, 2, 1) @ matrices - np.eye(3)).max(axis=(1, 2))
-    is_near = deviation <= ORTHONORMAL_TOLERANCE
-    usable = np.where(is_near[:, None, None], matrices, np.eye(3))
-    left, _, right = np.linalg.svd(usable)
-    return left @ right, is_near & (np.linalg.det(usable) > 0)
-
-
-def _ends_in_last_row(matrix: NDArray[np.float64]) -> bool:
-    return len(matrix) < 4 or all(
-        abs(have - want) <= 1e-6 for have, want in zip(matrix[3].tolist(), _LAST_ROW, strict=True)
-    )
 
 
 def viewmat_from_colmap(

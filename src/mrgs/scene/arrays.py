@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any, SupportsIndex, TypeAlias
 
 import numpy as np
 import torch
+from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
 Array: TypeAlias = Tensor | NDArray[Any] | Sequence[Any]
-"""What public functions accept for an array."""
+"""What public functions accept for an array. Masked elements (``np.ma``) count as NaN."""
+
+_COMPUTABLE = {
+    torch.uint16: torch.int32,
+    torch.uint32: torch.int64,
+    torch.uint64: torch.float64,
+}
+"""Types that torch stores but hardly computes with, and what holds their values."""
 
 
 def as_tensor(
@@ -20,18 +29,17 @@ def as_tensor(
     """An array as a tensor in main memory; the caller's own memory where dtype and place allow.
 
     Args:
-        array: of numbers.
-        dtype: of the tensor; None keeps the array's.
+        array: of numbers; an empty list stands for an array of this shape without rows.
+        dtype: of the tensor; None keeps the array's, where torch computes with it.
         shape: expected; None for any length.
         name: of the array, for the message.
 
     Raises:
-        ValueError: another shape, or not numbers.
+        ValueError: another shape, or not real numbers.
     """
-    try:
-        values = array if isinstance(array, Tensor) else torch.from_numpy(_plain(array))
-    except TypeError:
-        raise ValueError(f"{name} must be an array of numbers") from None
+    values = _tensor_of(array, name)
+    if values.shape == (0,) and shape[0] is None:
+        values = values.reshape([length or 0 for length in shape])
     if len(values.shape) != len(shape) or any(
         want not in (None, have) for want, have in zip(shape, values.shape, strict=True)
     ):
@@ -40,7 +48,87 @@ def as_tensor(
     return values.detach().to("cpu", dtype or values.dtype)
 
 
-def _plain(array: NDArray[Any] | Sequence[Any]) -> NDArray[Any]:
-    """An array that torch can share: in order, and writable."""
-    values = np.ascontiguousarray(array)
-    return values if values.flags.writeable else values.copy()
+def as_finite(array: Array, shape: tuple[int | None, ...], name: str) -> Float64[Tensor, "..."]:
+    """``as_tensor`` in float64, of finite numbers.
+
+    Raises:
+        ValueError: another shape, or not finite numbers.
+    """
+    values = as_tensor(array, torch.float64, shape, name)
+    if not values.isfinite().all():
+        raise ValueError(f"{name} holds NaN or infinity")
+    return values
+
+
+def as_floats(array: Array | float, name: str, last: int | None = None) -> Tensor:
+    """An array to compute with: a tensor of floats as it is, on its device and with its gradient;
+    integers as float64.
+
+    Args:
+        array: of numbers.
+        name: of the array, for the message.
+        last: expected length of the last axis; None for any shape.
+
+    Raises:
+        ValueError: another length, or not real numbers.
+    """
+    values = _tensor_of(array, name)
+    if last is not None and values.shape[-1:] != (last,):
+        raise ValueError(f"{name} must have shape [..., {last}], not {list(values.shape)}")
+    return values if values.is_floating_point() else values.double()
+
+
+def as_whole(value: SupportsIndex, name: str) -> int:
+    """A whole number as an int.
+
+    Raises:
+        ValueError: anything else, such as 64.0.
+    """
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name} must be a whole number, not {value!r}") from None
+
+
+def _tensor_of(array: Array | float, name: str) -> Tensor:
+    """A tensor that torch can compute with.
+
+    Raises:
+        ValueError: not real numbers.
+    """
+    try:
+        values = array if isinstance(array, Tensor) else torch.from_numpy(_plain(array))
+    except (TypeError, ValueError):  # of objects, or of rows that differ in length
+        raise ValueError(f"{name} must be an array of numbers, its rows of one length") from None
+    if values.is_complex():
+        raise ValueError(f"{name} must be an array of real numbers, not complex ones")
+    return values.to(_COMPUTABLE.get(values.dtype, values.dtype))
+
+
+def _plain(array: NDArray[Any] | Sequence[Any] | float) -> NDArray[Any]:
+    """An array that torch can share: in order, writable, in the machine's byte order, without a
+    mask."""
+    values = _gathered(array)
+    if isinstance(values, np.ma.MaskedArray):
+        floats = np.result_type(values, np.float32)
+        values = np.ma.filled(values.astype(floats), np.nan)
+    if values.dtype.kind == "f" and values.dtype.itemsize > 8:  # long double
+        values = values.astype(np.float64)
+    values = np.asarray(values, values.dtype.newbyteorder("="), order="C")
+    in_order = values.flags.writeable and all(stride >= 0 for stride in values.strides)
+    return values if in_order else values.copy()
+
+
+def _gathered(array: NDArray[Any] | Sequence[Any] | float) -> NDArray[Any]:
+    """What NumPy makes of an array or a list, whose tensors may require a gradient or lie on a
+    GPU."""
+    try:
+        return np.asanyarray(array)
+    except (RuntimeError, TypeError):
+        return np.asanyarray(_on_host(array))
+
+
+def _on_host(nested: Any) -> Any:
+    if isinstance(nested, Tensor):
+        return nested.detach().cpu().numpy()
+    return [_on_host(each) for each in nested] if isinstance(nested, (list, tuple)) else nested

@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
-from mrgs.scene.arrays import Array, as_tensor
+from mrgs.scene.arrays import Array, as_finite, as_floats, as_whole
+from mrgs.scene.camera_matrices import checked_intrinsics, checked_pose
 
 MIN_DEPTH = 1e-6
 """Scene units; a point nearer to the plane through the camera's centre may lie on either side of
@@ -33,16 +34,18 @@ class Camera:
     The centre of the pixel in column u and row v lies at (u + 0.5, v + 0.5); a world point X
     projects to K · (R X + t), with [R | t] the upper rows of ``viewmat``.
 
-    ``K`` and ``viewmat`` may be given as arrays or nested lists; they are kept as float64 tensors.
+    ``K`` and ``viewmat`` may be given as arrays or nested lists; float64 copies of them are kept.
 
     Attributes:
         K: intrinsics in pixels, [3, 3]; fx and fy may differ, the skew is zero.
-        viewmat: world to camera, [4, 4], a rotation and a translation in scene units.
+        viewmat: world to camera, [4, 4], a rotation and a translation in scene units. Of a rotation
+            that was rounded to few digits the nearest one is kept.
         width: image width in pixels.
         height: image height in pixels.
 
     Raises:
-        ValueError: a matrix of another shape, or a size below one pixel.
+        ValueError: not the matrices of such a camera, or a size that is not a whole number of
+            pixels above 0.
     """
 
     K: Float64[Tensor, "3 3"]
@@ -53,11 +56,12 @@ class Camera:
     _resized: dict[tuple[int, int], Camera] = field(init=False)
 
     def __init__(self, K: Array, viewmat: Array, width: int, height: int) -> None:
+        width, height = as_whole(width, "width"), as_whole(height, "height")
         if width < 1 or height < 1:
             raise ValueError(f"a camera needs at least one pixel, not {width}×{height}")
         values = {
-            "K": as_tensor(K, torch.float64, (3, 3), "K"),
-            "viewmat": as_tensor(viewmat, torch.float64, (4, 4), "viewmat"),
+            "K": checked_intrinsics(as_finite(K, (3, 3), "K")),
+            "viewmat": checked_pose(as_finite(viewmat, (4, 4), "viewmat")),
             "width": width,
             "height": height,
             "_tensors": {},
@@ -95,10 +99,11 @@ class Camera:
             up: the world direction that points up in the image, [3]; +z by default.
 
         Raises:
-            ValueError: the target is the position, or ``up`` points along the axis.
+            ValueError: not three finite numbers each, the target is the position, or ``up`` points
+                along the axis.
         """
         here, there, upwards = (
-            as_tensor(value, torch.float64, (3,), name)
+            as_finite(value, (3,), name)
             for value, name in ((position, "position"), (target, "target"), (up, "up"))
         )
         forward = there - here
@@ -131,7 +136,7 @@ class Camera:
 
     def stand_in(self) -> Camera:
         """A copy with ``tensors`` of its own, for ``take_place_of``."""
-        return Camera(self.K.clone(), self.viewmat.clone(), self.width, self.height)
+        return Camera(self.K, self.viewmat, self.width, self.height)
 
     def take_place_of(self, other: Camera) -> None:
         """Have the ``tensors`` that were asked of this camera, and of its ``resized`` ones, hold
@@ -157,10 +162,8 @@ class Camera:
         """The viewing direction (the optical axis) in world coordinates, unit length."""
         return self.viewmat[2, :3]
 
-    def project(
-        self, points: Float[Tensor, "*batch 3"]
-    ) -> tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch"]]:
-        """Where points of the world appear, in the points' precision.
+    def project(self, points: Array) -> tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch"]]:
+        """Where points of the world appear, in the points' precision; integers count as float64.
 
         Args:
             points: world coordinates in scene units, [..., 3].
@@ -169,16 +172,18 @@ class Camera:
             Pixel coordinates x (right) and y (down), [..., 2], which may lie outside the image, and
             are NaN for points that are not before the camera (z below ``MIN_DEPTH``); and the
             z-depths in scene units, [...].
+
+        Raises:
+            ValueError: an array of another shape.
         """
+        points = as_floats(points, "points", 3)
         K, viewmat = self.K.to(points), self.viewmat.to(points)
         in_camera = points @ viewmat[:3, :3].mT + viewmat[:3, 3]
         depth = in_camera[..., 2]
         before = torch.where(depth >= MIN_DEPTH, depth, torch.nan)
         return in_camera[..., :2] / before[..., None] * K.diagonal()[:2] + K[:2, 2], depth
 
-    def unproject(
-        self, pixels: Float[Tensor, "*batch 2"], depth: Float[Tensor, "*batch"]
-    ) -> Float[Tensor, "*batch 3"]:
+    def unproject(self, pixels: Array, depth: Array | float) -> Float[Tensor, "*batch 3"]:
         """The points of the world that appear at pixel coordinates, in the precision of these;
         undoes ``project``.
 
@@ -188,21 +193,37 @@ class Camera:
 
         Returns:
             World coordinates in scene units, [..., 3].
+
+        Raises:
+            ValueError: pixels of another shape, or depths that are not numbers.
         """
+        pixels, depth = as_floats(pixels, "pixels", 2), as_floats(depth, "depth")
         K, viewmat = self.K.to(pixels), self.viewmat.to(pixels)
         rays = torch.nn.functional.pad((pixels - K[:2, 2]) / K.diagonal()[:2], (0, 1), value=1.0)
         return (rays * depth[..., None] - viewmat[:3, 3]) @ viewmat[:3, :3]
 
-    def unproject_image(self, depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:
+    def unproject_image(self, depth: Array) -> Float[Tensor, "h w 3"]:
         """The points of the world that appear at the centres of the pixels, for z-depths in scene
-        units."""
+        units, [H, W].
+
+        Raises:
+            ValueError: an array of another shape.
+        """
+        depth = as_floats(depth, "depth")
+        if depth.ndim != 2:
+            raise ValueError(f"depth must have shape [H, W], not {list(depth.shape)}")
         row, column = torch.meshgrid(
             *(torch.arange(size).to(depth) + 0.5 for size in depth.shape), indexing="ij"
         )
         return self.unproject(torch.stack([column, row], dim=2), depth)
 
-    def contains(self, pixels: Float[Tensor, "*batch 2"]) -> Bool[Tensor, "*batch"]:
-        """Whether pixel coordinates x and y, [..., 2], lie in the image; NaN does not."""
+    def contains(self, pixels: Array) -> Bool[Tensor, "*batch"]:
+        """Whether pixel coordinates x and y, [..., 2], lie in the image; NaN does not.
+
+        Raises:
+            ValueError: an array of another shape.
+        """
+        pixels = as_floats(pixels, "pixels", 2)
         size = pixels.new_tensor([self.width, self.height])
         return ((pixels >= 0) & (pixels < size)).all(dim=-1)
 
