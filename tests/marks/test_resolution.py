@@ -120,6 +120,26 @@ def test_a_spot_is_remarked_in_its_middle_alone():
     assert remarks(3.5) == ()
 
 
+class CutHotPlace(WallWithSpot):
+    """A hot place that is wide, with a narrow cut in its middle that is less hot."""
+
+    def __call__(self, camera: Camera) -> Rendering:
+        """Rendered as seen from a camera."""
+        wall, cut, hot = (
+            each(camera)[THERMAL]
+            for each in (render_wall, super().__call__, WallWithSpot(20.0, 16.0))
+        )
+        image = hot.image + cut.image - wall.image
+        return Rendering({THERMAL: wall._replace(image=image)})
+
+
+def test_a_spot_on_something_hot_is_no_cold_place():
+    wall = CutHotPlace(-5.0, 2.0)
+    spot = Mark("H1", "spot", ((0.0, 0.0, 0.0),), EYE, radius=1.5 * PIXEL_M)
+    assert wall.width_px(sign=-1, least=0.05) < 3
+    assert NARROW_COLD not in wall.reading(spot).remarks
+
+
 @pytest.mark.parametrize(("height_c", "width_px"), [(10.0, 5.0), (0.5, 2.0), (0.0, 2.0)])
 def test_wide_and_faint_places_are_not_remarked(height_c, width_px):
     assert WallWithSpot(height_c, width_px).reading().remarks == ()

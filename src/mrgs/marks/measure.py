@@ -206,24 +206,26 @@ class MarkMeter:
         return replace(reading, uncertainty=found, remarks=remarks)
 
     def _remarks(self, reading: MarkReading, uncertainty: Uncertainty) -> tuple[str, ...]:
-        """Which of its extremes the photos do not resolve; of a spot only its middle, as what is
-        extreme at its edge belongs to what lies beside it."""
+        """Which of its extremes the photos do not resolve."""
         doubt = replace(uncertainty, detail=math.nan).of_differences
         if self._temperature is None:
             least = max(doubt, STANDING_OUT_SHARE)
         else:
             least = max(doubt, STANDING_OUT_C) / self._temperature.span_c
-        mark = reading.mark
-        high, low = (
-            mark.points[0] if mark.kind == "spot" else place
-            for place in (reading.high_at, reading.low_at)
-        )
-        ends = ((high, 1, NARROW_HOT), (low, -1, NARROW_COLD))
         return tuple(
-            remark
-            for place, sign, remark in ends
+            NARROW_HOT if sign > 0 else NARROW_COLD
+            for place, sign in self._extremes(reading)
             if self._resolution.width_px(place, sign, least) < RESOLVED_PX
         )
+
+    def _extremes(self, reading: MarkReading) -> list[tuple[Sequence[float], int]]:
+        """The hottest (1) and the coldest place (-1) of a mark. Of a spot its middle, as what is
+        extreme at its edge belongs to what lies beside it, and only by what its surroundings are:
+        a cut in something hot is no cold place."""
+        mark = reading.mark
+        if mark.kind == "spot":
+            return [(mark.points[0], self._resolution.side_of(mark.points[0]))]
+        return [(reading.high_at, 1), (reading.low_at, -1)]
 
     def _values(self, surface: SeenSurface) -> Float[np.ndarray, "h w"] | None:
         values = celsius_or_value(surface.rendering)

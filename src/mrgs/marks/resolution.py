@@ -25,6 +25,9 @@ RESOLVED_PX = 3.0
 ABOUT_PX = 8
 """How far the surroundings of a place are looked at, pixels."""
 
+SURROUNDINGS_SHARE = 0.4
+"""Side of what counts as the surroundings of a spot, as a share of the image's shorter side."""
+
 STEP_PX = 0.25
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.5)))
 
@@ -75,6 +78,17 @@ class Resolution:
         row, column = _peak(image, int(largest.y), int(largest.x))
         return min(_width(_profile(image, row, column, each), least) for each in DIRECTIONS)
 
+    def side_of(self, place: Sequence[float]) -> int:
+        """Whether a place is hotter (1) or colder (-1) than the median about it, in the photo that
+        shows it largest; 0 where none shows it."""
+        largest = self._largest(place)
+        if largest is None:
+            return 0
+        image = self._image(largest.photo)
+        here = image[int(largest.y), int(largest.x)]
+        about = image[square_about(image.shape[::-1], largest.x, largest.y)]
+        return 1 if here >= np.median(about) else -1
+
     def _largest(self, place: Sequence[float]) -> PlaceInPhoto | None:
         """The place in the photo with the smallest pixels there, of those that show it with its
         surroundings."""
@@ -101,6 +115,15 @@ class Resolution:
         if len(self._images) > KEPT_IMAGES:
             self._images.popitem(last=False)
         return self._images[photo]
+
+
+def square_about(size: tuple[int, int], x: float, y: float) -> tuple[slice, slice]:
+    """Rows and columns of the surroundings of a pixel in an image of a width and a height, shifted
+    into the image."""
+    side = max(8, round(SURROUNDINGS_SHARE * min(size)))
+    left = min(max(round(x - side / 2), 0), size[0] - side)
+    top = min(max(round(y - side / 2), 0), size[1] - side)
+    return slice(top, top + side), slice(left, left + side)
 
 
 def _peak(image: Float[np.ndarray, "h w"], row: int, column: int) -> tuple[int, int]:

@@ -32,6 +32,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import label
 
+from mrgs.marks.resolution import square_about
 from mrgs.scene import THERMAL, Camera, Reach, Rendering, View, evenly_spaced
 
 VIEWS = 60
@@ -52,9 +53,6 @@ CELL_BITS = 21
 
 MIN_POINTS = 3
 """Of one view in a cube; fewer are a sliver seen at a grazing angle."""
-
-SURROUNDINGS_SHARE = 0.4
-"""Side of what counts as the surroundings of a spot, as a share of the image's shorter side."""
 
 LARGE_SHARE = 0.04
 """Of a picture, above which something that reaches its border is no anomaly."""
@@ -363,12 +361,3 @@ def _is_local(image: _Image, position: Float[np.ndarray, "3"], value: float, sig
     own = parts == parts[int(y), int(x)]
     reaches = own[0].any() or own[-1].any() or own[:, 0].any() or own[:, -1].any()
     return not (parts[int(y), int(x)] and reaches and own.mean() > LARGE_SHARE)
-
-
-def square_about(size: tuple[int, int], x: float, y: float) -> tuple[slice, slice]:
-    """Rows and columns of the surroundings of a pixel in an image of a width and a height, shifted
-    into the image."""
-    side = max(8, round(SURROUNDINGS_SHARE * min(size)))
-    left = min(max(round(x - side / 2), 0), size[0] - side)
-    top = min(max(round(y - side / 2), 0), size[1] - side)
-    return slice(top, top + side), slice(left, left + side)
