@@ -10,6 +10,7 @@ import pytest
 from mrgs import load_scene
 from mrgs.marks import Mark
 from mrgs.report.mark_pictures import _part_about
+from mrgs.report.marks import _factor
 from mrgs.report.sections import capture_rows, thermal_pixel_m
 from mrgs.report.texts import Texts
 from mrgs.scene import THERMAL, Camera, EarthPosition, TemperatureRange, WorldFrame
@@ -38,6 +39,13 @@ def test_the_report_says_where_lengths_come_from(small_scene: Path, world: World
     language = "de" if "neben" in text else "en"
     rows = dict(capture_rows(scene, Survey(), Texts(language)))
     assert text in rows[Texts(language)("Lengths")]
+
+
+@pytest.mark.parametrize(
+    ("mean", "factor"), [(-10.0, "0.00"), (5.0, "0.50"), (20.0, "1.00"), (21.0, "–"), (-11.0, "–")]
+)
+def test_a_place_that_is_warmer_than_the_room_has_no_temperature_factor(mean: float, factor: str):
+    assert _factor(mean, Survey(side="inside", inside_c=20.0, outside_c=-10.0)) == factor
 
 
 def test_a_hot_range_is_written_without_an_exponent(small_scene: Path):

@@ -429,6 +429,23 @@ def test_the_report_promises_no_more_than_is_known_of_the_camera(
     assert not_said not in uncertainty
 
 
+@pytest.mark.usefixtures("certain")
+def test_what_was_not_searched_for_is_not_said_to_be_missing(run: Run, tmp_path: Path):
+    marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
+    marks.spot(camera, (20, 15))
+    survey = run.folder.path / "survey.yaml"
+    survey.write_text("hot_places: 0\ncold_places: 0\n", encoding="utf-8")
+    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    survey.write_text("hot_places: 0\n", encoding="utf-8")
+    half = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    survey.unlink()
+    for what in ("Hot", "Cold"):
+        assert f"{what} places were not searched for, as survey.yaml asks." in text
+    assert "stands out" not in text
+    assert "Hot places were not searched for" in half
+    assert "Cold places were not" not in half
+
+
 def test_what_too_few_photos_see_is_no_proposal(run: Run, monkeypatch: pytest.MonkeyPatch):
     marks, scene = open_marks(run), run.load_scene()
     marks.meter.uncertainty = Doubting(0.0)

@@ -52,7 +52,8 @@ class ShownMark(NamedTuple):
         mean: its temperature.
         around: the uncertainty of the mean; empty if it is not known.
         parts: of the uncertainty, as ``SHOWN_PARTS``; a dash for those not known.
-        factor: temperature factor of a surface inside; a dash if the air is not known.
+        factor: temperature factor of a surface inside; a dash if the air is not known, or it does
+            not lie from 0 to 1.
         low: the smallest value.
         high: the largest value.
         difference: to the reference, or to the mark that it is compared with.
@@ -184,7 +185,8 @@ def _difference(reading: MarkReading, temperature: TemperatureRange | None) -> s
 
 
 def _factor(mean: float, survey: Survey) -> str:
-    """f_Rsi, which is defined for surfaces inside only."""
+    """f_Rsi, which is defined for surfaces inside only; a dash where it would not lie from 0 to 1,
+    as of a radiator."""
     inside, outside = survey.inside_c, survey.outside_c
     if (
         survey.side != "inside"
@@ -194,7 +196,8 @@ def _factor(mean: float, survey: Survey) -> str:
         or math.isnan(mean)
     ):
         return DASH
-    return f"{temperature_factor(mean, inside, outside):.2f}"
+    factor = temperature_factor(mean, inside, outside)
+    return f"{factor:.2f}" if 0 <= factor <= 1 else DASH
 
 
 def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:
