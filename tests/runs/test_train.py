@@ -6,7 +6,9 @@ import gc
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -23,9 +25,10 @@ from mrgs import (
     train,
     train_steps,
 )
-from mrgs.errors import RunError, SceneError
+from mrgs.errors import MrgsWarning, RunError, SceneError
 from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.training import train as train_into
+from mrgs.training import trainer
 
 CONFIG = make_config("mrgs", "fast", max_steps=6, max_gaussians=60)
 
@@ -159,6 +162,48 @@ def test_a_live_run_renders_and_a_snapshot_stays(small_scene):
     torch.testing.assert_close(snapshot.render(camera)[RGB].image, first[RGB].image)
     assert (snapshot.facts.step, state.step) == (1, 6)
     assert evaluate_run(snapshot).views
+
+
+def test_another_thread_sees_whole_steps(small_scene, tmp_path, monkeypatch):
+    """A snapshot and a rendering wait for the end of the step that is under way."""
+    found, states = [], []
+
+    def look() -> None:
+        found.append((states[-1].snapshot(), states[-1].render(camera)))
+
+    def step(state, *others):
+        result = training_step(state, *others)
+        if state.step == 3:
+            thread.start()
+            thread.join(timeout=0.5)
+            assert not found, "the step is under way"
+        return result
+
+    camera = load_scene(small_scene).train[0].camera
+    thread = Thread(target=look)
+    training_step = trainer.training_step
+    monkeypatch.setattr(trainer, "training_step", step)
+    for state in train_steps(small_scene, tmp_path / "loop", CONFIG):
+        states.append(state)
+        if state.step == 3:
+            thread.join()
+            ((snapshot, rendering),) = found
+            assert snapshot.facts.step == 3
+            torch.testing.assert_close(snapshot.render(camera)[RGB].image, rendering[RGB].image)
+    assert state.step == 6
+
+
+def test_warnings_about_the_scene_point_at_the_callers_line(small_scene, tmp_path):
+    views = load_scene(small_scene).train
+    scene = Scene.from_arrays(
+        [view.camera for view in views], rgb=np.zeros((len(views), 30, 40, 3)), eval_every=0
+    )
+    one_step = replace(CONFIG, max_steps=1)
+    with pytest.warns(MrgsWarning, match="black") as of_train:
+        train(scene, config=one_step)
+    with pytest.warns(MrgsWarning, match="black") as of_steps:
+        next(train_steps(scene, config=one_step))
+    assert {warning.filename for warning in (*of_train, *of_steps)} == {__file__}
 
 
 def test_an_existing_run_is_not_overwritten(small_scene, tmp_path):

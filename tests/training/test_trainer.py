@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import json
+import signal
 import threading
 from dataclasses import replace
 from itertools import cycle
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -29,6 +32,14 @@ from tests.helpers.training import short_config
 
 def read_log(folder: RunFolder) -> list[dict]:
     return [json.loads(line) for line in folder.log_file.read_text().splitlines()]
+
+
+def same_tensors(one: Path, other: Path) -> bool:
+    """Whether two checkpoints hold the same bits."""
+    found, expected = load_file(one), load_file(other)
+    return found.keys() == expected.keys() and all(
+        torch.equal(found[name], expected[name]) for name in expected
+    )
 
 
 def spoil(monkeypatch: pytest.MonkeyPatch, bad_steps: set[int], first: int = 1) -> None:
@@ -240,19 +251,35 @@ def test_the_seed_decides(small_scene, tmp_path):
     assert not torch.equal(first, final("c", seed=2))
 
 
-def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(small_scene, tmp_path):
+def in_step(monkeypatch, number, action):
+    """Have an action take place in the middle of a training step."""
+    original = trainer.training_step
+
+    def step(state, *others):
+        result = original(state, *others)
+        if state.step == number:
+            action()
+        return result
+
+    monkeypatch.setattr(trainer, "training_step", step)
+
+
+def test_a_run_that_died_in_a_step_goes_on_from_the_last_checkpoint(
+    small_scene, tmp_path, monkeypatch
+):
     config = short_config(max_steps=60, checkpoint_every=20)
     whole = train(small_scene, tmp_path / "whole", config)
 
     class PowerCutError(Exception):
         pass
 
-    def cut(statistics) -> None:
-        if statistics.step == 55:
-            raise PowerCutError
+    def cut() -> None:
+        raise PowerCutError
 
-    with pytest.raises(PowerCutError):
-        train(small_scene, tmp_path / "run", config, on_step=cut)
+    with monkeypatch.context() as patch:
+        in_step(patch, 56, cut)
+        with pytest.raises(PowerCutError):
+            train(small_scene, tmp_path / "run", config)
     folder = RunFolder(tmp_path / "run")
     with folder.log_file.open("a") as file:
         file.write('{"step": 5')  # torn
@@ -263,14 +290,75 @@ def test_a_run_that_died_between_checkpoints_goes_on_from_the_last(small_scene, 
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
-def test_whoever_watches_may_stop_the_run(small_scene, tmp_path):
+@pytest.mark.parametrize("kind", [bool, int, np.bool_, torch.tensor])
+def test_whoever_watches_may_stop_the_run(kind, small_scene, tmp_path):
     folder = train(
         small_scene,
         tmp_path / "run",
         short_config(),
-        on_step=lambda statistics: statistics.step == 7,
+        on_step=lambda statistics: kind(statistics.step == 7),
     )
     assert load_facts(folder.newest_checkpoint()).step == 7
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_an_error_of_whoever_watches_keeps_the_last_step(error, small_scene, tmp_path):
+    def fail(statistics):
+        if statistics.step == 7:
+            raise error
+
+    with pytest.raises(error):
+        train(small_scene, tmp_path / "run", short_config(), on_step=fail)
+    stopped = train(small_scene, tmp_path / "stopped", short_config(), stop_at=7)
+    kept = RunFolder(tmp_path / "run").newest_checkpoint()
+    assert load_facts(kept).step == 7
+    assert same_tensors(kept, stopped.newest_checkpoint())
+
+
+def test_ctrl_c_in_a_step_waits_for_its_end(small_scene, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        in_step(patch, 7, lambda: signal.raise_signal(signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt):
+            train(small_scene, tmp_path / "run", short_config())
+    stopped = train(small_scene, tmp_path / "stopped", short_config(), stop_at=7)
+    kept = RunFolder(tmp_path / "run").newest_checkpoint()
+    assert load_facts(kept).step == 7
+    assert same_tensors(kept, stopped.newest_checkpoint())
+
+
+def test_a_second_ctrl_c_does_not_wait_and_no_half_of_a_step_is_kept(
+    small_scene, tmp_path, monkeypatch
+):
+    def press_twice():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    in_step(monkeypatch, 7, press_twice)
+    with pytest.raises(KeyboardInterrupt):
+        train(small_scene, tmp_path / "run", short_config(checkpoint_every=5))
+    assert load_facts(RunFolder(tmp_path / "run").newest_checkpoint()).step == 5
+
+
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_what_the_caller_has_set_of_torch_changes_nothing(mode, small_scene, tmp_path):
+    expected = train(small_scene, tmp_path / "usual", short_config(max_steps=3))
+    with mode():
+        found = train(small_scene, tmp_path / "own", short_config(max_steps=3))
+        assert not torch.is_grad_enabled()
+    assert same_tensors(found.newest_checkpoint(), expected.newest_checkpoint())
+
+
+def test_the_default_type_of_tensors_changes_nothing(small_scene, tmp_path):
+    expected = train(small_scene, tmp_path / "usual", short_config(max_steps=3))
+    torch.set_default_dtype(torch.float64)
+    try:
+        found = train(small_scene, tmp_path / "own", short_config(max_steps=3))
+        run = load_run(found.path)
+        run.render(run.load_scene().train[0].camera).surface_depth(THERMAL)
+        assert torch.get_default_dtype() == torch.float64
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert same_tensors(found.newest_checkpoint(), expected.newest_checkpoint())
 
 
 def test_start_is_told_once_with_what_is_in_force(small_scene, tmp_path):

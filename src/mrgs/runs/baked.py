@@ -28,6 +28,7 @@ from mrgs.scene import (
     TemperatureRange,
     evenly_spaced,
 )
+from mrgs.system.torch_modes import own_modes
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 
@@ -162,10 +163,11 @@ class BakedModel:
     def median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
         """The z-depth at which half of a modality's light is blocked; NaN where less is."""
         K, viewmat, _ = camera.tensors(self.means.device)
-        return median_depth(
-            self.means, self.quats, self.scales, self.opacities[modality],
-            viewmat, K, camera.width, camera.height, self.dilation.of(camera),
-        )  # fmt: skip
+        with own_modes():
+            return median_depth(
+                self.means, self.quats, self.scales, self.opacities[modality],
+                viewmat, K, camera.width, camera.height, self.dilation.of(camera),
+            )  # fmt: skip
 
     def blend(
         self,

@@ -21,6 +21,7 @@ from mrgs.runs.registry import Method, find_method
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
+from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_model
 from mrgs.training.kernel_check import check_rendering
 from mrgs.training.newest import load_newest
@@ -57,13 +58,13 @@ class Run(TrainedRun):
 
     def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:
         """The images; the depth of the surface is found when it is asked for."""
-        with self._enough_memory(), torch.no_grad():
+        with self._enough_memory(), own_modes(), torch.no_grad():
             rendering = render(self._rendered, cameras)[0].cpu()
         depths = {each: partial(self._median_depth, each, cameras[each]) for each in rendering}
         return Rendering(rendering, depths)
 
     def _median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
-        with self._enough_memory():
+        with self._enough_memory(), own_modes():
             return self._rendered.median_depth(modality, camera).cpu()
 
     @contextmanager
@@ -174,8 +175,9 @@ def open_gaussians(
     folder.newest_checkpoint()
     config = folder.read_config(from_yaml)
     folder.warn_if_incomplete(config)
-    model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
     chosen = gpu.choose_device(device)
-    check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
-    model = bake_temperature_residuals(model)
+    with own_modes():
+        model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
+        check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
+        model = bake_temperature_residuals(model)
     return Run(folder, config, facts.moved_to(scene), model, image_model, chosen)

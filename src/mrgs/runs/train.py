@@ -15,6 +15,7 @@ from mrgs.render import Model, render
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
 from mrgs.system.gpu import DeviceName
+from mrgs.system.torch_modes import own_modes
 from mrgs.training import trainer
 from mrgs.training.run_folder import RunFolder, TemporaryRunFolder
 from mrgs.training.step import StepStatistics
@@ -43,6 +44,9 @@ def train(
 ) -> Run:
     """Train a model of a scene, and open the run.
 
+    Ctrl-C ends the training after the current step, and an error in ``on_step`` after the last one,
+    with a checkpoint; a second Ctrl-C ends it at once.
+
     Args:
         scene: the scene or its folder; one that was read before keeps its resolution.
         output: the run's folder; must not hold a run unless ``resume``. None takes a temporary
@@ -60,7 +64,7 @@ def train(
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
-        on_step: called after every step; returning True stops with a checkpoint.
+        on_step: called after every step; returning something true stops with a checkpoint.
         on_start: called once, before the model is made, with the scene and the configuration in
             force.
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
@@ -117,8 +121,8 @@ def train_steps(
 ) -> Generator[LiveRun, None, None]:
     """Train a model of a scene step by step: the loop is the caller's.
 
-    Leaving the loop early writes a checkpoint, from which ``resume`` continues. The run's folder is
-    locked until the loop ends.
+    Leaving the loop early writes a checkpoint, from which ``resume`` continues; so do an error in it
+    and Ctrl-C, which waits for the end of a step. The run's folder is locked until the loop ends.
 
     Args:
         scene: as for ``train``, like all others.
@@ -194,25 +198,28 @@ class LiveRun:
         return self._trainer.state.model
 
     def render(self, cameras: Camera | Mapping[Modality, Camera]) -> Rendering:
-        """Render any camera with the model as it is now, without gradients.
+        """Render any camera with the model as it is now, without gradients; in another thread, once
+        the step that is under way is done.
 
         Args:
             cameras: one for all modalities, or one for each modality to render.
         """
         if isinstance(cameras, Camera):
             cameras = dict.fromkeys(self.model.gaussians.modalities, cameras)
-        with torch.no_grad():
+        with self._trainer.between_steps(), own_modes(), torch.no_grad():
             return render(self.model, cameras)[0].cpu()
 
     def snapshot(self) -> Run:
         """The run as it is now, rendering on the CPU, to be scored or exported while the training
-        goes on; writes a checkpoint and opens it.
+        goes on; writes a checkpoint and opens it, in another thread once the step that is under way
+        is done.
 
         Raises:
             RunError: the checkpoint cannot be written.
         """
-        self._trainer.save()
-        run = load_run(self._folder.path, self._trainer.scene, "cpu")
+        with self._trainer.between_steps():
+            self._trainer.save()
+            run = load_run(self._folder.path, self._trainer.scene, "cpu")
         return replace(run, folder=self._folder)
 
 

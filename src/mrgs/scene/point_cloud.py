@@ -72,7 +72,8 @@ def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
     in_camera = in_camera * depth[:, None]
     pose = camera_to_world[which]
     positions = (pose[:, :3, :3] @ in_camera[..., None])[..., 0] + pose[:, :3, 3]
-    return PointCloud(positions.float(), torch.full((RANDOM_POINTS, 3), GREY), random=True)
+    grey = torch.full((RANDOM_POINTS, 3), GREY, dtype=torch.float32)
+    return PointCloud(positions.float(), grey, random=True)
 
 
 def _looking_depth(cameras: Sequence[Camera]) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
@@ -14,7 +15,10 @@ from torch import Tensor
 from mrgs.errors import NotFiniteError, TrainingError
 from mrgs.scene import TemperatureRange
 from mrgs.system import gpu
+from mrgs.system.ctrl_c import ctrl_c_waits
 from mrgs.system.gpu import HOST
+from mrgs.system.torch_modes import own_modes
+from mrgs.system.turns import Turns
 from mrgs.training.checkpoint_file import first_not_finite
 from mrgs.training.facts import CheckpointFacts
 from mrgs.training.memory import peak_memory_bytes
@@ -96,6 +100,8 @@ class Driver(ABC, Generic[S]):
         self._unchecked: list[S] = []
         self._bad_in_a_row = self._skipped_in_a_row
         self._step_done = facts.step
+        self._is_half_done = False
+        self._turns = Turns()
         self._skipped_steps = facts.skipped_steps
         self._started = time.perf_counter()
         self._save_at = self._started + SAVE_EVERY_S
@@ -125,28 +131,49 @@ class Driver(ABC, Generic[S]):
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
         """Write everything needed to resume exactly."""
 
-    def run(self, stop_at: int | None, on_step: Callable[[S], bool | None] | None) -> None:
-        """Step until the end of the schedule, or until ``on_step`` returns True; the last step is
-        checkpointed."""
+    def run(self, stop_at: int | None, on_step: Callable[[S], object] | None) -> None:
+        """Step until the end of the schedule, or until ``on_step`` returns something true; the last
+        step is checkpointed, also where Ctrl-C or an error in ``on_step`` ends the training."""
         last = self._max_steps if stop_at is None else min(stop_at, self._max_steps)
         while self._step_done < last:
-            statistics = self._next_step()
-            if self._stops_now(on_step is not None and on_step(statistics) is True):
-                last = self._step_done
+            with self._kept():
+                statistics = self._next_step()
+                if self._stops_now(on_step is not None and bool(on_step(statistics))):
+                    last = self._step_done
             self._save_if_due(last)
 
     def steps(self) -> Generator[S, None, None]:
-        """Step until the end of the schedule, or until closed; the last step is checkpointed."""
+        """Step until the end of the schedule, or until closed; the last step is checkpointed, also
+        where Ctrl-C ends the training."""
         while self._step_done < self._max_steps:
-            statistics = self._next_step()
-            try:
-                yield statistics
-            except GeneratorExit:
-                self.save()
-                raise
+            with self._kept():
+                yield self._next_step()
             self._save_if_due(self._max_steps)
 
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        """Whatever leaves this block early, the last step is checkpointed; unless it is the step
+        itself that failed."""
+        try:
+            yield
+        except BaseException:
+            if not self._is_half_done:
+                self.save()
+            raise
+
+    def between_steps(self) -> AbstractContextManager[None]:
+        """Within this block no other thread takes a step or writes a checkpoint."""
+        return self._turns.taken()
+
     def _next_step(self) -> S:
+        """Take a whole step; Ctrl-C waits for its end."""
+        with ctrl_c_waits(), self.between_steps(), own_modes():
+            self._is_half_done = True
+            statistics = self._take_logged_step()
+            self._is_half_done = False
+        return statistics
+
+    def _take_logged_step(self) -> S:
         """Take a step, and log it if its turn has come."""
         try:
             statistics = self._take_step()
@@ -232,12 +259,16 @@ class Driver(ABC, Generic[S]):
             self.save()
 
     def save(self) -> None:
-        """Write a checkpoint of the last step.
+        """Write a checkpoint of the last step; Ctrl-C waits for its end.
 
         Raises:
             NotFiniteError: the state holds a NaN or an infinity.
             RunError: it cannot be written.
         """
+        with ctrl_c_waits(), self.between_steps():
+            self._save()
+
+    def _save(self) -> None:
         began = time.perf_counter()
         self._note_skipped_steps()
         self._require_finite_model()

@@ -12,6 +12,7 @@ from mrgs.errors import MrgsWarning, RunError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import RGB, THERMAL, Modality, Scene, TemperatureRange
+from mrgs.system.callers import users_level
 from mrgs.training.fingerprint import ImageFingerprint, changes, fingerprints
 
 
@@ -149,7 +150,7 @@ def facts_to_resume(
             f"{scene.name} has changed since the run began ({changed}); training goes on with it "
             f"as it is now",
             MrgsWarning,
-            stacklevel=2,
+            stacklevel=users_level(),
         )
     return facts._replace(scene=scene.path, capture=Capture.of(scene), images=images)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from mrgs.errors import DamagedCheckpointError, MrgsWarning, RunError
+from mrgs.system.callers import users_level
 from mrgs.training.run_folder import RunFolder
 
 T = TypeVar("T")
@@ -36,7 +37,8 @@ def load_newest(folder: RunFolder, load: Callable[[Path], T], *, set_aside: bool
             damaged.append(error)
             continue
         for one in damaged:
-            warnings.warn(_older_is_used(folder, one, path, set_aside), MrgsWarning, stacklevel=2)
+            text = _older_is_used(folder, one, path, set_aside)
+            warnings.warn(text, MrgsWarning, stacklevel=users_level())
         return found
     raise RunError(
         f"{folder.path} has no checkpoint that is whole ({damaged[0].reason}): restore one from a "

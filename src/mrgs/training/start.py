@@ -12,7 +12,9 @@ from typing import Any, Generic, TypeVar, cast
 from mrgs.data import load_scene
 from mrgs.data.oddities import warn_of_oddities
 from mrgs.scene import Scene
+from mrgs.system.callers import users_level
 from mrgs.system.operation import plainly
+from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_facts
 from mrgs.training.facts import CheckpointFacts, facts_to_resume
 from mrgs.training.newest import load_newest
@@ -94,28 +96,32 @@ def start_training(
     if peers is not None:
         folder, resume = peers.agree(folder, cast(Any, config), resume)
         config = config if leads else read_config(folder)
-    loaded = (
-        scene
-        if isinstance(scene, Scene)
-        else load_scene(scene, resolution=config.resolution, seed=config.seed)
-    )
-    warn_of_oddities(loaded, stacklevel=4)
+    with own_modes():
+        loaded = (
+            scene
+            if isinstance(scene, Scene)
+            else load_scene(scene, resolution=config.resolution, seed=config.seed)
+        )
+    warn_of_oddities(loaded, stacklevel=users_level())
     with folder.training(config, resume), plainly(plain):
         if on_start is not None:
             on_start(loaded, config)
-        if peers is not None and not leads:
-            state, facts = cast(Any, peers.receive(loaded, cast(Any, config)))
-        elif resume:
-            state, facts = load_newest(
-                folder, lambda path: (load_state(path, config), load_facts(path)), set_aside=True
-            )
-            facts = facts_to_resume(facts, loaded, accept_changes)
-            folder.cut_log(facts.step)
-        else:
-            facts = CheckpointFacts.at_start(loaded)
-            state = initial_state(loaded, config)
-        if peers is not None and leads:
-            peers.share(cast(Any, state), facts)
+        with own_modes():
+            if peers is not None and not leads:
+                state, facts = cast(Any, peers.receive(loaded, cast(Any, config)))
+            elif resume:
+                state, facts = load_newest(
+                    folder,
+                    lambda path: (load_state(path, config), load_facts(path)),
+                    set_aside=True,
+                )
+                facts = facts_to_resume(facts, loaded, accept_changes)
+                folder.cut_log(facts.step)
+            else:
+                facts = CheckpointFacts.at_start(loaded)
+                state = initial_state(loaded, config)
+            if peers is not None and leads:
+                peers.share(cast(Any, state), facts)
         with tensorboard_log(folder, facts.step) if tensorboard and leads else nullcontext():
             yield TrainingStart(folder, facts, loaded, config, state)
 

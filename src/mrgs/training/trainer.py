@@ -23,9 +23,11 @@ from mrgs.rasterizer.near_plane import too_near
 from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
+from mrgs.system.callers import users_level
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.operation import is_plain
 from mrgs.system.room import warn_if_short
+from mrgs.system.torch_modes import own_modes
 from mrgs.training import checkpoint
 from mrgs.training.compilation import shared_compiling
 from mrgs.training.device_photos import DevicePhotos
@@ -51,8 +53,8 @@ from mrgs.training.view_pass import PhotographedView
 
 Result = TypeVar("Result")
 
-OnStep = Callable[[StepStatistics], bool | None]
-"""Called after every step; returning True stops the training with a checkpoint."""
+OnStep = Callable[[StepStatistics], object]
+"""Called after every step; returning something true stops the training with a checkpoint."""
 
 
 class TrainingPart(NamedTuple):
@@ -148,6 +150,9 @@ def train(
 ) -> RunFolder:
     """Train a model of a scene into a run folder.
 
+    Ctrl-C ends the training after the current step, and an error in ``on_step`` after the last one,
+    with a checkpoint; a second Ctrl-C ends it at once.
+
     Args:
         scene: the scene or its folder; one that was read before keeps its resolution.
         output: the run's folder; must not hold a run unless ``resume``.
@@ -163,7 +168,7 @@ def train(
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
-        on_step: called after every step; returning True stops with a checkpoint.
+        on_step: called after every step; returning something true stops with a checkpoint.
         on_start: called once, before the model is made, with the scene and the configuration in
             force.
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
@@ -230,7 +235,7 @@ def _warn_if_too_near(scene: Scene) -> None:
             f"{NEAR_PLANE:g} units, where nothing is rendered: scale poses and points together, "
             f"such as by {near.factor:,}",
             MrgsWarning,
-            stacklevel=5,
+            stacklevel=users_level(),
         )
 
 
@@ -300,7 +305,8 @@ class Trainer(Driver[StepStatistics]):
 
     def check_kernels(self) -> None:
         """Compare the kernels in use with their plain definitions; the training stays the same."""
-        check_kernels(self.state, self.scene, self.config, self._scale)
+        with own_modes():
+            check_kernels(self.state, self.scene, self.config, self._scale)
 
     def close(self) -> None:
         """Stop loading photos."""

@@ -216,5 +216,5 @@ def test_an_interrupt_before_the_first_checkpoint_leaves_no_run(small_scene, tmp
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_thermonerf(small_scene, tmp_path / "run", small_config(), on_step=interrupt)
+        train_thermonerf(small_scene, tmp_path / "run", small_config(), on_start=interrupt)
     assert not RunFolder(tmp_path / "run").path.exists()
