@@ -76,3 +76,4 @@ def test_a_minus_is_drawn_as_wide_as_a_plus() -> None:
 def test_letters_that_the_font_lacks_are_written_with_others() -> None:
     assert drawable("Türsturz groß, côté − 3 °C ± 1") == "Tuersturz gross, cote − 3 °C ± 1"
     assert drawable("m² 中") == "m2 ?"
+    assert drawable("ÆRØ Łódź Đ") == "AeRO Lodz D"
