@@ -20,7 +20,8 @@ from mrgs.marks.tables import (
     write_csv,
     write_geojson,
 )
-from mrgs.marks.texts import mark_text
+from mrgs.marks.texts import difference_text, mark_text
+from mrgs.marks.uncertainty import Uncertainty
 from mrgs.prepare.earth import enu
 from mrgs.scene import EarthPosition, TemperatureRange, WorldFrame
 from tests.helpers.walls import RANGE, render_wall
@@ -87,6 +88,26 @@ def test_values_as_text():
     assert value_text(-0.04, celsius, sign=True, unit=True) == "+0.0 K"
     assert value_text(0.25, None, unit=True) == "0.250"
     assert value_text(math.nan, celsius, unit=True) == "–"
+
+
+def test_no_uncertainty_is_written_as_zero(readings):
+    sure = replace(readings[0], uncertainty=Uncertainty(photos=0.003), difference=1.25)
+    sure = replace(sure, difference_uncertainty=0.004)
+    assert text_rows([sure], RANGE, METRES)[0][3] == "0.1"
+    assert mark_text(sure, "", RANGE, METRES)["value"] == "21.2 ± 0.1 °C"
+    assert difference_text(sure, RANGE) == "ΔT +1.2 ± 0.1 K"
+
+
+def test_a_narrow_range_has_more_decimals(readings):
+    """20.0 to 20.4 °C: one decimal would tell five values apart."""
+    narrow = TemperatureRange(20.0, 20.4)
+    sure = replace(readings[0], mean=20.204, uncertainty=Uncertainty(photos=0.02))
+    assert mark_text(sure, "", narrow, METRES)["value"] == "20.20 ± 0.02 °C"
+
+
+def test_a_mark_without_size_has_no_dash_for_it(readings):
+    gone = MarkReading(readings[2].mark, problem="why")
+    assert mark_text(gone, "", RANGE, METRES)["lines"] == ["why"]
 
 
 def test_a_spreadsheet_reads_the_numbers_and_runs_nothing(readings, tmp_path: Path):

@@ -216,6 +216,8 @@ def test_a_scene_without_celsius_has_relative_values(run, tmp_path):
     scene = replace(run.load_scene(), temperature=None)
     text = Page(write_report(unknown, scene, tmp_path / "report.html")).text
     assert "There are no °C" in text
+    assert "temperatures are apparent" not in text
+    assert "Without °C this cannot be corrected" in text
     assert re.search(r"H1 \d\.\d{3}", text)
 
 

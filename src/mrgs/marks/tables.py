@@ -73,6 +73,13 @@ def value_text(
     return text
 
 
+def around_text(around: float, temperature: TemperatureRange | None, *, unit: bool = False) -> str:
+    """What follows a ±: no less than the last digit, since ± 0.0 would promise the exact truth."""
+    last_digit = 10.0 ** -decimals_of(THERMAL, temperature)
+    least = around if math.isnan(around) else max(around, last_digit)
+    return value_text(least, temperature, unit=unit)
+
+
 def total_uncertainty(reading: MarkReading) -> float:
     """Of the mean, all parts together; NaN where it is not known."""
     return math.nan if reading.uncertainty is None else reading.uncertainty.total
@@ -116,7 +123,7 @@ def text_rows(
             reading.mark.name,
             reading.mark.kind,
             number(reading.mean),
-            number(total_uncertainty(reading)),
+            around_text(total_uncertainty(reading), temperature),
             number(reading.low),
             number(reading.high),
             number(reading.difference, sign=True),

@@ -6,7 +6,14 @@ import math
 from typing import TypedDict
 
 from mrgs.marks.measure import MarkReading
-from mrgs.marks.tables import corrected_text, size_text, total_uncertainty, value_text
+from mrgs.marks.tables import (
+    DASH,
+    around_text,
+    corrected_text,
+    size_text,
+    total_uncertainty,
+    value_text,
+)
 from mrgs.scene import TemperatureRange, WorldFrame
 
 PART_NAMES = {
@@ -54,7 +61,7 @@ def value_with_uncertainty(reading: MarkReading, temperature: TemperatureRange |
     if math.isnan(around):
         return value_text(reading.mean, temperature, unit=True)
     mean = value_text(reading.mean, temperature)
-    return f"{mean} ± {value_text(around, temperature, unit=True)}"
+    return f"{mean} ± {around_text(around, temperature, unit=True)}"
 
 
 def uncertainty_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
@@ -111,7 +118,7 @@ def difference_text(reading: MarkReading, temperature: TemperatureRange | None) 
     if math.isnan(around):
         return text
     unit = "" if temperature is None else " K"
-    return f"{text} ± {value_text(around, temperature)}{unit}"
+    return f"{text} ± {around_text(around, temperature)}{unit}"
 
 
 def _lines(
@@ -128,7 +135,8 @@ def _lines(
     if not reading.mark.has_settings and (corrected := corrected_text(reading)):
         lines.append(corrected)
     lines.extend(reading.remarks)
-    lines.append(size_text(reading, world))
+    if (size := size_text(reading, world)) != DASH:
+        lines.append(size)
     if reading.covered < MOSTLY_COVERED and not reading.problem:
         lines.append(f"{100 * reading.covered:.0f} % of it shows a surface")
     if reading.photos is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -12,6 +13,11 @@ from mrgs.pictures.palette import PaletteName
 from mrgs.scene import THERMAL, Modality, TemperatureRange
 
 Value = TypeVar("Value", float, Tensor, np.ndarray)
+
+LEAST_STEPS = 20
+"""Values that texts tell apart in the range of temperatures."""
+
+MOST_DECIMALS = 4
 
 NORMALISED = "normalised"
 """Stands for the unit of values between 0 and 1 that have none."""
@@ -53,8 +59,12 @@ def full_scale(
 
 
 def decimals_of(modality: Modality, temperature: TemperatureRange | None) -> int:
-    """Decimals of a modality's values as text: 1 for °C, 3 for numbers between 0 and 1."""
-    return 3 if _celsius(modality, temperature) is None else 1
+    """Decimals of a modality's values as text: 3 for numbers between 0 and 1; for °C 1, and more
+    where the whole range is no more than a few of the last digits."""
+    celsius = _celsius(modality, temperature)
+    if celsius is None:
+        return 3
+    return min(max(1, math.ceil(math.log10(LEAST_STEPS / celsius.span_c))), MOST_DECIMALS)
 
 
 def format_value(modality: Modality, value: float, temperature: TemperatureRange | None) -> str:

@@ -15,7 +15,14 @@ from mrgs.marks import MarkReading
 from mrgs.marks.mark import Mark
 from mrgs.marks.moisture import temperature_factor
 from mrgs.marks.regions import Regions
-from mrgs.marks.tables import DASH, settings_texts, size_text, total_uncertainty, value_text
+from mrgs.marks.tables import (
+    DASH,
+    around_text,
+    settings_texts,
+    size_text,
+    total_uncertainty,
+    value_text,
+)
 from mrgs.marks.texts import PART_NAMES
 from mrgs.marks.uncertainty import Uncertainty
 from mrgs.pictures.html import InlineImage, inline_image
@@ -23,7 +30,7 @@ from mrgs.report.mark_pictures import mark_pictures, nearest_view
 from mrgs.scene import Scene, TemperatureRange
 from mrgs.survey import Survey
 
-CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 46
+CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 64
 
 
 class ProfileChart(NamedTuple):
@@ -31,8 +38,8 @@ class ProfileChart(NamedTuple):
 
     Attributes:
         path: of the curve, in the language of SVG.
-        low: smallest value, as text.
-        high: largest value, as text.
+        low: smallest value with its unit.
+        high: largest value with its unit.
         end: length of the line, as text.
     """
 
@@ -175,7 +182,7 @@ def _shown(
 
 
 def _around(value: float, temperature: TemperatureRange | None) -> str:
-    return "" if math.isnan(value) else value_text(value, temperature)
+    return "" if math.isnan(value) else around_text(value, temperature)
 
 
 def _difference(reading: MarkReading, temperature: TemperatureRange | None) -> str:
@@ -213,5 +220,7 @@ def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:
         f"{'L' if number and known[number - 1] else 'M'}{x[number]:.1f} {y[number]:.1f}"
         for number in np.flatnonzero(known)
     )
-    low, high = (value_text(each, scene.temperature) for each in (reading.low, reading.high))
+    low, high = (
+        value_text(each, scene.temperature, unit=True) for each in (reading.low, reading.high)
+    )
     return ProfileChart(path, low, high, size_text(reading, scene.world))
