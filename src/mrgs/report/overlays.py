@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float64
 from PIL import Image, ImageDraw
 
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import INK, Box, draw_plate, text_width
+from mrgs.pictures.drawing import INK, Box, draw_plate, fit_text, text_width
 
 LABEL_PX = 24
 SMALL_PX = 420
 MARK, RIM = (200, 70, 0), (255, 255, 255)
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
-PLACES = [(1, -1), (1, 1), (-1, -1), (-1, 1), (1, -3), (1, 3), (-1, -3), (-1, 3)]
-"""Where a label is tried, beside its mark: the side, and half heights of a label down."""
+RING_PX = 13
+MANY = 15
+"""Names from which on they are written in smaller letters."""
+
+SMALL_LABEL_PX = 15
+MOST_STEPS = 6
+"""Heights of a name that it may stand away from its place."""
 
 
-def draw_ring(image: Image.Image, x: float, y: float, radius: int = 13) -> None:
+def draw_ring(image: Image.Image, x: float, y: float, radius: int = RING_PX) -> None:
     """A ring about a place, white between two black lines."""
     draw = ImageDraw.Draw(image)
     for size, color, width in ((radius + 1, BLACK, 5), (radius, WHITE, 3)):
@@ -54,25 +59,59 @@ def small_picture(image: Image.Image) -> Image.Image:
     return image.resize(size, Image.Resampling.LANCZOS)
 
 
-def draw_name(image: Image.Image, x: float, y: float, name: str, taken: Sequence[Box]) -> Box:
-    """Write a name beside a place where no other stands, if there is such a place; returns the box
-    that it takes up."""
-    wide, half = text_width(name, LABEL_PX) + 12, LABEL_PX / 2 + 4
-
-    def box_at(side: int, down: int) -> Box:
-        left = x + 12 if side > 0 else x - 12 - wide
-        left = min(max(left, 0), image.width - wide)
-        middle = min(max(y + down * half, half), image.height - half)
-        return left, middle - half, left + wide, middle + half
-
-    boxes = [box_at(*place) for place in PLACES]
-    free = [box for box in boxes if not any(_overlap(box, other) for other in taken)]
-    left, top, right, bottom = box = (free or boxes)[0]
-    end = (min(max(x, left), right), (top + bottom) / 2)
-    ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
-    draw_plate(image, box, name, LABEL_PX)
-    return box
+def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) -> None:
+    """Write names beside their places, so that none covers another, nor another's place: where
+    there are many, in smaller letters, and farther away where it is crowded. A name for which there
+    is no room is left out."""
+    size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
+    labels = {name: fit_text(name, size, image.width / 2) for name in places}
+    boxes = _boxes_of(image, labels, places, size)
+    for name, box in boxes.items():
+        (x, y), (left, top, right, bottom) = places[name], box
+        end = (min(max(x, left), right), min(max(y, top), bottom))
+        ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
+    for name, box in boxes.items():
+        draw_plate(image, box, labels[name], size)
 
 
-def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
+def _boxes_of(
+    image: Image.Image,
+    labels: Mapping[str, str],
+    places: Mapping[str, tuple[float, float]],
+    size: int,
+) -> dict[str, Box]:
+    """Boxes for the names that there is room for."""
+    taken = [(x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX) for x, y in places.values()]
+    found = {}
+    for name, (x, y) in places.items():
+        wide, half = text_width(labels[name], size) + size / 2, size / 2 + 4
+        for box in _boxes_about(x, y, wide, half):
+            if _is_free(box, image, taken):
+                found[name] = box
+                taken.append(box)
+                break
+    return found
+
+
+def _boxes_about(x: float, y: float, wide: float, half: float) -> Iterator[Box]:
+    """Boxes of a size to the right and to the left of a place, then above and below it; the nearest
+    first."""
+    for distance in range(MOST_STEPS):
+        away = RING_PX + 2 + 2 * half * distance
+        for down in range(-distance - 1, distance + 2):
+            middle = y + 2 * half * down
+            for left in (x + away, x - away - wide):
+                yield left, middle - half, left + wide, middle + half
+        for middle in (y - away - half, y + away + half):
+            yield x - wide / 2, middle - half, x + wide / 2, middle + half
+
+
+def _is_free(box: Box, image: Image.Image, taken: Sequence[Box]) -> bool:
+    """Whether a box lies in an image and overlaps none that are taken."""
+    left, top, right, bottom = box
+    inside = left >= 0 and top >= 0 and right <= image.width and bottom <= image.height
+    return inside and not any(_overlap(box, other) for other in taken)
+
+
+def _overlap(one: Box, other: Box) -> bool:
     return all(one[i] < other[i + 2] and other[i] < one[i + 2] for i in (0, 1))

@@ -11,11 +11,11 @@ from PIL import Image
 
 from mrgs.marks.mark import Mark
 from mrgs.marks.resolution import square_about
-from mrgs.pictures.drawing import Box, Scale, above_scale
+from mrgs.pictures.drawing import Scale, above_scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
-from mrgs.report.overlays import LABEL_PX, draw_name, draw_outline, draw_ring
+from mrgs.report.overlays import LABEL_PX, draw_names, draw_outline, draw_ring
 from mrgs.report.spots import SAME_DEPTH, Renderer, Spot
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
 
@@ -148,7 +148,7 @@ def _enlarged(image: Image.Image, width: int) -> Image.Image:
 
 def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -> None:
     """A ring around each spot and the outline of the other marks, then their names."""
-    middles, taken = dict[str, tuple[float, float]](), list[Box]()
+    middles = dict[str, tuple[float, float]]()
     for name, mark in marks.items():
         pixels = camera.project(torch.tensor(mark.points).double())[0].numpy()
         if not np.isfinite(pixels).all():
@@ -159,8 +159,7 @@ def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -
         else:
             draw_outline(image, [*corners, corners[0]] if mark.is_area else corners)
         middles[name] = (float(np.mean(corners, axis=0)[0]), float(np.mean(corners, axis=0)[1]))
-    for name, (x, y) in middles.items():
-        taken.append(draw_name(image, x, y, name, taken))
+    draw_names(image, middles)
 
 
 def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:

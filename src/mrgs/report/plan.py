@@ -9,9 +9,9 @@ from jaxtyping import Float32, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import INK, MUTED, Box, draw_text
+from mrgs.pictures.drawing import INK, MUTED, draw_text
 from mrgs.pictures.palette import round_down
-from mrgs.report.overlays import LABEL_PX, RIM, draw_name, draw_place, small_picture
+from mrgs.report.overlays import LABEL_PX, RIM, draw_names, draw_place, small_picture
 from mrgs.scene import Scene
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 1440, 840, 40
@@ -64,10 +64,10 @@ class Plan:
         image = self._ground.copy()
         for mark in marks.values():
             draw_place(image, mark, self._pixels(self._flat(mark)), LABEL_PX / 4)
-        taken: list[Box] = []
-        for name, mark in marks.items():
-            x, y = self._pixels(self._flat(mark)).mean(axis=0)
-            taken.append(draw_name(image, x, y, name, taken))
+        middles = {
+            name: self._pixels(self._flat(mark)).mean(axis=0) for name, mark in marks.items()
+        }
+        draw_names(image, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
         self._draw_scale(image)
         return image
 

@@ -18,8 +18,7 @@ from mrgs.export.maps.picture import frame_map, map_body, map_scale
 from mrgs.export.ortho import map_from_above
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
-from mrgs.pictures.drawing import Box
-from mrgs.report.overlays import draw_name, draw_outline, draw_place, draw_ring, small_picture
+from mrgs.report.overlays import draw_names, draw_outline, draw_place, draw_ring, small_picture
 from mrgs.report.plan import faces_one_side
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
@@ -67,7 +66,7 @@ class TemperatureMap:
         their names; ``decimal`` is written before the decimals of the legend's numbers."""
         scale = map_scale(self.drawn, "inferno")._replace(decimal=decimal)
         body, metres_per_px = map_body(self.drawn, scale)
-        zoom, taken = self.drawn.grid.pixel_m / metres_per_px, list[Box]()
+        zoom = self.drawn.grid.pixel_m / metres_per_px
         shown = {
             name: zoom * self._pixels(each) for name, each in marks.items() if self.shows(each)
         }
@@ -77,9 +76,8 @@ class TemperatureMap:
             else:
                 closed = marks[name].is_area
                 draw_outline(body, [*map(tuple, np.vstack([corners, corners[:closed]]))])
-        for name, corners in shown.items():
-            x, y = corners.mean(axis=0).tolist()
-            taken.append(draw_name(body, x, y, name, taken))
+        middles = {name: corners.mean(axis=0) for name, corners in shown.items()}
+        draw_names(body, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
         return frame_map(body, metres_per_px, scale, 0.0 if self.north else None)
 
     def small(self, mark: Mark) -> Image.Image:

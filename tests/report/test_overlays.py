@@ -1,0 +1,60 @@
+"""Names of marks over pictures."""
+
+from __future__ import annotations
+
+import random
+from itertools import combinations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.pictures.drawing import Box
+from mrgs.report import overlays
+from mrgs.report.overlays import RING_PX, draw_names
+
+SIZE = (900, 675)
+
+
+@pytest.fixture
+def plates(monkeypatch: pytest.MonkeyPatch) -> list[Box]:
+    """The boxes of the plates that are drawn."""
+    boxes: list[Box] = []
+    monkeypatch.setattr(overlays, "draw_plate", lambda image, box, *rest: boxes.append(box))
+    return boxes
+
+
+def places(count: int) -> dict[str, tuple[float, float]]:
+    """Places on a house that takes up half of the picture."""
+    rng = random.Random(count)
+    return {f"S{i}": (rng.uniform(200, 700), rng.uniform(150, 500)) for i in range(count)}
+
+
+def overlap(one: Box, other: Box) -> bool:
+    return max(one[0], other[0]) < min(one[2], other[2]) and max(one[1], other[1]) < min(
+        one[3], other[3]
+    )
+
+
+@pytest.mark.parametrize("count", [1, 6, 40])
+def test_names_of_many_marks_cover_neither_each_other_nor_a_mark(plates: list[Box], count: int):
+    where = places(count)
+    draw_names(Image.new("RGB", SIZE), where)
+    assert len(plates) == count
+    rings = [(x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX) for x, y in where.values()]
+    assert not any(overlap(*pair) for pair in combinations(plates, 2))
+    assert not any(overlap(plate, ring) for plate in plates for ring in rings)
+    assert all(box[0] >= 0 and box[1] >= 0 for box in plates)
+    assert all(box[2] <= SIZE[0] and box[3] <= SIZE[1] for box in plates)
+
+
+def test_many_names_leave_most_of_the_picture_free():
+    picture = Image.new("RGB", SIZE, "white")
+    draw_names(picture, places(40))
+    assert (np.asarray(picture).min(axis=2) < 100).mean() < 0.08
+
+
+def test_a_long_name_takes_no_more_than_half_of_the_width(plates: list[Box]):
+    draw_names(Image.new("RGB", SIZE), {"W" * 40: (450.0, 300.0)})
+    ((left, _, right, _),) = plates
+    assert right - left < 0.52 * SIZE[0]
