@@ -10,9 +10,10 @@ import torch
 from PIL import Image
 
 from mrgs.data import load_scene
-from mrgs.errors import SceneError
+from mrgs.errors import MrgsWarning, SceneError
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange
 from mrgs.scene.point_cloud import RANDOM_POINTS
+from tests.helpers.array_checks import unchecked
 
 CAMERA = Camera.from_fov(8, 6, 60)
 CAMERAS = [CAMERA.look_at([3 * np.cos(a), 3 * np.sin(a), 1], [0, 0, 0]) for a in range(9)]
@@ -69,6 +70,88 @@ def test_unknown_temperatures_are_not_valid():
     assert (~pixels.valid).nonzero().tolist() == [[0, 0], [2, 3]]
 
 
+@pytest.mark.parametrize("scale", [1, 1 / 255], ids=["bytes", "shares"])
+def test_masked_pixels_are_not_valid(scale):
+    mask = np.zeros((1, 6, 8), bool)
+    mask[0, 2, 3] = True
+    colors = RGB_IMAGES[:1] if scale == 1 else RGB_IMAGES[:1] * scale
+    made = Scene.from_arrays(
+        CAMERAS[:1],
+        rgb=np.ma.array(colors, mask=np.repeat(mask[..., None], 3, axis=3)),
+        celsius=np.ma.array(CELSIUS[:1], mask=mask),
+    )
+    for modality in (RGB, THERMAL):
+        pixels = made.train[0].images[modality].load()
+        assert pixels.values.isfinite().all()
+        assert (~pixels.valid).nonzero().tolist() == [[2, 3]]
+    unmasked = Scene.from_arrays(CAMERAS[:1], rgb=RGB_IMAGES[:1]).train[0].images[RGB].load()
+    found = made.train[0].images[RGB].load()
+    torch.testing.assert_close(found.values[found.valid], unmasked.values[found.valid])
+
+
+def test_colours_that_are_not_known_are_not_valid_in_held_out_views_too():
+    rgb = RGB_IMAGES / 255
+    rgb[:, :3] = np.nan
+    made = Scene.from_arrays(CAMERAS, rgb=rgb)
+    for view in (*made.train, *made.eval):
+        pixels = view.images[RGB].load()
+        assert pixels.values.isfinite().all()
+        assert not pixels.valid[:3].any()
+        assert pixels.valid[3:].all()
+
+
+def test_images_without_a_known_pixel_are_none():
+    celsius, rgb = CELSIUS.copy(), RGB_IMAGES / 255
+    celsius[3], rgb[5] = np.nan, np.nan
+    made = Scene.from_arrays(CAMERAS, rgb=rgb, celsius=celsius, eval_every=0)
+    images = [tuple(view.images) for view in made.train]
+    assert images[3:6] == [(RGB,), (RGB, THERMAL), (THERMAL,)]
+    with pytest.raises(SceneError, match="view 5 has no image with a known pixel"):
+        Scene.from_arrays(CAMERAS, rgb=rgb)
+
+
+def test_temperatures_that_look_like_kelvin_are_doubted_and_kept():
+    with pytest.warns(
+        MrgsWarning, match=r"from 285\.\d* to 304\.\d*, which look like kelvin"
+    ) as caught:
+        made = Scene.from_arrays(CAMERAS, celsius=CELSIUS + 273.15)
+    assert made.temperature == TemperatureRange(285, 305)
+    assert caught[0].filename == __file__
+    Scene.from_arrays(CAMERAS, celsius=CELSIUS * 30)  # a furnace
+
+
+@pytest.mark.parametrize("dtype", [">f4", np.int16, np.uint16, np.uint64, np.longdouble])
+def test_temperatures_of_every_type_of_number(dtype):
+    made = Scene.from_arrays(CAMERAS, celsius=CELSIUS.astype(dtype), eval_every=0)
+    values = made.train[0].images[THERMAL].load().values[..., 0]
+    expected = CELSIUS[0].astype(dtype).astype(np.float32)
+    np.testing.assert_allclose(made.temperature.to_celsius(values), expected, atol=1e-4)
+
+
+def test_cameras_and_images_may_come_from_generators_and_none_is_nothing():
+    made = Scene.from_arrays(
+        (each for each in CAMERAS),
+        rgb=(each for each in RGB_IMAGES),
+        celsius=(each for each in CELSIUS),
+        thermal_cameras=iter(CAMERAS),
+    )
+    assert repr(made) == repr(Scene.from_arrays(CAMERAS, rgb=RGB_IMAGES, celsius=CELSIUS))
+    nothing = {"celsius": None, "thermal_cameras": None, "points": None, "colors": None}
+    assert Scene.from_arrays(CAMERAS, rgb=RGB_IMAGES, **nothing).modalities == (RGB,)
+    assert Scene.from_arrays(CAMERAS, rgb=None, celsius=CELSIUS).modalities == (THERMAL,)
+
+
+def test_colours_of_points_may_be_bytes_and_are_grey_where_they_are_not_known():
+    def colors_of(colors) -> list:
+        points = [[0, 0, 0], [1, 1, 1], [1e30, 0, 0]]
+        return Scene.from_arrays(
+            CAMERAS, rgb=RGB_IMAGES, points=points, colors=colors
+        ).points.colors.tolist()
+
+    assert colors_of(np.array([[255, 0, 255]] * 3, np.uint8)) == [[1, 0, 1]] * 2
+    assert colors_of([[1, 0, np.nan]] * 3) == [[1, 0, 0.5]] * 2
+
+
 def test_views_may_lack_an_image_and_thermal_cameras_differ():
     thermal = [camera.resized(4, 3) for camera in CAMERAS[:2]]
     made = Scene.from_arrays(
@@ -110,17 +193,59 @@ def test_what_is_no_scene(arguments, message):
         ({"rgb": RGB_IMAGES[:5]}, "9 cameras, but 5 images in rgb"),
         ({"rgb": RGB_IMAGES, "thermal_cameras": CAMERAS[:2]}, "9 cameras, but 2 thermal cameras"),
         ({"rgb": RGB_IMAGES[:, :5]}, r"rgb\[0\] must have shape \[6, 8, 3\], not \[5, 8, 3\]"),
-        ({"celsius": CELSIUS[..., None]}, r"celsius must have shape \[any, any\]"),
+        ({"rgb": RGB_IMAGES[..., 0]}, r"rgb\[0\] must have shape \[any, any, 3\], not \[6, 8\]"),
+        *(
+            ({"rgb": RGB_IMAGES.astype(dtype)}, r"rgb\[0\] has values from \d+ to \d+: give uint8")
+            for dtype in (np.float32, np.int64, np.uint16, np.float64)
+        ),
+        ({"rgb": RGB_IMAGES.tolist()}, r"rgb\[0\] has values from \d+ to \d+: give uint8, or numb"),
+        ({"rgb": RGB_IMAGES / 255 - 0.5}, r"rgb\[0\] has values from -0\.5 to 0\.\d+: give uint8"),
+        ({"rgb": RGB_IMAGES * 1j}, r"rgb\[0\] must be an array of real numbers"),
+        ({"rgb": 3}, "rgb must be a list of images, one for each view"),
+        ({"celsius": CELSIUS[..., None]}, r"celsius\[0\] must have shape \[any, any\]"),
+        ({"celsius": CELSIUS[:, :5]}, r"celsius\[0\] must have shape \[6, 8\], not \[5, 8\]"),
+        ({"celsius": CELSIUS * 1j}, r"celsius\[0\] must be an array of real numbers"),
+        (
+            {"celsius": np.where(CELSIUS > 31, 1e30, CELSIUS)},
+            r"celsius\[0\] has values from 12\.\d* to 1e\+30: give °C between -200 and 3500, no r",
+        ),
+        ({"celsius": (CELSIUS * 400).astype(np.uint16)}, r"celsius\[0\] has .* no raw counts"),
+        ({"celsius": [[[1, 2], [3]]]}, r"celsius\[0\] must be an array of numbers"),
         ({"rgb": RGB_IMAGES, "points": [[0, 1]]}, r"points must have shape \[any, 3\]"),
         (
             {"rgb": RGB_IMAGES, "points": [[0, 1, 2]], "colors": [[0, 0, 0], [1, 1, 1]]},
-            r"colors must have shape \[1, 3\], not \[2, 3\]",
+            "1 points, but 2 colors",
         ),
+        ({"rgb": RGB_IMAGES, "points": (row for row in "a")}, "points must be an array of numbers"),
+        (
+            {"rgb": RGB_IMAGES, "points": [[0, 1, 2]], "colors": [[0, 128, 255]]},
+            "colors has values from 0 to 255: give uint8, or numbers in",
+        ),
+        ({"rgb": RGB_IMAGES, "eval_every": 1}, "eval_every must be 0, or at least 2, not 1"),
+        ({"rgb": RGB_IMAGES, "eval_every": -1}, "eval_every must be 0, or at least 2, not -1"),
+        ({"rgb": RGB_IMAGES, "eval_every": 2.0}, r"eval_every must be a whole number, not 2\.0"),
     ],
 )
 def test_arrays_that_do_not_fit(arguments, message):
-    with pytest.raises(ValueError, match=message):
+    with unchecked(), pytest.raises(ValueError, match=message):
         Scene.from_arrays(CAMERAS, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "message"),
+    [
+        (
+            np.tile(np.eye(4), (9, 1, 1)),
+            r"cameras\[0\] is of type ndarray, not Camera: make it with",
+        ),
+        (CAMERA, "cameras must be a list of cameras, one for each view"),
+    ],
+)
+def test_what_is_no_list_of_cameras(cameras, message):
+    with unchecked(), pytest.raises(ValueError, match=message):
+        Scene.from_arrays(cameras, rgb=RGB_IMAGES)
+    with unchecked(), pytest.raises(ValueError, match=f"thermal_{message}"):
+        Scene.from_arrays(CAMERAS, rgb=RGB_IMAGES, thermal_cameras=cameras)
 
 
 def test_a_scene_and_a_view_are_short_lines():

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import torch
 
 from mrgs.errors import SceneError
-from mrgs.scene.arrays import Array
+from mrgs.scene.arrays import Array, as_whole
 from mrgs.scene.camera import Camera
 from mrgs.scene.from_arrays import (
+    Images,
+    cameras_from,
     cloud_from_arrays,
-    range_from_arrays,
+    color_images,
+    range_of,
+    thermal_images,
     views_from_arrays,
+    warn_of_kelvin,
 )
 from mrgs.scene.modality import Modality, in_order
 from mrgs.scene.point_cloud import PointCloud, random_points
@@ -55,13 +60,13 @@ class Scene:
     @classmethod
     def from_arrays(
         cls,
-        cameras: Sequence[Camera],
+        cameras: Iterable[Camera],
         *,
-        rgb: Array = (),
-        celsius: Array = (),
-        thermal_cameras: Sequence[Camera] = (),
-        points: Array = (),
-        colors: Array = (),
+        rgb: Images | None = None,
+        celsius: Images | None = None,
+        thermal_cameras: Iterable[Camera] | None = None,
+        points: Array | None = None,
+        colors: Array | None = None,
         eval_every: int = 8,
         seed: int = 0,
         name: str = "scene",
@@ -69,30 +74,45 @@ class Scene:
         """A scene from images in memory, without a folder.
 
         The images are not copied where they need not be; do not change them while the scene is in
-        use. °C are scaled to the range of all views, rounded outwards to whole degrees.
+        use. °C are scaled to the range of all views, rounded outwards to whole degrees. NaN and
+        masked elements (``np.ma``) are pixels that are not known, and images without a known pixel
+        count as none. What is None or empty is not there.
 
         Args:
             cameras: of the views, one each, in the order of the images; of the RGB images, and of
                 the thermal images unless ``thermal_cameras`` are given.
-            rgb: of each view, [H, W, 3]: uint8, or numbers in [0, 1]; None for a view without one,
-                empty if there are none at all.
-            celsius: temperatures in °C of each view, [H, W]; NaN where a pixel is not known. None
-                and empty as for ``rgb``.
-            thermal_cameras: of the thermal images, one for each view; those of ``cameras`` if
-                empty.
-            points: start points in world coordinates, [N, 3]; drawn before the cameras if empty.
-            colors: RGB of the points in [0, 1], [N, 3]; grey if empty.
+            rgb: of each view, [H, W, 3]: uint8, or numbers in [0, 1]; None for a view without one.
+            celsius: temperatures in °C of each view, [H, W]; None as for ``rgb``.
+            thermal_cameras: of the thermal images, one for each view; else those of ``cameras``.
+            points: start points in world coordinates, [N, 3]; else drawn before the cameras.
+            colors: RGB of the points, uint8 or in [0, 1], [N, 3]; else grey.
             eval_every: every Nth view is held out, beginning with the first; 0 holds out none.
             seed: for the start points where none are given.
             name: of the scene, for reports and the default names of files.
 
+        Warns:
+            MrgsWarning: the temperatures look like kelvin.
+
         Raises:
             SceneError: there is no view, a view has no image, or no temperature is finite.
             ValueError: the numbers of cameras and images differ, an image has not the size of its
-                camera, or another array has the wrong shape.
+                camera, an array has another shape or values in another range, or ``eval_every`` is
+                not 0 or a whole number from 2.
         """
-        temperature = range_from_arrays(celsius)
-        views = views_from_arrays(cameras, rgb, celsius, thermal_cameras or cameras, temperature)
+        eval_every = as_whole(eval_every, "eval_every")
+        if eval_every != 0 and eval_every < 2:
+            raise ValueError(f"eval_every must be 0, or at least 2, not {eval_every}")
+        cameras = cameras_from(cameras, "cameras")
+        thermal = thermal_images(celsius)
+        warn_of_kelvin(thermal, stacklevel=2)
+        temperature = range_of(thermal)
+        views = views_from_arrays(
+            cameras,
+            color_images(rgb),
+            thermal,
+            cameras_from(thermal_cameras, "thermal_cameras") or cameras,
+            temperature,
+        )
         if not views:
             raise SceneError("a scene needs at least one view: give cameras and images")
         held_out = tuple(views[::eval_every]) if eval_every and len(views) > 1 else ()

@@ -11,6 +11,12 @@ from torch import Tensor
 
 ZERO_CELSIUS_K = 273.15
 
+_COLDEST_SCENE_C, _HOTTEST_SCENE_C = -60.0, 150.0
+"""Range in which 98 % of the pixels of everyday photos lie, °C."""
+
+_COLDEST_MIDDLE_C, _HOTTEST_MIDDLE_C = -30.0, 100.0
+"""Range in which their median lies, °C."""
+
 Value = TypeVar("Value", float, Tensor, np.ndarray)
 
 
@@ -49,3 +55,10 @@ class TemperatureRange:
     def from_celsius(self, celsius: Value) -> Value:
         """°C -> normalised value (outside [0, 1] where the temperature is outside the range)."""
         return (celsius - self.min_c) / self.span_c
+
+
+def are_everyday(low: float, middle: float, high: float) -> bool:
+    """Whether the 1st, 50th and 99th percentile of photos, in °C, are those of everyday scenes: for
+    telling units apart."""
+    in_scene = low >= _COLDEST_SCENE_C and high <= _HOTTEST_SCENE_C
+    return in_scene and _COLDEST_MIDDLE_C <= middle <= _HOTTEST_MIDDLE_C

@@ -11,13 +11,7 @@ from jaxtyping import Float
 
 from mrgs.data.files import scene_error
 from mrgs.data.radiometric.photo import UNIT
-from mrgs.scene.temperature import ZERO_CELSIUS_K
-
-_COLDEST_SCENE_C, _HOTTEST_SCENE_C = -60.0, 150.0
-"""Range of temperatures, °C, in which 98 % of the pixels must lie for a unit to be plausible."""
-
-_COLDEST_MIDDLE_C, _HOTTEST_MIDDLE_C = -30.0, 100.0
-"""Range of temperatures, °C, in which the median must lie for a unit to be plausible."""
+from mrgs.scene.temperature import ZERO_CELSIUS_K, are_everyday
 
 _ENOUGH = 100_000
 """Number of pixels from which the unit is recognised."""
@@ -74,6 +68,4 @@ def guess_unit(values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], pa
 
 
 def _is_everyday(unit: Unit, low: float, middle: float, high: float) -> bool:
-    low_c, middle_c, high_c = unit.celsius(np.array([low, middle, high]))
-    in_scene = low_c >= _COLDEST_SCENE_C and high_c <= _HOTTEST_SCENE_C
-    return bool(in_scene and _COLDEST_MIDDLE_C <= middle_c <= _HOTTEST_MIDDLE_C)
+    return are_everyday(*unit.celsius(np.array([low, middle, high])).tolist())
