@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import copy
+import pickle
+
 import pytest
 import torch
 
@@ -99,6 +102,19 @@ def test_a_median_depth_is_found_once_and_only_if_it_is_asked_for():
     for each in (rendering, *others, rendering):
         assert torch.equal(each.surface_depth(THERMAL), torch.tensor([[2.0, 3.0]]))
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
+def test_a_rendering_can_leave_a_process_and_takes_its_depths_along(copied):
+    blends = {THERMAL: blend_of(1), RGB: blend_of(3), NEAR_INFRARED: blend_of(1)}
+    found, given = torch.full((3, 4), 2.0), torch.full((3, 4), 3.0)
+    rendering = Rendering(blends, {THERMAL: lambda: found, RGB: given}).cpu()
+    again = copied(rendering)
+    assert list(again) == list(rendering)
+    for modality, blend in rendering.items():
+        assert all(torch.equal(*pair) for pair in zip(again[modality], blend, strict=True))
+        depths = (each.surface_depth(modality, min_alpha=0.0) for each in (again, rendering))
+        assert torch.equal(*depths)
 
 
 def test_the_depth_is_that_of_the_first_or_of_another_that_has_one():

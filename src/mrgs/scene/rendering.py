@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from types import MappingProxyType
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -76,6 +76,11 @@ class Rendering(Mapping[Modality, Blend]):
     def __len__(self) -> int:
         return len(self._blends)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle: the depths are found first, because a process cannot send functions."""
+        depths = {each: self._median_depth(each) for each in self._median_depths}
+        return Rendering, (self._blends, depths)
+
     def __repr__(self) -> str:
         return f"Rendering({', '.join(f'{each}: {blend!r}' for each, blend in self.items())})"
 
@@ -110,15 +115,17 @@ class Rendering(Mapping[Modality, Blend]):
             Scene units, NaN where there is no surface, [H, W].
         """
         _, depth, alpha = self[modality]
-        median = self._median_depths.get(modality)
-        if median is None:
-            surface = depth / alpha.clamp_min(min_alpha)
-        else:
-            surface = median() if callable(median) else median
+        median = self._median_depth(modality)
+        surface = depth / alpha.clamp_min(min_alpha) if median is None else median
         surface = torch.where(alpha < min_alpha, torch.nan, surface)
         if max_step is None:
             return surface
         return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
+
+    def _median_depth(self, modality: Modality) -> Float[Tensor, "h w"] | None:
+        """A median depth, found now if it was not yet; None if it was not asked for."""
+        depth = self._median_depths.get(modality)
+        return depth() if callable(depth) else depth
 
     def cpu(self) -> Rendering:
         """The same images in the host's memory."""
