@@ -56,8 +56,11 @@ def test_cameras_that_look_the_other_way(folder):
     def flipped(camera: Camera, _: int) -> Camera:
         return Camera(camera.K, flip @ camera.viewmat, camera.width, camera.height)
 
-    (found,) = oddities(with_cameras(load_scene(folder), flipped))
+    scene = with_cameras(load_scene(folder), flipped)
+    (found,) = oddities(scene)
     assert re.match(r"all training views together see \d% of the points: .* mrgs check", found)
+    (found,) = oddities(replace(scene, path=""))
+    assert found.endswith("cameras take world to camera, with x right, y down and z forward")
 
 
 def test_coordinates_of_a_map(folder):

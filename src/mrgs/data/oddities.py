@@ -137,9 +137,14 @@ def _of_overlap(scene: Scene, cameras: Sequence[Camera]) -> Iterator[str]:
     sees = _visible(cameras, scene.points.positions[places])
     seen = sees.any(dim=0).float().mean().item()
     if seen < _FEW:
+        help_on_axes = (
+            "mrgs check says what would"
+            if scene.path
+            else "cameras take world to camera, with x right, y down and z forward"
+        )
         yield (
             f"all training views together see {seen:.0%} of the points: poses and points do not "
-            f"fit together, or the axes mean something else; mrgs check says what would"
+            f"fit together, or the axes mean something else; {help_on_axes}"
         )
         return
     seen_by_two = sees.sum(dim=0) >= 2
@@ -182,7 +187,7 @@ def _of_photos(modality: Modality, photos: Sequence[Float32[Tensor, "h w c"]]) -
         what = "are black" if black else f"hold one {_value_of(modality)} only"
         yield (
             f"{len(flat)} of {count} {title} photos looked at {what}, as behind a lens cap: leave "
-            f"them out, or convert them again"
+            f"them out, or replace them"
         )
     elif count > 1 and len({_digest(photo) for photo in photos}) == 1:
         yield (
