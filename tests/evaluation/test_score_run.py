@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.errors import SceneError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.evaluation.score_run import facts_of, score_views
 from mrgs.evaluation.scored_data import ScoredData
@@ -86,3 +86,9 @@ def test_a_scene_without_held_out_views_cannot_be_scored(run, tmp_path):
     with pytest.raises(SceneError, match="no views are held out"):
         score_views(scene, None, run.render_view, facts_of(run, scene), tmp_path / "eval")
     assert not (tmp_path / "eval").exists()
+
+
+def test_an_unknown_split_is_refused_before_anything_is_written(run):
+    with pytest.raises(ConfigError, match="unknown split 'test'; choose one of eval, train, path"):
+        render_run(run, "test")
+    assert not (run.folder.path / "renders" / "test").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +26,7 @@ from mrgs import (
     train,
     train_steps,
 )
-from mrgs.errors import MrgsWarning, RunError, SceneError
+from mrgs.errors import MrgsError, MrgsWarning, RunError, SceneError
 from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.training import train as train_into
 from mrgs.training import trainer
@@ -211,3 +212,35 @@ def test_an_existing_run_is_not_overwritten(small_scene, tmp_path):
     with pytest.raises(RunError, match="already holds a run"):
         next(train_steps(small_scene, tmp_path / "run", CONFIG))
     shutil.rmtree(tmp_path / "run")
+
+
+def test_a_temporary_run_that_is_stopped_is_kept_and_named(small_scene):
+    def stop(statistics):
+        if statistics.step == 3:
+            raise KeyboardInterrupt
+
+    with (
+        pytest.warns(
+            MrgsWarning, match=r"the run is kept in \S+ until this process ends"
+        ) as warned,
+        pytest.raises(KeyboardInterrupt),
+    ):
+        train(small_scene, config=CONFIG, on_step=stop)
+    gc.collect()
+    kept = re.findall(r"kept in (\S+)", str(warned[0].message))[0]
+    assert load_run(kept).facts.step == 3
+    assert train(small_scene, kept, resume=True).facts.step == 6
+    shutil.rmtree(kept)
+
+
+def test_a_fork_of_a_process_that_has_computed_says_so(small_scene, monkeypatch):
+    run = train(small_scene, config=CONFIG)
+    camera = run.load_scene().train[0].camera
+    monkeypatch.setattr("mrgs.system.forks._computes", -1)
+    for compute in (
+        lambda: run.render(camera),
+        lambda: load_run(run.folder.path),
+        lambda: train(small_scene, config=CONFIG),
+    ):
+        with pytest.raises(MrgsError, match=r"was forked from one that has computed.*'spawn'"):
+            compute()

@@ -218,3 +218,9 @@ def test_triton_is_not_loaded_by_the_cpu_path():
         path for path in source.rglob("*.py") if "import triton" in path.read_text(encoding="utf-8")
     ]
     assert {path.relative_to(source).parts[1] for path in importers} <= {"gpu"}
+
+
+@pytest.mark.parametrize("name", ["gpu", "cuda:0", "CPU", torch.device("cpu"), None])
+def test_other_names_of_devices_are_refused(name):
+    with pytest.raises(DeviceError, match=r"unknown device .*: choose one of auto, cpu, cuda"):
+        gpu.choose_device(name)

@@ -8,7 +8,7 @@ import pytest
 
 from mrgs.errors import RunError
 from mrgs.method.config import TrainConfig, from_yaml, make_config
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.run_folder import RunFolder, TemporaryRunFolder
 
 
 @pytest.fixture
@@ -163,3 +163,21 @@ def test_a_discarded_run_leaves_what_is_not_its_own(folder):
     (folder.path / "notes.txt").write_text("mine")
     folder.discard()
     assert [path.name for path in folder.path.iterdir()] == ["notes.txt"]
+
+
+def test_a_folder_stays_where_it_is_when_the_current_one_changes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = RunFolder("run")
+    monkeypatch.chdir("/")
+    assert folder.path == tmp_path / "run"
+
+
+def test_a_temporary_folder_goes_with_its_object_but_not_in_a_fork(monkeypatch):
+    ours, inherited = TemporaryRunFolder(), TemporaryRunFolder()
+    places = ours.path, inherited.path
+    del ours
+    with monkeypatch.context() as patch:
+        patch.setattr("os.getpid", lambda: -1)
+        del inherited
+    assert [place.exists() for place in places] == [False, True]
+    places[1].rmdir()

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias, get_args
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation.contact_sheet import SheetRows, contact_sheet, sheet_row
@@ -24,6 +24,9 @@ from mrgs.scene import Camera, CameraResponse, Rendering, Scene, View, ideal_cam
 from mrgs.scene.camera_paths import orbit
 
 PATH_FRAMES = 120
+
+Split: TypeAlias = Literal["eval", "train", "path"]
+"""The held-out views, those that were trained on, or a camera path around the scene."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of images done and of all images."""
@@ -148,7 +151,7 @@ def facts_of(run: TrainedRun, scene: Scene) -> RunFacts:
 
 def render_run(
     run: TrainedRun,
-    split: Literal["eval", "train", "path"] = "eval",
+    split: Split = "eval",
     palette: PaletteName = "inferno",
     frames: int = PATH_FRAMES,
     progress: Progress | None = None,
@@ -161,9 +164,14 @@ def render_run(
 
     Raises:
         SceneError: the scene cannot be read.
-        ConfigError: the split has no views.
+        ConfigError: an unknown split, or one without views.
         RunError: a file cannot be written.
     """
+    if split not in get_args(Split):
+        raise ConfigError(
+            f"unknown split {split!r}; choose one of {', '.join(get_args(Split))}",
+            options=("split",),
+        )
     scene = run.load_scene()
     folder = run.folder.path / "renders" / split
     if split == "path":

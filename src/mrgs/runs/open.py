@@ -20,6 +20,7 @@ from mrgs.render import Model, bake_temperature_residuals, render
 from mrgs.runs.registry import Method, find_method
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
+from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_model
@@ -58,24 +59,27 @@ class Run(TrainedRun):
 
     def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:
         """The images; the depth of the surface is found when it is asked for."""
-        with self._enough_memory(), own_modes(), torch.no_grad():
+        with self._computing(), torch.no_grad():
             rendering = render(self._rendered, cameras)[0].cpu()
         depths = {each: partial(self._median_depth, each, cameras[each]) for each in rendering}
         return Rendering(rendering, depths)
 
     def _median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
-        with self._enough_memory(), own_modes():
+        with self._computing():
             return self._rendered.median_depth(modality, camera).cpu()
 
     @contextmanager
-    def _enough_memory(self) -> Iterator[None]:
-        """Around what a GPU computes.
+    def _computing(self) -> Iterator[None]:
+        """Around what is computed.
 
         Raises:
-            DeviceError: its memory does not suffice.
+            DeviceError: the GPU's memory does not suffice.
+            MrgsError: this process was forked from one that has computed.
         """
+        require_own_threads()
         try:
-            yield
+            with own_modes():
+                yield
         except RuntimeError as error:
             if not lacks_memory(error):
                 raise
@@ -176,6 +180,7 @@ def open_gaussians(
     config = folder.read_config(from_yaml)
     folder.warn_if_incomplete(config)
     chosen = gpu.choose_device(device)
+    require_own_threads()
     with own_modes():
         model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
         check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))

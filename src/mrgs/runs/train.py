@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 
+from mrgs.errors import MrgsWarning
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.render import Model, render
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
+from mrgs.system.callers import users_level
 from mrgs.system.gpu import DeviceName
 from mrgs.system.torch_modes import own_modes
 from mrgs.training import trainer
@@ -50,7 +54,8 @@ def train(
     Args:
         scene: the scene or its folder; one that was read before keeps its resolution.
         output: the run's folder; must not hold a run unless ``resume``. None takes a temporary
-            folder, which is removed with the returned run.
+            folder, which is removed with the returned run; of a training that is stopped, with this
+            process.
         config: what to train, see ``make_config``; ``mrgs-plus`` with the preset ``default`` if
             None. A resumed run keeps its own.
         resume: continue the run from its newest checkpoint that is whole, exactly; on another
@@ -86,22 +91,23 @@ def train(
             value, or the GPU's memory does not suffice; the last good checkpoint is kept.
     """
     folder = _folder(output)
-    trainer.train(
-        scene,
-        folder.path,
-        config or make_config(METHOD),
-        resume=resume,
-        accept_changes=accept_changes,
-        device=device,
-        plain=plain,
-        tensorboard=tensorboard,
-        stop_at=stop_at,
-        strategy=strategy,
-        terms=terms,
-        on_step=on_step,
-        on_start=on_start,
-        on_model=on_model,
-    )
+    with _kept_if_stopped(folder):
+        trainer.train(
+            scene,
+            folder.path,
+            config or make_config(METHOD),
+            resume=resume,
+            accept_changes=accept_changes,
+            device=device,
+            plain=plain,
+            tensorboard=tensorboard,
+            stop_at=stop_at,
+            strategy=strategy,
+            terms=terms,
+            on_step=on_step,
+            on_start=on_start,
+            on_model=on_model,
+        )
     run = load_run(folder.path, scene, device)
     return replace(run, folder=folder)
 
@@ -121,8 +127,9 @@ def train_steps(
 ) -> Generator[LiveRun, None, None]:
     """Train a model of a scene step by step: the loop is the caller's.
 
-    Leaving the loop early writes a checkpoint, from which ``resume`` continues; so do an error in it
-    and Ctrl-C, which waits for the end of a step. The run's folder is locked until the loop ends.
+    Leaving the loop early writes a checkpoint, from which ``resume`` continues; so does an error in
+    it, and Ctrl-C, which waits for the end of a step. The run's folder is locked until the loop
+    ends.
 
     Args:
         scene: as for ``train``, like all others.
@@ -144,18 +151,21 @@ def train_steps(
         MrgsError: as ``train``.
     """
     folder = _folder(output)
-    with trainer.open_training(
-        scene,
-        folder.path,
-        config or make_config(METHOD),
-        resume=resume,
-        accept_changes=accept_changes,
-        device=device,
-        plain=plain,
-        tensorboard=tensorboard,
-        strategy=strategy,
-        terms=terms,
-    ) as opened:
+    with (
+        _kept_if_stopped(folder),
+        trainer.open_training(
+            scene,
+            folder.path,
+            config or make_config(METHOD),
+            resume=resume,
+            accept_changes=accept_changes,
+            device=device,
+            plain=plain,
+            tensorboard=tensorboard,
+            strategy=strategy,
+            terms=terms,
+        ) as opened,
+    ):
         opened.check_kernels()
         for statistics in opened.steps():
             yield LiveRun(statistics, opened, folder)
@@ -225,3 +235,24 @@ class LiveRun:
 
 def _folder(output: str | Path | None) -> RunFolder:
     return TemporaryRunFolder() if output is None else RunFolder(output)
+
+
+@contextmanager
+def _kept_if_stopped(folder: RunFolder) -> Iterator[None]:
+    """Around a training: one that is stopped keeps its checkpoints, also in a temporary folder.
+
+    Warns:
+        MrgsWarning: where they are.
+    """
+    try:
+        yield
+    except (Exception, KeyboardInterrupt):
+        if isinstance(folder, TemporaryRunFolder) and folder.checkpoints():
+            folder.keep()
+            warnings.warn(
+                f"the run is kept in {folder.path} until this process ends: continue it with "
+                f"output={str(folder.path)!r} and resume=True, or open it with load_run",
+                MrgsWarning,
+                stacklevel=users_level(),
+            )
+        raise

@@ -14,12 +14,13 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
 
 from mrgs.errors import DeviceError, MrgsWarning
+from mrgs.system.callers import users_level
 
 HOST = torch.device("cpu")
 
@@ -69,8 +70,15 @@ def choose_device(name: DeviceName) -> torch.device:
         MrgsWarning: "auto", and there is an NVIDIA GPU that cannot be used; the message says why.
 
     Raises:
-        DeviceError: "cuda", and the GPU cannot be used; the message says what to do.
+        DeviceError: another name; or "cuda", and the GPU cannot be used; the message says what to
+            do.
     """
+    if name not in get_args(DeviceName):
+        raise DeviceError(
+            f"unknown device {name!r}: choose one of {', '.join(get_args(DeviceName))}; of several "
+            f"GPUs CUDA_VISIBLE_DEVICES chooses one",
+            options=("device",),
+        )
     if name == "cpu":
         return torch.device("cpu")
     obstacle = _obstacle()
@@ -79,7 +87,9 @@ def choose_device(name: DeviceName) -> torch.device:
     if name == "cuda":
         raise DeviceError(f"{obstacle}; or use the CPU", options=("device",))
     if _driver_is_installed():
-        warnings.warn(f"the NVIDIA GPU is not used: {obstacle}", MrgsWarning, stacklevel=2)
+        warnings.warn(
+            f"the NVIDIA GPU is not used: {obstacle}", MrgsWarning, stacklevel=users_level()
+        )
     return torch.device("cpu")
 
 

@@ -16,6 +16,7 @@ from mrgs.errors import NotFiniteError, TrainingError
 from mrgs.scene import TemperatureRange
 from mrgs.system import gpu
 from mrgs.system.ctrl_c import ctrl_c_waits
+from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import HOST
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.turns import Turns
@@ -167,6 +168,7 @@ class Driver(ABC, Generic[S]):
 
     def _next_step(self) -> S:
         """Take a whole step; Ctrl-C waits for its end."""
+        require_own_threads()
         with ctrl_c_waits(), self.between_steps(), own_modes():
             self._is_half_done = True
             statistics = self._take_logged_step()
@@ -264,7 +266,9 @@ class Driver(ABC, Generic[S]):
         Raises:
             NotFiniteError: the state holds a NaN or an infinity.
             RunError: it cannot be written.
+            MrgsError: this process was forked from the one that trains.
         """
+        require_own_threads()
         with ctrl_c_waits(), self.between_steps():
             self._save()
 

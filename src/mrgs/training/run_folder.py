@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import shutil
 import tempfile
@@ -12,7 +13,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from filelock import FileLock, Timeout
 
@@ -66,7 +67,7 @@ class RunFolder:
     go beside them."""
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = Path(path).absolute()  # whatever the current folder is later
         self._log_mirrors: list[LogMirror] = []
 
     def __repr__(self) -> str:
@@ -333,11 +334,24 @@ class RunFolder:
 
 
 class TemporaryRunFolder(RunFolder):
-    """A run's folder among the system's temporary files, removed with this object."""
+    """A run's folder among the system's temporary files, removed with this object, or with the
+    process once it is kept."""
+
+    _kept: ClassVar[list[TemporaryRunFolder]] = []
 
     def __init__(self) -> None:
         super().__init__(tempfile.mkdtemp(prefix="mrgs-"))
-        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+        weakref.finalize(self, _remove_own, self.path, os.getpid())
+
+    def keep(self) -> None:
+        """Keep the folder as long as the process lives."""
+        self._kept.append(self)
+
+
+def _remove_own(folder: Path, owner: int) -> None:
+    """Remove a folder, unless this process is a fork of the one that made it."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def step_named(checkpoint: Path) -> int | None:

@@ -13,6 +13,7 @@ from mrgs.data import load_scene
 from mrgs.data.oddities import warn_of_oddities
 from mrgs.scene import Scene
 from mrgs.system.callers import users_level
+from mrgs.system.forks import require_own_threads
 from mrgs.system.operation import plainly
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_facts
@@ -85,7 +86,9 @@ def start_training(
         SceneError: the scene cannot be used.
         RunError: the output folder cannot be used, or the scene has changed.
         ConfigError: TensorBoard was asked for and is not installed.
+        MrgsError: this process was forked from one that has computed.
     """
+    require_own_threads()
     folder = RunFolder(output)
     leads = peers is None or peers.lead
     if leads:

@@ -1,0 +1,29 @@
+"""Processes that were forked from one that has computed."""
+
+from __future__ import annotations
+
+import os
+
+from mrgs.errors import MrgsError
+
+_computes: int | None = None
+"""The process in which this package first computed; a fork inherits it."""
+
+
+def require_own_threads() -> None:
+    """To be called before something is computed.
+
+    The threads of torch and Numba do not survive a fork: the child would wait for them forever, or
+    be ended by Numba.
+
+    Raises:
+        MrgsError: this process was forked from one that has computed.
+    """
+    global _computes
+    if _computes is None:
+        _computes = os.getpid()
+    elif _computes != os.getpid():
+        raise MrgsError(
+            "this process was forked from one that has computed, whose threads it lacks: start "
+            "processes with multiprocessing.get_context('spawn')"
+        )
