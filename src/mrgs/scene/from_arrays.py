@@ -22,6 +22,7 @@ from mrgs.scene.point_cloud import GREY, PointCloud
 from mrgs.scene.radiometry import COLDEST_C, HOTTEST_C
 from mrgs.scene.temperature import ZERO_CELSIUS_K, TemperatureRange, are_everyday
 from mrgs.scene.view import Pixels, PosedImage, View
+from mrgs.system.callers import users_level
 
 Images: TypeAlias = Iterable[Array | None]
 """One image for each view, None where a view has none."""
@@ -91,13 +92,12 @@ def range_of(thermal: Sequence[Tensor | None]) -> TemperatureRange | None:
     return TemperatureRange(low, max(high, low + 1))
 
 
-def warn_of_kelvin(thermal: Sequence[Tensor | None], stacklevel: int) -> None:
+def warn_of_kelvin(thermal: Sequence[Tensor | None]) -> None:
     """Warn of thermal images that show everyday temperatures if they are kelvin. They are used as
     they are: only the caller can know that they show a furnace.
 
     Args:
-        thermal: images in °C.
-        stacklevel: as in ``warnings.warn``, 1 being the caller.
+        thermal: see ``thermal_images``.
 
     Warns:
         MrgsWarning: see above.
@@ -114,7 +114,7 @@ def warn_of_kelvin(thermal: Sequence[Tensor | None], stacklevel: int) -> None:
             f"celsius has values from {low:.5g} to {high:.5g}, which look like kelvin: subtract "
             f"{ZERO_CELSIUS_K} if they are",
             MrgsWarning,
-            stacklevel=stacklevel + 1,
+            stacklevel=users_level(),
         )
 
 

@@ -104,7 +104,7 @@ class Scene:
             raise ValueError(f"eval_every must be 0, or at least 2, not {eval_every}")
         cameras = cameras_from(cameras, "cameras")
         thermal = thermal_images(celsius)
-        warn_of_kelvin(thermal, stacklevel=2)
+        warn_of_kelvin(thermal)
         temperature = range_of(thermal)
         views = views_from_arrays(
             cameras,
