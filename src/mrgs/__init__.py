@@ -11,6 +11,15 @@ from typing import TYPE_CHECKING
 from mrgs.system.lazy import lazy_imports
 
 if TYPE_CHECKING:
+    from mrgs import data as data
+    from mrgs import errors as errors
+    from mrgs import export as export
+    from mrgs import method as method
+    from mrgs import pipeline as pipeline
+    from mrgs import prepare as prepare
+    from mrgs import runs as runs
+    from mrgs import scene as scene
+    from mrgs import viewer as viewer
     from mrgs.data import load_scene as load_scene
     from mrgs.errors import MrgsError as MrgsError
     from mrgs.errors import MrgsWarning as MrgsWarning
@@ -38,4 +47,4 @@ if TYPE_CHECKING:
     from mrgs.training import make_config as make_config
 
 __version__ = "0.1.0"
-__getattr__, __all__ = lazy_imports(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_imports(__name__)

@@ -57,6 +57,10 @@ class DamagedCheckpointError(RunError):
         self.path = path
         self.reason = reason
 
+    def __reduce__(self) -> tuple[type[DamagedCheckpointError], tuple[Path, str]]:
+        """Processes hand errors over by what they are made from."""
+        return type(self), (self.path, self.reason)
+
 
 class ConfigError(MrgsError):
     """An option or a configuration value is not allowed."""

@@ -17,4 +17,4 @@ if TYPE_CHECKING:
     from mrgs.export.page import write_page as write_page
     from mrgs.export.write import export as export
 
-__getattr__, __all__ = lazy_imports(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_imports(__name__)

@@ -16,4 +16,4 @@ if TYPE_CHECKING:
     from mrgs.pipeline.run import PipelineResults as PipelineResults
     from mrgs.pipeline.run import run_pipeline as run_pipeline
 
-__getattr__, __all__ = lazy_imports(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_imports(__name__)

@@ -20,4 +20,4 @@ if TYPE_CHECKING:
     from mrgs.prepare.options import parse_target as parse_target
     from mrgs.prepare.run import prepare as prepare
 
-__getattr__, __all__ = lazy_imports(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_imports(__name__)

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
-from typing import Any
+from importlib.util import find_spec
+from typing import Any, cast
 
 
-def lazy_imports(package: str, file: str) -> tuple[Callable[[str], Any], list[str]]:
-    """``__getattr__`` and ``__all__`` of a package, from the imports that its type checkers see.
+def lazy_imports(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the imports that its type
+    checkers see.
 
     These stand under ``if TYPE_CHECKING:``, each as ``from module import name as name``, which
-    marks the name as exported::
+    marks the name as exported. Modules of the package itself are no part of ``__all__``::
 
-        __getattr__, __all__ = lazy_imports(__name__, __file__)
+        __getattr__, __dir__, __all__ = lazy_imports(__name__)
 
     Args:
         package: name of the package.
-        file: its ``__init__.py``.
     """
-    tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     homes = {
         alias.name: statement.module
-        for block in tree.body
+        for block in ast.parse(_source(package)).body
         if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
         for statement in block.body
         if isinstance(statement, ast.ImportFrom) and statement.module is not None
@@ -35,6 +35,18 @@ def lazy_imports(package: str, file: str) -> tuple[Callable[[str], Any], list[st
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if homes[name] == package:
+            return import_module(f"{package}.{name}")
         return getattr(import_module(homes[name]), name)
 
-    return load, sorted(homes)
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *homes})
+
+    return load, names, sorted(name for name, home in homes.items() if home != package)
+
+
+def _source(package: str) -> str:
+    """The text of a package's ``__init__.py``, which may lie in a zip file."""
+    spec = find_spec(package)
+    assert spec is not None
+    return cast(str, cast(Any, spec.loader).get_source(package))
