@@ -131,10 +131,20 @@ def test_gradients_flow_through_projections():
     torch.testing.assert_close(point.grad, torch.ones(3))
 
 
+def test_an_empty_list_holds_no_points():
+    pixels, depth = camera().project([])
+    assert (pixels.shape, depth.shape) == ((0, 2), (0,))
+    assert camera().unproject([], []).shape == (0, 3)
+    assert camera().contains([]).shape == (0,)
+
+
 def test_points_and_pixels_of_another_shape():
     for message, call in {
         r"points must have shape \[..., 3\], not \[2\]": lambda: camera().project([1, 2]),
         r"pixels must have shape \[..., 2\], not \[3\]": lambda: camera().unproject([1, 2, 3], 1),
+        r"depth must have shape \[2\], not \[3\]": lambda: camera().unproject(
+            [[1, 2], [3, 4]], [1, 2, 3]
+        ),
         r"pixels must have shape \[..., 2\], not \[\]": lambda: camera().contains(torch.ones(())),
         r"depth must have shape \[H, W\], not \[2\]": lambda: camera().unproject_image([1, 2]),
     }.items():

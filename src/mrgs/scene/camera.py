@@ -189,15 +189,19 @@ class Camera:
 
         Args:
             pixels: x and y, [..., 2].
-            depth: z-depths in scene units, [...].
+            depth: z-depths in scene units, [...], or one for all.
 
         Returns:
             World coordinates in scene units, [..., 3].
 
         Raises:
-            ValueError: pixels of another shape, or depths that are not numbers.
+            ValueError: arrays of another shape.
         """
         pixels, depth = as_floats(pixels, "pixels", 2), as_floats(depth, "depth")
+        if depth.ndim and depth.shape != pixels.shape[:-1]:
+            raise ValueError(
+                f"depth must have shape {list(pixels.shape[:-1])}, not {list(depth.shape)}"
+            )
         K, viewmat = self.K.to(pixels), self.viewmat.to(pixels)
         rays = torch.nn.functional.pad((pixels - K[:2, 2]) / K.diagonal()[:2], (0, 1), value=1.0)
         return (rays * depth[..., None] - viewmat[:3, 3]) @ viewmat[:3, :3]
