@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -337,6 +338,89 @@ def test_what_cannot_be_is_refused_at_its_field(open_page, board):
         assert page.locator("#seconds-said").inner_text().endswith("a number from 0.5 to 600.")
 
 
+BOXES = """elements => elements.map((each) => {
+    const { left, top, right, bottom } = each.getBoundingClientRect();
+    return [left, top, right, bottom];
+})"""
+
+
+def test_labels_stay_in_their_pane_beside_their_marks_and_apart(open_page, board):
+    page = open_page()
+    page.keyboard.press("Tab")
+    page.locator("#view").focus()
+    for _ in range(12):
+        page.keyboard.press("s")
+    wait_until(lambda: len(board.marks) == 12, "spots are placed with a key", page)
+    page.select_option("#compare", index=1)
+    wait_until(lambda: page.locator("#marks > svg").count() == 2, "there are two panes", page)
+    page.wait_for_selector(SETTLED)
+    for pane in page.locator("#marks > svg").all():
+        edge = pane.evaluate(
+            "({ x, width }) => [x.baseVal.value, x.baseVal.value + width.baseVal.value]"
+        )
+        boxes = pane.locator("text").evaluate_all(BOXES)
+        (x, y, *_), *others = pane.locator("path.over").evaluate_all(BOXES)
+        assert len(others) == 11
+        assert len(boxes) == 11, "labels without room are left out"
+        for index, (left, top, right, bottom) in enumerate(boxes):
+            assert edge[0] <= left < right <= edge[1]
+            for x0, y0, x1, y1 in boxes[:index]:
+                assert right <= x0 or x1 <= left or bottom <= y0 or y1 <= top
+            if index:  # the first is the title
+                assert min(abs(left - x), abs(right - x)) < 30
+                assert abs((top + bottom) / 2 - y) < 60
+    page.uncheck("#show-marks")
+    wait_until(lambda: page.locator("#marks path.over").count() == 0, "they are hidden", page)
+
+
+def test_the_middle_is_read_and_marked_with_keys(open_page, board):
+    page = open_page()
+    page.locator("#view").focus()
+    page.keyboard.press("Enter")
+    told = shown_celsius(page, "#value")
+    page.keyboard.press("s")
+    wait_until(lambda: len(board.readings) == 1, "a spot is placed", page)
+    assert board.readings[0].mean == pytest.approx(told, abs=0.5)
+
+
+def test_only_controls_that_count_in_the_picture_are_shown(open_page):
+    page = open_page()
+    shown = {"#range-controls": True, "#palette": True, "#isotherm": True}
+    for mode, expected in (
+        ("Temperature", shown),
+        ("Uncertainty", {**dict.fromkeys(shown, False), "#palette": True}),
+        ("Depth", dict.fromkeys(shown, False)),
+    ):
+        page.locator("#modes button", has_text=re.compile(f"^{mode}")).click()
+        for selector, visible in expected.items():
+            assert page.locator(selector).is_visible() == visible, (mode, selector)
+    page.locator("#modes button", has_text="Uncertainty").click()
+    page.wait_for_selector(".scale:has-text('K')")
+
+
+def test_a_long_name_keeps_its_line_beside_a_difference(open_page, board):
+    page = open_page()
+    draw_box(page)
+    row = draw_box(page, 0.4)
+    board.edit(lambda marks: replace(marks, reference="B1"))
+    board.change(board.numbers[1], {"name": "Lintel above the kitchen window, north"})
+    row.locator("summary:has-text('Lintel'):has-text('ΔT')").wait_for()
+    name, value = (row.locator(f"summary {each}").bounding_box() for each in ("b", "span >> nth=1"))
+    assert name["width"] > 120
+    assert name["y"] == pytest.approx(value["y"], abs=4)
+    assert row.locator("summary .muted").bounding_box()["y"] > name["y"] + 15
+
+
+def test_the_legend_is_as_wide_as_its_numbers(open_page):
+    page = open_page()
+    page.fill("#high", "5000")
+    page.press("#high", "Enter")
+    page.wait_for_selector(".scale:has-text('4000')")
+    card = page.locator(".scale").bounding_box()
+    for left, _, right, _ in page.locator(".scale span").evaluate_all(BOXES):
+        assert card["x"] <= left < right <= card["x"] + card["width"]
+
+
 def test_alarms_begin_with_what_the_survey_states(open_page, board):
     survey = board._store.folder / SURVEY_FILE
     survey.write_text("inside_c: 22.5\nhumidity_percent: 61")
@@ -408,7 +492,7 @@ def test_a_hidden_page_asks_for_nothing(open_page, viewer):
     viewer.note = ""
 
 
-@pytest.mark.parametrize(("width", "height"), [(390, 844), (800, 600), (1440, 900)])
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1024, 700), (1440, 900)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits_the_window(open_page, width, height, scheme, tmp_path):
     phone = width < 500
@@ -420,6 +504,8 @@ def test_it_fits_the_window(open_page, width, height, scheme, tmp_path):
     )
     image = screenshot(page, f"viewer_{width}_{scheme}.png", tmp_path)
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    if not phone:
+        assert page.evaluate("document.documentElement.scrollHeight <= window.innerHeight")
     box = page.locator("#view").bounding_box()
     assert box["width"] * box["height"] > 0.4 * width * height
     for selector in ("#home", ".scale", "#modes"):

@@ -93,7 +93,7 @@ def test_beside_a_photo_both_values_are_read(inspection, balls, small_run):
     assert (shown.value, shown.photo_value) == pytest.approx((model, photo), abs=1e-3)
     (line, *_) = texts.point(shown, inspection.subject)["lines"]
     assert line.startswith(f"photo {photo:.1f} °C, model ")
-    gap = f"{shown.value - photo:+.1f} °C".replace("-", "−")
+    gap = f"{shown.value - photo:+.1f} K".replace("-", "−")
     assert inspection.hover(20.5 / 40, 15.5 / 30) == gap
 
 
@@ -325,7 +325,7 @@ def test_uncertainty_is_that_of_the_marks_and_has_no_value_where_no_photo_looked
     row, column = np.argwhere(shown.solid)[0]
     height, width = values.shape
     text = inspection.hover((column + 0.5) / width, (row + 0.5) / height)
-    assert re.fullmatch(r"± \d+\.\d °C", text)
+    assert re.fullmatch(r"± \d+\.\d K", text)
 
 
 def test_uncertainty_is_drawn_with_the_dilation_of_the_model(small_run, balls, camera, tmp_path):

@@ -339,7 +339,7 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         assert pane["scale"]["palette"] == "inferno"
         choice = {
             "type": "choose", "mode": 0, "palette": "iron", "scaled": "thermal",
-            "limits": [10, 20], "isotherm": None, "share": 0.5,
+            "limits": [10, 20], "isotherm": None, "share": 0.5, "marks": True,
         }  # fmt: skip
         await connection.send(json.dumps(choice))
         (pane,) = (await picture(connection, number=3))["panes"]

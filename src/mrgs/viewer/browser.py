@@ -315,7 +315,7 @@ class Browser:
                 limits[scaled] = _rising(message.limits)
         self.inspection.settings = Settings(
             subject.modes[message.mode], message.palette, limits, message.isotherm, message.share,
-            scaled or old.scaled,
+            scaled or old.scaled, message.marks,
         )  # fmt: skip
         self._redraw()
 
@@ -392,9 +392,8 @@ class Browser:
                     "label": mode.label,
                     "slider": mode.has_slider,
                     "compares": mode.kind not in ("image", "depth", "uncertainty"),
-                    "scaled": next(
-                        (each.name for each in reversed(mode.modalities) if each.is_metric), None
-                    ),
+                    "scaled": None if mode.scaled is None else mode.scaled.name,
+                    "palette": mode.has_palette,
                 }
                 for mode in subject.modes
             ],

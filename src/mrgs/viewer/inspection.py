@@ -22,6 +22,7 @@ from mrgs.pictures.files import write_png
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, Modality, View
 from mrgs.system.atomic import require_folder
+from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
 from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
 from mrgs.viewer.layout import Pane, Place, panes_of, place_at
@@ -187,7 +188,7 @@ class Inspection:
 
     def proposals(self) -> list[PointLabel]:
         """The anomalies that the report proposes."""
-        board, temperature = self.subject.board, self.subject.temperature
+        board, temperature = self._board, self.subject.temperature
         return [
             PointLabel(np.array(reading.mark.points[0]), f"{label_text(reading, temperature)} ?")
             for reading in (() if board is None else board.proposals)
@@ -209,8 +210,12 @@ class Inspection:
 
     @property
     def _readings(self) -> Sequence[MarkReading]:
-        board = self.subject.board
-        return () if board is None else board.readings
+        return () if self._board is None else self._board.readings
+
+    @property
+    def _board(self) -> MarkBoard | None:
+        """The marks, if they are to be drawn."""
+        return self.subject.board if self.settings.marks else None
 
     def add_mark(self, kind: MarkKind, points: Sequence[tuple[float, float]]) -> None:
         """Add a mark through places of the latest picture, from 0 to 1, and save it.
@@ -333,10 +338,12 @@ class Inspection:
         value = float(values[row, column])
         if not shown.solid[row, column] or not np.isfinite(value):
             return "no surface"
-        text = self.subject.format_value(modality, value)
+        if pane.kind not in ("uncertainty", "difference"):
+            return self.subject.format_value(modality, value)
+        text = self.subject.format_difference(modality, value)
         if pane.kind == "uncertainty":
             return f"± {text}"
-        return f"+{text}" if pane.kind == "difference" and value > 0 else text
+        return f"+{text}" if value > 0 else text
 
     def _place(self, x: float, y: float) -> Place | None:
         """The pane and the place in it at a place of the latest picture; None between the panes."""

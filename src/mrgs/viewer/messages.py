@@ -83,6 +83,7 @@ class Choose(BrowserMessage, tag="choose"):
         limits: values of the palette's ends; None lets them follow the picture.
         isotherm: first and last value of the band; None for none.
         share: of the slider.
+        marks: whether they are drawn into the picture.
     """
 
     mode: Index
@@ -91,6 +92,7 @@ class Choose(BrowserMessage, tag="choose"):
     limits: Limits | None
     isotherm: Limits | None
     share: Share
+    marks: bool
 
 
 class Hover(BrowserMessage, tag="hover"):

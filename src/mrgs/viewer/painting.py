@@ -26,7 +26,7 @@ from mrgs.pictures.values import full_scale, unit_of
 from mrgs.scene import Camera, Modality, Reach, TemperatureRange
 from mrgs.viewer.fields import PaneImages
 from mrgs.viewer.layout import Pane
-from mrgs.viewer.settings import Settings
+from mrgs.viewer.settings import Settings, in_kelvin
 
 ISOTHERM_COLOR = (0, 230, 118)
 ISOTHERM_ON_RAINBOW = (255, 0, 220)
@@ -150,10 +150,10 @@ def measure_scales(
             depth.append(_scene_depth(pane.camera, shown.depth, ball)[shown.solid])
         elif pane.kind == "difference" and modality is not None:
             errors.append(np.abs(shown.images[modality][shown.solid]))
-            unit = unit_of(modality, temperature)
+            unit = in_kelvin(unit_of(modality, temperature))
         elif pane.kind == "uncertainty" and modality is not None:
             doubts.append(shown.images[modality][shown.solid])
-            unit = unit_of(modality, temperature)
+            unit = in_kelvin(unit_of(modality, temperature))
         elif modality is not None:
             values.setdefault(modality, []).append(shown.images[modality][shown.solid])
     for modality in settings.limits:

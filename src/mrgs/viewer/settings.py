@@ -84,6 +84,18 @@ class Mode:
         return self.kind in ("photos", "difference")
 
     @property
+    def scaled(self) -> Modality | None:
+        """The modality with a unit whose range, palette and isotherm count in the picture."""
+        if self.kind in ("uncertainty", "difference"):
+            return None
+        return next((each for each in reversed(self.modalities) if each.is_metric), None)
+
+    @property
+    def has_palette(self) -> bool:
+        """Whether the picture is in the chosen palette."""
+        return self.scaled is not None or self.kind == "uncertainty"
+
+    @property
     def has_slider(self) -> bool:
         """Whether a slider divides the picture between two modalities."""
         return self.kind in ("blend", "split")
@@ -103,6 +115,7 @@ class Settings:
         share: of the slider in the kinds ``blend`` and ``split``: 0 shows only the lower or left
             image, 1 only the other.
         scaled: the modality that ``isotherm`` applies to.
+        marks: whether they are drawn into the picture.
     """
 
     mode: Mode = Mode("depth")
@@ -111,6 +124,7 @@ class Settings:
     isotherm: tuple[float, float] | None = None
     share: float = 0.5
     scaled: Modality = THERMAL
+    marks: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +203,10 @@ class Subject:
         """A value of a modality as text, with its unit if it has one."""
         return format_value(modality, value, self.temperature)
 
+    def format_difference(self, modality: Modality, value: float) -> str:
+        """The same of a difference of two values, or of a ±."""
+        return in_kelvin(self.format_value(modality, value))
+
 
 def shown_modalities(model: Model, scene: Scene | None) -> tuple[Modality, ...]:
     """The modalities to show: those of the model with training photos, the ones with a unit first;
@@ -197,6 +215,11 @@ def shown_modalities(model: Model, scene: Scene | None) -> tuple[Modality, ...]:
     if scene is not None:
         modalities = tuple(each for each in modalities if each in scene.modalities)
     return metric_first(modalities)
+
+
+def in_kelvin(text: str) -> str:
+    """The unit of a difference in place of that of the values."""
+    return text.replace("°C", "K")
 
 
 def _capitalised(text: str) -> str:

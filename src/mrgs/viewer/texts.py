@@ -45,7 +45,7 @@ def point(shown: PointReading, subject: Subject) -> ReadingText:
         gap = reading.values[first].value - shown.photo_value
         sign = "+" if gap >= 0 else "−"
         photo = subject.format_value(first, shown.photo_value)
-        lines.append(f"photo {photo}, model {sign}{subject.format_value(first, abs(gap))}")
+        lines.append(f"photo {photo}, model {sign}{subject.format_difference(first, abs(gap))}")
     for modality, other in reading.values.items():
         if modality != first:
             lines.append(" ".join((modality.quantity, *_value_texts(other, modality, subject))))
@@ -71,5 +71,5 @@ def _value_texts(value: ValueReading, modality: Modality, subject: Subject) -> t
     """A value, and its standard deviation."""
     return (
         subject.format_value(modality, value.value),
-        f"± {subject.format_value(modality, value.deviation)} std. dev.",
+        f"± {subject.format_difference(modality, value.deviation)} std. dev.",
     )

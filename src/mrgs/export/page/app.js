@@ -423,8 +423,8 @@ class Page {
     this.facts.marks.forEach((mark, index) => {
       const corners = mark.points.map(place);
       if (this.hidden.has(index) || corners.includes(null)) return;
-      if (mark.kind === "spot") drawMark(over, ...corners[0], mark.label, clientWidth);
-      else drawOutline(over, (...at) => at, { corners, closed: mark.closed, label: mark.label, low: place(mark.lowAt), high: place(mark.highAt) }, clientWidth);
+      if (mark.kind === "spot") drawMark(over, ...corners[0], mark.label, clientWidth, clientHeight);
+      else drawOutline(over, (...at) => at, { corners, closed: mark.closed, label: mark.label, low: place(mark.lowAt), high: place(mark.highAt) }, clientWidth, clientHeight);
     });
   }
 

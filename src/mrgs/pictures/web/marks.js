@@ -10,31 +10,49 @@ function shape(name, attributes, parent, text) {
   return made;
 }
 
-// The label of a place: on its other side where it would leave the picture, and lower where it would cover another one.
-function writeLabel(over, x, y, gap, text, right) {
-  const others = [...over.querySelectorAll("text")].map((each) => each.getBBox());
-  const label = shape("text", { x: x + gap, y }, over, text);
-  if (x + gap + label.getBBox().width > right) {
-    label.setAttribute("x", x - gap);
-    label.setAttribute("text-anchor", "end");
+// Where a label may stand beside its place, in lines of text from it: not so far that it could be another's.
+const LABEL_SHIFTS = [0, 1, -1, 2, -2];
+const LABEL_MARGIN = 2;
+
+// The label of a place: to its right or left, where it covers no other one and lies within the picture; its first word
+// alone where there is no room for the rest, and nothing where there is none for that.
+function writeLabel(over, x, y, gap, text, width, height) {
+  const others = [...over.querySelectorAll(":scope > text")].map((each) => each.getBBox());
+  const label = shape("text", {}, over);
+  for (const words of new Set([text, text.split("  ")[0]])) {
+    label.textContent = words;
+    const place = freePlace(label.getBBox(), [x + gap, x - gap], y, others, [width, height]);
+    if (!place) continue;
+    for (const [name, value] of Object.entries(place)) label.setAttribute(name, value);
+    return;
   }
-  const own = label.getBBox();
-  const top = own.y;
-  const covers = (other) => own.x < other.x + other.width && other.x < own.x + own.width
-    && own.y < other.y + other.height && other.y < own.y + own.height;
-  for (const other of others.sort((a, b) => a.y - b.y)) if (covers(other)) own.y = other.y + other.height;
-  label.setAttribute("dy", own.y - top);
+  label.remove();
 }
 
-// A cross with its label.
-function drawMark(over, x, y, label, right) {
+// The first place for a box of text whose left or right end is at one of two abscissas; null if all are taken.
+function freePlace(box, [right, left], y, others, [width, height]) {
+  for (const shift of LABEL_SHIFTS) {
+    for (const x of [right, left - box.width]) {
+      const top = y + box.y + shift * box.height;
+      const fits = x >= LABEL_MARGIN && x + box.width <= width - LABEL_MARGIN && top >= 0 && top + box.height <= height;
+      const covers = (other) => other.x < x + box.width && x < other.x + other.width
+        && other.y < top + box.height && top < other.y + other.height;
+      if (fits && !others.some(covers)) return { x, y: y + shift * box.height };
+    }
+  }
+  return null;
+}
+
+// A cross with its label, in a picture of this size.
+function drawMark(over, x, y, label, width, height) {
   const cross = `M${x - 9} ${y}H${x + 9}M${x} ${y - 9}V${y + 9}`;
   for (const layer of ["under", "over"]) shape("path", { d: cross, class: layer }, over);
-  writeLabel(over, x, y - 10, 13, label, right);
+  writeLabel(over, x, y - 10, 13, label, width, height);
 }
 
-// A line or an area with its label at the highest corner, and dots at its extremes; `at` maps its places to pixels.
-function drawOutline(over, at, { corners, closed, label, low, high }, right) {
+// A line or an area with its label at the highest corner in the picture, and dots at its extremes; `at` maps its places to pixels of a
+// picture of this size.
+function drawOutline(over, at, { corners, closed, label, low, high }, width, height) {
   const places = corners.map((corner) => at(...corner));
   const d = `M${places.map((place) => place.map((n) => n.toFixed(1)).join(" ")).join("L")}${closed ? "Z" : ""}`;
   for (const layer of ["under", "over"]) shape("path", { d, class: layer }, over);
@@ -43,8 +61,10 @@ function drawOutline(over, at, { corners, closed, label, low, high }, right) {
     const [cx, cy] = at(...place);
     shape("circle", { cx, cy, r: 4, class: name }, over);
   }
-  const [x, y] = places.reduce((best, place) => (place[1] < best[1] ? place : best));
-  writeLabel(over, x, Math.max(y - 8, 14), 6, label, right);
+  const inside = places.filter(([x, y]) => x >= 0 && x <= width && y >= 0 && y <= height);
+  if (!inside.length) return;
+  const [x, y] = inside.reduce((best, place) => (place[1] < best[1] ? place : best));
+  writeLabel(over, x, Math.max(y - 8, 14), 6, label, width, height);
 }
 
 // The values along a line as a small chart: pairs of distance and value, null where there is no surface.

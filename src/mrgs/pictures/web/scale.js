@@ -69,6 +69,8 @@ class ScaleBar {
       label.style.bottom = `${(100 * (tick - low)) / (high - low)}%`;
       return label;
     }));
+    const widest = Math.max(...[...this.ticks.children].map((label) => label.offsetLeft + label.offsetWidth));
+    this.ticks.style.minWidth = `${widest}px`;
   }
 
   remove() { this.root.remove(); }

@@ -150,6 +150,7 @@ class Page {
       onMove: () => {},
       onHome: () => this.home(),
     });
+    this.canvas.addEventListener("keydown", (event) => this.key(event));
     this.setMode(0);
     this.ready = true;
     this.home();
@@ -180,7 +181,7 @@ class Page {
     pressed("home", () => this.home());
     changed(["compare"], () => this.choose(element("compare").value === "" ? 0 : Number(element("compare").value)));
     element("share").addEventListener("input", () => this.sendChoices());
-    changed(["palette"], () => this.sendChoices());
+    changed(["palette", "show-marks"], () => this.sendChoices());
     this.range = new RangeControl((low, high) => this.setRange(low, high));
     this.isotherm = new IsothermControl(() => { if (this.ready) this.sendChoices(); }, this.facts.air);
     changed(["follow"], () => this.setFollow(element("follow").checked));
@@ -224,6 +225,16 @@ class Page {
     this.pictures.moving();
   }
 
+  // The middle of the picture, of its last part if it has several, without a pointer.
+  key({ key }) {
+    const panes = this.pictures.shown?.facts.panes;
+    if (!panes?.length) return;
+    const [left, top, width, height] = panes[panes.length - 1].place;
+    const [x, y] = [left + width / 2, top + height / 2];
+    if (key === "Enter") this.connection.send("read", { x, y });
+    if (key === "s" && this.facts.marks) this.connection.send("add_mark", { kind: "spot", points: [[x, y]] });
+  }
+
   // --- choices ---
 
   choose(index) {
@@ -239,15 +250,20 @@ class Page {
     element("share-row").hidden = !mode.slider;
     const first = this.facts.modalities.find((each) => each.metric);
     this.setScaled(mode.scaled ?? this.scaled?.name ?? first?.name);
+    element("scale-section").hidden = !mode.palette;
+    element("range-controls").hidden = element("isotherm-controls").hidden = !mode.scaled;
+    element("scale-title").textContent = mode.scaled ? this.scaleTitle : "Colours";
+  }
+
+  get scaleTitle() {
+    const { label, scale } = this.scaled;
+    return `${label} scale${scale.unit ? `, ${scale.unit}` : ""}`;
   }
 
   // The modality that the limits and the isotherm apply to.
   setScaled(name) {
-    element("scale-section").hidden = !name;
     if (!name || this.scaled?.name === name) return;
     this.scaled = this.modalities[name];
-    const { unit } = this.scaled.scale;
-    element("scale-title").textContent = `${this.scaled.label} scale${unit ? `, ${unit}` : ""}`;
     this.isotherm.reset(this.scaled.range, this.scaled.scale);
     this.showRange();
   }
@@ -284,6 +300,7 @@ class Page {
       limits: this.scaled && !this.scaled.follow ? this.scaled.range : null,
       isotherm: this.scaled ? this.isotherm.band : null,
       share: Number(element("share").value) / 100,
+      marks: element("show-marks").checked,
     });
   }
 
@@ -353,11 +370,12 @@ class Page {
     this.bars = [];
     for (const pane of shown.facts.panes) {
       const [left, top, width, height] = pane.place.map((share, i) => share * (i % 2 ? clientHeight : clientWidth));
-      const at = (x, y) => [left + x * width, top + y * height];
       if (pane.free && pane.place[2] === 1 && element("show-cameras").checked) this.drawCameras(over, shown.camera);
-      for (const outline of pane.outlines) drawOutline(over, at, outline, left + width);
-      for (const [x, y, label] of pane.marks) drawMark(over, ...at(x, y), label, left + width);
-      if (pane.title) shape("text", { x: left + 12, y: top + 24 }, over, pane.title);
+      const own = shape("svg", { x: left, y: top, width, height }, over); // which clips what lies beside the pane
+      const at = (x, y) => [x * width, y * height];
+      if (pane.title) shape("text", { x: 12, y: 24 }, own, pane.title);
+      for (const outline of pane.outlines) drawOutline(own, at, outline, width, height);
+      for (const [x, y, label] of pane.marks) drawMark(own, ...at(x, y), label, width, height);
       if (pane.scale && height > 140) this.addBar(pane.scale, left, clientHeight - top - height, height);
     }
   }

@@ -5,7 +5,7 @@ const CLOSE_PX = 12;
 const EMISSIVITY = [0.01, 1];
 const REFLECTED_C = [-200, 3500];
 const HINTS = {
-  spot: "Click on the surface.",
+  spot: "Click on the surface; or cancel, and press s in the picture for a spot in its middle.",
   line: "Click where the line begins and at each corner, then Done; or drag it.",
   box: "Drag over the picture.",
   polygon: "Click on each corner, then Done or the first corner again.",
