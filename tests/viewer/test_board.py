@@ -99,6 +99,14 @@ def test_what_another_program_does_is_found_and_told(board, disk, add):
     assert told == [0]
 
 
+def test_a_file_that_goes_right_after_a_change_is_missed(board, disk, add):
+    board.refresh()
+    add()
+    disk.file.unlink()
+    board.refresh()
+    assert len(board.marks) == 0
+
+
 def test_the_uncertainty_follows_the_survey(board, add):
     add()
     before = board.readings[0].uncertainty.total

@@ -157,7 +157,7 @@ class MarkBoard:
 
     def edit(self, change: Callable[[Marks], Marks]) -> None:
         """Change the marks; errors as for ``add``."""
-        self._show(self._store.edit(change))
+        self._saved(self._store.edit(change))
 
     def undo(self) -> None:
         """Take the last change back.
@@ -166,7 +166,7 @@ class MarkBoard:
             ConfigError: there is nothing to undo.
             RunError: it cannot be saved.
         """
-        self._show(self._store.undo())
+        self._saved(self._store.undo())
 
     def _name(self, marks: Marks, number: int) -> str:
         """What the mark of a number is called on the disk now."""
@@ -196,7 +196,9 @@ class MarkBoard:
         if self._appraise is not None:
             self._meter.uncertainty = self._appraise(survey)
 
-    def _show(self, marks: Marks) -> None:
+    def _saved(self, marks: Marks) -> None:
+        """Show what has just been written; another program may have written since."""
+        self._files = None
         self._measure(marks)
         self._tell()
 
