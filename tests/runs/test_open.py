@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import inspect
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from mrgs.evaluation.evaluate import evaluate
 from mrgs.field import RadianceField
 from mrgs.render import Model
 from mrgs.runs.open import Run, load_run, open_run
+from mrgs.runs.registry import Method
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
 from mrgs.system.operation import PLAIN_VARIABLE
 from mrgs.training import make_config, train
@@ -191,3 +194,31 @@ def test_opening_a_run_does_not_take_back_what_a_training_found_of_gradients(run
         assert heat.rejected
     finally:
         heat.rejected = False
+
+
+CAMERA = Camera.from_fov(8, 6, fov_deg=50)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "message"),
+    [
+        ([CAMERA], "cameras must be a Camera or a mapping such as {RGB: camera}, not list"),
+        ({"rgb": CAMERA}, r"'rgb' is not a modality: use mrgs.RGB or mrgs.THERMAL"),
+        ({RGB: CAMERA.viewmat}, "rgb must have a Camera, not Tensor"),
+    ],
+)
+def test_what_is_no_camera_is_named(cameras, message, run):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        run.render(cameras)
+
+
+@pytest.mark.parametrize(
+    "attribute", [Run.modalities, Run.gaussian_count, Method.train, Method.open, Method.read_config]
+)
+def test_help_has_a_text(attribute):
+    assert inspect.getdoc(attribute)
+
+
+def test_what_is_no_scene_is_named(run):
+    with pytest.raises(SceneError, match="the scene must be a Scene or its folder, not list"):
+        load_run(run.folder.path, [])

@@ -26,7 +26,7 @@ from mrgs import (
     train,
     train_steps,
 )
-from mrgs.errors import MrgsError, MrgsWarning, RunError, SceneError
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, SceneError
 from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.training import train as train_into
 from mrgs.training import trainer
@@ -244,3 +244,28 @@ def test_a_fork_of_a_process_that_has_computed_says_so(small_scene, monkeypatch)
     ):
         with pytest.raises(MrgsError, match=r"was forked from one that has computed.*'spawn'"):
             compute()
+
+
+def test_what_was_never_photographed_is_not_rendered(make_scene):
+    scene = load_scene(make_scene(thermal=False))
+    camera = scene.train[0].camera
+    state = next(train_steps(scene, config=CONFIG))
+    run = state.snapshot()
+    assert run.modalities == tuple(run.render(camera)) == tuple(state.render(camera)) == (RGB,)
+    with pytest.raises(ValueError, match="no °C: the scene has no thermal photos to learn from"):
+        run.temperature_at(np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"stop_at": 0}, ConfigError, "stop_at must be at least 1, not 0"),
+        ({"stop_at": "3"}, ConfigError, "stop_at must be a whole number, not '3'"),
+        ({"output": CONFIG}, RunError, "the run's folder must be a path, not TrainConfig"),
+        ({"config": "mrgs-plus"}, ConfigError, "config must be what make_config returns, not 'mrg"),
+        ({"scene": []}, SceneError, "the scene must be a Scene or its folder, not list"),
+    ],
+)
+def test_what_is_no_parameter_of_train_is_named(arguments, error, message, small_scene):
+    with pytest.raises(error, match=message):
+        train(**({"scene": small_scene, "config": CONFIG} | arguments))

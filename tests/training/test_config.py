@@ -4,6 +4,7 @@ import dataclasses
 from contextlib import suppress
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -276,3 +277,23 @@ def test_a_part_with_a_misspelt_field_names_it():
 @pytest.mark.parametrize(("steps", "fit"), [(20, 20), (300, 300), (4_000, 300)])
 def test_the_fit_before_a_training_takes_no_more_steps_than_the_training(steps, fit):
     assert make_config("mrgs", "fast", max_steps=steps).fitted_residuals == fit
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("max_steps", 2.5),
+        ("max_gaussians", "20"),
+        ("resolution", 320.0),
+        ("seed", None),
+        ("batch", 1.5),
+    ],
+)
+def test_what_must_be_whole_numbers_is_named(name, value):
+    with pytest.raises(ConfigError, match=f"{name} must be a whole number, not "):
+        make_config(**{name: value})
+
+
+def test_whole_numbers_may_be_of_any_type():
+    config = make_config(max_steps=np.int64(7), seed=np.uint8(3))
+    assert from_yaml(to_yaml(config), "config.yaml") == config

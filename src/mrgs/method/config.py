@@ -18,7 +18,7 @@ from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.rasterizer.dilation import LEAST_DILATION_PX2, Dilation
-from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within
+from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within, whole_number
 from mrgs.system.strict_yaml import read_yaml, write_yaml
 
 Preset = Literal["fast", "default", "paper"]
@@ -205,8 +205,19 @@ def make_config(
     seed: int = 0,
     batch: int = 1,
 ) -> TrainConfig:
-    """The configuration of a method and a preset; ``max_steps`` stretches or shrinks the preset's
-    whole schedule, and with a ``batch`` of several views per step fewer and larger steps are taken.
+    """The configuration of a method and a preset.
+
+    Args:
+        method: ``mrgs`` is the published method, ``mrgs-base``, ``mrgs-fourier`` and ``mrgs-boltz``
+            are its ablations, ``3dgs-rgbt`` is its baseline. ``mrgs-plus`` also models the thermal
+            camera: ``train`` and the command line take it where nothing is given.
+        preset: ``default`` (4,000 steps, at most 50,000 Gaussians) and ``fast`` (1,500 and 20,000)
+            suit CPUs; ``paper`` is the published schedule of 30,000 steps.
+        max_steps: the preset's whole schedule is stretched or shrunk to them.
+        max_gaussians: cap on the Gaussians; None keeps the preset's.
+        resolution: photos wider than this many pixels are reduced to it; None keeps them.
+        seed: of every random choice.
+        batch: views per step; with several, fewer and larger steps are taken.
 
     Raises:
         ConfigError: an unknown method or preset, or a value that is not allowed.
@@ -215,6 +226,15 @@ def make_config(
         raise ConfigError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
     if preset not in PRESETS:
         raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
+    max_steps, max_gaussians, resolution = (
+        None if value is None else whole_number(value, name)
+        for name, value in (
+            ("max_steps", max_steps),
+            ("max_gaussians", max_gaussians),
+            ("resolution", resolution),
+        )
+    )
+    seed, batch = whole_number(seed, "seed"), whole_number(batch, "batch")
     config = _with_preset(TrainConfig(method=method, resolution=resolution, seed=seed), preset)
     config = _CHANGES[method](config)
     if batch != 1:

@@ -29,6 +29,7 @@ from mrgs.scene import (
     evenly_spaced,
 )
 from mrgs.system.torch_modes import own_modes
+from mrgs.training.asked_cameras import asked_cameras
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 
@@ -148,9 +149,11 @@ class BakedModel:
         Args:
             cameras: one for all modalities, or one for each modality to render.
             surface: a modality whose median depth is found too.
+
+        Raises:
+            ValueError: ``cameras`` is something else.
         """
-        if isinstance(cameras, Camera):
-            cameras = dict.fromkeys(self.modalities, cameras)
+        cameras = asked_cameras(cameras, self.modalities)
         with torch.no_grad():
             blends = self.blend(
                 {each: self.values(each, camera.position) for each, camera in cameras.items()},

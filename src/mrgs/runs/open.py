@@ -24,6 +24,7 @@ from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_model
+from mrgs.training.facts import require_scene
 from mrgs.training.kernel_check import check_rendering
 from mrgs.training.newest import load_newest
 from mrgs.training.run_folder import RunFolder
@@ -54,8 +55,10 @@ class Run(TrainedRun):
         return self.model.to(self.device)
 
     @property
-    def modalities(self) -> tuple[Modality, ...]:  # noqa: D102
-        return self.model.gaussians.modalities
+    def modalities(self) -> tuple[Modality, ...]:
+        """Modalities that the run renders: those of which its scene has photos. The model has RGB
+        and thermal values in any case."""
+        return self.facts.photographed(self.model.gaussians.modalities)
 
     def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:
         """The images; the depth of the surface is found when it is asked for."""
@@ -98,7 +101,8 @@ class Run(TrainedRun):
         return self.image_model.expected(rendering, camera, pixel_sizes)
 
     @property
-    def gaussian_count(self) -> int:  # noqa: D102
+    def gaussian_count(self) -> int:
+        """How many Gaussians the model has."""
         return len(self.model.gaussians)
 
 
@@ -122,10 +126,13 @@ def open_run(
     Raises:
         RunError: the folder is not a run, its method is not registered, or its checkpoint cannot be
             used.
+        SceneError: ``scene`` is neither a scene nor a path.
         DeviceError: the requested GPU cannot be used.
     """
     folder = RunFolder(path)
     folder.newest_checkpoint()
+    if scene is not None:
+        require_scene(scene)
     if not isinstance(scene, Scene):
         return cast(TrainedRun, method_of(folder).open(path, scene, device))
     run = cast(TrainedRun, method_of(folder).open(path, scene.path or None, device))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from mrgs.errors import MrgsWarning
+from mrgs.errors import ConfigError, MrgsWarning
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
@@ -19,8 +19,10 @@ from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
 from mrgs.system.callers import users_level
 from mrgs.system.gpu import DeviceName
+from mrgs.system.limits import shown
 from mrgs.system.torch_modes import own_modes
 from mrgs.training import trainer
+from mrgs.training.asked_cameras import asked_cameras
 from mrgs.training.run_folder import RunFolder, TemporaryRunFolder
 from mrgs.training.step import StepStatistics
 from mrgs.training.trainer import OnStep, Trainer
@@ -86,7 +88,8 @@ def train(
         RunError: the output folder cannot be used, or the resumed run had another strategy, other
             terms, or other photos, poses or intrinsics.
         DeviceError: the GPU was asked for and cannot be used.
-        ConfigError: TensorBoard was asked for and is not installed.
+        ConfigError: a parameter is not what it should be, or TensorBoard was asked for and is not
+            installed.
         TrainingError: three steps in a row gave values that are not finite, the model holds such a
             value, or the GPU's memory does not suffice; the last good checkpoint is kept.
     """
@@ -95,7 +98,7 @@ def train(
         trainer.train(
             scene,
             folder.path,
-            config or make_config(METHOD),
+            _checked_config(config),
             resume=resume,
             accept_changes=accept_changes,
             device=device,
@@ -156,7 +159,7 @@ def train_steps(
         trainer.open_training(
             scene,
             folder.path,
-            config or make_config(METHOD),
+            _checked_config(config),
             resume=resume,
             accept_changes=accept_changes,
             device=device,
@@ -213,11 +216,13 @@ class LiveRun:
 
         Args:
             cameras: one for all modalities, or one for each modality to render.
+
+        Raises:
+            ValueError: ``cameras`` is something else.
         """
-        if isinstance(cameras, Camera):
-            cameras = dict.fromkeys(self.model.gaussians.modalities, cameras)
+        asked = asked_cameras(cameras, self._trainer.scene.modalities)
         with self._trainer.between_steps(), own_modes(), torch.no_grad():
-            return render(self.model, cameras)[0].cpu()
+            return render(self.model, asked)[0].cpu()
 
     def snapshot(self) -> Run:
         """The run as it is now, rendering on the CPU, to be scored or exported while the training
@@ -231,6 +236,23 @@ class LiveRun:
             self._trainer.save()
             run = load_run(self._folder.path, self._trainer.scene, "cpu")
         return replace(run, folder=self._folder)
+
+
+def _checked_config(config: TrainConfig | None) -> TrainConfig:
+    """The configuration, or the usual one where there is none.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    if config is None:
+        return make_config(METHOD)
+    if not isinstance(config, TrainConfig):
+        raise ConfigError(
+            f"config must be what make_config returns, not {shown(config)}: such as "
+            f"make_config({METHOD!r}, max_steps=2000)",
+            options=("config",),
+        )
+    return config
 
 
 def _folder(output: str | Path | None) -> RunFolder:

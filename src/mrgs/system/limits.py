@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 import reprlib
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, SupportsIndex, cast
 
 from mrgs.errors import ConfigError
 
@@ -43,8 +44,26 @@ def require_within(
             raise ConfigError(f"{title.format(name)} must be {limit}, not {shown(value)}")
 
 
+def whole_number(value: object, name: str) -> int:
+    """A whole number of any type.
+
+    Args:
+        value: given by the caller.
+        name: what the message calls it.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    try:
+        return operator.index(cast(SupportsIndex, value))
+    except TypeError:
+        raise ConfigError(
+            f"{name} must be a whole number, not {shown(value)}", options=(name,)
+        ) from None
+
+
 def shown(value: Any) -> str:
-    """A value from a file for a message: shortened, on one line."""
+    """A value from a file or a caller for a message: shortened, on one line."""
     try:
         return reprlib.repr(value)
     except ValueError:  # an integer of thousands of digits

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mrgs.errors import MrgsWarning, RunError
+from mrgs.errors import MrgsWarning, RunError, SceneError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import RGB, THERMAL, Modality, Scene, TemperatureRange
@@ -64,6 +65,10 @@ class CheckpointFacts(NamedTuple):
             images=fingerprints(scene),
         )
 
+    def photographed(self, modalities: Iterable[Modality]) -> tuple[Modality, ...]:
+        """Those of some modalities of which the scene has photos."""
+        return tuple(each for each in modalities if each in self.modalities)
+
     def moved_to(self, path: str | Path | None) -> CheckpointFacts:
         """These facts with the scene's current path, if one is given."""
         return self if path is None else self._replace(scene=str(Path(path).resolve()))
@@ -101,6 +106,20 @@ class CheckpointFacts(NamedTuple):
         values["modalities"] = tuple(map(Modality.from_json, values["modalities"]))
         values["images"] = tuple(map(ImageFingerprint.from_json, values["images"]))
         return cls(**values)
+
+
+def require_scene(scene: object) -> None:
+    """What a caller gives must be a scene or its folder.
+
+    Raises:
+        SceneError: it is something else.
+    """
+    if not isinstance(scene, (Scene, str, os.PathLike)):
+        raise SceneError(
+            f"the scene must be a Scene or its folder, not {type(scene).__name__}: make one with "
+            f"Scene.from_arrays",
+            options=("scene",),
+        )
 
 
 def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:

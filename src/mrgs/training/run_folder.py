@@ -67,6 +67,11 @@ class RunFolder:
     go beside them."""
 
     def __init__(self, path: str | Path) -> None:
+        if not isinstance(path, (str, os.PathLike)):
+            raise RunError(
+                f"the run's folder must be a path, not {type(path).__name__}; other parameters "
+                f"follow by name, such as config="
+            )
         self.path = Path(path).absolute()  # whatever the current folder is later
         self._log_mirrors: list[LogMirror] = []
 

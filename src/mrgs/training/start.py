@@ -17,7 +17,7 @@ from mrgs.system.forks import require_own_threads
 from mrgs.system.operation import plainly
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_facts
-from mrgs.training.facts import CheckpointFacts, facts_to_resume
+from mrgs.training.facts import CheckpointFacts, facts_to_resume, require_scene
 from mrgs.training.newest import load_newest
 from mrgs.training.peers import Peers
 from mrgs.training.run_folder import RunConfig, RunFolder
@@ -89,6 +89,7 @@ def start_training(
         MrgsError: this process was forked from one that has computed.
     """
     require_own_threads()
+    require_scene(scene)
     folder = RunFolder(output)
     leads = peers is None or peers.lead
     if leads:

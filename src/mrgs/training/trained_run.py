@@ -35,6 +35,7 @@ from mrgs.scene.depth_map import (
     carry_over,
     surveying_cameras,
 )
+from mrgs.training.asked_cameras import asked_cameras
 from mrgs.training.facts import CheckpointFacts, require_same_scene
 from mrgs.training.run_folder import RunConfig, RunFolder
 
@@ -67,7 +68,7 @@ class TrainedRun(ABC):
     @property
     @abstractmethod
     def modalities(self) -> tuple[Modality, ...]:
-        """Modalities that the model renders."""
+        """Modalities that the run renders: those of which its scene has photos."""
 
     @property
     @abstractmethod
@@ -85,10 +86,11 @@ class TrainedRun(ABC):
         Args:
             cameras: one for all modalities of the model, or one for each modality to render:
                 ``{RGB: ..., THERMAL: ...}``.
+
+        Raises:
+            ValueError: ``cameras`` is something else.
         """
-        if isinstance(cameras, Camera):
-            cameras = dict.fromkeys(self.modalities, cameras)
-        return self.render_cameras(cameras)
+        return self.render_cameras(asked_cameras(cameras, self.modalities))
 
     def render_view(self, view: View) -> Rendering:
         """Render a view from its own cameras, without gradients; the modalities that both have."""
@@ -154,7 +156,8 @@ class TrainedRun(ABC):
             °C, NaN for a point that no camera sees on a surface, [N].
 
         Raises:
-            ValueError: the scene has no known °C, or ``points`` has another shape.
+            ValueError: the scene has no thermal photos to learn from or no known °C, or ``points``
+                has another shape.
             SceneError: the scene is no longer where it was, or cannot be used.
         """
         positions = as_tensor(points, torch.float32, (None, 3), "points").numpy()
@@ -166,6 +169,8 @@ class TrainedRun(ABC):
         """Depths and °C from the scene's thermal cameras."""
         scene = self.load_scene()
         cameras = [photo.camera for photo in scene.train_photos(THERMAL)]
+        if not cameras:
+            raise ValueError("no °C: the scene has no thermal photos to learn from")
         maps = []
         for camera in surveying_cameras(cameras):
             rendering = self.render_cameras({THERMAL: camera})

@@ -25,6 +25,7 @@ from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
 from mrgs.system.callers import users_level
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
+from mrgs.system.limits import whole_number
 from mrgs.system.operation import is_plain
 from mrgs.system.room import warn_if_short
 from mrgs.system.torch_modes import own_modes
@@ -188,7 +189,8 @@ def train(
         RunError: the output folder cannot be used, or the resumed run had another strategy, other
             terms, or other photos, poses or intrinsics.
         DeviceError: the GPU was asked for and cannot be used.
-        ConfigError: TensorBoard was asked for and is not installed.
+        ConfigError: a parameter is not what it should be, or TensorBoard was asked for and is not
+            installed.
         TrainingError: three steps in a row gave values that are not finite (on a GPU this is found
             up to ten steps later), the model holds such a value (found up to a hundred steps
             later, and always before it is saved), or the GPU's memory does not suffice; the last
@@ -196,6 +198,8 @@ def train(
         ConfigError: there are more processes, or more views in a step, than there are views.
         LinkError, PeerError: another process is gone; the first one has saved a checkpoint.
     """
+    if stop_at is not None and whole_number(stop_at, "stop_at") < 1:
+        raise ConfigError(f"stop_at must be at least 1, not {stop_at}", options=("stop_at",))
     with open_training(
         scene,
         output,
