@@ -19,7 +19,7 @@ RING_PX = 13
 MANY = 15
 """Names from which on they are written in smaller letters."""
 
-SMALL_LABEL_PX = 15
+SMALL_LABEL_PX = 18
 MOST_STEPS = 6
 """Heights of a name that it may stand away from its place."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -217,6 +217,7 @@ def write_report(
         parts_of_uncertainty=parts,
         camera_is_known=PART_NAMES["camera"] in parts.values(),
         every=every,
+        compared_with=_one_for_all(mark.compared_with for mark in findings.marks),
         has_factor=any(mark.factor != DASH for mark in every),
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
         has_thermal_gains=run.image_model.thermal_gain is not None,
@@ -265,6 +266,12 @@ def _findings(
         plan.from_the_front,
         shown_map,
     )
+
+
+def _one_for_all(names: Iterable[str]) -> str:
+    """The one mark that all are compared with which are compared with any; empty if they differ."""
+    different = set(names) - {""}
+    return different.pop() if len(different) == 1 else ""
 
 
 def _subtitle(survey: Survey, t: Texts) -> str:

@@ -1,0 +1,108 @@
+"""That long texts stay on the page, on paper and on the screen of a phone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mrgs import open_marks
+from mrgs.report import write_report
+from mrgs.report.pdf import require_weasyprint
+from mrgs.runs.open import Run
+from mrgs.scene import THERMAL
+from tests.helpers.browsers import chromium, needs_chromium, new_page
+
+needs_weasyprint = pytest.mark.skipif(
+    find_spec("weasyprint") is None, reason="weasyprint is not installed"
+)
+LONG_WORD = "x" * 250
+LONG_NAME = "Fensterlaibung_Nordseite_Obergeschoss_12"
+LONG_TEXT = " ".join(["word"] * 300)
+
+
+@pytest.fixture
+def long_report(run: Run, tmp_path: Path) -> Path:
+    """A report with long words, names and texts, and with line breaks."""
+    marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
+    survey = (
+        f"object: {LONG_WORD}\naddress: |\n  Street 1\n  Town\nweather: {LONG_TEXT}\n"
+        f"purpose: {LONG_TEXT}\nstatement: |\n  - one\n  - two\nstandard: EN 13187\n"
+        f"precipitation: {LONG_WORD}\nside: inside\ninside_c: 35\noutside_c: 0\nhot_places: 0\n"
+        "cold_places: 0\n"
+    )
+    (run.folder.path / "survey.yaml").write_text(survey, encoding="utf-8")
+    marks.spot(camera, (20, 15), name=LONG_NAME, severity="needs repair soon, danger of fire, hot",
+               note="What was seen there\nand a second line")  # fmt: skip
+    marks.spot(camera, (22, 15), name="S2", note=LONG_WORD)
+    marks.box(camera, (16, 12), (24, 18), name="B1", emissivity=0.8, reflected_c=-5.0)
+    marks.refer_to("S2")
+    return write_report(run, run.load_scene(), tmp_path / "report.html", language="de")
+
+
+@pytest.fixture
+def sheets(long_report: Path) -> list[Any]:
+    """The pages of the report on paper, as boxes."""
+    weasyprint = require_weasyprint()
+    document = weasyprint.HTML(string=long_report.read_text(encoding="utf-8")).render()
+    return [page._page_box for page in document.pages]
+
+
+def lines_of(sheet: Any) -> Iterator[Any]:
+    """The boxes of a page's texts."""
+    return (box for box in sheet.descendants() if getattr(box, "text", "").strip())
+
+
+@needs_weasyprint
+def test_nothing_runs_off_the_paper(sheets: list[Any]):
+    for sheet in sheets:
+        right = sheet.content_box_x() + sheet.width
+        wide = [box.text for box in lines_of(sheet) if box.position_x + box.width > right + 1]
+        assert wide == []
+
+
+@needs_weasyprint
+def test_names_of_rows_and_numbers_are_not_broken_into_letters(sheets: list[Any]):
+    texts = [box.text.strip() for sheet in sheets for box in lines_of(sheet)]
+    for whole in ("Objekt", "mindestens 10 K", "S2", "B1", "T_refl −5,0\xa0°C", "Adresse"):
+        assert whole.replace("\xa0", " ") in [text.replace("\xa0", " ") for text in texts]
+    assert [text for text in texts if re.fullmatch(r"0,\d\d", text)]  # f_Rsi
+    assert not [text for text in texts if text.endswith("T_re-")]
+
+
+@needs_weasyprint
+def test_a_long_row_of_the_survey_goes_on_on_the_next_page(sheets: list[Any]):
+    first, second = sheets[:2]
+    bottom = first.content_box_y() + first.height
+    assert max(box.position_y for box in lines_of(first)) > bottom - 60
+    assert "word" in next(lines_of(second)).text
+
+
+def test_lines_of_a_survey_stay_lines(long_report: Path):
+    html = long_report.read_text(encoding="utf-8")
+    style = re.sub(r"\s+", " ", html[: html.index("</style>")])
+    assert ".facts td { overflow-wrap: anywhere; white-space: pre-line; }" in style
+    assert ".said { white-space: pre-line; }" in style
+    assert "<td>Street 1\nTown" in html
+    assert '<p class="said">- one\n- two' in html
+
+
+def test_what_all_are_compared_with_is_named_once(long_report: Path):
+    html = long_report.read_text(encoding="utf-8")
+    start = html.index("Messstelle</th>")
+    table = html[start : html.index("</table>", start)]
+    assert table.count("gegenüber S2") == 1
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_the_report_fits_on_a_phone(long_report: Path):
+    pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with chromium() as browser:
+        page = new_page(browser, viewport={"width": 390, "height": 800})
+        page.goto(long_report.as_uri())
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
