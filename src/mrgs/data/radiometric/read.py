@@ -104,7 +104,7 @@ def reader_of(data: bytes, path: Path) -> Reader | None:
     return next((reader for reader in READERS if reader.recognises(data, path)), None)
 
 
-def read_thermal_photo(path: Path, overrides: Overrides | None = None) -> ThermalPhoto:
+def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> ThermalPhoto:
     """The temperatures of a thermal photo, and what its file says besides. The content decides the
     kind, not the name.
 
@@ -117,7 +117,7 @@ def read_thermal_photo(path: Path, overrides: Overrides | None = None) -> Therma
         SceneError: the file cannot be read: empty, damaged, cut off, of an unknown kind or scale,
             or a DJI R-JPEG that DJI's tool does not read.
     """
-    overrides = overrides or Overrides()
+    path, overrides = Path(path), overrides or Overrides()
     photo = _read(read_bytes(path, MAX_BYTES), path, overrides)
     return _with_unused(photo, overrides)
 
