@@ -14,6 +14,7 @@ import torch
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, WriteError
 from mrgs.export import FORMATS, export
 from mrgs.field.spherical_harmonics import C0
+from mrgs.pictures.limits import starting_limits
 from mrgs.scene import RGB, THERMAL, View, WorldFrame
 from tests.helpers.exports import make_baked, read_ply
 from tests.helpers.gaussians import NEAR_INFRARED
@@ -67,6 +68,12 @@ def test_the_page_is_one_file(tmp_path, baked, scene):
     assert path == tmp_path / "page.html"
     assert '"length_unit": "m"' in path.read_text(encoding="utf-8")
     assert scene.name in path.read_text(encoding="utf-8")
+
+
+def test_the_page_begins_with_the_colours_of_the_viewer(tmp_path, baked, scene):
+    (path,) = export(baked, scene, "page", tmp_path)
+    low, high = starting_limits((THERMAL,), scene, scene.temperature)[THERMAL]
+    assert f'"range": [{low}, {high}]' in path.read_text(encoding="utf-8")
 
 
 def test_every_format_has_a_test_here():

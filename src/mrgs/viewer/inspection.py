@@ -19,6 +19,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import box_corners, eye_of, picked_places, spot_radius
 from mrgs.marks.texts import label_text
 from mrgs.pictures.files import write_png
+from mrgs.pictures.limits import rounded
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, Modality, View
 from mrgs.system.atomic import require_folder
@@ -26,7 +27,6 @@ from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
 from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
 from mrgs.viewer.layout import Pane, Place, panes_of, place_at
-from mrgs.viewer.limits import rounded
 from mrgs.viewer.painting import (
     Outline,
     PointLabel,

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from mrgs.pictures.limits import starting_limits
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.values import format_value
 from mrgs.render import Model
@@ -24,7 +25,6 @@ from mrgs.scene import (
     metric_first,
 )
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.limits import starting_limits
 from mrgs.viewer.source import Source
 
 Kind = Literal[

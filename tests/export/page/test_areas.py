@@ -129,7 +129,8 @@ def test_scale_and_isotherm_follow_what_is_corrected(opened, table, regions):
     rendering = regions.applied_to(seen(table, camera), camera)
     shown = celsius(table, rendering)[rendering[THERMAL].alpha.numpy() >= 0.5]
     page.click("#fit")
-    low, high = (float(page.locator(name).input_value()) for name in ("#low", "#high"))
+    texts = [page.locator(name).input_value() for name in ("#low", "#high")]
+    low, high = (float(text.replace("−", "-")) for text in texts)
     coldest, hottest = np.percentile(shown, [0.5, 99.5])
     assert coldest - 6 < low < coldest + 1
     assert hottest - 1 < high < hottest + 6

@@ -215,7 +215,7 @@ def test_palette_range_and_isotherm_change_the_picture(open_page):
     page.wait_for_selector(SETTLED)
     grey = picture(page)
     assert np.ptp(grey, axis=2).mean() < 5
-    page.fill("#high", "160")
+    page.fill("#high", "160,0")
     page.press("#high", "Enter")
     page.wait_for_selector(SETTLED)
     assert picture(page).mean() < 0.7 * grey.mean()
@@ -312,7 +312,8 @@ def test_the_scale_is_locked_and_fits_the_view_when_asked(open_page, baked, came
     page = open_page(viewport={"width": 800, "height": 600})
 
     def limits() -> tuple[float, float]:
-        return tuple(float(page.locator(name).input_value()) for name in ("#low", "#high"))
+        texts = (page.locator(name).input_value() for name in ("#low", "#high"))
+        return tuple(float(text.replace("−", "-")) for text in texts)
 
     page.select_option("#camera", "view 3")
     page.wait_for_selector(SETTLED)

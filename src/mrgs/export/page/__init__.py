@@ -8,6 +8,8 @@ from pathlib import Path
 from mrgs.export.job import ExportJob
 from mrgs.export.page.marks import page_marks
 from mrgs.export.page.write import write_page
+from mrgs.pictures.limits import starting_limits
+from mrgs.scene import THERMAL
 from mrgs.scene.overview import best_view
 
 __all__ = ["export", "write_page"]
@@ -23,7 +25,7 @@ def export(job: ExportJob) -> list[Path]:
         f"{job.scene.name}: thermal model",
         job.folder / "page.html",
         palette=job.palette,
-        range_c=job.limits_c,
+        range_c=_range_c(job),
         notes=(*job.scene.notes, *assumptions),
         marks=marks,
         regions=job.regions,
@@ -32,3 +34,11 @@ def export(job: ExportJob) -> list[Path]:
         start=job.scene.train[best_view(job.scene.train_cameras, job.baked.means)].name,
     )
     return [path]
+
+
+def _range_c(job: ExportJob) -> tuple[float, float] | None:
+    """The ends of the palette: those that the viewer begins with, unless the job has others; None
+    where areas are corrected, which photos are not."""
+    if job.limits_c is not None or job.regions or THERMAL not in job.modalities:
+        return job.limits_c
+    return starting_limits((THERMAL,), job.scene, job.scene.temperature)[THERMAL]

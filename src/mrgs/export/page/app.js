@@ -129,7 +129,7 @@ class Page {
   connectControls() {
     for (const button of modalityButtons()) button.addEventListener("click", () => this.show(button.dataset.modality));
     element("palette").addEventListener("change", () => this.drawScale());
-    for (const id of ["low", "high"]) element(id).addEventListener("change", () => this.readRange());
+    this.rangeControl = new RangeControl((low, high) => this.setRange(low, high));
     element("fit").addEventListener("click", () => this.fit());
     element("whole").addEventListener("click", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
     this.isothermControl = new IsothermControl(() => this.readIsotherm());
@@ -175,10 +175,8 @@ class Page {
 
   // Numbers as on the page.
   setRange(low, high) {
-    const { decimals } = this.scaled.scale;
     this.range = [low, high];
-    element("low").value = low.toFixed(decimals);
-    element("high").value = high.toFixed(decimals);
+    this.rangeControl.show(this.range, this.scaled.scale);
     this.readIsotherm();
     this.drawScale();
   }
@@ -198,14 +196,6 @@ class Page {
     const step = Math.max(high > low ? tickStep(low, high, 20) : 0, 10 ** -scale.decimals);
     const first = Math.floor(low / step + 1e-6);
     this.setRange(first * step, Math.max(Math.ceil(high / step - 1e-6), first + 1) * step);
-  }
-
-  readRange() {
-    const [low, high] = [element("low").valueAsNumber, element("high").valueAsNumber];
-    const valid = Number.isFinite(low) && Number.isFinite(high) && low < high;
-    element("high").setCustomValidity(valid ? "" : "The upper end must be above the lower.");
-    element("high").reportValidity();
-    if (valid) this.setRange(low, high);
   }
 
   readIsotherm() {
