@@ -100,6 +100,11 @@ def test_whatever_a_look_says_it_gives_a_finite_camera_or_is_refused(changed):
     assert 1 <= camera.width <= 4096
 
 
+def test_what_is_not_understood_is_said_in_words():
+    with pytest.raises(ValueError, match="does not understand what the page sent: reload the page"):
+        decode('{"type": "change_mark", "mark": 1, "note": 5}')
+
+
 def test_a_text_with_values_is_sent_as_text():
     note = Message("The air is assumed to have {celsius} °C.", celsius="20")
     assert json.loads(encode({"notes": (note,)})) == {

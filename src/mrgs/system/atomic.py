@@ -83,7 +83,11 @@ def require_folder(folder: Path) -> None:
     Raises:
         WriteError: it is gone.
     """
-    if not folder.is_dir():
+    try:
+        there = folder.is_dir()
+    except OSError:  # a drive that does not answer
+        there = False
+    if not there:
         raise WriteError(
             f"the folder {folder} is gone: nothing can be saved until it is back; reconnect its "
             f"drive, or move it back"

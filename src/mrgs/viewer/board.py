@@ -177,7 +177,8 @@ class MarkBoard:
 
     def _files_now(self) -> object:
         folder = self._store.folder
-        return folder.is_dir(), self._store.stamp, file_stamp(folder / SURVEY_FILE)
+        there = file_stamp(folder) is not None
+        return there, self._store.stamp, file_stamp(folder / SURVEY_FILE)
 
     def _read(self) -> None:
         """Measure what the files hold, unless it is what is measured already."""
