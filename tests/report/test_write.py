@@ -423,6 +423,15 @@ def test_what_was_not_searched_for_is_not_said_to_be_missing(run: Run, tmp_path:
     assert "Cold places were not" not in half
 
 
+def test_a_mark_without_temperature_keeps_its_note(run: Run, tmp_path: Path):
+    marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
+    marks.box(camera, (16, 12), (24, 18), emissivity=0.8, note="brass")
+    page = write_report(run, run.load_scene(), tmp_path / "report.html")
+    html = page.read_text(encoding="utf-8")
+    assert "the photos do not say the reflected temperature; give it too\nbrass</td>" in html
+    assert "Corrected for" not in html
+
+
 def test_what_too_few_photos_see_is_no_proposal(run: Run, monkeypatch: pytest.MonkeyPatch):
     marks, scene = open_marks(run), run.load_scene()
     marks.meter.uncertainty = Doubting(0.0)
