@@ -54,8 +54,8 @@ def test_the_pages_compute_the_same():
     const band = (mode, values) => isothermBand(mode, values);
     console.log(JSON.stringify([
       band("dew", [20, 50]), band("insulation", [20, -5, 0.7]), band("above", [30]),
-      band("between", [30, 10]), band("dew", [20, 0]), band("insulation", [5, 20, 0.7]),
-      band("", []), band("below", [NaN]),
+      band("between", [30, 10]), band("dew", [20, null]), band("insulation", [5, 20, 0.7]),
+      band("", []), band("below", [null]),
     ]));
     """
     source = SCRIPT.read_text(encoding="utf-8").partition("class IsothermControl")[0]
