@@ -130,20 +130,16 @@ def text_rows(
             size_text(reading, world),
             DASH if reading.photos is None else str(reading.photos),
             reading.mark.severity or DASH,
-            "; ".join(
-                filter(
-                    None,
-                    (
-                        reading.problem,
-                        corrected_text(reading),
-                        *reading.remarks,
-                        _line(reading.mark.note),
-                    ),
-                )
-            ),
+            _note_text(reading),
         )
         for reading in readings
     ]
+
+
+def _note_text(reading: MarkReading) -> str:
+    """What else there is to say of a mark, on one line."""
+    corrected, note = corrected_text(reading), _line(reading.mark.note)
+    return "; ".join(filter(None, (reading.problem, corrected, *reading.remarks, note)))
 
 
 def facts_of_reading(
