@@ -14,6 +14,7 @@ from mrgs.marks import open_marks
 from mrgs.marks.regions import Regions
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL
+from mrgs.survey import SURVEY_FILE
 from tests.helpers.exports import read_ply
 
 FORMATS = ("points", "mesh", "ply", "page")
@@ -31,7 +32,10 @@ def exported(run, scene, tmp_path_factory):
     mark = marks.box(camera, low, high, "B1")
     export(marks.run, scene, FORMATS, folder / "without")
     marks.change(mark.name, emissivity=0.5, reflected_c=0.0)
+    survey = marks.run.folder.path / SURVEY_FILE
+    survey.write_text("inside_c: 22.5", encoding="utf-8")
     export(marks.run, scene, FORMATS, folder / "with")
+    survey.unlink()
     return marks, folder / "without", folder / "with"
 
 
@@ -64,6 +68,12 @@ def test_files_say_how_exact_the_correction_is(exported):
     assert "half of their pixels are off by up to" in of_splats
     assert of_points == "marked surfaces that have one are corrected, as their marks are"
     assert of_neither == ""
+
+
+def test_the_alarms_of_the_page_begin_with_what_the_survey_states(exported):
+    pages = [(folder / "page.html").read_text("utf-8") for folder in exported[1:]]
+    air = [json.loads(re.search(r'"air": ({[^}]*})', text)[1]) for text in pages]
+    assert [each["inside_c"] for each in air] == [None, 22.5]
 
 
 def test_the_page_corrects_what_is_seen_of_it(exported):

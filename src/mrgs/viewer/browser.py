@@ -17,7 +17,14 @@ from typing import Any
 from PIL import Image
 
 from mrgs.errors import ConfigError, MrgsError
-from mrgs.marks.mark import Marks
+from mrgs.marks.mark import (
+    EMISSIVITY,
+    LONGEST_NAME,
+    LONGEST_NOTE,
+    LONGEST_SEVERITY,
+    REFLECTED_C,
+    Marks,
+)
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.texts import mark_text
 from mrgs.pictures.drawing import Scale
@@ -54,7 +61,7 @@ from mrgs.viewer.messages import (
     encode,
 )
 from mrgs.viewer.painting import pane_scale, seen_marks, seen_outlines
-from mrgs.viewer.settings import Settings, Start, Subject
+from mrgs.viewer.settings import Mode, Settings, Start, Subject
 from mrgs.viewer.worker import Worker
 
 MOVING_S = 0.05
@@ -65,6 +72,15 @@ FEWEST_PIXELS = 240
 
 MOVING_JPEG: dict[str, Any] = {"quality": 80}
 SHARP_JPEG: dict[str, Any] = {"quality": 93, "subsampling": 0}
+
+MARK_LIMITS = {
+    "name": LONGEST_NAME,
+    "note": LONGEST_NOTE,
+    "severity": LONGEST_SEVERITY,
+    "emissivity": EMISSIVITY,
+    "reflected_c": REFLECTED_C,
+}
+"""Greatest lengths of a mark's texts, and the limits of its numbers."""
 
 _log = logging.getLogger(__name__)
 
@@ -387,22 +403,14 @@ class Browser:
             "name": subject.name,
             "known": texts.header(subject),
             "start": start._asdict(),
-            "modes": [
-                {
-                    "label": mode.label,
-                    "slider": mode.has_slider,
-                    "compares": mode.kind not in ("image", "depth", "uncertainty"),
-                    "scaled": None if mode.scaled is None else mode.scaled.name,
-                    "palette": mode.has_palette,
-                }
-                for mode in subject.modes
-            ],
+            "modes": [_mode(mode) for mode in subject.modes],
             "views": [{"name": view.name, **camera_facts(view.camera)} for view in subject.views],
             "palettes": palette_facts([*PALETTE_CHOICES, "depth", "error"]),
             "choices": PALETTE_CHOICES,
             "modalities": [self._modality(each) for each in subject.modalities],
             "readable": bool(subject.readable),
             "marks": subject.board is not None,
+            "mark_limits": MARK_LIMITS,
             "air": {} if subject.board is None else air_facts(subject.board.survey),
         }
 
@@ -430,6 +438,17 @@ class Browser:
 
     def _tell(self, kind: str, **facts: Any) -> None:
         self._send(encode({"type": kind, **facts}))
+
+
+def _mode(mode: Mode) -> dict[str, Any]:
+    """A mode for the page, with the controls that count in it."""
+    return {
+        "label": mode.label,
+        "slider": mode.has_slider,
+        "compares": mode.kind not in ("image", "depth", "uncertainty"),
+        "scaled": None if mode.scaled is None else mode.scaled.name,
+        "palette": mode.has_palette,
+    }
 
 
 def _scale(scale: Scale) -> dict[str, Any]:

@@ -9,8 +9,10 @@ from mrgs.export.job import ExportJob
 from mrgs.export.page.marks import page_marks
 from mrgs.export.page.write import write_page
 from mrgs.pictures.limits import starting_limits
+from mrgs.pictures.stage import air_facts
 from mrgs.scene import THERMAL
 from mrgs.scene.overview import best_view
+from mrgs.survey import SURVEY_FILE, read_survey
 
 __all__ = ["export", "write_page"]
 
@@ -31,6 +33,7 @@ def export(job: ExportJob) -> list[Path]:
         regions=job.regions,
         modalities=job.modalities,
         length_unit=job.scene.world.length_unit,
+        air={} if job.run is None else air_facts(read_survey(job.run.folder.path / SURVEY_FILE)),
         start=job.scene.train[best_view(job.scene.train_cameras, job.baked.means)].name,
     )
     return [path]

@@ -132,7 +132,7 @@ class Page {
     this.rangeControl = new RangeControl((low, high) => this.setRange(low, high));
     element("fit").addEventListener("click", () => this.fit());
     element("whole").addEventListener("click", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
-    this.isothermControl = new IsothermControl(() => this.readIsotherm());
+    this.isothermControl = new IsothermControl(() => this.readIsotherm(), this.facts.air);
     const cameras = element("camera");
     cameras.addEventListener("change", () => this.jumpTo(cameras.selectedIndex));
     element("previous").addEventListener("click", () => this.jumpTo(cameras.selectedIndex - 1));

@@ -76,6 +76,7 @@ def write_page(
     marks: Sequence[PageMark] = (),
     regions: Regions | None = None,
     length_unit: str = SCENE_UNITS,
+    air: Mapping[str, float | None] | None = None,
 ) -> Path:
     """Write the model as one HTML page; returns its path.
 
@@ -100,6 +101,7 @@ def write_page(
         marks: that the page lists and draws, see ``page_marks``.
         regions: surfaces with an emissivity of their own, whose temperatures the page corrects.
         length_unit: of depths, see ``WorldFrame.length_unit``.
+        air: that the alarms of the isotherm begin with, see ``air_facts``.
 
     Raises:
         ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
@@ -117,6 +119,7 @@ def write_page(
         "areas": areas,
         "marks": list(marks),
         "length_unit": length_unit,
+        "air": air or {},
     }
     return write_html(
         path,

@@ -193,7 +193,7 @@ class Page {
       const points = corners.map((corner) => Object.values(this.shareOf(...corner)));
       this.connection.send("add_mark", { kind, points });
     }, (text) => this.sayOfMarks(text, false));
-    this.marks = new MarkList(element("mark-list"), (type, facts) => this.connection.send(type, facts));
+    this.marks = new MarkList(element("mark-list"), this.facts.mark_limits, (type, facts) => this.connection.send(type, facts));
     pressed("screenshot", act("screenshot"));
     pressed("add-keyframe", act("add_keyframe"));
     pressed("clear-path", act("clear_path"));

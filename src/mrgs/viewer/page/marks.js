@@ -2,8 +2,6 @@
 
 const FEWEST_CORNERS = { spot: 1, line: 2, box: 2, polygon: 3 };
 const CLOSE_PX = 12;
-const EMISSIVITY = [0.01, 1];
-const REFLECTED_C = [-200, 3500];
 const HINTS = {
   spot: "Click on the surface; or cancel, and press s in the picture for a spot in its middle.",
   line: "Click where the line begins and at each corner, then Done; or drag it.",
@@ -99,14 +97,15 @@ class MarkDrawing {
 // The marks in the panel. A row stays the same as long as its mark has the same number, whatever else changes: so it
 // keeps what is unfolded, what is being typed, and the cursor.
 class MarkList {
-  constructor(list, send) {
+  constructor(list, limits, send) {
     this.list = list;
+    this.limits = limits;
     this.send = send;
     this.rows = new Map();
   }
 
   show(marks) {
-    const rows = new Map(marks.map((mark) => [mark.id, this.rows.get(mark.id) ?? new MarkRow(mark, this.send)]));
+    const rows = new Map(marks.map((mark) => [mark.id, this.rows.get(mark.id) ?? new MarkRow(mark, this.limits, this.send)]));
     for (const [number, row] of this.rows) if (!rows.has(number)) row.root.remove();
     this.rows = rows;
     marks.forEach((mark, index) => {
@@ -125,7 +124,7 @@ class MarkList {
 
 // One mark: what was measured, and a form for what can be changed.
 class MarkRow {
-  constructor(mark, send) {
+  constructor(mark, limits, send) {
     this.root = document.createElement("details");
     this.texts = { name: make("b"), difference: make("span", "", "muted"), value: make("span") };
     this.problem = make("div", "", "problem warning");
@@ -134,7 +133,7 @@ class MarkRow {
     this.form = document.createElement("form");
     this.form.addEventListener("submit", (event) => event.preventDefault());
     this.form.append(this.problem, this.lines, this.chart);
-    this.fields = markFields(mark).map((field) => new MarkField(this.form, field, (change) => {
+    this.fields = markFields(mark, limits).map((field) => new MarkField(this.form, field, (change) => {
       send("change_mark", { mark: mark.id, ...change });
     }));
     const buttons = make("div", "", "row");
@@ -167,17 +166,17 @@ class MarkRow {
 }
 
 // The fields of a mark: their labels, the limits of numbers, and more attributes.
-function markFields({ area }) {
+function markFields({ area }, { name, note, severity, emissivity, reflected_c }) {
   const texts = [
-    { name: "name", label: "Name", more: { maxLength: 40 } },
-    { name: "note", label: "Note", more: { maxLength: 2000 } },
-    { name: "severity", label: "Severity", more: { maxLength: 40, placeholder: "class 1 to 3, or words" }, list: "severities" },
+    { name: "name", label: "Name", more: { maxLength: name } },
+    { name: "note", label: "Note", more: { maxLength: note } },
+    { name: "severity", label: "Severity", more: { maxLength: severity, placeholder: "class 1 to 3, or words" }, list: "severities" },
   ];
   if (!area) return texts;
   return [
     ...texts,
-    { name: "emissivity", label: "Emissivity", limits: EMISSIVITY, more: { inputMode: "decimal", placeholder: "as photos" } },
-    { name: "reflected_c", label: "Reflected, °C", limits: REFLECTED_C, more: { placeholder: "as photos" } },
+    { name: "emissivity", label: "Emissivity", limits: emissivity, more: { inputMode: "decimal", placeholder: "as photos" } },
+    { name: "reflected_c", label: "Reflected, °C", limits: reflected_c, more: { placeholder: "as photos" } },
   ];
 }
 
