@@ -58,6 +58,20 @@ def test_marks_are_added_listed_exported_and_undone(run, tmp_path, capsys):
     assert load_run(run).folder.path == run
 
 
+def test_the_help_says_how_many_places_each_kind_takes(capsys):
+    with pytest.raises(SystemExit):
+        main(["measure", "--help"])
+    help = capsys.readouterr().out
+    for option in (
+        "--spot VIEW:X,Y ",
+        "--line VIEW:X,Y X,Y [X,Y ...]",
+        "--box VIEW:X,Y X,Y ",
+        "--polygon VIEW:X,Y X,Y X,Y [X,Y ...]",
+        "--accept NAME [NAME ...]",
+    ):
+        assert option in help
+
+
 def test_proposals_are_listed_accepted_and_dropped(run, capsys):
     assert main(["measure", str(run), "--spot", f"{VIEW}:20,15"]) == 0
     marks = open_marks(load_run(run))
@@ -80,6 +94,7 @@ def test_proposals_are_listed_accepted_and_dropped(run, capsys):
     ("options", "message"),
     [
         (["--spot", f"{VIEW}:1,2", "--box", f"{VIEW}:1,2", "3,4"], "one mark at a time: give only"),
+        (["--spot", f"{VIEW}:1,2", f"{VIEW}:3,4"], "--spot has one place, VIEW:X,Y; run the"),
         (["--spot", f"{VIEW}:1,2", "--mark", "S1"], "--mark changes a mark that is there"),
         (["--note", "damp"], "say which mark to change with --mark, or add one"),
         (["--box", f"{VIEW}:1,2"], "--box has two corners: VIEW:X,Y X,Y"),

@@ -241,14 +241,14 @@ class Measure:
 
     run: RunPath
     """Run folder."""
-    spot: Several[str] = ()
-    """Add a spot: VIEW:X,Y."""
-    line: Several[str] = ()
-    """Add a line with its profile: VIEW:X,Y X,Y, or more corners."""
-    box: Several[str] = ()
-    """Add a box between two corners: VIEW:X,Y X,Y."""
-    polygon: Several[str] = ()
-    """Add a polygon: VIEW:X,Y X,Y X,Y, or more corners."""
+    spot: Annotated[Several[str], tyro.conf.arg(metavar="VIEW:X,Y")] = ()
+    """Add a spot."""
+    line: Annotated[Several[str], tyro.conf.arg(metavar="VIEW:X,Y X,Y [X,Y ...]")] = ()
+    """Add a line with its profile."""
+    box: Annotated[Several[str], tyro.conf.arg(metavar="VIEW:X,Y X,Y")] = ()
+    """Add a box between two corners."""
+    polygon: Annotated[Several[str], tyro.conf.arg(metavar="VIEW:X,Y X,Y X,Y [X,Y ...]")] = ()
+    """Add a polygon."""
     mark: Maybe[str] = None
     """Mark that the next six options change; by default the ones that are added or accepted."""
     name: Maybe[str] = None
@@ -265,9 +265,9 @@ class Measure:
     """Reflected apparent temperature there, °C."""
     reference: Maybe[str] = None
     """Mark that all temperature differences refer to; '' for none."""
-    accept: Several[str] = ()
+    accept: Annotated[Several[str], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
     """Anomalies proposed by mrgs report that become marks, such as H1 C2."""
-    drop: Several[str] = ()
+    drop: Annotated[Several[str], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
     """Proposed anomalies that are none; the report does not propose them again."""
     delete: Maybe[str] = None
     """Mark to delete."""

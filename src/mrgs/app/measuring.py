@@ -46,6 +46,8 @@ def measure(command: Measure) -> None:
 def _check(command: Measure, added: Sequence[MarkKind]) -> None:
     if len(added) > 1:
         raise ConfigError(f"one mark at a time: give only one of --{' and --'.join(added)}")
+    if len(command.spot) > 1:
+        raise ConfigError("--spot has one place, VIEW:X,Y; run the command once for each spot")
     if (added or command.accept) and command.mark is not None:
         raise ConfigError("--mark changes a mark that is there: leave it out to add or accept one")
     if added and command.accept:
