@@ -64,6 +64,12 @@ def test_two_clicks_and_a_length_give_the_option_in_pixels_of_the_file(page):
     words = page.locator("#measure-option").inner_text().replace("'", "").split()
     assert words[0] == "--known-distance"
     assert words[-1] == "0.85"
+    option = page.locator("#measure-option")
+    page.fill("#measure-length", "2,4")
+    assert option.inner_text().split()[-1] == "2.4"
+    for refused in ("", "0", "-1", "2 m"):
+        page.fill("#measure-length", refused)
+        assert option.inner_text() == "Type the distance in metres."
     points = [word.rpartition(":")[2].split(",") for word in words if ":" in word]
     pixels = [float(number) for point in points for number in point]
     assert pixels == pytest.approx([80, 120, 240, 60], abs=2)

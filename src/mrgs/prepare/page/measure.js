@@ -12,7 +12,7 @@ function setUpMeasure() {
   const place = ([x, y]) => quoted(`${select.value}:${x.toFixed(1)},${y.toFixed(1)}`);
 
   const tell = () => {
-    const metres = Number(length.value);
+    const metres = numberOf(length.value);
     if (marks.length < 2) {
       option.textContent = marks.length ? "Click the second point." : "Click the two points in the photo.";
     } else if (!(metres > 0)) {

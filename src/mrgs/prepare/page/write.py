@@ -36,7 +36,13 @@ from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.scene.view import evenly_spaced
 
 PAGE = "prepare.html"
-SCRIPTS = ("orbit.js", "pairs.js", "measure.js", "page.js")
+SCRIPTS = (
+    "pictures/web/numbers.js",
+    "prepare/page/orbit.js",
+    "prepare/page/pairs.js",
+    "prepare/page/measure.js",
+    "prepare/page/page.js",
+)
 
 
 def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
@@ -103,7 +109,7 @@ def write_scene_page(
         title=title,
         subtitle=f"{date.today().isoformat()}. {path.parent}",
         styles=[PAGE_STYLE, "prepare/page/scene.css"],
-        scripts=[f"prepare/page/{name}" for name in SCRIPTS],
+        scripts=list(SCRIPTS),
         facts=script_json({"orbit": None if world is None else orbit_facts(world)}),
         plans=[] if world is None else plans(world),
         **values,
