@@ -94,6 +94,21 @@ def test_what_is_no_folder_is_told(tmp_path, name):
         check_scene(tmp_path / name)
 
 
+def test_nothing_is_written_into_a_folder_without_a_scene(tmp_path):
+    (tmp_path / "notes.txt").write_text("no scene")
+    with pytest.raises(SceneError, match=r"no scene found; looked for transforms\.json"):
+        check_scene(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_several_camera_files_are_an_error_on_a_page(tmp_path):
+    for name in ("transforms_a.json", "transforms_b.json"):
+        (tmp_path / name).write_text("{}")
+    check = check_scene(tmp_path)
+    assert "error" in texts(check)
+    assert "has several transforms files" in check.page.read_text(encoding="utf-8")
+
+
 def test_a_folder_that_cannot_be_written_is_told(make_scene):
     folder = make_scene()
     (folder / "check.html").mkdir()

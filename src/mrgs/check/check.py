@@ -11,6 +11,7 @@ from mrgs.check.poses import cameras_by_modality, pose_problems
 from mrgs.check.problems import Problem, SceneCheck, worst_first
 from mrgs.check.statistics import ViewStatistics, measure_view
 from mrgs.data import load_scene
+from mrgs.data.colmap_model import MODEL_FOLDERS
 from mrgs.data.files import scene_error
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.prepare.contract import Progress
@@ -32,7 +33,7 @@ def check_scene(
         output: folder of the page; by default the scene's.
 
     Raises:
-        SceneError: there is no such folder.
+        SceneError: there is no such folder, or it holds no scene.
         RunError: the page cannot be written.
     """
     scene = Path(scene)
@@ -43,6 +44,8 @@ def check_scene(
     try:
         loaded, corrected = _load(scene)
     except SceneError as error:
+        if not _has_cameras(scene):
+            raise
         unread = (Problem("error", str(error)),)
         return SceneCheck(unread, (), write_check_page(folder, unread, output=output))
     statistics = _read_views(loaded, report)
@@ -62,6 +65,12 @@ def _load(scene: Path) -> tuple[Scene, list[Problem]]:
     corrected = [str(item.message).removeprefix(f"{loaded.name}: ") for item in caught]
     remedy = "It is corrected at each reading; fix the file."
     return loaded, [Problem("warning", text, remedy) for text in corrected]
+
+
+def _has_cameras(scene: Path) -> bool:
+    """Whether this is a camera file, or a folder with one, readable or not."""
+    patterns = ("transforms*.json", *(f"{folder}/cameras.*" for folder in MODEL_FOLDERS))
+    return scene.is_file() or any(any(scene.glob(pattern)) for pattern in patterns)
 
 
 def _read_views(scene: Scene, report: Progress) -> list[ViewStatistics]:
