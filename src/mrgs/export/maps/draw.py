@@ -41,7 +41,8 @@ BANDS = {
     "blue": "0 to 255",
     "photos": "thermal photos that show the place",
     "scatter_c": "°C, standard deviation of the photos' readings",
-    "uncertainty_c": "°C, half of the interval that holds the truth in 95 of 100 cases",
+    "uncertainty_c": "°C, half of the interval that holds the truth in 95 of 100 cases; without "
+    "the thermal camera's own error where its accuracy is not known",
 }
 """Names of the bands, and their units."""
 
