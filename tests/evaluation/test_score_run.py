@@ -88,6 +88,15 @@ def test_a_scene_without_held_out_views_cannot_be_scored(run, tmp_path):
     assert not (tmp_path / "eval").exists()
 
 
+def test_a_scene_from_arrays_is_told_how_to_hold_views_out(run, tmp_path):
+    scene = replace(run.load_scene(), eval=(), path="")
+    with pytest.raises(
+        SceneError, match=r"nothing to score; make the scene with eval_every=8"
+    ) as it:
+        score_views(scene, None, run.render_view, facts_of(run, scene), tmp_path / "eval")
+    assert "file names" not in str(it.value)
+
+
 def test_an_unknown_split_is_refused_before_anything_is_written(run):
     with pytest.raises(ConfigError, match="unknown split 'test'; choose one of eval, train, path"):
         render_run(run, "test")

@@ -111,7 +111,7 @@ def evaluate(
     if not views:
         raise SceneError(
             "the scene has no views to score: put 'eval' into their file names, or list them in "
-            "val_filenames"
+            "val_filenames; for a scene from arrays, give eval_every="
         )
     measure = _Measure(temperature, Foreground.find(views), lpips)
     modalities = scored_modalities(views)

@@ -99,9 +99,14 @@ def score_views(
         RunError: the weights cannot be read, or a file cannot be written.
     """
     if not scene.eval:
+        remedy = (
+            "put 'eval' into the file names of some, or list them in val_filenames"
+            if scene.path
+            else "make the scene with eval_every=8, or another number of 2 or more"
+        )
         raise SceneError(
-            f"{scene.path or scene.name}: no views are held out, so there is nothing to score; put "
-            f"'eval' into the file names of some, or list them in val_filenames, and retrain"
+            f"{scene.path or scene.name}: no views are held out, so there is nothing to score; "
+            f"{remedy}, and retrain"
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
     shown = SheetRows(len(scene.eval))
