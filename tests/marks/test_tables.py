@@ -105,6 +105,16 @@ def test_a_narrow_range_has_more_decimals(readings):
     assert mark_text(sure, "", narrow, METRES)["value"] == "20.20 ± 0.02 °C"
 
 
+def test_the_profile_of_a_line_has_ends_with_units(readings):
+    assert mark_text(readings[1], "", RANGE, METRES)["ends"] == ["18.0 °C", "22.0 °C", "2.00 m"]
+    assert mark_text(readings[1], "", None, WorldFrame())["ends"][1:] == [
+        "22.008", "2.00 scene units",
+    ]  # fmt: skip
+    unseen = replace(readings[1].profile, values=np.full_like(readings[1].profile.values, np.nan))
+    for without in (readings[0], replace(readings[1], profile=unseen)):
+        assert mark_text(without, "", RANGE, METRES)["ends"] == []
+
+
 def test_a_mark_without_size_has_no_dash_for_it(readings):
     gone = MarkReading(readings[2].mark, problem="why")
     assert mark_text(gone, "", RANGE, METRES)["lines"] == ["why"]

@@ -201,6 +201,7 @@ def test_marks_are_drawn_with_the_mouse_listed_changed_and_undone(open_page, vie
     assert page.locator("#marks path.over").count() == 4
     rows.nth(1).locator("summary").click()
     assert rows.nth(1).locator("svg path").count() == 1
+    assert "°C" in rows.nth(1).locator("svg text").first.text_content()
     rows.nth(2).locator("summary").click()
     rows.nth(2).get_by_label("Note").fill("a ball")
     page.keyboard.press("Tab")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TypedDict
 
+import numpy as np
+
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.tables import (
     DASH,
@@ -40,6 +42,7 @@ class MarkText(TypedDict):
     difference: str
     lines: list[str]
     profile: list[tuple[float, float | None]]
+    ends: list[str]
     note: str
     severity: str
     area: bool
@@ -100,6 +103,7 @@ def mark_text(
         "difference": difference_text(reading, temperature),
         "lines": _lines(reading, temperature, world),
         "profile": _profile(reading),
+        "ends": _ends(reading, temperature, world),
         "note": mark.note,
         "severity": mark.severity,
         "area": mark.is_area,
@@ -150,3 +154,15 @@ def _profile(reading: MarkReading) -> list[tuple[float, float | None]]:
         return []
     pairs = zip(reading.profile.distances.tolist(), reading.profile.values.tolist(), strict=True)
     return [(distance, None if math.isnan(value) else value) for distance, value in pairs]
+
+
+def _ends(
+    reading: MarkReading, temperature: TemperatureRange | None, world: WorldFrame
+) -> list[str]:
+    """The lowest and the highest value of a line's profile and its length, with their units; empty
+    without a value."""
+    if reading.profile is None or not np.isfinite(reading.profile.values).any():
+        return []
+    values = np.nanmin(reading.profile.values), np.nanmax(reading.profile.values)
+    texts = [value_text(float(value), temperature, unit=True) for value in values]
+    return [*texts, str(size_text(reading, world))]

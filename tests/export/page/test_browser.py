@@ -231,16 +231,21 @@ def mark(kind: str, points: list[list[float]], **more: Any) -> PageMark:
     name = kind[0].upper() + "1"
     return {
         "name": name, "kind": kind, "value": "21.0 °C", "difference": "", "lines": ["1.00 m"],
-        "profile": [], "note": "", "area": False, "emissivity": None, "reflected_c": None,
-        "reference": False, "points": points, "closed": kind == "box", "lowAt": None,
-        "highAt": None, "label": f"{name}  21.0 °C", **more,
+        "profile": [], "ends": [], "note": "", "area": False, "emissivity": None,
+        "reflected_c": None, "reference": False, "points": points, "closed": kind == "box",
+        "lowAt": None, "highAt": None, "label": f"{name}  21.0 °C", **more,
     }  # fmt: skip
 
 
 def test_marks_are_listed_drawn_and_hidden_behind_surfaces(open_page, tmp_path):
     marks = [
         mark("spot", [[0.0, 0.0, 2.0]]),
-        mark("line", [[0.0, -0.5, 2.0], [0.0, 0.5, 2.0]], profile=[(0.0, 20.0), (1.0, 22.0)]),
+        mark(
+            "line",
+            [[0.0, -0.5, 2.0], [0.0, 0.5, 2.0]],
+            profile=[(0.0, 20.0), (1.0, 22.0)],
+            ends=["20.0 °C", "22.0 °C", "1.00 m"],
+        ),
         mark("box", [[-9.0, 0.0, -0.5], [-9.0, 1.0, -0.5], [-9.0, 1.0, 0.5], [-9.0, 0.0, 0.5]]),
     ]
     page = open_page(marks=marks, viewport={"width": 800, "height": 600})
@@ -249,6 +254,10 @@ def test_marks_are_listed_drawn_and_hidden_behind_surfaces(open_page, tmp_path):
     assert rows.count() == 3
     rows.nth(1).locator("summary").click()
     assert rows.nth(1).locator("svg path").count() == 1
+    texts = rows.nth(1).locator("svg text").all_text_contents()
+    assert texts == ["20.0 °C", "22.0 °C", "0", "1.00 m"]
+    left = "texts => Math.min(...texts.map((text) => text.getBBox().x))"
+    assert rows.nth(1).locator("svg text").evaluate_all(left) >= 0, "the unit is cut off"
     drawn = page.locator("#marks path.over")
     wait_until(lambda: drawn.count() == 2, "the box behind the splats is hidden", page)
     page.uncheck("#show-marks")

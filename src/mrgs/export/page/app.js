@@ -398,7 +398,7 @@ class Page {
       lines.className = "lines muted";
       lines.textContent = [mark.severity && `Severity ${mark.severity}`, ...mark.lines, settingsOf(mark), mark.note].filter(Boolean).join("\n");
       row.append(summary, lines);
-      if (mark.profile.length) row.append(profileChart(mark.profile));
+      if (mark.profile.length) row.append(profileChart(mark));
       return row;
     }));
   }

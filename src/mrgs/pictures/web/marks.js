@@ -67,16 +67,18 @@ function drawOutline(over, at, { corners, closed, label, low, high }, width, hei
   writeLabel(over, x, Math.max(y - 8, 14), 6, label, width, height);
 }
 
-// The values along a line as a small chart: pairs of distance and value, null where there is no surface.
-function profileChart(profile) {
-  const [width, height, left, bottom] = [270, 96, 34, 14];
+// The values along a line as a small chart: pairs of distance and value, null where there is no surface; `ends` are its
+// lowest and highest value and its length as text.
+function profileChart({ profile, ends }) {
+  const [width, height, bottom, digit] = [270, 96, 14, 6];
   const chart = document.createElementNS(SVG, "svg");
   chart.setAttribute("viewBox", `0 0 ${width} ${height}`);
   const known = profile.filter(([, value]) => value !== null).map(([, value]) => value);
   if (!known.length) return chart;
   const [low, high, end] = [Math.min(...known), Math.max(...known), profile[profile.length - 1][0]];
   chart.setAttribute("role", "img");
-  chart.setAttribute("aria-label", `Profile: ${[low, high].map((value) => withMinus(value.toFixed(1))).join(" to ")}`);
+  chart.setAttribute("aria-label", `Profile: ${ends[0]} to ${ends[1]}`);
+  const left = 8 + digit * Math.max(ends[0].length, ends[1].length);
   const span = Math.max(high - low, 1e-6);
   const x = (distance) => left + ((width - left - 4) * distance) / end;
   const y = (value) => 8 + ((height - bottom - 14) * (high - value)) / span;
@@ -89,12 +91,12 @@ function profileChart(profile) {
       pen = "L";
     }
   }
-  for (const value of [low, high]) {
+  for (const [value, text] of [[low, ends[0]], [high, ends[1]]]) {
     shape("line", { x1: left, x2: width, y1: y(value), y2: y(value) }, chart);
-    shape("text", { x: left - 4, y: y(value) + 4, "text-anchor": "end" }, chart, withMinus(value.toFixed(1)));
+    shape("text", { x: left - 4, y: y(value) + 4, "text-anchor": "end" }, chart, text);
   }
   shape("path", { d }, chart);
   shape("text", { x: left, y: height - 1 }, chart, "0");
-  shape("text", { x: width, y: height - 1, "text-anchor": "end" }, chart, end.toPrecision(3));
+  shape("text", { x: width, y: height - 1, "text-anchor": "end" }, chart, ends[2]);
   return chart;
 }

@@ -153,7 +153,7 @@ class MarkRow {
     this.texts.value.textContent = mark.value;
     this.problem.textContent = mark.problem;
     this.lines.textContent = mark.lines.join("\n");
-    this.chart.replaceChildren(...(mark.profile.length ? [profileChart(mark.profile)] : []));
+    this.chart.replaceChildren(...(mark.profile.length ? [profileChart(mark)] : []));
     for (const field of this.fields) field.update(mark);
   }
 
