@@ -17,6 +17,7 @@ from torch import Tensor
 from mrgs.field import RadianceField
 from mrgs.rasterizer import Layer, Raster, contract, median_depth, rasterize
 from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.pose_gradient import with_pose_gradient
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
 
 ALL_ROWS_FROM = 0.9
@@ -264,12 +265,13 @@ def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, Sc
         requires_grad=torch.is_grad_enabled(),
     )
     K, viewmat, _ = camera.tensors(means.device)
+    means, quats = with_pose_gradient(means, gaussians.quats, viewmat)
     raster = rasterize(
         means,
-        gaussians.quats,
+        quats,
         gaussians.scales,
         layers,
-        viewmat,
+        viewmat.detach(),
         K,
         camera.width,
         camera.height,

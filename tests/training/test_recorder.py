@@ -255,9 +255,15 @@ def train(small_scene, gpu_device, monkeypatch):
         if gpu_device == "cpu":  # where they stand for a GPU's tensors
             monkeypatch.setattr(place, name, lambda *_: None)
 
-    def taken(recorder: Recorder | None, method: str = "3dgs-rgbt", masked: bool = False):
+    def taken(
+        recorder: Recorder | None,
+        method: str = "3dgs-rgbt",
+        masked: bool = False,
+        poses: bool = False,
+    ):
         device = torch.device(gpu_device)
         config = short_config(method)
+        config = replace(config, image_model=replace(config.image_model, poses=poses))
         config = replace(config, densification=replace(config.densification, max_gaussians=10))
         scene = load_scene(small_scene, resolution=8)
         state = initial_state(scene, config, device)
@@ -276,11 +282,12 @@ def train(small_scene, gpu_device, monkeypatch):
     return taken
 
 
-def test_replayed_steps_are_those_that_are_not(train, kept, gpu_device):
+@pytest.mark.parametrize("poses", [False, True])
+def test_replayed_steps_are_those_that_are_not(poses, train, kept, gpu_device):
     if gpu_device != "cpu":
         pytest.skip("where there is a GPU, it records")
-    losses, state = train(None)
-    replayed_losses, replayed = train(Recorder(CPU))
+    losses, state = train(None, poses=poses)
+    replayed_losses, replayed = train(Recorder(CPU), poses=poses)
     assert kept.made == 1
     assert replayed_losses == losses
     tensors = tensors_of(state)

@@ -226,7 +226,7 @@ def _local(config: TrainConfig, scene: Scene, views: Sequence[int], number: int)
             means=ratio * optimizer.means,
             means_final=ratio * optimizer.means_final,
         ),
-        image_model=replace(config.image_model, thermal_gain_rate=0.0),
+        image_model=replace(config.image_model, thermal_gain_rate=0.0, poses_rate=0.0),
         densification=replace(
             density,
             clone_below=ratio * density.clone_below,

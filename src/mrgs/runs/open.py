@@ -17,6 +17,7 @@ from mrgs.errors import ConfigError, DeviceError, RunError
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.render import Model, bake_temperature_residuals, render
+from mrgs.runs.refined_poses import with_refined_poses
 from mrgs.runs.registry import Method, find_method
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
@@ -99,6 +100,18 @@ class Run(TrainedRun):
         pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
     ) -> Rendering:
         return self.image_model.expected(rendering, camera, pixel_sizes)
+
+    def load_scene(self) -> Scene:
+        """The scene that the run was trained on, at the run's resolution, its training views with
+        the poses that the run has refined, if it has.
+
+        Raises:
+            SceneError: the scene is no longer where it was, or cannot be used.
+            RunError: the scene has other cameras or another temperature range than the run was
+                trained with.
+        """
+        scene, poses = super().load_scene(), self.image_model.poses
+        return scene if poses is None else with_refined_poses(scene, poses)
 
     @property
     def gaussian_count(self) -> int:

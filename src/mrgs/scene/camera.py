@@ -250,6 +250,10 @@ class Camera:
         """The same camera on a pixel grid of this width, its height in proportion."""
         return self.resized(width, max(1, round(self.height * width / self.width)))
 
+    def moved(self, motion: Float64[Tensor, "4 4"]) -> MovedCamera:
+        """The camera as it sees a world that a rigid motion has moved, to learn that motion."""
+        return MovedCamera(self, motion)
+
     def coincides_with(self, other: Camera) -> bool:
         """Whether both cameras see the same rays on the same pixel grid, so that one pass can serve
         both."""
@@ -258,3 +262,36 @@ class Camera:
             and torch.equal(self.K, other.K)
             and torch.equal(self.viewmat, other.viewmat)
         )
+
+
+class MovedCamera(Camera):
+    """A camera that sees a world which a rigid motion has moved: what learns poses renders with it.
+
+    Its ``tensors`` are moved and carry the gradient of the motion, which may lie on a GPU. The
+    position carries none, and all else (``viewmat``, ``project``, ...) is as before the motion.
+
+    Args:
+        camera: before the motion.
+        motion: of the world, [4, 4]: a point X is seen where the camera saw motion · X.
+    """
+
+    _before: Camera
+    _motion: Float64[Tensor, "4 4"]
+    _moved: CameraTensors
+
+    def __init__(self, camera: Camera, motion: Float64[Tensor, "4 4"]) -> None:
+        K, viewmat, _ = camera.tensors(motion.device)
+        viewmat = viewmat @ motion
+        rotation, translation = viewmat.detach()[:3, :3], viewmat.detach()[:3, 3]
+        moved = CameraTensors(K, viewmat, -rotation.T @ translation)
+        own = {"_before": camera, "_motion": motion, "_moved": moved}
+        for name, value in {**vars(camera), **own}.items():
+            object.__setattr__(self, name, value)
+
+    def tensors(self, device: torch.device, dtype: torch.dtype = torch.float64) -> CameraTensors:
+        """The moved camera on a device."""
+        return CameraTensors(*(tensor.to(device, dtype) for tensor in self._moved))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera on another pixel grid, moved alike."""
+        return MovedCamera(self._before.resized(width, height), self._motion)

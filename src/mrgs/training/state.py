@@ -194,7 +194,10 @@ def initial_state(
     model = Model(
         gaussians, field, neighbours=None, sh_degree=0, dilation=config.dilation_of(capture)
     ).to(device)
-    return TrainingState.around(model, all_terms, strategy, config, capture, generator)
+    state = TrainingState.around(model, all_terms, strategy, config, capture, generator)
+    if state.image_model.poses is not None:
+        state.image_model.poses.set_frame(scene.train_cameras, scene.points.positions)
+    return state
 
 
 def learned_layers(terms: Sequence[Term]) -> dict[str, nn.Module]:

@@ -95,13 +95,14 @@ def forward_backward(state: TrainingState, inputs: ViewInputs, scale: SceneScale
     """Render a view, compare it with its photos, and add the gradients of its loss to those of the
     parameters."""
     degrees = {THERMAL: inputs.temperature_degree}
-    rendering, passes = render(state.model, inputs.cameras, degrees)
+    cameras = state.image_model.refined(inputs.cameras, inputs.number)
+    rendering, passes = render(state.model, cameras, degrees)
     observed = state.image_model(rendering, inputs.number, inputs.pixel_sizes)
     context = LossContext(
         rendering,
         observed,
         inputs.photos,
-        inputs.cameras,
+        cameras,
         state.model.gaussians,
         state.model.dilation,
         scale,

@@ -20,6 +20,7 @@ from mrgs.method.adam import ParameterGroup
 from mrgs.method.camera_model.photo_drift import PhotoDrift, residual_of
 from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
 from mrgs.method.camera_model.point_spread import blur
+from mrgs.method.camera_model.pose_refinement import PoseRefinement
 from mrgs.scene import NOT_COARSER, THERMAL, Camera, Modality, Pixels, Rendering, Scene
 from mrgs.system.limits import MOST_RATE, require_within
 
@@ -41,18 +42,22 @@ class ImageModelConfig:
         thermal_gain: a learned gain and offset per thermal photo, in scenes without °C, whose
             cameras may have automatic gain.
         thermal_drift: an offset per thermal photo, in scenes with °C, see ``PhotoDrift``.
+        poses: refine the poses of the training views, see ``PoseRefinement``.
         point_spread_rate: learning rate of the logarithm of the blur's width.
         thermal_gain_rate: learning rate of gains and offsets.
+        poses_rate: learning rate of the poses, in focal lengths.
     """
 
     point_spread: bool = False
     thermal_gain: bool = False
     thermal_drift: bool = False
+    poses: bool = False
     point_spread_rate: float = 5e-3
     thermal_gain_rate: float = 1e-3
+    poses_rate: float = 3e-4
 
     def __post_init__(self) -> None:
-        names = ("point_spread_rate", "thermal_gain_rate")
+        names = ("point_spread_rate", "thermal_gain_rate", "poses_rate")
         require_within(self, names, 0, MOST_RATE, "the learning rate {}")
 
     def faster(self, factor: float) -> ImageModelConfig:
@@ -61,6 +66,7 @@ class ImageModelConfig:
             self,
             point_spread_rate=factor * self.point_spread_rate,
             thermal_gain_rate=factor * self.thermal_gain_rate,
+            poses_rate=factor * self.poses_rate,
         )
 
 
@@ -175,7 +181,19 @@ class ImageModel(nn.Module):
         self.thermal_gain = PhotoGain(capture.thermal_viewpoints) if has_gain else None
         has_drift = config.thermal_drift and capture.may_drift
         self.thermal_drift = PhotoDrift(capture.thermal_viewpoints) if has_drift else None
+        self.poses = PoseRefinement(capture.views) if config.poses else None
         self._extent = capture.extent
+
+    def refined(
+        self, cameras: Mapping[Modality, Camera], view: Int64[Tensor, "1"]
+    ) -> Mapping[Modality, Camera]:
+        """The cameras of a training view where they are taken to have been.
+
+        Args:
+            cameras: of the view.
+            view: its place among the training views, on the model's device.
+        """
+        return cameras if self.poses is None else self.poses.refined(cameras, view)
 
     def forward(
         self,
@@ -269,6 +287,7 @@ class ImageModel(nn.Module):
         parts = [
             (self.point_spread, self._config.point_spread_rate),
             (self.thermal_gain, self._config.thermal_gain_rate),
+            (self.poses, self._config.poses_rate),
         ]
         return [
             ParameterGroup(list(part.parameters()), rate)

@@ -179,7 +179,7 @@ class Distortion(Term):
             gaussians.quats,
             gaussians.scales,
             gaussians.opacity(modality),
-            viewmat,
+            viewmat.detach(),
             K,
             width,
             height,

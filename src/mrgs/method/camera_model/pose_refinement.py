@@ -1,0 +1,137 @@
+"""Poses of the training views, refined together with the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from jaxtyping import Float, Float64, Int64
+from torch import Tensor, nn
+
+from mrgs.rasterizer.reference import rotation_matrices
+from mrgs.scene import Camera, Modality
+from mrgs.scene.rotations import cross_matrix
+
+FEWEST_POINTS = 16
+"""Where fewer lie in a photo, points before the camera tell what a motion does to the image."""
+
+MOST_POINTS = 1000
+
+LEAST_EFFECT = 0.03
+"""Motions that shift what a view shows by less than this share of what the most effective one does
+count as if they did so much: the photo hardly tells how long they are."""
+
+NO_FREEDOM = 1e-6
+"""Singular values below this share of the largest are none: with one camera, or cameras in a row,
+some motions of the scene as a whole are no motions of these."""
+
+
+class PoseRefinement(nn.Module):
+    """A small rigid motion of each training view, learned; all cameras of a view move alike.
+
+    Motions are measured by what they do to the image, so that turning and moving are learned alike:
+    1 is a root mean square shift by the focal length. What would move, turn or scale the scene as a
+    whole is taken out, so that poses that are not refined, those of held-out views for instance,
+    stay right as far as the given poses are right on average.
+
+    Args:
+        views: number of training views.
+    """
+
+    centres: Float64[Tensor, "v 3"]
+    axes: Float64[Tensor, "v 6 6"]
+    whole: Float64[Tensor, "v6 7"]
+
+    def __init__(self, views: int) -> None:
+        super().__init__()
+        self.register_buffer("centres", torch.zeros(views, 3, dtype=torch.float64))
+        self.register_buffer("axes", torch.eye(6, dtype=torch.float64).repeat(views, 1, 1))
+        self.register_buffer("whole", torch.zeros(6 * views, 7, dtype=torch.float64))
+        self.motions = nn.Parameter(torch.zeros(views, 6))
+
+    def set_frame(self, cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> None:
+        """Find what motions do to the images; before the training.
+
+        Args:
+            cameras: the first one of each training view.
+            points: of the scene, in scene units.
+        """
+        positions = points.double()
+        centres = torch.stack([camera.position for camera in cameras])
+        effects = torch.stack([_effect(camera, _seen(camera, positions)) for camera in cameras])
+        squares, directions = torch.linalg.eigh(effects)
+        least = LEAST_EFFECT**2 * squares[:, -1:]
+        axes = directions / squares.clamp_min(least).sqrt()[:, None, :]
+        whole = torch.linalg.solve(axes, _motions_of_the_whole(centres)).flatten(0, 1)
+        basis, sizes, _ = torch.linalg.svd(whole, full_matrices=False)
+        self.centres.copy_(centres)
+        self.axes.copy_(axes)
+        self.whole[:, : len(sizes)] = basis * (sizes > NO_FREEDOM * sizes[0])
+
+    def refined(
+        self, cameras: Mapping[Modality, Camera], view: Int64[Tensor, "1"]
+    ) -> dict[Modality, Camera]:
+        """The cameras of a training view at its refined pose, which carries the gradient.
+
+        Args:
+            cameras: of the view.
+            view: its place among the training views, on the device of the motions.
+        """
+        motion = self.motion(view)
+        return {modality: camera.moved(motion) for modality, camera in cameras.items()}
+
+    def motion(self, view: Int64[Tensor, "1"]) -> Float64[Tensor, "4 4"]:
+        """The motion of the world that the cameras of a training view see, in scene units."""
+        own = self.axes.index_select(0, view)[0] @ self._free().index_select(0, view)[0]
+        turn, shift = own.split(3)
+        # About the vector, for small ones; a quaternion has no branch at 0, and never fails.
+        rotation = rotation_matrices(torch.cat([turn.new_ones(1), turn / 2])[None])[0]
+        centre = self.centres.index_select(0, view)[0]
+        moved = torch.cat([rotation, (centre + shift - rotation @ centre)[:, None]], dim=1)
+        return torch.cat([moved, torch.eye(4, dtype=moved.dtype, device=moved.device)[3:]])
+
+    def shifts(self) -> Float64[Tensor, " v"]:
+        """How far the motion of each training view shifts what its first camera sees, as a root
+        mean square in focal lengths."""
+        return self._free().detach().norm(dim=1)
+
+    def _free(self) -> Float64[Tensor, "v 6"]:
+        """The motions without what they do to the scene as a whole."""
+        flat = self.motions.double().flatten()
+        return (flat - self.whole @ (self.whole.T @ flat)).view(-1, 6)
+
+
+def _seen(camera: Camera, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, "k 3"]:
+    """Points that lie in a camera's image; where these are few, points before the camera."""
+    pixels, _ = camera.project(points)
+    seen = points[camera.contains(pixels)]
+    if len(seen) >= FEWEST_POINTS:
+        return seen[:: -(-len(seen) // MOST_POINTS)]
+    distance = (points - camera.position).norm(dim=1).median()
+    grid = camera.resized(4, 4)
+    return grid.unproject_image(distance.expand(4, 4)).flatten(0, 1)
+
+
+def _effect(camera: Camera, points: Float64[Tensor, "k 3"]) -> Float64[Tensor, "6 6"]:
+    """M, where mᵀ M m is the mean square of the shifts of points in the image, in focal lengths, by
+    a small motion m of the world about the camera's centre: a rotation vector and a translation."""
+    rotation = camera.viewmat[:3, :3]
+    turned = -rotation @ cross_matrix(points - camera.position)
+    moved = torch.cat([turned, rotation.expand(len(points), 3, 3)], dim=2)
+    x, y, z = (points @ rotation.T + camera.viewmat[:3, 3]).unbind(-1)
+    zero = torch.zeros_like(z)
+    project = torch.stack([1 / z, zero, -x / z**2, zero, 1 / z, -y / z**2], dim=-1)
+    shifts = (project.unflatten(-1, (2, 3)) @ moved).flatten(0, 1)
+    return shifts.T @ shifts / len(points)
+
+
+def _motions_of_the_whole(centres: Float64[Tensor, "v 3"]) -> Float64[Tensor, "v 6 7"]:
+    """Motions of all views together that change no image, in columns: those of a scene that is
+    moved, turned or scaled as a whole."""
+    places = centres - centres.mean(dim=0)
+    count = len(places)
+    each = torch.eye(3, dtype=torch.float64).expand(count, 3, 3)
+    moved = torch.cat([torch.zeros_like(each), each], dim=1)
+    turned = torch.cat([each, -cross_matrix(places)], dim=1)
+    scaled = torch.cat([torch.zeros_like(places), places], dim=1)[:, :, None]
+    return torch.cat([moved, turned, scaled], dim=2)
