@@ -117,6 +117,73 @@ def test_a_modality_that_the_scene_has_not_is_left_out(tmp_path, baked, scene):
     }
 
 
+def photographed_in(modality, scene):
+    """The scene with the photos of one modality only."""
+    parts = {
+        part: tuple(View(view.name, {modality: view.images[modality]}) for view in views)
+        for part, views in (("train", scene.train), ("eval", scene.eval))
+    }
+    temperature = scene.temperature if modality == THERMAL else None
+    return replace(scene, temperature=temperature, **parts)
+
+
+def column_names(path):
+    """The properties of a file, by its format."""
+    if path.suffix == ".las":
+        return set(laspy.read(path).point_format.dimension_names)
+    if path.suffix == ".glb":
+        text = path.read_bytes().partition(b"BIN\0")[0][20:-4]
+        return set(json.loads(text)["meshes"][0]["primitives"][0]["attributes"])
+    return set(read_ply(path)[1]["vertex"].dtype.names)
+
+
+def test_without_thermal_photos_no_file_has_temperatures(tmp_path, solid, scene):
+    solid = replace(solid, temperature=None)
+    export(solid, photographed_in(RGB, scene), "all", tmp_path)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"rgb.ply", "rgb.spz", "rgb.glb", "points.ply", "points.las", "mesh.ply"} <= names
+    assert not {name for name in names if "thermal" in name}
+    for name in ("rgb.ply", "rgb.glb", "points.ply", "points.las", "mesh.ply"):
+        found = column_names(tmp_path / name)
+        assert not {each for each in found if "temperature" in each.lower()}, name
+        assert "temperature" not in json.loads((tmp_path / f"{name}.json").read_text()), name
+    assert "red" in column_names(tmp_path / "mesh.ply")
+
+
+def test_without_rgb_photos_no_file_has_colours_of_its_own(tmp_path, solid, scene):
+    opaque = {each: torch.full_like(alpha, 0.95) for each, alpha in solid.opacities.items()}
+    solid = replace(solid, opacities=opaque)
+    export(solid, photographed_in(THERMAL, scene), "all", tmp_path)
+    for name in ("points.ply", "points.las", "mesh.ply"):
+        found = column_names(tmp_path / name)
+        assert "temperature_c" in found
+        assert "red" not in found
+    both, heat = (read_ply(tmp_path / f"{each}.ply")[1] for each in ("rgb_thermal", "thermal"))
+    assert "temperature_c" in both["vertex"].dtype.names
+    np.testing.assert_array_equal(both["vertex"]["f_dc_0"], heat["vertex"]["f_dc_0"])
+
+
+def test_splats_that_only_the_other_modality_shows_are_no_points(tmp_path, solid, scene):
+    faint = torch.full_like(solid.opacities[RGB], 0.01)
+    solid = replace(solid, opacities={RGB: faint, THERMAL: solid.opacities[RGB]})
+    with pytest.raises(RunError, match=r"no splat has an opacity of 0\.3 or more"):
+        export(solid, photographed_in(RGB, scene), "points", tmp_path)
+
+
+def test_a_run_s_loss_is_of_the_modalities_that_have_photos(tmp_path, run, scene):
+    half = replace(photographed_in(RGB, scene), eval=scene.eval)
+    export(run, half, "ply", tmp_path)
+    facts = json.loads((tmp_path / "rgb.ply.json").read_text(encoding="utf-8"))
+    assert list(facts["baking_loss_db"]) == ["rgb"]
+
+
+def test_a_scene_of_other_modalities_alone_is_refused(tmp_path, baked, scene):
+    _, more = with_infrared(baked, scene)
+    views = tuple(View(v.name, {NEAR_INFRARED: v.images[NEAR_INFRARED]}) for v in more.train)
+    with pytest.raises(RunError, match="nothing that scene balls has photos of"):
+        export(baked, replace(more, train=views), "ply", tmp_path)
+
+
 def with_infrared(baked, scene):
     """The model and the scene with a third modality that looks as warm as the thermal one."""
     temperatures = baked.temperatures.clamp_min(0)

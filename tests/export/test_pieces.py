@@ -29,11 +29,12 @@ def files(folder: Path) -> dict[str, bytes]:
     baked = make_baked()
     faces = np.arange(60, dtype=np.int32).reshape(20, 3)
     columns = {"x": np.linspace(0, 1, 50, dtype=np.float32), "red": np.arange(50, dtype=np.uint8)}
+    rgb = shaded_splats(baked, RGB)
     paths = (
-        write_splat_ply(folder / "rgb.ply", shaded_splats(baked, RGB)),
-        write_combined_ply(folder / "both.ply", baked),
+        write_splat_ply(folder / "rgb.ply", rgb),
+        write_combined_ply(folder / "both.ply", rgb, baked),
         write_ply(folder / "mesh.ply", {"vertex": columns, "face": faces}),
-        write_spz(folder / "rgb.spz", shaded_splats(baked, RGB)),
+        write_spz(folder / "rgb.spz", rgb),
     )
     return {path.name: path.read_bytes() for path in paths}
 

@@ -57,7 +57,9 @@ def test_the_thermal_file_has_degree_zero_alone(tmp_path):
 
 def test_one_file_holds_both_opacities_and_the_temperature(tmp_path):
     baked = make_baked()
-    rows = read_ply(write_combined_ply(tmp_path / "both.ply", baked))[1]["vertex"]
+    rows = read_ply(write_combined_ply(tmp_path / "both.ply", shaded_splats(baked, RGB), baked))[1][
+        "vertex"
+    ]
     np.testing.assert_allclose(rows["temperature_c"], baked.temperatures_c, rtol=1e-6)
     np.testing.assert_allclose(
         rows["opacity_thermal"], torch.logit(baked.opacities[THERMAL]), atol=1e-5
@@ -67,7 +69,9 @@ def test_one_file_holds_both_opacities_and_the_temperature(tmp_path):
 
 def test_without_celsius_the_normalised_value_stands_there(tmp_path):
     baked = make_baked(temperature=None)
-    rows = read_ply(write_combined_ply(tmp_path / "both.ply", baked))[1]["vertex"]
+    rows = read_ply(write_combined_ply(tmp_path / "both.ply", shaded_splats(baked, RGB), baked))[1][
+        "vertex"
+    ]
     assert "temperature_c" not in rows.dtype.names
     np.testing.assert_array_equal(rows["temperature_normalised"], baked.temperatures)
 

@@ -32,7 +32,8 @@ class ExportJob:
     """What one export writes, and where.
 
     Attributes:
-        baked: the exported model, as the photos have it.
+        baked: the exported model, as the photos have it, with the modalities of which there are
+            some.
         scene: that the model was trained on.
         folder: of the files.
         scale: colours of the temperatures.
@@ -67,8 +68,8 @@ class ExportJob:
 
     @property
     def modalities(self) -> tuple[Modality, ...]:
-        """The modalities to write: those of the model that the scene has photos of, RGB first."""
-        return tuple(each for each in self.scene.modalities if each in self.baked.modalities)
+        """The modalities to write, RGB first."""
+        return self.baked.modalities
 
     @cached_property
     def points(self) -> SurfacePoints:
@@ -102,6 +103,8 @@ class ExportJob:
     @property
     def surface_facts(self) -> dict[str, Any]:
         """``facts`` for files whose temperatures are a surface's, not those of single splats."""
+        if "temperature" not in self.facts:
+            return self.facts
         of_surface = {"of": "the surface, as the cameras see it"}
         if self.regions is not None:
             own = "marked surfaces that have one are corrected, as their marks are"

@@ -16,8 +16,8 @@ from mrgs.export.surface_points import SurfacePoints
 from mrgs.scene import Scene
 from mrgs.system.atomic import replacing
 
-POINT_FORMAT = 7
-"""The format of LAS 1.4 that holds RGB."""
+POINT_FORMAT, WITH_COLORS = 6, 7
+"""Formats of LAS 1.4 without and with RGB."""
 
 UNITS = {
     "temperature_c": "degrees Celsius",
@@ -52,8 +52,8 @@ def require(scene: Scene, crs: str | None = None) -> None:
 
 
 def write_las(path: Path, points: SurfacePoints, system: CoordinateSystem | None = None) -> Path:
-    """Write coordinates, 16-bit RGB, and as float32 the dimensions ``temperature_c`` (or
-    _normalised), other modalities by name, and ``opacity``.
+    """Write coordinates, 16-bit RGB if there is any, and as float32 the dimensions
+    ``temperature_c`` (or _normalised), other modalities by name, and ``opacity``.
 
     Args:
         path: of the file.
@@ -66,10 +66,10 @@ def write_las(path: Path, points: SurfacePoints, system: CoordinateSystem | None
         RunError: the file cannot be written.
     """
     laspy = require_laspy()
-    header = laspy.LasHeader(point_format=POINT_FORMAT, version="1.4")
-    header.generating_software = "mrgs"
     columns = {**points.columns, "opacity": points.opacities}
-    colors = {name: columns.pop(name) for name in COLORS}
+    colors = {name: columns.pop(name) for name in COLORS if name in columns}
+    header = laspy.LasHeader(point_format=WITH_COLORS if colors else POINT_FORMAT, version="1.4")
+    header.generating_software = "mrgs"
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name, np.float32, UNITS.get(name, "no unit")) for name in columns]
     )

@@ -29,11 +29,15 @@ def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
     """
     losses: dict[Modality, list[float]] = {modality: [] for modality in baked.modalities}
     for view in scene.eval:
+        cameras = {each: camera for each, camera in view.cameras.items() if each in losses}
+        if not cameras:
+            continue
         trained, plain = (
-            run.camera_response(model.render(view.cameras), view.camera) for model in (run, baked)
+            run.camera_response(model.render(cameras), view.camera) for model in (run, baked)
         )
-        for modality, image in view.images.items():
-            losses[modality].append(_loss(image, trained[modality].image, plain[modality].image))
+        for modality in cameras:
+            images = trained[modality].image, plain[modality].image
+            losses[modality].append(_loss(view.images[modality], *images))
     return {modality: _mean(each) for modality, each in losses.items()}
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 from mrgs.data.ply import write_ply
 from mrgs.export.job import ExportJob, described
 from mrgs.export.sidecar import comment_lines
-from mrgs.export.splats import SplatArrays, base_values, shaded_splats, to_float32, value_names
+from mrgs.export.splats import SplatArrays, base_values, to_float32, value_names
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB
 
@@ -23,14 +23,18 @@ OPACITY_MARGIN = 1e-7
 
 
 def export(job: ExportJob) -> list[Path]:
-    """Write a file for each modality, and ``rgb_thermal.ply``, with their sidecars."""
+    """Write a file for each modality, and unless RGB is all there is ``rgb_thermal.ply``, with
+    their sidecars."""
     paths = []
     for modality, splats, facts in job.splats():
         path = job.folder / f"{modality}.ply"
         paths += described(write_splat_ply(path, splats, comment_lines(facts)), facts)
+    if job.modalities == (RGB,):
+        return paths
+    _, shown, facts = next(job.splats())
     path = job.folder / "rgb_thermal.ply"
-    combined = write_combined_ply(path, job.splat_model, comment_lines(job.splat_facts))
-    return [*paths, *described(combined, job.splat_facts)]
+    combined = write_combined_ply(path, shown, job.splat_model, comment_lines(facts))
+    return [*paths, *described(combined, facts)]
 
 
 def write_splat_ply(path: Path, splats: SplatArrays, comments: Sequence[str] = ()) -> Path:
@@ -42,17 +46,24 @@ def write_splat_ply(path: Path, splats: SplatArrays, comments: Sequence[str] = (
     return write_ply(path, {"vertex": splat_columns(splats)}, comments)
 
 
-def write_combined_ply(path: Path, baked: BakedModel, comments: Sequence[str] = ()) -> Path:
-    """Write the layout of 3DGS for RGB, and behind it of each other modality ``opacity_NAME`` (a
-    logit) and its values, see ``value_names``.
+def write_combined_ply(
+    path: Path, shown: SplatArrays, baked: BakedModel, comments: Sequence[str] = ()
+) -> Path:
+    """Write the layout of 3DGS, and behind it of each modality but RGB ``opacity_NAME`` (a logit)
+    and its values, see ``value_names``.
 
     Temperatures are ``temperature_c``, or ``temperature_normalised`` where the scene has no °C.
-    Viewers that do not know these properties show the colours.
+
+    Args:
+        path: of the file.
+        shown: what viewers show that do not know these properties: RGB if the model has it.
+        baked: the model.
+        comments: for the header.
 
     Raises:
         RunError: the file cannot be written.
     """
-    columns = splat_columns(shaded_splats(baked, RGB))
+    columns = splat_columns(shown)
     for modality in baked.modalities:
         if modality != RGB:
             columns[f"opacity_{modality}"] = logit(to_float32(baked.opacities[modality]))

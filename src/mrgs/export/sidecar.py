@@ -46,15 +46,6 @@ def facts_of(
         loss: in dB; None if the trained model was not available.
         crs: that the user wants, see ``coordinate_system``.
     """
-    known = baked.temperature
-    temperature: dict[str, Any] = {
-        "property": temperature_name(baked),
-        "of": "each splat, before blending: a surface shows the blend of many",
-    }
-    if known is None:
-        temperature |= {"unit": "normalised: no °C is known for this scene", "min": 0.0, "max": 1.0}
-    else:
-        temperature |= {"unit": "°C", "min": known.min_c, "max": known.max_c}
     return {
         "program": f"mrgs {version('mrgs')}",
         "scene": scene.name,
@@ -67,7 +58,7 @@ def facts_of(
         "up": None if up is None else [round(float(x), 6) for x in up],
         "up_from": "the cameras, taken to be level" if up is not None else "not known",
         "camera_axes": "OpenCV: x right, y down, z forward",
-        "temperature": temperature,
+        **_temperature_facts(baked),
         **_other_facts(baked),
         "opacities": f"for a viewer that adds {_in_words(baked.dilation)} to the projected "
         f"covariance and nothing else; 3DGS and most viewers add {DILATION_PX2:g} px²",
@@ -145,6 +136,22 @@ def write_sidecar(path: Path, facts: Mapping[str, Any]) -> Path:
     """
     content = json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False)
     return write_text(path.with_name(f"{path.name}.json"), content)
+
+
+def _temperature_facts(baked: BakedModel) -> dict[str, Any]:
+    """Property, unit and range of the temperatures; empty for a model without them."""
+    if THERMAL not in baked.modalities:
+        return {}
+    facts: dict[str, Any] = {
+        "property": temperature_name(baked),
+        "of": "each splat, before blending: a surface shows the blend of many",
+    }
+    known = baked.temperature
+    if known is None:
+        facts |= {"unit": "normalised: no °C is known for this scene", "min": 0.0, "max": 1.0}
+    else:
+        facts |= {"unit": "°C", "min": known.min_c, "max": known.max_c}
+    return {"temperature": facts}
 
 
 def _other_facts(baked: BakedModel) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from mrgs.errors import ConfigError, MrgsError, MrgsWarning, WriteError
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, WriteError
 from mrgs.export.crs import coordinate_system
 from mrgs.export.formats import FORMATS, Format
 from mrgs.export.job import ExportJob
@@ -156,6 +156,18 @@ def _note_left_out(format: Format, error: MrgsError) -> None:
     warnings.warn(f"{format.name} is left out: {error}", MrgsWarning, stacklevel=4)
 
 
+def _of_photos(baked: BakedModel, scene: Scene) -> BakedModel:
+    """The model with the modalities that its photos taught it: others still are as they began."""
+    photographed = baked.only(scene.modalities)
+    if not photographed.modalities:
+        has = ", ".join(modality.title for modality in scene.modalities)
+        raise RunError(
+            f"the model renders nothing that scene {scene.name} has photos of ({has}): give the "
+            f"scene that it was trained on"
+        )
+    return photographed
+
+
 def _job(
     model: Run | BakedModel,
     scene: Scene,
@@ -170,6 +182,7 @@ def _job(
         if isinstance(model, BakedModel)
         else bake(model.model, scene.train_cameras, model.temperature)
     )
+    baked = _of_photos(baked, scene)
     require_exportable(baked)
     scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)

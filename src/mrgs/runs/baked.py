@@ -7,7 +7,7 @@ directions from which the photos were taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 
 import torch
@@ -96,6 +96,19 @@ class BakedModel:
     def subset(self, rows: Int64[Tensor, " k"]) -> BakedModel:
         """Some of the splats, in the order of ``rows``."""
         return self.map_tensors(lambda tensor: tensor[rows])
+
+    def only(self, modalities: Container[Modality]) -> BakedModel:
+        """The same splats with some of the modalities."""
+
+        def chosen(values: Mapping[Modality, Tensor]) -> Mapping[Modality, Tensor]:
+            return {modality: each for modality, each in values.items() if modality in modalities}
+
+        return replace(
+            self,
+            opacities=chosen(self.opacities),
+            sh_dc=chosen(self.sh_dc),
+            sh_rest=chosen(self.sh_rest),
+        )
 
     def map_tensors(self, function: Callable[[Tensor], Tensor]) -> BakedModel:
         """A copy of the model with a function applied to each of its tensors."""
