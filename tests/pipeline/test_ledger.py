@@ -8,6 +8,7 @@ import os
 import pytest
 
 from mrgs.pipeline.ledger import LEDGER, Ledger
+from mrgs.prepare import contents as contents_module
 
 
 @pytest.fixture
@@ -84,6 +85,27 @@ def test_contents_see_changes_and_leave_out_what_does_not_count(tmp_path):
     (folder / "a.txt").write_text("b.txt")
     os.utime(folder / "a.txt", ns=(status.st_atime_ns, status.st_mtime_ns))
     assert held() != before
+
+
+def test_reading_the_contents_may_be_cut_short(tmp_path, monkeypatch):
+    folder, read = tmp_path / "scene", []
+    folder.mkdir()
+    for name in "abc":
+        (folder / name).write_text(name)
+    original = contents_module.digest
+
+    def digest(path):
+        if path.name == "b" and not read.count("b"):
+            read.append("b")
+            raise KeyboardInterrupt
+        read.append(path.name)
+        return original(path)
+
+    monkeypatch.setattr(contents_module, "digest", digest)
+    with pytest.raises(KeyboardInterrupt):
+        Ledger(tmp_path).contents_of(folder)
+    assert len(Ledger(tmp_path).contents_of(folder)) == 3
+    assert read == ["a", "b", "b", "c"]
 
 
 def test_a_stage_that_was_begun_is_known(done):

@@ -55,7 +55,24 @@ def test_a_file_that_cannot_be_read_is_not_remembered(photo, tmp_path, monkeypat
     assert contents.digest(photo) == sha(b"abc")
 
 
-def test_only_files_that_were_asked_for_are_kept(photo, tmp_path):
+def test_a_pass_that_was_cut_short_forgets_nothing(photo, tmp_path, read):
+    other = tmp_path / "b.jpg"
+    other.write_bytes(b"b")
+    contents = Contents(tmp_path / "known.json")
+    for path in (photo, other):
+        contents.digest(path)
+    contents.save()
+    photo.write_bytes(b"changed")
+    contents = Contents(tmp_path / "known.json")
+    contents.digest(photo)
+    contents.save()
+    assert read == ["a.jpg", "b.jpg", "a.jpg"]
+    contents = Contents(tmp_path / "known.json")
+    assert [contents.digest(path) for path in (photo, other)] == [sha(b"changed"), sha(b"b")]
+    assert read == ["a.jpg", "b.jpg", "a.jpg"]
+
+
+def test_after_a_full_pass_other_files_are_forgotten(photo, tmp_path):
     (tmp_path / "b.jpg").write_bytes(b"b")
     contents = Contents(tmp_path / "known.json")
     for name in ("a.jpg", "b.jpg"):
@@ -63,8 +80,20 @@ def test_only_files_that_were_asked_for_are_kept(photo, tmp_path):
     contents.save()
     contents = Contents(tmp_path / "known.json")
     contents.digest(photo)
+    contents.forget_others()
     contents.save()
     assert list(json.loads((tmp_path / "known.json").read_text())) == [str(photo)]
+
+
+def test_where_the_ctime_shows_no_change_files_are_read_by_each_call(
+    photo, tmp_path, read, monkeypatch
+):
+    monkeypatch.setattr(contents_module, "_CTIME_SHOWS_CHANGES", False)
+    for _ in range(2):
+        contents = Contents(tmp_path / "known.json")
+        assert [contents.digest(photo) for _ in range(2)] == [sha(b"abc")] * 2
+        contents.save()
+    assert read == ["a.jpg", "a.jpg"]
 
 
 @pytest.mark.parametrize("known", ["", "[]", '{"a": 1}', '{"a": [1, 2, 3]}', "[" * 100_000])

@@ -407,6 +407,26 @@ def test_a_photo_exported_again_with_its_old_size_and_time_is_read_again(made, p
     np.testing.assert_array_equal(pixels(scene / "thermal/1.tiff"), before + np.float32(5))
 
 
+def test_a_call_that_was_cut_short_remembers_what_others_read(made, photos, scene, monkeypatch):
+    made(SET)
+    digested = []
+    original = contents_module.digest
+    monkeypatch.setattr(
+        contents_module, "digest", lambda path: digested.append(path.name) or original(path)
+    )
+    pairing, cache = find_pairs(photos({})), Cache(scene / "prepare")
+
+    def stop(step: str, done: int, total: int) -> None:
+        if done == 1:
+            raise KeyboardInterrupt
+
+    (photos({}) / "0_t.tif").touch()
+    with pytest.raises(KeyboardInterrupt):
+        convert_photos(pairing, scene, Overrides(), cache, stop)
+    convert_photos(pairing, scene, Overrides(), cache, quiet)
+    assert digested == ["0_t.tif"]
+
+
 def test_photos_are_read_again_only_where_their_files_changed(made, photos, scene, monkeypatch):
     """A photo that was touched is compared by its content, and not converted again."""
     made(SET)

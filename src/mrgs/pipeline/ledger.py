@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from mrgs.data.files import visible_files
+from mrgs.errors import RunError
 from mrgs.prepare.contents import Contents
 from mrgs.system.atomic import replacing
 
@@ -79,7 +81,7 @@ class Ledger:
 
     def contents_of(self, folder: Path, without: Sequence[str] = ()) -> list[tuple[str, str]]:
         """Names and SHA-256 of all visible files below a folder, sorted. Only those that changed
-        since the last call, also of another process, are read.
+        since the last call, also of another process, are read (on Windows: of this process).
 
         Args:
             folder: where.
@@ -88,10 +90,16 @@ class Ledger:
         Raises:
             RunError: what they hold cannot be remembered.
         """
-        found = [
-            (path.relative_to(folder).as_posix(), self._contents.digest(path))
-            for path in _counting_files(folder, without)
-        ]
+        try:
+            found = [
+                (path.relative_to(folder).as_posix(), self._contents.digest(path))
+                for path in _counting_files(folder, without)
+            ]
+        except BaseException:  # Ctrl-C: the next call reads the others only
+            with suppress(RunError):
+                self._contents.save()
+            raise
+        self._contents.forget_others()
         self._contents.save()
         return found
 

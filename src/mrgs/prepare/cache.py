@@ -232,7 +232,8 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
 def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
     """Path, size in bytes, mtime and ctime (ns) of every file below a folder, sorted.
 
-    Links to files are followed. Hidden files and folders are skipped.
+    Links to files are followed. Hidden files and folders are skipped. On Windows the ctime is the
+    time of creation: an overwrite that keeps size and mtime does not show.
 
     Raises:
         SceneError: the folder cannot be listed.

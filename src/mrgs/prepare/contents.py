@@ -1,9 +1,10 @@
 """Digests of files' contents, remembered from call to call: a file is read again only where its
-size or one of its times has changed."""
+size or one of its times has changed. On Windows nothing is remembered from call to call."""
 
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 from mrgs.prepare.cache import digest
@@ -11,7 +12,9 @@ from mrgs.system.atomic import write_text
 
 Stamp = tuple[int, int, int]
 """Size in bytes, mtime and ctime (ns). An export may give a file its old size and mtime; the
-ctime is the system's own."""
+ctime is the system's own. On Windows it is the time of creation, which an overwrite keeps."""
+
+_CTIME_SHOWS_CHANGES = os.name != "nt"
 
 
 def stamp_of(path: Path) -> Stamp:
@@ -28,13 +31,15 @@ class Contents:
     """Digests of files, remembered in a JSON file.
 
     Args:
-        file: the JSON file; where it is missing or damaged, nothing is remembered.
+        file: the JSON file; where it is missing or damaged, nothing is remembered. On Windows it
+            is not used.
     """
 
     def __init__(self, file: Path) -> None:
         self._file = file
-        self._known = _read(file)
-        self._asked: dict[str, tuple[Stamp, str]] = {}
+        self._saved = _read(file) if _CTIME_SHOWS_CHANGES else {}
+        self._known = dict(self._saved)
+        self._asked: set[str] = set()
 
     def digest(self, path: Path) -> str:
         """SHA-256 of a file's content; empty if it cannot be read, which is not remembered."""
@@ -43,22 +48,27 @@ class Contents:
             stamp = stamp_of(path)
         except OSError:
             return ""
-        known = self._asked.get(name) or self._known.get(name)
+        known = self._known.get(name)
         if known is None or known[0] != stamp:
             known = stamp, digest(path)
         if known[1]:
-            self._asked[name] = known
+            self._known[name] = known
+            self._asked.add(name)
         return known[1]
 
+    def forget_others(self) -> None:
+        """Forget all files that were not asked for; call it after a pass over all files."""
+        self._known = {name: self._known[name] for name in self._known if name in self._asked}
+
     def save(self) -> None:
-        """Remember the files that were asked for, and no others.
+        """Remember the files that were asked for, now or in earlier calls.
 
         Raises:
             RunError: the file cannot be written.
         """
-        if self._asked != self._known:
-            self._known = dict(self._asked)
-            lines = {name: [*stamp, found] for name, (stamp, found) in self._asked.items()}
+        if _CTIME_SHOWS_CHANGES and self._known != self._saved:
+            self._saved = dict(self._known)
+            lines = {name: [*stamp, found] for name, (stamp, found) in self._known.items()}
             write_text(self._file, json.dumps(lines))
 
 

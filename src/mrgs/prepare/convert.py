@@ -114,6 +114,7 @@ def convert_photos(
     settings = _Conversion(scene, overrides, None, orientations)
     try:
         views, skipped = _convert_all(pairing.pairs, settings, cache, contents, progress)
+        contents.forget_others()
     finally:
         with suppress(RunError):  # a full disk: the next call reads them again
             contents.save()
