@@ -1,30 +1,60 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
+import time
+
+import pytest
 
 from mrgs.system.turns import Turns
+
+DEADLINE_S = 60
+
+
+def wait_until_awaited(turns: Turns) -> None:
+    until = time.monotonic() + DEADLINE_S
+    while not turns.is_awaited:
+        assert time.monotonic() < until, "the other thread never asked"
+        time.sleep(0.001)
 
 
 def test_a_thread_that_waits_is_not_overtaken_by_the_one_that_gives_back():
     turns, order = Turns(), []
-    asks = threading.Event()
 
     def ask() -> None:
-        asks.set()
         with turns.taken():
             order.append("other")
 
-    thread = threading.Thread(target=ask)
+    thread = threading.Thread(target=ask, daemon=True)
     with turns.taken():
+        assert not turns.is_awaited
         thread.start()
-        asks.wait()
-        while not turns._door.locked():
-            pass
+        wait_until_awaited(turns)
     for _ in range(3):
         with turns.taken():
             order.append("own")
-    thread.join()
+    thread.join(DEADLINE_S)
     assert order == ["other", "own", "own", "own"]
+
+
+def test_no_two_threads_hold_it():
+    turns, inside, most = Turns(), [], []
+
+    def work() -> None:
+        for _ in range(200):
+            with turns.taken():
+                inside.append(1)
+                most.append(len(inside))
+                time.sleep(0)
+                inside.pop()
+
+    threads = [threading.Thread(target=work, daemon=True) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(DEADLINE_S)
+    assert (len(most), max(most)) == (800, 1)
 
 
 def test_the_thread_that_holds_it_may_take_it_again():
@@ -33,3 +63,59 @@ def test_the_thread_that_holds_it_may_take_it_again():
         pass
     with turns.taken():
         pass
+
+
+CTRL_C_WHILE_WAITING = """
+import os, signal, sys, threading, time
+from mrgs.system.turns import Turns
+
+turns, held, pressed = Turns(), threading.Event(), threading.Event()
+
+def hold():
+    with turns.taken():
+        held.set()
+        while not turns.is_awaited:
+            time.sleep(0.001)
+        press()
+        pressed.set()
+        time.sleep(0.05)
+
+def press():
+    if sys.argv[1] == "process":
+        os.kill(os.getpid(), signal.SIGINT)  # wakes the main thread
+    else:
+        signal.raise_signal(signal.SIGINT)  # this thread gets it: the main thread, its turn
+
+thread = threading.Thread(target=hold)
+thread.start()
+held.wait()
+kept = None
+try:
+    with turns.taken():
+        print("taken")
+except KeyboardInterrupt as error:
+    kept = error  # as a notebook keeps the last traceback
+assert kept is not None and pressed.wait(30)
+
+def take():
+    with turns.taken():
+        print("free")
+
+other = threading.Thread(target=take, daemon=True)
+other.start()
+other.join(30)
+with turns.taken():
+    print("again")
+"""
+
+
+@pytest.mark.parametrize("receiver", ["process", "thread"])
+def test_ctrl_c_while_a_thread_waits_leaves_it_free(receiver):
+    done = subprocess.run(
+        [sys.executable, "-c", CTRL_C_WHILE_WAITING, receiver],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+    assert (done.stdout.split(), done.stderr) == (["free", "again"], "")

@@ -8,25 +8,40 @@ from contextlib import contextmanager
 
 
 class Turns:
-    """A lock that a waiting thread gets when it is next given back, also from a thread that would
-    take it again at once; the thread that holds it may take it again."""
+    """A lock that threads get in the order in which they ask for it, also where the one that gives
+    it back asks again at once; the thread that holds it may take it again.
+
+    Ctrl-C while a thread waits, or as its turn comes, leaves the lock free for the others.
+    """
 
     def __init__(self) -> None:
-        self._door, self._lock = threading.Lock(), threading.Lock()
+        self._lock = threading.Lock()
+        self._last = threading.Lock()
+        """Held by the thread that asked last, until it is done or has given up."""
         self._holder: int | None = None
+        self._held = self._last
 
     @contextmanager
     def taken(self) -> Iterator[None]:
         """Within this block no other thread holds the lock."""
-        own = threading.get_ident()
-        if self._holder == own:
+        if self._holder == threading.get_ident():
             yield
             return
-        with self._door:  # whoever waits for the lock holds it, so that nobody overtakes
-            self._lock.acquire()
-        self._holder = own
-        try:
-            yield
-        finally:
-            self._holder = None
-            self._lock.release()
+        mine = threading.Lock()
+        with mine:  # Python handles no signal between taking a lock in a with and its block
+            before, self._last = self._last, mine
+            with before:
+                pass
+            with self._lock:  # the one before may have given up while another thread is at work
+                try:
+                    self._held = mine
+                    # A Ctrl-C that has come meanwhile is raised by this call, within the blocks.
+                    self._holder = threading.get_ident()
+                    yield
+                finally:
+                    self._holder = None
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether a thread waits for the one that holds the lock."""
+        return self._holder is not None and self._held is not self._last
