@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
+import warnings
 from pathlib import Path
 
-_PACKAGE = str(Path(__file__).parents[1])
+from mrgs.errors import MrgsWarning
+
+_PACKAGE = str(Path(__file__).parents[1]) + os.sep
 _BETWEEN = contextlib.__file__
 """Stands between a ``with`` and the block that it opens."""
+
+
+def warn(text: str) -> None:
+    """Warn of something that concerns the user's call of this package: the warning points at it.
+
+    Warns:
+        MrgsWarning: the text.
+    """
+    warnings.warn(text, MrgsWarning, stacklevel=users_level())
 
 
 def users_level() -> int:
