@@ -290,7 +290,7 @@ def test_a_run_that_died_in_a_step_goes_on_from_the_last_checkpoint(
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
-@pytest.mark.parametrize("kind", [bool, int, np.bool_, torch.tensor])
+@pytest.mark.parametrize("kind", [bool, np.bool_, torch.tensor])
 def test_whoever_watches_may_stop_the_run(kind, small_scene, tmp_path):
     folder = train(
         small_scene,
@@ -299,6 +299,13 @@ def test_whoever_watches_may_stop_the_run(kind, small_scene, tmp_path):
         on_step=lambda statistics: kind(statistics.step == 7),
     )
     assert load_facts(folder.newest_checkpoint()).step == 7
+
+
+@pytest.mark.parametrize("answer", [1, "written", [True], torch.tensor([True]), np.ones(3)])
+def test_only_true_stops_the_run(answer, small_scene, tmp_path):
+    config = short_config(max_steps=3)
+    folder = train(small_scene, tmp_path / "run", config, on_step=lambda statistics: answer)
+    assert load_facts(folder.newest_checkpoint()).step == 3
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
@@ -337,6 +344,27 @@ def test_a_second_ctrl_c_does_not_wait_and_no_half_of_a_step_is_kept(
     with pytest.raises(KeyboardInterrupt):
         train(small_scene, tmp_path / "run", short_config(checkpoint_every=5))
     assert load_facts(RunFolder(tmp_path / "run").newest_checkpoint()).step == 5
+
+
+def test_neither_half_of_a_step_nor_a_training_that_has_ended_is_saved(
+    small_scene, tmp_path, monkeypatch
+):
+    def fail():
+        raise ZeroDivisionError
+
+    folder = RunFolder(tmp_path / "run")
+    in_step(monkeypatch, 3, fail)
+    with trainer.open_training(small_scene, folder.path, short_config()) as opened:
+        steps = opened.steps()
+        next(steps)
+        next(steps)
+        with pytest.raises(ZeroDivisionError):
+            next(steps)
+        with pytest.raises(TrainingError, match="step 3 was interrupted half-way"):
+            opened.save()
+    with pytest.raises(RunError, match=r"the training has ended: open the run with load_run\("):
+        opened.save()
+    assert not folder.checkpoints()
 
 
 @pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
@@ -498,8 +526,8 @@ def test_a_scene_before_the_near_plane_is_doubted(small_scene, tmp_path):
     near = replace(scene, train=tuple(map(a_thousandth, scene.train)))
     near = replace(near, points=replace(scene.points, positions=scene.points.positions / 1000))
     message = (
-        "100% of what the cameras see lies nearer than 0.01 units, where nothing is rendered: "
-        "scale poses and points together, such as by 1,000"
+        "100% of what the cameras see lies nearer than 0.01 units, where nothing is rendered. "
+        "Scale the poses and the points together, such as by 1,000."
     )
     with pytest.warns(MrgsWarning, match=message):
         train(near, tmp_path / "run", short_config(max_steps=1))

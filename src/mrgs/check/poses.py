@@ -13,7 +13,6 @@ from torch import Tensor
 from mrgs.check.problems import Problem
 from mrgs.data.oddities import far_off
 from mrgs.prepare.page.previews import views_text
-from mrgs.rasterizer.contract import NEAR_PLANE
 from mrgs.rasterizer.near_plane import too_near
 from mrgs.scene import Camera, Modality, Scene, View
 from mrgs.scene.modality import in_order
@@ -133,12 +132,7 @@ def _scale(scene: Scene, cameras: Sequence[Camera]) -> list[Problem]:
     extent = scene.extent
     near = too_near(cameras, scene.points.positions)
     if near is not None:
-        text = (
-            f"{near.share:.0%} of what the cameras see lies nearer than {NEAR_PLANE:g} units, "
-            f"where nothing is rendered."
-        )
-        remedy = f"Scale the poses and the points together, such as by {near.factor:,}."
-        found.append(Problem("error", text, remedy))
+        found.append(Problem("error", near.text, near.remedy))
     if extent > _LARGEST_EXTENT:
         text = f"The cameras span {2 * extent:.2g} units: the scale is wildly off."
         found.append(

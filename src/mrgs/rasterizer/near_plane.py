@@ -37,6 +37,19 @@ class TooNear(NamedTuple):
     share: float
     factor: int
 
+    @property
+    def text(self) -> str:
+        """What is wrong, in a sentence."""
+        return (
+            f"{self.share:.0%} of what the cameras see lies nearer than {NEAR_PLANE:g} units, "
+            f"where nothing is rendered."
+        )
+
+    @property
+    def remedy(self) -> str:
+        """What to do, in a sentence."""
+        return f"Scale the poses and the points together, such as by {self.factor:,}."
+
 
 def too_near(cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> TooNear | None:
     """How much of what the cameras see is left out for being too near; None if it is little.

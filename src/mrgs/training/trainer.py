@@ -18,12 +18,11 @@ from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import SceneScale, Term
 from mrgs.method.parts import part_spreads
-from mrgs.rasterizer.contract import NEAR_PLANE
 from mrgs.rasterizer.near_plane import too_near
 from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
-from mrgs.system.callers import users_level
+from mrgs.system.callers import warn
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.limits import whole_number
 from mrgs.system.operation import is_plain
@@ -55,7 +54,7 @@ from mrgs.training.view_pass import PhotographedView
 Result = TypeVar("Result")
 
 OnStep = Callable[[StepStatistics], object]
-"""Called after every step; returning something true stops the training with a checkpoint."""
+"""Called after every step; returning True stops the training with a checkpoint."""
 
 
 class TrainingPart(NamedTuple):
@@ -169,7 +168,7 @@ def train(
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
-        on_step: called after every step; returning something true stops with a checkpoint.
+        on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once, before the model is made, with the scene and the configuration in
             force.
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
@@ -189,13 +188,12 @@ def train(
         RunError: the output folder cannot be used, or the resumed run had another strategy, other
             terms, or other photos, poses or intrinsics.
         DeviceError: the GPU was asked for and cannot be used.
-        ConfigError: a parameter is not what it should be, or TensorBoard was asked for and is not
-            installed.
+        ConfigError: a parameter is not what it should be, TensorBoard was asked for and is not
+            installed, or there are more processes, or more views in a step, than there are views.
         TrainingError: three steps in a row gave values that are not finite (on a GPU this is found
             up to ten steps later), the model holds such a value (found up to a hundred steps
             later, and always before it is saved), or the GPU's memory does not suffice; the last
             good checkpoint is kept.
-        ConfigError: there are more processes, or more views in a step, than there are views.
         LinkError, PeerError: another process is gone; the first one has saved a checkpoint.
     """
     if stop_at is not None and whole_number(stop_at, "stop_at") < 1:
@@ -234,13 +232,7 @@ def _warn_if_too_near(scene: Scene) -> None:
     """Warn of a scene whose unit of length puts much of it before the near plane."""
     near = too_near(scene.train_cameras, scene.points.positions)
     if near is not None:
-        warnings.warn(
-            f"{scene.name}: {near.share:.0%} of what the cameras see lies nearer than "
-            f"{NEAR_PLANE:g} units, where nothing is rendered: scale poses and points together, "
-            f"such as by {near.factor:,}",
-            MrgsWarning,
-            stacklevel=users_level(),
-        )
+        warn(f"{scene.name}: {near.text} {near.remedy}")
 
 
 def _require_enough_views(run: TrainingStart[TrainConfig, TrainingState], count: int) -> None:
@@ -313,7 +305,8 @@ class Trainer(Driver[StepStatistics]):
             check_kernels(self.state, self.scene, self.config, self._scale)
 
     def close(self) -> None:
-        """Stop loading photos."""
+        """Stop saving, and loading photos."""
+        super().close()
         self._photos.close()
 
     def _take_step(self) -> StepStatistics:
@@ -433,9 +426,10 @@ class Trainer(Driver[StepStatistics]):
         )
 
     def _save_last_good_step(self) -> None:
+        """The step that failed has been undone, so that the state is whole."""
         self._step_done = self.state.step
         if self.state.step > 0:
-            self.save()
+            self._save()
 
     def _describe_model(self) -> Mapping[str, float | None]:
         """How much the parts of the model say, see ``PartSpreads``."""
