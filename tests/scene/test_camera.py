@@ -199,6 +199,12 @@ def test_a_field_of_view_is_an_angle_of_a_pinhole(fov_deg):
         Camera.from_fov(4, 3, fov_deg)
 
 
+@pytest.mark.parametrize("size", [("64", 48), (64, "48"), (64, 48.0), (None, 48)])
+def test_the_size_for_a_field_of_view_must_be_whole_numbers(size):
+    with pytest.raises(ValueError, match=r"(width|height) must be a whole number, not "):
+        Camera.from_fov(*size, 60)
+
+
 @given(st.tuples(*[st.floats(-5, 5)] * 3), st.tuples(*[st.floats(-5, 5)] * 3))
 def test_looking_at_a_target(position, target):
     forward = np.subtract(target, position)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
 from typing import Any, SupportsIndex, TypeAlias
 
@@ -11,6 +10,9 @@ import torch
 from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
+
+from mrgs.errors import ConfigError
+from mrgs.system.limits import whole_number
 
 Array: TypeAlias = Tensor | NDArray[Any] | Sequence[Any]
 """What public functions accept for an array. Masked elements (``np.ma``) count as NaN."""
@@ -81,15 +83,15 @@ def as_floats(array: Array | float, name: str, last: int | None = None) -> Tenso
 
 
 def as_whole(value: SupportsIndex, name: str) -> int:
-    """A whole number as an int.
+    """``whole_number`` with the error of an argument that describes a scene.
 
     Raises:
         ValueError: anything else, such as 64.0.
     """
     try:
-        return operator.index(value)
-    except TypeError:
-        raise ValueError(f"{name} must be a whole number, not {value!r}") from None
+        return whole_number(value, name)
+    except ConfigError as error:
+        raise ValueError(error.message) from None
 
 
 def _tensor_of(array: Array | float, name: str) -> Tensor:

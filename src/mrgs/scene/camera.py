@@ -82,8 +82,10 @@ class Camera:
             fov_deg: horizontal field of view in degrees, between 0 and 180.
 
         Raises:
-            ValueError: a field of view out of range, or a size below one pixel.
+            ValueError: a field of view out of range, or a size that is not a whole number of
+                pixels above 0.
         """
+        width, height = as_whole(width, "width"), as_whole(height, "height")
         if not 0 < fov_deg < 180:
             raise ValueError(f"a field of view lies between 0° and 180°, not {fov_deg}°")
         focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
