@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 
 import pytest
@@ -99,7 +100,7 @@ def test_what_another_program_does_is_found_and_told(board, disk, add):
     assert told == [0]
 
 
-def test_a_file_that_goes_right_after_a_change_is_missed(board, disk, add):
+def test_a_file_that_is_deleted_right_after_a_change_is_noticed(board, disk, add):
     board.refresh()
     add()
     disk.file.unlink()
@@ -133,6 +134,53 @@ def test_files_that_cannot_be_read_leave_the_marks_and_say_why(board, disk, add)
     assert ["camera_accuracy_c" in "".join(each) for each in told] == [True, False, False]
     assert [bool(each) for each in told] == [True, False, True]
     assert "newer version" in board.problems[0]
+
+
+def test_a_broken_survey_is_a_problem_and_no_reason_not_to_open(board, disk, add):
+    add()
+    survey = disk.folder / SURVEY_FILE
+    survey.write_text("camera_accuracy_c: a lot")
+    opened = MarkBoard(disk, board._meter, board.stereo, board._appraise)
+    opened.refresh()
+    assert "camera_accuracy_c" in opened.problems[0]
+    survey.unlink()
+    opened.refresh()
+    assert (len(opened.readings), opened.problems) == (1, ())
+
+
+def test_a_change_is_saved_though_it_cannot_be_measured(board, disk, add, monkeypatch):
+    number = add()
+    board.refresh()
+    told: list[tuple[str, ...]] = []
+    board.listen(lambda: told.append(board.problems))
+
+    def fail(*_: object) -> None:
+        raise RunError("the photo x.jpg cannot be read")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(MarkMeter, "measure", fail)
+        board.change(number, {"note": "saved"})
+        board.refresh()
+        (disk.folder / SURVEY_FILE).write_text("camera_accuracy_c: 5")
+        board.refresh()
+    assert set(told) == {("the photo x.jpg cannot be read",)}
+    assert disk.read().marks[0].note == "saved"
+    board.change(number, {"severity": "2"})
+    board.refresh()
+    assert (board.readings[0].mark.note, board.problems) == ("saved", ())
+    assert not any("not known" in note for note in board.notes)
+
+
+def test_a_file_that_is_replaced_within_a_tick_of_the_clock_is_noticed(board, disk, add):
+    add()
+    board.refresh()
+    before = disk.file.stat()
+    other = disk.file.with_name("marks.other.json")
+    other.write_text(disk.file.read_text(encoding="utf-8").replace("B1", "B2"), encoding="utf-8")
+    os.utime(other, ns=(before.st_atime_ns, before.st_mtime_ns))
+    other.rename(disk.file)
+    assert disk.file.stat().st_mtime_ns == before.st_mtime_ns
+    assert board.is_stale
 
 
 def test_a_damaged_file_is_said_as_long_as_nothing_changes(board, disk, add):
@@ -188,3 +236,14 @@ def test_what_is_missing_is_said_of_the_mark_by_its_name(board, add):
     assert "Door: the photos do not say" in board.readings[0].problem
     board.change(number, {"reflected_c": 0.0})
     assert board.readings[0].problem == ""
+
+
+def test_a_problem_has_the_name_that_the_mark_has_now(board, add, monkeypatch):
+    def too_wide(self: MarkMeter, mark: Mark, regions=None) -> MarkReading:
+        return replace(read(self, mark, regions), problem=f"{mark.name} is too wide")
+
+    read = MarkMeter.read
+    monkeypatch.setattr(MarkMeter, "read", too_wide)
+    number = add()
+    board.change(number, {"name": "Door"})
+    assert board.readings[0].problem == "Door is too wide"

@@ -102,7 +102,7 @@ class MarkStore:
         return self.folder / FILE
 
     @property
-    def stamp(self) -> tuple[int, int] | None:
+    def stamp(self) -> tuple[int, ...] | None:
         """Changes whenever the file does; None without one."""
         return file_stamp(self.file)
 
@@ -237,13 +237,14 @@ class MarkStore:
             lock.release()
 
 
-def file_stamp(path: Path) -> tuple[int, int] | None:
-    """Changes whenever a file does; None without one."""
+def file_stamp(path: Path) -> tuple[int, ...] | None:
+    """Changes whenever a file does, also when it is replaced within a tick of the clock; None
+    without one."""
     try:
         status = path.stat()
     except OSError:
         return None
-    return status.st_mtime_ns, status.st_size
+    return status.st_ino, status.st_mtime_ns, status.st_ctime_ns, status.st_size
 
 
 def judged_content(folder: Path) -> str:

@@ -45,10 +45,6 @@ class MarkBoard:
         stereo: as given.
         survey: of the run.
         problems: why the files of the run are not what is shown, a sentence each.
-
-    Raises:
-        ConfigError: the survey has a value that cannot be.
-        RunError: the survey cannot be read.
     """
 
     def __init__(
@@ -72,7 +68,12 @@ class MarkBoard:
         self._files: object = None
         self._lock = threading.Lock()
         self._listeners: list[Listener] = []
-        self._follow(self._survey_now())
+        try:
+            survey = self._survey_now()
+        except MrgsError:
+            survey = Survey()  # the first refresh() says why
+        self._follow(survey)
+        self._measured = self.marks, self.survey
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -183,7 +184,7 @@ class MarkBoard:
     def _read(self) -> None:
         """Measure what the files hold, unless it is what is measured already."""
         marks, survey = self._store.read(), self._survey_now()
-        if (marks, survey) != (self.marks, self.survey):
+        if (marks, survey) != self._measured:
             if survey != self.survey:
                 self._follow(survey)
             self._measure(marks)
@@ -193,21 +194,27 @@ class MarkBoard:
 
     def _follow(self, survey: Survey) -> None:
         """Take uncertainties from what a survey states."""
-        self.survey = survey
         if self._appraise is not None:
             self._meter.uncertainty = self._appraise(survey)
+        self.survey = survey
 
     def _saved(self, marks: Marks) -> None:
-        """Show what has just been written; another program may have written since."""
+        """Show what has just been written; another program may have written since. What cannot be
+        measured is saved all the same: that is a problem, and no error of the change."""
         self._files = None
-        self._measure(marks)
+        try:
+            self._measure(marks)
+        except MrgsError as error:
+            self.problems = (str(error),)
         self._tell()
 
     def _measure(self, marks: Marks) -> None:
-        self.regions = self._meter.regions(marks)
-        self.readings = self._meter.measure(marks, self.regions)
-        self.proposals = self._meter.measure(Marks(marks.proposals), self.regions)
+        regions = self._meter.regions(marks)
+        readings = self._meter.measure(marks, regions)
+        proposals = self._meter.measure(Marks(marks.proposals), regions)
+        self.regions, self.readings, self.proposals = regions, readings, proposals
         self.marks, self.numbers = marks, self._identities.of(marks.marks)
+        self._measured = marks, self.survey
 
     def _tell(self) -> None:
         with self._lock:

@@ -46,9 +46,12 @@ class RememberingMeter(MarkMeter):
             self._measured_with = measured_with
             self._readings.clear()
         key = _surface_of(mark), regions.problems.get(mark.name, "")
-        if key not in self._readings:
-            self._readings[key] = super().read(mark, regions)
-        return replace(self._readings[key], mark=mark)
+        if key in self._readings:
+            return replace(self._readings[key], mark=mark)
+        reading = super().read(mark, regions)
+        if not reading.problem:  # which has the mark's name
+            self._readings[key] = reading
+        return reading
 
 
 def _surface_of(mark: Mark) -> Mark:
