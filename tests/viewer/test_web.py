@@ -351,6 +351,73 @@ def test_what_a_browser_does_is_answered(viewer, balls):
     browse(viewer, visit)
 
 
+@pytest.fixture
+def held(viewer) -> Iterator[threading.Event]:
+    """The model's thread is in the middle of a job until the event is set."""
+    begun, go = threading.Event(), threading.Event()
+
+    def wait() -> None:
+        begun.set()
+        assert go.wait(60)
+
+    viewer._worker.put("held", wait)
+    assert begun.wait(60)
+    yield go
+    go.set()
+
+
+def test_a_closed_browser_leaves_its_changes_and_nothing_else(viewer, balls, request):
+    board = viewer._subject.board
+    place = tuple(balls.points.positions[0].tolist())
+    board.add("spot", (place,), (3.0, 0.0, 0.0), 0.1)
+    wait_until(lambda: not viewer.busy, "it has warmed up")
+
+    async def visit(connection: ClientConnection) -> None:
+        await answer(connection, "marks")
+        while viewer.busy:
+            await asyncio.sleep(0.01)
+        request.getfixturevalue("held")
+        change = {"type": "change_mark", "mark": board.numbers[-1]}
+        await connection.send(json.dumps({**change, "note": "kept"}))
+        await connection.send(json.dumps({**change, "severity": "2"}))
+        await connection.send(look())
+        await connection.send('{"type": "hover", "x": 0.5, "y": 0.5}')
+        await answer(connection, "hover")
+
+    browse(viewer, visit)
+    wait_until(lambda: not viewer.browsers, "it has gone")
+    assert len(viewer._worker._jobs) == 2
+    request.getfixturevalue("held").set()
+    wait_until(lambda: not viewer.busy, "the changes are made")
+    assert (board.marks.marks[-1].note, board.marks.marks[-1].severity) == ("kept", "2")
+
+
+def test_a_drive_that_does_not_answer_stops_no_browser(small_run, balls, monkeypatch):
+    begun, go = threading.Event(), threading.Event()
+
+    def hang(path: Path) -> None:
+        begun.set()
+        assert go.wait(60)
+
+    async def visit(connection: ClientConnection) -> None:
+        await picture(connection)
+        while viewer.busy:
+            await asyncio.sleep(0.01)
+        monkeypatch.setattr("mrgs.viewer.board.file_stamp", hang)
+        while not begun.is_set():
+            await asyncio.sleep(0.01)
+        await connection.send('{"type": "hover", "x": 0.5, "y": 0.5}')
+        assert (await answer(connection, "hover"))["text"].endswith(" °C")
+
+    monkeypatch.setattr("mrgs.viewer.web.WATCH_S", 0.01)
+    viewer = open_viewer(small_run, balls, "127.0.0.1", 0)
+    try:
+        browse(viewer, visit)
+    finally:
+        go.set()
+        viewer.close()
+
+
 def test_a_port_that_is_taken_is_named(small_run):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

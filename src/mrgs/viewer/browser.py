@@ -82,6 +82,9 @@ MARK_LIMITS = {
 }
 """Greatest lengths of a mark's texts, and the limits of its numbers."""
 
+CHANGE = "change of marks"
+"""First part of the names of jobs that change marks."""
+
 _log = logging.getLogger(__name__)
 
 Send = Callable[[str | bytes], "Future[None]"]
@@ -131,10 +134,18 @@ class Browser:
         self._tell("note", text=note)
 
     def close(self) -> None:
-        """Forget what the browser still waits for."""
-        self._worker.drop(lambda key: isinstance(key, tuple) and key[0] == id(self))
+        """Forget what the browser still waits for, but not its changes of marks."""
+        self._worker.drop(self._is_for_this_browser_alone)
         if self._subject.board is not None:
             self._subject.board.leave(self._marks_changed)
+
+    def _is_for_this_browser_alone(self, key: Hashable) -> bool:
+        match key:
+            case (owner, (kind, _)) if kind == CHANGE:
+                return False
+            case (owner, _):
+                return bool(owner == id(self))
+        return False
 
     def _obey(self, message: AnyMessage) -> None:
         match message:
@@ -187,7 +198,7 @@ class Browser:
         """Have marks changed by the worker; what is refused is said where they are listed, at the
         mark of a number if there is one. No change replaces another that waits."""
         self._do(
-            ("mark", next(self._changes)), change, lambda error: self._refuse_change(error, number)
+            (CHANGE, next(self._changes)), change, lambda error: self._refuse_change(error, number)
         )
 
     def _edit_mark(self, message: ChangeMark | DeleteMark | ReferTo) -> None:

@@ -47,7 +47,8 @@ _log.setLevel(logging.CRITICAL)  # a broken request is its sender's mistake
 class Viewer:
     """A web server that shows one model to any number of browsers.
 
-    It has two threads, however many browsers come: one for the network, one for the model.
+    It has three threads, however many browsers come: one for the network, one for the model, and
+    one that watches the files of the run, which may lie on a drive that does not answer.
 
     Args:
         subject: the model.
@@ -96,6 +97,7 @@ class Viewer:
             daemon=True,
         )
         self._thread.start()
+        self._closed = threading.Event()
         try:
             self.port = ready.result()
         except (OSError, OverflowError) as error:
@@ -105,6 +107,8 @@ class Viewer:
                 f"it",
                 options=("port",),
             ) from error
+        self._watching = threading.Thread(target=self._watch, name="mrgs-viewer-files", daemon=True)
+        self._watching.start()
         self.url = f"http://{_in_url(host)}:{self.port}/?token={self._gate.token}"
 
     def warm_up(self, camera: Camera) -> None:
@@ -130,11 +134,13 @@ class Viewer:
         return self._worker.busy
 
     def close(self) -> None:
-        """Stop the server, disconnect all browsers, and end both threads."""
+        """Stop the server, disconnect all browsers, and end the threads."""
+        self._closed.set()
         self._worker.close()
         self._worker.join(SECONDS_TO_CLOSE)
         self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(2 * SECONDS_TO_CLOSE)
+        self._watching.join(SECONDS_TO_CLOSE)
 
     async def _serve(self, host: str, port: int, ready: futures.Future[int]) -> None:
         """The network's thread: serve until the viewer is closed."""
@@ -156,15 +162,12 @@ class Viewer:
             return
         async with server:
             ready.set_result(next(iter(server.sockets)).getsockname()[1])
-            watching = asyncio.create_task(self._watch())
             await self._stop.wait()
-            watching.cancel()
 
-    async def _watch(self) -> None:
+    def _watch(self) -> None:
         """Have what other programs write into the run's folder shown, while somebody looks."""
         board = self._subject.board
-        while board is not None:
-            await asyncio.sleep(WATCH_S)
+        while board is not None and not self._closed.wait(WATCH_S):
             if self.browsers and board.is_stale:
                 self._worker.put("marks", board.refresh)
 
