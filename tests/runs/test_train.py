@@ -194,6 +194,15 @@ def test_another_thread_sees_whole_steps(small_scene, tmp_path, monkeypatch):
     assert state.step == 6
 
 
+def test_a_training_that_has_ended_is_opened_not_snapshot(small_scene, tmp_path):
+    *_, state = train_steps(small_scene, tmp_path / "loop", CONFIG)
+    train(small_scene, tmp_path / "loop", CONFIG, resume=True)
+    with pytest.raises(RunError, match=r"the training has ended: open the run with load_run\('"):
+        state.snapshot()
+    camera = load_scene(small_scene).eval[0].camera
+    assert RGB in state.render(camera)
+
+
 def test_warnings_about_the_scene_point_at_the_callers_line(small_scene, tmp_path):
     views = load_scene(small_scene).train
     scene = Scene.from_arrays(
@@ -249,7 +258,8 @@ def test_a_fork_of_a_process_that_has_computed_says_so(small_scene, monkeypatch)
 def test_what_was_never_photographed_is_not_rendered(make_scene):
     scene = load_scene(make_scene(thermal=False))
     camera = scene.train[0].camera
-    state = next(train_steps(scene, config=CONFIG))
+    loop = train_steps(scene, config=CONFIG)
+    state = next(loop)
     run = state.snapshot()
     assert run.modalities == tuple(run.render(camera)) == tuple(state.render(camera)) == (RGB,)
     with pytest.raises(ValueError, match="no °C: the scene has no thermal photos to learn from"):

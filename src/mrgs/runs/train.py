@@ -71,7 +71,7 @@ def train(
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
-        on_step: called after every step; returning something true stops with a checkpoint.
+        on_step: called after every step; returning True stops with a checkpoint.
         on_start: called once, before the model is made, with the scene and the configuration in
             force.
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
@@ -80,8 +80,9 @@ def train(
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
-            in its place; the newest checkpoint is damaged and an older one is used; or changes of
-            the scene are accepted.
+            in its place; the newest checkpoint is damaged and an older one is used; changes of the
+            scene are accepted; much of the scene lies before the near plane; or a run without
+            ``output`` was stopped, and where it is kept until this process ends.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -230,7 +231,9 @@ class LiveRun:
         is done.
 
         Raises:
-            RunError: the checkpoint cannot be written.
+            RunError: the training has ended, so that ``load_run`` opens it, or the checkpoint
+                cannot be written.
+            TrainingError: Ctrl-C has interrupted the step half-way.
         """
         with self._trainer.between_steps():
             self._trainer.save()

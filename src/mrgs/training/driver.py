@@ -9,10 +9,11 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from mrgs.errors import NotFiniteError, TrainingError
+from mrgs.errors import NotFiniteError, RunError, TrainingError
 from mrgs.scene import TemperatureRange
 from mrgs.system import gpu
 from mrgs.system.ctrl_c import ctrl_c_waits
@@ -102,6 +103,7 @@ class Driver(ABC, Generic[S]):
         self._bad_in_a_row = self._skipped_in_a_row
         self._step_done = facts.step
         self._is_half_done = False
+        self._is_closed = False
         self._turns = Turns()
         self._skipped_steps = facts.skipped_steps
         self._started = time.perf_counter()
@@ -133,13 +135,13 @@ class Driver(ABC, Generic[S]):
         """Write everything needed to resume exactly."""
 
     def run(self, stop_at: int | None, on_step: Callable[[S], object] | None) -> None:
-        """Step until the end of the schedule, or until ``on_step`` returns something true; the last
-        step is checkpointed, also where Ctrl-C or an error in ``on_step`` ends the training."""
+        """Step until the end of the schedule, or until ``on_step`` returns True; the last step is
+        checkpointed, also where Ctrl-C or an error in ``on_step`` ends the training."""
         last = self._max_steps if stop_at is None else min(stop_at, self._max_steps)
         while self._step_done < last:
             with self._kept():
                 statistics = self._next_step()
-                if self._stops_now(on_step is not None and bool(on_step(statistics))):
+                if self._stops_now(on_step is not None and _is_true(on_step(statistics))):
                     last = self._step_done
             self._save_if_due(last)
 
@@ -161,6 +163,11 @@ class Driver(ABC, Generic[S]):
             if not self._is_half_done:
                 self.save()
             raise
+
+    def close(self) -> None:
+        """No checkpoint is written any more: the run's folder may be another training's."""
+        with self.between_steps():
+            self._is_closed = True
 
     def between_steps(self) -> AbstractContextManager[None]:
         """Within this block no other thread takes a step or writes a checkpoint."""
@@ -265,11 +272,20 @@ class Driver(ABC, Generic[S]):
 
         Raises:
             NotFiniteError: the state holds a NaN or an infinity.
-            RunError: it cannot be written.
+            TrainingError: the step was interrupted half-way.
+            RunError: the training has ended, or the checkpoint cannot be written.
             MrgsError: this process was forked from the one that trains.
         """
         require_own_threads()
         with ctrl_c_waits(), self.between_steps():
+            if self._is_closed:
+                path = str(self._folder.path)
+                raise RunError(f"the training has ended: open the run with load_run({path!r})")
+            if self._is_half_done:
+                raise TrainingError(
+                    f"step {self._step_done + 1} was interrupted half-way and cannot be saved: "
+                    f"resume from the last checkpoint"
+                )
             self._save()
 
     def _save(self) -> None:
@@ -287,6 +303,14 @@ class Driver(ABC, Generic[S]):
         self._folder.drop_old_checkpoints()
         now = time.perf_counter()
         self._save_at = now + max(SAVE_EVERY_S, (now - began) / SAVE_SHARE)
+
+
+def _is_true(answer: object) -> bool:
+    """Whether the answer of ``on_step`` is True itself, of any library; a number of characters
+    written, or a list, stops nothing."""
+    if isinstance(answer, Tensor):
+        return answer.dtype == torch.bool and answer.ndim == 0 and bool(answer)
+    return isinstance(answer, (bool, np.bool_)) and bool(answer)
 
 
 def _celsius(difference: float | None, temperature: TemperatureRange | None) -> float | None:
