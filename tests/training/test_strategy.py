@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from functools import partial
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -197,7 +200,59 @@ class Composed(Blind):
 
 def test_what_a_strategy_states_of_its_settings():
     expected = {"share": 0.5, "grows": True, "name": "composed", "until": None}
-    assert Composed(max_gaussians=7).settings() == {"max_gaussians": 7, **expected}
+    settings = Composed(max_gaussians=7).settings()
+    assert settings == {"max_gaussians": 7, "inner": Blind(), **expected}
+
+
+class Kind(Enum):
+    NEAR = auto()
+    FAR = auto()
+
+
+@dataclass(frozen=True)
+class Anything(Blind):
+    """Takes a setting of any kind."""
+
+    setting: Any = None
+
+
+@pytest.mark.parametrize(
+    ("before", "same", "other"),
+    [
+        (float("nan"), float("nan"), 1.0),
+        ((1, 2), (1, 2), (1, 3)),
+        (Kind.NEAR, Kind.NEAR, Kind.FAR),
+        (np.float32(0.5), 0.5, np.float32(0.25)),
+        (Blind(), Blind(), Blind(max_gaussians=7)),
+        (frozenset("abc"), frozenset("cba"), frozenset("ab")),
+        ("a" * 200, "a" * 200, "b" * 200),
+    ],
+)
+def test_settings_of_any_kind_are_compared(before, same, other, small_scene, tmp_path):
+    config = short_config(max_steps=2)
+    train(small_scene, tmp_path, config, strategy=Anything(setting=before), stop_at=1)
+    with pytest.raises(RunError, match="was trained with setting=") as caught:
+        train(small_scene, tmp_path, config, strategy=Anything(setting=other), resume=True)
+    assert len(caught.value.message) < len(str(tmp_path)) + 400
+    train(small_scene, tmp_path, config, strategy=Anything(setting=same), resume=True)
+
+
+def test_a_setting_without_a_text_of_its_own_is_not_compared(small_scene, tmp_path):
+    config = short_config(max_steps=2)
+    train(small_scene, tmp_path, config, strategy=Anything(setting=object()), stop_at=1)
+    train(small_scene, tmp_path, config, strategy=Anything(setting=lambda: 0), resume=True)
+
+
+@pytest.mark.parametrize("said", [float("nan"), 0.5, "text", True, None])
+def test_settings_that_an_earlier_version_wrote_are_compared(said, small_scene, tmp_path):
+    config = short_config(max_steps=2)
+    folder = train(small_scene, tmp_path, config, strategy=Anything(setting=said), stop_at=1)
+    tensors, header = read_file(folder.newest_checkpoint())
+    header["strategy_settings"] = {"setting": said}
+    write_file(folder.newest_checkpoint(), tensors, header)
+    with pytest.raises(RunError, match="was trained with setting="):
+        train(small_scene, tmp_path, config, strategy=Anything(setting=7), resume=True)
+    train(small_scene, tmp_path, config, strategy=Anything(setting=said), resume=True)
 
 
 @pytest.mark.parametrize("said", [{}, {"strategy_settings": {"renamed": 1}}])

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,7 +19,6 @@ from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
 from mrgs.render import Model
 from mrgs.system.gpu import HOST
-from mrgs.system.limits import shown
 from mrgs.system.randomness import seeded
 from mrgs.training.checkpoint_file import read_file, read_header, write_file
 from mrgs.training.checkpoint_layout import (
@@ -35,6 +35,9 @@ UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
 """What is raised for tensors that are not those of the configuration."""
 
 _SETTINGS = "strategy_settings"
+
+_MOST_SHOWN = 60
+"""Characters of a setting in a message."""
 
 
 def tensors_of(state: TrainingState) -> dict[str, Tensor]:
@@ -72,7 +75,7 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
 def header_of(state: TrainingState, facts: CheckpointFacts) -> dict[str, Any]:
     """The header of a state's checkpoint, for JSON."""
     made_with = _made_with(state.strategy, state.terms)
-    settings = {_SETTINGS: dict(state.strategy.settings())}
+    settings = {_SETTINGS: _stated_settings(state.strategy)}
     skipped = {"skipped_in_a_row": int(state.skipped_in_a_row)}
     return {**facts.to_json(), **skipped, **made_with, **settings}
 
@@ -296,14 +299,36 @@ def _require_settings(path: Path, header: Mapping[str, Any], strategy: Strategy)
     Raises:
         RunError: they are others.
     """
-    before = header.get(_SETTINGS, {})
-    for name, value in strategy.settings().items():
-        if name in before and before[name] != value:
+    settings = header.get(_SETTINGS, {})
+    for name, now in _stated_settings(strategy).items():
+        before = settings.get(name, now)
+        if now not in (before, repr(before)):  # earlier versions wrote numbers and texts as such
             raise RunError(
-                f"{path} was trained with {name}={shown(before[name])} in "
-                f"{type(strategy).__name__}, not {shown(value)}: give train() the same strategy "
-                f"and terms again"
+                f"{path} was trained with {name}={_shortened(str(before))} in "
+                f"{type(strategy).__name__}, not {_shortened(now)}: give train() the same "
+                f"strategy and terms again"
             )
+
+
+def _stated_settings(strategy: Strategy) -> dict[str, str]:
+    """What a header says of a strategy's settings: each as Python writes it, but for those whose
+    text is another in each process."""
+    stated = {name: _stated(value) for name, value in strategy.settings().items()}
+    return {name: text for name, text in stated.items() if " at 0x" not in text}
+
+
+def _stated(value: object) -> str:
+    """A value as Python writes it; numbers of NumPy as the same ones of Python, sets in order."""
+    if isinstance(value, np.generic):
+        return repr(value.item())
+    if isinstance(value, set | frozenset):
+        return f"{type(value).__name__}({sorted(map(_stated, value))})"
+    return repr(value)
+
+
+def _shortened(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= _MOST_SHOWN else f"{line[: _MOST_SHOWN - 3]}..."
 
 
 def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:

@@ -89,11 +89,11 @@ class Strategy(ABC):
                 options=("max_gaussians",),
             )
 
-    def settings(self) -> Mapping[str, Setting]:
-        """What a resumed run must have as it began, by name: the fields that are numbers, texts,
-        truth values or None. A name that only one of both has is not compared."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in values.items() if isinstance(value, Setting)}
+    def settings(self) -> Mapping[str, object]:
+        """What a resumed run must have as it began, by name: all fields. They are compared by
+        their ``repr``; one that holds an address (``at 0x...``) is not compared, nor a name that
+        only one of both has."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:
         """What the strategy remembers before the first step; nothing by default.
