@@ -10,15 +10,13 @@ from typing import Any
 
 from mrgs.data.files import visible_files
 from mrgs.errors import RunError
+from mrgs.prepare.cache import stamp_of
 from mrgs.prepare.contents import Contents
 from mrgs.system.atomic import replacing
 
 LEDGER = "pipeline.json"
 CONTENTS = "contents.json"
 """The file that remembers what the files of the scene hold."""
-
-Stamp = tuple[str, int, int]
-"""Path, size in bytes and time of the last change (ns)."""
 
 
 class Ledger:
@@ -125,11 +123,11 @@ def _size(path: Path) -> int | None:
         return None
 
 
-def file_stamp(path: Path, root: Path) -> Stamp:
-    """The stamp of a file below a folder, which only this program writes. A copy that keeps its
-    times is the same file."""
-    status = path.stat()
-    return path.relative_to(root).as_posix(), status.st_size, status.st_mtime_ns
+def file_stamp(path: Path, root: Path) -> tuple[str, int, int]:
+    """Path, size and mtime of a file below a folder, which only this program writes. A copy that
+    keeps its mtime is the same file."""
+    size, mtime, _ = stamp_of(path)
+    return path.relative_to(root).as_posix(), size, mtime
 
 
 def _counting_files(folder: Path, without: Sequence[str]) -> list[Path]:

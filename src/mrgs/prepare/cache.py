@@ -42,6 +42,9 @@ FORMAT = 3
 
 _BLOCK_BYTES = 2**20
 
+Stamp = tuple[int, int, int]
+"""Size in bytes, mtime and ctime (ns). An export may give a file its old size and mtime; the
+ctime is the system's own. On Windows it is the time of creation, which an overwrite keeps."""
 
 MISSING = object()
 """Returned for a result that is not stored; a stored result may be None."""
@@ -229,21 +232,30 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
     return value
 
 
-def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
-    """Path, size in bytes, mtime and ctime (ns) of every file below a folder, sorted.
+def stamp_of(path: Path, *, follow: bool = True) -> Stamp:
+    """The stamp of a file; of a link itself where it is not followed.
 
-    Links to files are followed. Hidden files and folders are skipped. On Windows the ctime is the
-    time of creation: an overwrite that keeps size and mtime does not show.
+    Raises:
+        OSError: there is none, or it cannot be looked at.
+    """
+    status = path.stat(follow_symlinks=follow)
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns
+
+
+def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
+    """Path and ``Stamp`` of every file below a folder, sorted.
+
+    Links to files are followed. Hidden files and folders are skipped.
 
     Raises:
         SceneError: the folder cannot be listed.
     """
-    found = []
-    for path in visible_files(folder):
-        status = path.stat() if path.exists() else path.lstat()
-        name = path.relative_to(folder).as_posix()
-        found.append((name, status.st_size, status.st_mtime_ns, status.st_ctime_ns))
-    return tuple(sorted(found))
+    return tuple(
+        sorted(
+            (path.relative_to(folder).as_posix(), *stamp_of(path, follow=path.exists()))
+            for path in visible_files(folder)
+        )
+    )
 
 
 def digest(path: Path) -> str:

@@ -7,24 +7,10 @@ import json
 import os
 from pathlib import Path
 
-from mrgs.prepare.cache import digest
+from mrgs.prepare.cache import Stamp, digest, stamp_of
 from mrgs.system.atomic import write_text
 
-Stamp = tuple[int, int, int]
-"""Size in bytes, mtime and ctime (ns). An export may give a file its old size and mtime; the
-ctime is the system's own. On Windows it is the time of creation, which an overwrite keeps."""
-
 _CTIME_SHOWS_CHANGES = os.name != "nt"
-
-
-def stamp_of(path: Path) -> Stamp:
-    """The stamp of a file.
-
-    Raises:
-        OSError: there is none, or it cannot be looked at.
-    """
-    status = path.stat()
-    return status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 class Contents:

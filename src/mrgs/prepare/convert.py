@@ -21,8 +21,8 @@ from mrgs.data.files import scene_error
 from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto, read_thermal_photo
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError, ToolError
-from mrgs.prepare.cache import CACHE_FOLDER, Cache, digest
-from mrgs.prepare.contents import Contents, Stamp, stamp_of
+from mrgs.prepare.cache import CACHE_FOLDER, Cache, Stamp, digest, stamp_of
+from mrgs.prepare.contents import Contents
 from mrgs.prepare.contract import (
     ConvertedImage,
     ConvertedPhotos,
@@ -291,15 +291,11 @@ def _stamps(pair: PhotoPair) -> list[Stamp]:
     Raises:
         SceneError: one is gone.
     """
-    return [_stamp(path) for path in pair.photos.values()]
-
-
-def _stamp(path: Path) -> Stamp:
     try:
-        return stamp_of(path)
+        return [stamp_of(path) for path in pair.photos.values()]
     except OSError as error:
         raise scene_error(
-            path, f"cannot be read ({error.strerror}); it was there before, put it back"
+            error.filename, f"cannot be read ({error.strerror}); it was there before, put it back"
         ) from None
 
 
