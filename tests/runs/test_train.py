@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -245,14 +248,58 @@ def test_a_temporary_run_that_is_stopped_is_kept_and_named(small_scene):
 def test_a_fork_of_a_process_that_has_computed_says_so(small_scene, monkeypatch):
     run = train(small_scene, config=CONFIG)
     camera = run.load_scene().train[0].camera
+    loop = train_steps(small_scene, config=CONFIG)
+    state = next(loop)
     monkeypatch.setattr("mrgs.system.forks._computes", -1)
     for compute in (
         lambda: run.render(camera),
+        lambda: state.render(camera),
+        lambda: state.snapshot(),
         lambda: load_run(run.folder.path),
         lambda: train(small_scene, config=CONFIG),
     ):
         with pytest.raises(MrgsError, match=r"was forked from one that has computed.*'spawn'"):
             compute()
+    monkeypatch.undo()
+    loop.close()
+
+
+FORK = """
+import os, sys
+from mrgs import load_run, make_config, train
+from mrgs.errors import MrgsError
+
+scene, folder = sys.argv[1:]
+config = make_config("mrgs", "fast", max_steps=1, max_gaussians=60)
+
+def in_a_fork(compute):
+    child = os.fork()
+    if child == 0:
+        try:
+            compute()
+            print("computed", flush=True)
+        except MrgsError as error:
+            print("refused" if "forked" in str(error) else error, flush=True)
+        os._exit(0)
+    os.waitpid(child, 0)
+
+try:
+    train(folder + "/nothing", config=config)
+except MrgsError:
+    print("no scene", flush=True)
+in_a_fork(lambda: train(scene, folder + "/forked", config))
+run = train(scene, folder + "/run", config)
+in_a_fork(lambda: run.render(run.load_scene().train[0].camera))
+in_a_fork(lambda: load_run(folder + "/run"))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+def test_a_fork_says_so_only_if_something_was_computed_before_it(small_scene, tmp_path):
+    command = [sys.executable, "-c", FORK, str(small_scene), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    found = done.stdout.splitlines()
+    assert found == ["no scene", "computed", "refused", "refused"], done.stderr
 
 
 def test_what_was_never_photographed_is_not_rendered(make_scene):
@@ -262,6 +309,11 @@ def test_what_was_never_photographed_is_not_rendered(make_scene):
     state = next(loop)
     run = state.snapshot()
     assert run.modalities == tuple(run.render(camera)) == tuple(state.render(camera)) == (RGB,)
+    for shows in (run, state):
+        with pytest.raises(ValueError, match="thermal cannot be rendered here, only rgb: leave"):
+            shows.render({THERMAL: camera})
+        with pytest.raises(ValueError, match="cameras is empty: give a Camera, or one for each of"):
+            shows.render({})
     with pytest.raises(ValueError, match="no °C: the scene has no thermal photos to learn from"):
         run.temperature_at(np.zeros((1, 3)))
 

@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 
 from mrgs.data import load_scene
-from mrgs.errors import DeviceError, MrgsWarning, RunError, SceneError, TrainingError
+from mrgs.errors import ConfigError, DeviceError, MrgsWarning, RunError, SceneError, TrainingError
 from mrgs.method.config import from_yaml
 from mrgs.method.density import adaptive
 from mrgs.method.optimizer import GaussianOptimizer
@@ -376,17 +376,22 @@ def test_what_the_caller_has_set_of_torch_changes_nothing(mode, small_scene, tmp
     assert same_tensors(found.newest_checkpoint(), expected.newest_checkpoint())
 
 
-def test_the_default_type_of_tensors_changes_nothing(small_scene, tmp_path):
-    expected = train(small_scene, tmp_path / "usual", short_config(max_steps=3))
+def test_another_default_type_of_tensors_is_refused(small_scene, tmp_path):
+    run = load_run(train(small_scene, tmp_path / "run", short_config(max_steps=3)).path)
+    camera = run.load_scene().train[0].camera
     torch.set_default_dtype(torch.float64)
     try:
-        found = train(small_scene, tmp_path / "own", short_config(max_steps=3))
-        run = load_run(found.path)
-        run.render(run.load_scene().train[0].camera).surface_depth(THERMAL)
+        for compute in (
+            lambda: train(small_scene, tmp_path / "new", short_config(max_steps=3)),
+            lambda: load_run(tmp_path / "run"),
+            lambda: run.render(camera),
+        ):
+            with pytest.raises(ConfigError, match=r"is torch.float64.* need float32: call torch"):
+                compute()
         assert torch.get_default_dtype() == torch.float64
     finally:
         torch.set_default_dtype(torch.float32)
-    assert same_tensors(found.newest_checkpoint(), expected.newest_checkpoint())
+    assert not (tmp_path / "new").exists()
 
 
 def test_start_is_told_once_with_what_is_in_force(small_scene, tmp_path):

@@ -21,7 +21,7 @@ from mrgs.runs.refined_poses import with_refined_poses
 from mrgs.runs.registry import Method, find_method
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
-from mrgs.system.forks import require_own_threads
+from mrgs.system.forks import will_compute
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_model
@@ -78,9 +78,10 @@ class Run(TrainedRun):
 
         Raises:
             DeviceError: the GPU's memory does not suffice.
-            MrgsError: this process was forked from one that has computed.
+            MrgsError: this process was forked from one that has computed, or torch's default type
+                is not float32.
         """
-        require_own_threads()
+        will_compute()
         try:
             with own_modes():
                 yield
@@ -141,6 +142,7 @@ def open_run(
             used.
         SceneError: ``scene`` is neither a scene nor a path.
         DeviceError: the requested GPU cannot be used.
+        ConfigError: torch's default type is not float32.
     """
     folder = RunFolder(path)
     folder.newest_checkpoint()
@@ -200,7 +202,7 @@ def open_gaussians(
     config = folder.read_config(from_yaml)
     folder.warn_if_incomplete(config)
     chosen = gpu.choose_device(device)
-    require_own_threads()
+    will_compute()
     with own_modes():
         model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
         check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))

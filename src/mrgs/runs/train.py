@@ -18,6 +18,7 @@ from mrgs.render import Model, render
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
 from mrgs.system.callers import users_level
+from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import DeviceName
 from mrgs.system.limits import shown
 from mrgs.system.torch_modes import own_modes
@@ -89,8 +90,8 @@ def train(
         RunError: the output folder cannot be used, or the resumed run had another strategy, other
             terms, or other photos, poses or intrinsics.
         DeviceError: the GPU was asked for and cannot be used.
-        ConfigError: a parameter is not what it should be, or TensorBoard was asked for and is not
-            installed.
+        ConfigError: a parameter is not what it should be, torch's default type is not float32, or
+            TensorBoard was asked for and is not installed.
         TrainingError: three steps in a row gave values that are not finite, the model holds such a
             value, or the GPU's memory does not suffice; the last good checkpoint is kept.
     """
@@ -219,8 +220,11 @@ class LiveRun:
             cameras: one for all modalities, or one for each modality to render.
 
         Raises:
-            ValueError: ``cameras`` is something else.
+            ValueError: ``cameras`` is something else, or asks for what the scene has no photos of.
+            MrgsError: this process was forked from the one that trains, or torch's default type is
+                not float32.
         """
+        require_own_threads()
         asked = asked_cameras(cameras, self._trainer.scene.modalities)
         with self._trainer.between_steps(), own_modes(), torch.no_grad():
             return render(self.model, asked)[0].cpu()

@@ -19,11 +19,20 @@ def require_own_threads() -> None:
     Raises:
         MrgsError: this process was forked from one that has computed.
     """
-    global _computes
-    if _computes is None:
-        _computes = os.getpid()
-    elif _computes != os.getpid():
+    if _computes not in (None, os.getpid()):
         raise MrgsError(
             "this process was forked from one that has computed, whose threads it lacks: start "
             "processes with multiprocessing.get_context('spawn')"
         )
+
+
+def will_compute() -> None:
+    """To be called where this process begins to train, to load a run or to render: from now on its
+    forks must not.
+
+    Raises:
+        MrgsError: this process was forked from one that has computed.
+    """
+    global _computes
+    require_own_threads()
+    _computes = os.getpid()

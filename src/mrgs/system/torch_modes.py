@@ -7,27 +7,25 @@ from contextlib import contextmanager
 
 import torch
 
+from mrgs.errors import ConfigError
+
 
 @contextmanager
 def own_modes() -> Iterator[None]:
-    """Within this block gradients are recorded, ``torch.inference_mode`` is off, and float32 is the
-    default type.
+    """Within this block gradients are recorded and ``torch.inference_mode`` is off, for this
+    thread.
 
-    The first two are the thread's; the default type is the process's, and so it is changed only
-    where the caller has chosen another one.
+    The default type of tensors is the whole process's: changed here, it would change under the
+    caller's other threads.
+
+    Raises:
+        ConfigError: the default type is not float32.
     """
-    with torch.inference_mode(False), torch.enable_grad(), _float32():
-        yield
-
-
-@contextmanager
-def _float32() -> Iterator[None]:
     chosen = torch.get_default_dtype()
-    if chosen == torch.float32:
+    if chosen != torch.float32:
+        raise ConfigError(
+            f"torch's default type is {chosen}, and training and rendering need float32: call "
+            f"torch.set_default_dtype(torch.float32) before"
+        )
+    with torch.inference_mode(False), torch.enable_grad():
         yield
-        return
-    torch.set_default_dtype(torch.float32)
-    try:
-        yield
-    finally:
-        torch.set_default_dtype(chosen)

@@ -14,11 +14,12 @@ def asked_cameras(
 
     Args:
         cameras: one for all modalities, or one for each modality to render.
-        modalities: those of the model.
+        modalities: those that can be rendered.
 
     Raises:
-        ValueError: neither of the two.
+        ValueError: neither of the two, or a modality that cannot be rendered.
     """
+    modalities = tuple(modalities)
     if isinstance(cameras, Camera):
         return dict.fromkeys(modalities, cameras)
     if not isinstance(cameras, Mapping):
@@ -26,9 +27,14 @@ def asked_cameras(
             f"cameras must be a Camera or a mapping such as {{RGB: camera}}, not "
             f"{type(cameras).__name__}"
         )
+    names = " and ".join(map(str, modalities))
+    if not cameras:
+        raise ValueError(f"cameras is empty: give a Camera, or one for each of {names}")
     for modality, camera in cameras.items():
         if not isinstance(modality, Modality):
             raise ValueError(f"{modality!r} is not a modality: use mrgs.RGB or mrgs.THERMAL")
+        if modality not in modalities:
+            raise ValueError(f"{modality} cannot be rendered here, only {names}: leave it out")
         if not isinstance(camera, Camera):
             raise ValueError(f"{modality} must have a Camera, not {type(camera).__name__}")
     return cameras

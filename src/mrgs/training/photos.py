@@ -81,7 +81,8 @@ class HostPhotos:
         return image in self._kept
 
     def read(self, image: PosedImage) -> Pixels:
-        """The pixels of an image that is not kept and will not be.
+        """The pixels of an image that is not kept: as the thread has read them beforehand, or from
+        the file now. They are not kept by this.
 
         Raises:
             SceneError: it cannot be read.

@@ -13,7 +13,7 @@ from mrgs.data import load_scene
 from mrgs.data.oddities import warn_of_oddities
 from mrgs.scene import Scene
 from mrgs.system.callers import users_level
-from mrgs.system.forks import require_own_threads
+from mrgs.system.forks import require_own_threads, will_compute
 from mrgs.system.operation import plainly
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_facts
@@ -85,7 +85,8 @@ def start_training(
     Raises:
         SceneError: the scene cannot be used.
         RunError: the output folder cannot be used, or the scene has changed.
-        ConfigError: TensorBoard was asked for and is not installed.
+        ConfigError: TensorBoard was asked for and is not installed, or torch's default type is not
+            float32.
         MrgsError: this process was forked from one that has computed.
     """
     require_own_threads()
@@ -106,6 +107,7 @@ def start_training(
             if isinstance(scene, Scene)
             else load_scene(scene, resolution=config.resolution, seed=config.seed)
         )
+    will_compute()
     warn_of_oddities(loaded, stacklevel=users_level())
     with folder.training(config, resume), plainly(plain):
         if on_start is not None:

@@ -88,7 +88,7 @@ class TrainedRun(ABC):
                 ``{RGB: ..., THERMAL: ...}``.
 
         Raises:
-            ValueError: ``cameras`` is something else.
+            ValueError: ``cameras`` is something else, or asks for what the run does not render.
         """
         return self.render_cameras(asked_cameras(cameras, self.modalities))
 
