@@ -6,6 +6,7 @@ import base64
 import io
 import os
 import re
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -280,6 +281,36 @@ def test_what_is_being_typed_stays_when_other_things_change(open_page, board, di
     wait_until(lambda: row.count() == 0, "what another program deletes goes", page)
 
 
+def test_a_change_that_is_taken_back_before_its_answer_is_saved(open_page, viewer, board):
+    page = open_page()
+    row = draw_box(page)
+    wait_until(lambda: not viewer.busy, "the picture is drawn", page)
+    go = threading.Event()
+    viewer._worker.put("held", lambda: go.wait(60))
+    note = row.get_by_label("Note")
+    for text in ("first", ""):
+        note.fill(text)
+        page.keyboard.press("Tab")
+    go.set()
+    wait_until(lambda: not viewer.busy, "both are saved", page)
+    assert board.marks.marks[0].note == ""
+    page.wait_for_selector(SETTLED)
+    assert note.input_value() == ""
+
+
+def test_what_another_browser_saves_meanwhile_is_said(open_page, board, disk):
+    page = open_page()
+    row = draw_box(page)
+    row.get_by_label("Note").focus()
+    page.keyboard.type("mine")
+    disk.edit(lambda marks: marks.changing("B1", note="theirs"))
+    wait_until(lambda: said(row, "Note") == "Meanwhile saved as: theirs", "it is said", page)
+    assert row.get_by_label("Note").input_value() == "mine"
+    page.keyboard.press("Tab")
+    wait_until(lambda: board.marks.marks[0].note == "mine", "the later one counts", page)
+    assert said(row, "Note") == ""
+
+
 def test_numbers_are_typed_with_a_point_or_a_comma(open_page, viewer, board):
     page = open_page()
     row = draw_box(page)
@@ -382,6 +413,14 @@ def test_the_middle_is_read_and_marked_with_keys(open_page, board):
     page.keyboard.press("s")
     wait_until(lambda: len(board.readings) == 1, "a spot is placed", page)
     assert board.readings[0].mean == pytest.approx(told, abs=0.5)
+    page.keyboard.press("Control+s")
+    page.keyboard.down("s")
+    for _ in range(5):
+        page.keyboard.down("s")  # it is held: these repeat
+    page.keyboard.up("s")
+    wait_until(lambda: len(board.readings) == 2, "a second spot is placed", page)
+    page.wait_for_selector(SETTLED)
+    assert len(board.readings) == 2
 
 
 def test_only_controls_that_count_in_the_picture_are_shown(open_page):

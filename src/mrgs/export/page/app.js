@@ -139,8 +139,10 @@ class Page {
     element("next").addEventListener("click", () => this.jumpTo(cameras.selectedIndex + 1));
     element("home").addEventListener("click", () => this.jumpTo(this.start));
     element("back").addEventListener("click", () => this.jumpTo(cameras.selectedIndex));
-    this.canvas.addEventListener("keydown", ({ key }) => {
-      if (key === "Enter") this.placeSpot(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2);
+    this.canvas.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" || event.repeat || isShortcut(event)) return;
+      this.placeSpot(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2);
+      event.preventDefault();
     });
     this.canvas.addEventListener("webglcontextlost", () => showFailure("The graphics driver stopped: reload the page."));
   }

@@ -5,6 +5,9 @@ const WHEEL_ZOOM = 0.0012;
 const KEY_STEP = 0.06;
 const TAP_PX = 6;
 
+// Whether a key belongs to the browser, such as Ctrl+S.
+const isShortcut = (event) => event.ctrlKey || event.metaKey || event.altKey;
+
 class Viewpoint {
   constructor(world, onChange) {
     this.up = world.up;
@@ -189,7 +192,7 @@ class Navigation {
       Home: () => this.handlers.onHome(),
     };
     const action = actions[event.key];
-    if (!action) return;
+    if (!action || isShortcut(event)) return;
     event.preventDefault();
     this.handlers.onMove();
     action();

@@ -226,13 +226,16 @@ class Page {
   }
 
   // The middle of the picture, of its last part if it has several, without a pointer.
-  key({ key }) {
+  key(event) {
+    if (event.repeat || isShortcut(event)) return;
     const panes = this.pictures.shown?.facts.panes;
     if (!panes?.length) return;
     const [left, top, width, height] = panes[panes.length - 1].place;
     const [x, y] = [left + width / 2, top + height / 2];
-    if (key === "Enter") this.connection.send("read", { x, y });
-    if (key === "s" && this.facts.marks) this.connection.send("add_mark", { kind: "spot", points: [[x, y]] });
+    if (event.key === "Enter") this.connection.send("read", { x, y });
+    else if (event.key === "s" && this.facts.marks) this.connection.send("add_mark", { kind: "spot", points: [[x, y]] });
+    else return;
+    event.preventDefault();
   }
 
   // --- choices ---

@@ -160,6 +160,7 @@ class MarkRow {
   // Of a change that was sent: its field keeps what was typed, and is marked. Returns whether there is one.
   refuse(reason) {
     const sent = this.fields.filter((field) => field.isSent);
+    for (const field of this.fields) field.pending = null;
     for (const { input, said } of sent) refuse([input], said, `Not saved: ${reason}.`);
     return sent.length > 0;
   }
@@ -185,7 +186,7 @@ class MarkField {
   constructor(form, { name, label, limits, more, list }, send) {
     Object.assign(this, { name, label, limits, send });
     this.saved = "";
-    this.sent = null;
+    this.pending = null; // what was sent and is not answered yet
     this.input = document.createElement("input");
     Object.assign(this.input, { type: "text", autocomplete: "off", ...more });
     if (list) this.input.setAttribute("list", list);
@@ -197,12 +198,18 @@ class MarkField {
   }
 
   // Whether what it shows has been sent, and is not saved.
-  get isSent() { return this.sent !== null && this.sent === this.input.value && this.sent !== this.saved; }
+  get isSent() { return this.pending !== null && this.pending === this.input.value; }
 
+  // Every answer has all fields: it may be that to another change.
   update(mark) {
-    const typed = this.input.value !== this.saved;
+    const { saved: before, pending } = this;
     this.saved = String(mark[this.name] ?? "");
-    if (typed && this.input.value !== this.saved) return;
+    if (this.saved === pending) this.pending = null;
+    const typed = pending !== null || this.input.value !== before;
+    if (typed && this.input.value !== this.saved) {
+      if (pending === null && this.saved !== before) this.said.textContent = `Meanwhile saved as: ${this.saved || "(empty)"}`;
+      return;
+    }
     this.input.value = this.saved;
     refuse([this.input], this.said, "");
   }
@@ -210,9 +217,11 @@ class MarkField {
   changed() {
     const value = this.limits ? this.number() : this.input.value;
     if (value === undefined) return;
-    this.input.value = this.sent = String(value ?? "");
+    this.input.value = String(value ?? "");
     refuse([this.input], this.said, "");
-    if (this.sent !== this.saved) this.send({ [this.name]: value });
+    if (this.input.value === (this.pending ?? this.saved)) return;
+    this.pending = this.input.value;
+    this.send({ [this.name]: value });
   }
 
   // Null for an empty field, undefined for what is no number.
