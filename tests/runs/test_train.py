@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -141,6 +142,24 @@ def test_leaving_the_loop_keeps_a_checkpoint_to_resume_from(small_scene, tmp_pat
     assert same_files(newest, whole.folder.newest_checkpoint())
 
 
+OPEN_LOOP = """
+import sys
+from mrgs import make_config, train_steps
+
+config = make_config("mrgs", "fast", max_steps=6, max_gaussians=60)
+loop = train_steps(sys.argv[1], sys.argv[2], config)
+next(loop)
+next(loop)
+"""
+
+
+def test_a_loop_that_is_open_when_the_process_ends_keeps_its_step(small_scene, tmp_path):
+    command = [sys.executable, "-c", OPEN_LOOP, str(small_scene), str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert load_run(tmp_path / "run").facts.step == 2
+
+
 def test_an_error_in_the_loop_keeps_the_step_and_frees_the_folder(small_scene, tmp_path):
     def loop() -> None:
         for state in train_steps(small_scene, tmp_path / "loop", CONFIG):
@@ -179,18 +198,22 @@ def test_another_thread_sees_whole_steps(small_scene, tmp_path, monkeypatch):
         result = training_step(state, *others)
         if state.step == 3:
             thread.start()
-            thread.join(timeout=0.5)
-            assert not found, "the step is under way"
+            until = time.monotonic() + 60
+            while not states[-1]._trainer.is_awaited:
+                assert thread.is_alive(), "it did not wait for the step that is under way"
+                assert time.monotonic() < until
+                time.sleep(0.001)
+            assert not found
         return result
 
     camera = load_scene(small_scene).train[0].camera
-    thread = Thread(target=look)
+    thread = Thread(target=look, daemon=True)
     training_step = trainer.training_step
     monkeypatch.setattr(trainer, "training_step", step)
     for state in train_steps(small_scene, tmp_path / "loop", CONFIG):
         states.append(state)
         if state.step == 3:
-            thread.join()
+            thread.join(60)
             ((snapshot, rendering),) = found
             assert snapshot.facts.step == 3
             torch.testing.assert_close(snapshot.render(camera)[RGB].image, rendering[RGB].image)

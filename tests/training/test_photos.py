@@ -144,8 +144,12 @@ def test_no_thread_is_left_behind():
     kept.fetch([image, never])
     (reader,) = kept._reader._threads
     assert begun.wait(timeout=60)
-    threading.Timer(0.05, may_end.set).start()
-    kept.close()
+    closer = threading.Thread(target=kept.close, daemon=True)
+    closer.start()
+    assert closer.is_alive(), "it waits for the photo that is being read"
+    may_end.set()
+    closer.join(timeout=60)
+    assert not closer.is_alive()
     assert not reader.is_alive()
 
 

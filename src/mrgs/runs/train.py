@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import warnings
+import weakref
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,6 +32,9 @@ from mrgs.training.trainer import OnStep, Trainer
 
 METHOD = "mrgs-plus"
 """Trained where no configuration is given."""
+
+_OPEN_LOOPS: weakref.WeakSet[Generator[LiveRun, None, None]] = weakref.WeakSet()
+"""Loops of runs with a folder that may not have ended."""
 
 
 def train(
@@ -132,14 +137,14 @@ def train_steps(
 ) -> Generator[LiveRun, None, None]:
     """Train a model of a scene step by step: the loop is the caller's.
 
-    Leaving the loop early writes a checkpoint, from which ``resume`` continues; so does an error in
-    it, and Ctrl-C, which waits for the end of a step. The run's folder is locked until the loop
-    ends.
+    With ``output``, leaving the loop early writes a checkpoint, from which ``resume`` continues; so
+    do an error in it, Ctrl-C, which waits for the end of a step, and the end of the process. The
+    run's folder is locked until the loop ends.
 
     Args:
         scene: as for ``train``, like all others.
-        output: the run's folder; None takes a temporary one, which is removed when neither the loop
-            nor a snapshot is left.
+        output: the run's folder; None takes a temporary one, which is removed with its checkpoints
+            when neither the loop nor what it has yielded nor a snapshot is left.
         config: what to train.
         resume: continue the run from its newest checkpoint that is whole.
         accept_changes: resume where photos, poses or intrinsics have changed.
@@ -155,10 +160,9 @@ def train_steps(
     Raises:
         MrgsError: as ``train``.
     """
-    folder = _folder(output)
-    with (
-        _kept_if_stopped(folder),
-        trainer.open_training(
+
+    def opened(folder: RunFolder) -> AbstractContextManager[Trainer]:
+        return trainer.open_training(
             scene,
             folder.path,
             _checked_config(config),
@@ -169,11 +173,30 @@ def train_steps(
             tensorboard=tensorboard,
             strategy=strategy,
             terms=terms,
-        ) as opened,
-    ):
-        opened.check_kernels()
-        for statistics in opened.steps():
-            yield LiveRun(statistics, opened, folder)
+        )
+
+    loop = _loop(output, opened)
+    if output is not None:
+        _OPEN_LOOPS.add(loop)
+    return loop
+
+
+def _loop(
+    output: str | Path | None, opened: Callable[[RunFolder], AbstractContextManager[Trainer]]
+) -> Generator[LiveRun, None, None]:
+    folder = _folder(output)
+    with _kept_if_stopped(folder), opened(folder) as training:
+        training.check_kernels()
+        for statistics in training.steps():
+            yield LiveRun(statistics, training, folder)
+
+
+@atexit.register
+def _close_open_loops() -> None:
+    """While modules can still be imported, which saving needs."""
+    for loop in tuple(_OPEN_LOOPS):
+        with suppress(ValueError):  # a thread that outlives this one is in the midst of a step
+            loop.close()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -173,6 +173,11 @@ class Driver(ABC, Generic[S]):
         """Within this block no other thread takes a step or writes a checkpoint."""
         return self._turns.taken()
 
+    @property
+    def is_awaited(self) -> bool:
+        """Whether a thread waits for the end of what is under way."""
+        return self._turns.is_awaited
+
     def _next_step(self) -> S:
         """Take a whole step; Ctrl-C waits for its end."""
         require_own_threads()
