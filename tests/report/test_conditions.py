@@ -31,7 +31,14 @@ def test_a_plant_needs_sun():
 
 
 @pytest.mark.parametrize(
-    ("pixel_m", "stated", "met"), [(0.028, "2.8 cm", True), (0.05, "5.0 cm", False)]
+    ("pixel_m", "stated", "met"),
+    [
+        (0.028, "2.8 cm", True),
+        (0.05, "5.0 cm", False),
+        (0.0304, "3.0 cm", True),
+        (0.0003, "0.030 cm", True),
+        (0.123, "12.3 cm", False),
+    ],
 )
 def test_a_cell_of_a_module_is_five_pixels_wide(pixel_m, stated, met):
     row = conditions_of(Survey(standard="IEC TS 62446-3"), pixel_m)[-1]
@@ -47,13 +54,18 @@ def test_without_a_standard_there_are_none():
     [
         ({"irradiance_w_m2": 1050.0}, "1050 W/m²"),
         ({"hours_without_sun": 1000.0}, "1000 h"),
-        ({"wind_m_s": 0.04}, "0.0 m/s"),
-        ({"inside_c": 21.25}, "21.2 °C"),
-        ({"outside_c": -0.04}, "0.0 °C"),
+        ({"wind_m_s": 0.04}, "0.04 m/s"),
+        ({"wind_m_s": 0.00001}, "0.00001 m/s"),
+        ({"inside_c": 21.25}, "21.25 °C"),
+        ({"inside_c": 21.0}, "21.0 °C"),
+        ({"outside_c": -0.04}, "−0.04 °C"),
+        ({"outside_c": -0.0}, "0.0 °C"),
         ({"humidity_percent": 45.0}, "45 %"),
+        ({"camera_accuracy_percent": 0.25}, "0.25 %"),
+        ({"camera_accuracy_c": 0.04}, "0.04 K"),
     ],
 )
-def test_what_is_stated_has_the_decimals_of_its_unit_and_no_exponent(stated, text):
+def test_what_is_stated_keeps_its_digits_at_least_those_of_its_unit_and_no_exponent(stated, text):
     ((_, shown),) = stated_rows(Survey(**stated), Texts())
     assert shown == text
 
@@ -62,6 +74,25 @@ def test_a_condition_is_judged_by_what_is_read():
     """16.4 - 6.4 is 9.999999999999998 in binary, and reads 10.0 K."""
     (row, *_) = conditions_of(Survey(standard="EN 13187", inside_c=16.4, outside_c=6.4))
     assert (row.stated, row.met) == ("10.0 K", True)
+
+
+@pytest.mark.parametrize(
+    ("standard", "wind", "stated", "met"),
+    [
+        ("EN 13187", 5.04, "5.04 m/s", False),
+        ("EN 13187", 5.0, "5.0 m/s", True),
+        ("IEC TS 62446-3", 7.8, "7.8 m/s", True),
+    ],
+)
+def test_a_stated_value_is_judged_as_it_stands(standard, wind, stated, met):
+    rows = {row.what: row for row in conditions_of(Survey(standard=standard, wind_m_s=wind))}
+    assert (rows["Wind"].stated, rows["Wind"].met) == (stated, met)
+
+
+def test_words_about_rain_are_no_number():
+    words = "dry since 12.03.2026"
+    row = conditions_of(Survey(standard="EN 13187", precipitation=words))[-1]
+    assert (row.stated, row.words) == ("", words)
 
 
 @pytest.mark.parametrize(("language", "row"), [("en", "21.5 °C"), ("de", "21,5 °C")])

@@ -32,6 +32,7 @@ def test_colours_span_what_lies_about_a_mark():
         (WorldFrame(), "without a scale"),
         (WorldFrame(metric=True), "in metres"),
         (WorldFrame(True, True, EarthPosition(48.0, 11.0, None), 0.64), "0,64 m neben"),
+        (WorldFrame(True, True, EarthPosition(48.0, 11.0, None), 0.0031), "0,0031 m neben"),
     ],
 )
 def test_the_report_says_where_lengths_come_from(small_scene: Path, world: WorldFrame, text: str):

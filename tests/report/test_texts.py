@@ -76,6 +76,8 @@ def test_numbers_are_written_as_the_language_does():
     assert Texts().numbers("2.82, −4.45") == "2.82, −4.45"
     assert Texts("de").date(date(2026, 1, 12)) == "12.01.2026"
     assert Texts("fr")("{low} to {high}", low=1, high=2) == "1 à 2"
+    named = Message("{name}: {value} K", name="Wall 1.5", value="1.5")
+    assert Texts("de")(named) == "Wall 1.5: 1,5 K"
     assert Texts("de")("not a sentence of the report") == "not a sentence of the report"
 
 

@@ -407,6 +407,17 @@ def test_the_report_promises_no_more_than_is_known_of_the_camera(
 
 
 @pytest.mark.usefixtures("certain")
+def test_the_inspectors_words_are_printed_as_they_are(run: Run, tmp_path: Path):
+    words = "dry since 12.03.2026"
+    survey = run.folder.path / "survey.yaml"
+    survey.write_text(f"standard: EN 13187\nprecipitation: {words}\nwind_m_s: 2.25\n", "utf-8")
+    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
+    survey.unlink()
+    assert text.count(words) == 2
+    assert text.count("2,25 m/s") == 2
+
+
+@pytest.mark.usefixtures("certain")
 def test_what_was_not_searched_for_is_not_said_to_be_missing(run: Run, tmp_path: Path):
     marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
     marks.spot(camera, (20, 15))

@@ -36,7 +36,7 @@ def size_text(reading: MarkReading, world: WorldFrame) -> str:
         around = area_uncertainty(reading, world)
         return Message(f"{{size}} {unit}²", size=_with_around(reading.area, around))
     if reading.mark.kind == "spot":
-        return Message(f"{{size}} {unit}", size=f"⌀ {_digits(2 * reading.mark.radius)}")
+        return Message(f"{{size}} {unit}", size=f"⌀ {digits(2 * reading.mark.radius)}")
     return DASH
 
 
@@ -288,10 +288,10 @@ def _known(value: float) -> float | None:
 
 def _with_around(size: float, around: float) -> str:
     """A size, ± its uncertainty where that is known."""
-    return _digits(size) if math.isnan(around) else f"{_digits(size)} ± {_digits(around, 1)}"
+    return digits(size) if math.isnan(around) else f"{digits(size)} ± {digits(around, 1)}"
 
 
-def _digits(value: float, count: int = 3) -> str:
+def digits(value: float, count: int = 3) -> str:
     """So many digits, without an exponent."""
     decimals = 2 if value <= 0 else max(0, count - 1 - math.floor(math.log10(value)))
     return f"{value:.{decimals}f}"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import date
+from decimal import Decimal
 from typing import NamedTuple, get_args
 
+from mrgs.marks.tables import digits
 from mrgs.report.texts import Texts
 from mrgs.survey import Side, Survey
 
@@ -13,15 +15,15 @@ LEAST_DIFFERENCE_K = 10.0
 MOST_WIND_BUILDING_M_S = 5.0
 LEAST_HOURS_WITHOUT_SUN = 2.0
 LEAST_IRRADIANCE_W_M2 = 600.0
-MOST_WIND_PLANT_M_S = 28 / 3.6
-"""4 Beaufort."""
+MOST_WIND_PLANT_M_S = 7.8
+"""4 Beaufort: 28 km/h."""
 
 MOST_CLOUD_EIGHTHS = 2.0
 MOST_PIXEL_CM = 3.0
 """So that a cell of a module is five pixels wide."""
 
 
-ONE_DECIMAL = ("°C", "K", "m/s", "cm")
+ONE_DECIMAL = ("°C", "K", "m/s")
 """Units whose values always have a decimal."""
 
 
@@ -33,12 +35,14 @@ class Condition(NamedTuple):
         asked: what the standard asks for.
         stated: the quantity with its unit; empty if neither survey nor photos say it.
         met: whether it is met; None if that cannot be said.
+        words: the inspector's own in place of ``stated``, printed as they are.
     """
 
     what: str
     asked: str
     stated: str
     met: bool | None
+    words: str = ""
 
 
 def conditions_of(survey: Survey, pixel_m: float | None = None) -> list[Condition]:
@@ -65,7 +69,7 @@ def difference_k(survey: Survey) -> float | None:
 def _difference(survey: Survey) -> Condition:
     found = difference_k(survey)
     met = None if found is None else abs(found) >= LEAST_DIFFERENCE_K
-    return Condition("Air inside minus outside", "at least 10 K", _text(found, "K"), met)
+    return Condition("Air inside minus outside", "at least 10 K", _derived(found, "K"), met)
 
 
 def _steady(survey: Survey) -> Condition:
@@ -77,55 +81,67 @@ def _steady(survey: Survey) -> Condition:
         least = min(inside - low, inside - high, key=abs) if (inside - low) * (
             inside - high
         ) > 0 else 0.0  # fmt: skip
-        stated, met = _text(least, "K"), abs(_rounded(least)) >= LEAST_DIFFERENCE_K
+        stated, met = _derived(least, "K"), abs(_rounded(least)) >= LEAST_DIFFERENCE_K
     return Condition("The same, over the 24 hours before", "at least 10 K", stated, met)
 
 
 def _wind(most: float, asked: str) -> Callable[[Survey], Condition]:
     def check(survey: Survey) -> Condition:
         found = survey.wind_m_s
-        met = None if found is None else _rounded(found) <= most
-        return Condition("Wind", asked, _text(found, "m/s"), met)
+        met = None if found is None else found <= most
+        return Condition("Wind", asked, _given(found, "m/s"), met)
 
     return check
 
 
 def _sun(survey: Survey) -> Condition:
     found = survey.hours_without_sun
-    met = None if found is None else _rounded(found) >= LEAST_HOURS_WITHOUT_SUN
-    return Condition("Without direct sun", "at least 2 h", _text(found, "h"), met)
+    met = None if found is None else found >= LEAST_HOURS_WITHOUT_SUN
+    return Condition("Without direct sun", "at least 2 h", _given(found, "h"), met)
 
 
 def _dry(survey: Survey) -> Condition:
-    return Condition("Precipitation", "dry surfaces", survey.precipitation or "", None)
+    return Condition("Precipitation", "dry surfaces", "", None, survey.precipitation or "")
 
 
 def _irradiance(survey: Survey) -> Condition:
     found = survey.irradiance_w_m2
-    met = None if found is None else _rounded(found) >= LEAST_IRRADIANCE_W_M2
+    met = None if found is None else found >= LEAST_IRRADIANCE_W_M2
     return Condition(
-        "Irradiance in the plane of the modules", "at least 600 W/m²", _text(found, "W/m²"), met
+        "Irradiance in the plane of the modules", "at least 600 W/m²", _given(found, "W/m²"), met
     )
 
 
 def _clouds(survey: Survey) -> Condition:
     found = survey.cloud_eighths
-    met = None if found is None else _rounded(found) <= MOST_CLOUD_EIGHTHS
-    return Condition("Clouds", "at most 2 eighths of the sky", _text(found, "/ 8"), met)
+    met = None if found is None else found <= MOST_CLOUD_EIGHTHS
+    return Condition("Clouds", "at most 2 eighths of the sky", _given(found, "/ 8"), met)
 
 
 def _resolution(pixel_m: float | None) -> Condition:
     found = None if pixel_m is None else 100 * pixel_m
     met = None if found is None else _rounded(found) <= MOST_PIXEL_CM
-    return Condition("Pixel of the thermal photos", "at most 3 cm", _text(found, "cm"), met)
+    stated = "" if pixel_m is None else f"{pixel_cm_text(pixel_m)} cm"
+    return Condition("Pixel of the thermal photos", "at most 3 cm", stated, met)
 
 
-def _text(value: float | None, unit: str) -> str:
-    """A value with its unit, in the same decimals wherever the unit stands: one, which units that
-    are mostly stated whole have only where they need it."""
+def pixel_cm_text(pixel_m: float) -> str:
+    """The width of a pixel in cm: with a decimal, or with two digits where that would leave one."""
+    cm = 100 * pixel_m
+    return digits(cm, 2) if cm < 1 else f"{cm:.1f}"
+
+
+def _derived(value: float | None, unit: str) -> str:
+    """A value that was computed, with its unit: rounded, as it is judged."""
+    return "" if value is None else _given(_rounded(value), unit)
+
+
+def _given(value: float | None, unit: str) -> str:
+    """A value that was stated, with its unit and all its digits: at least one decimal, but for
+    units that are mostly stated whole."""
     if value is None:
         return ""
-    text = f"{_rounded(value):.1f}"
+    text = f"{Decimal(repr(float(value) + 0.0)):f}"  # repr alone may have an exponent
     if unit not in ONE_DECIMAL:
         text = text.removesuffix(".0")
     return f"{text} {unit}".replace("-", "−")
@@ -152,7 +168,7 @@ def stated_rows(survey: Survey, t: Texts) -> list[tuple[str, str]]:
 
 def _stated(value: object, unit: str, t: Texts) -> str:
     if isinstance(value, float):
-        return t.number(_text(value, unit))
+        return t.number(_given(value, unit))
     if isinstance(value, date):
         return t.date(value)
     text = str(value)

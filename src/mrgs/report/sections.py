@@ -14,6 +14,7 @@ from mrgs.errors import RunError
 from mrgs.evaluation.figures import REPORTED
 from mrgs.evaluation.report import COLUMNS, PART_NAMES, SPREADS, heading
 from mrgs.marks.emissivity import records_of
+from mrgs.marks.tables import digits
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
@@ -83,7 +84,7 @@ def _lengths(world: WorldFrame, t: Texts) -> str:
         return t("in metres")
     return t(
         "in metres; the cameras are {residual} m off their GPS positions (median)",
-        residual=t.number(f"{world.residual_m:.2f}"),
+        residual=t.number(digits(world.residual_m, 2)),
     )
 
 

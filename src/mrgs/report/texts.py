@@ -32,9 +32,13 @@ class Texts:
         self._sentences = {} if language == "en" else catalogue(language)
 
     def __call__(self, english: str, **values: object) -> str:
-        """A sentence, with values in place of ``{name}``; a ``Message`` has its own."""
+        """A sentence, with values in place of ``{name}``; a ``Message`` has its own,
+        of which ``name`` is what the user called something, and stays as it is."""
         if isinstance(english, Message):
-            own = {name: self.number(text) for name, text in english.values.items()}
+            own = {
+                name: text if name == "name" else self.number(text)
+                for name, text in english.values.items()
+            }
             english, values = english.template, {**own, **values}
         sentence = self._sentences.get(" ".join(english.split()), english)
         return sentence.format(**values) if values else sentence

@@ -16,7 +16,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.tables import DASH
 from mrgs.marks.texts import PART_NAMES
 from mrgs.pictures.html import PAGE_STYLE, InlineImage, inline_image, write_html
-from mrgs.report.conditions import conditions_of, stated_rows
+from mrgs.report.conditions import conditions_of, pixel_cm_text, stated_rows
 from mrgs.report.marks import (
     CHART_HEIGHT,
     CHART_LEFT,
@@ -86,7 +86,7 @@ class ShownMap(NamedTuple):
         size = {
             "width": t.number(f"{width:.1f}"),
             "height": t.number(f"{height:.1f}"),
-            "pixel": t.number(f"{100 * drawn.drawn.grid.pixel_m:.1f}"),
+            "pixel": t.number(pixel_cm_text(drawn.drawn.grid.pixel_m)),
         }
         what = (
             t("Temperatures of the façade from the front, to scale:")
