@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import random
+import sys
 from itertools import combinations
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -46,6 +48,25 @@ def test_names_of_many_marks_cover_neither_each_other_nor_a_mark(plates: list[Bo
     assert not any(overlap(plate, ring) for plate in plates for ring in rings)
     assert all(box[0] >= 0 and box[1] >= 0 for box in plates)
     assert all(box[2] <= SIZE[0] and box[3] <= SIZE[1] for box in plates)
+
+
+def test_a_name_costs_no_more_among_hundreds(plates: list[Box]):
+    """All boxes compared with each other, 500 names took 41 million calls."""
+    calls = 0
+
+    def count(frame: FrameType, event: str, argument: object) -> None:
+        nonlocal calls
+        calls += "call" in event and frame.f_code.co_filename == overlays.__file__
+
+    image, where, before = Image.new("RGB", SIZE), places(500), sys.getprofile()
+    sys.setprofile(count)
+    try:
+        draw_names(image, where)
+    finally:
+        sys.setprofile(before)
+    assert len(plates) > 50
+    assert not any(overlap(*pair) for pair in combinations(plates, 2))
+    assert 100 * len(where) < calls < 2_000 * len(where)
 
 
 def test_many_names_leave_most_of_the_picture_free():

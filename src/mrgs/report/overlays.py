@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.marks.mark import Mark
@@ -81,14 +82,16 @@ def _boxes_of(
     size: int,
 ) -> dict[str, Box]:
     """Boxes for the names that there is room for."""
-    taken = [(x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX) for x, y in places.values()]
+    taken = np.zeros((image.height, image.width), bool)
+    for x, y in places.values():
+        taken[_pixels_of((x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX))] = True
     found = {}
     for name, (x, y) in places.items():
         wide, half = text_width(labels[name], size) + size / 2, size / 2 + 4
         for box in _boxes_about(x, y, wide, half):
-            if _is_free(box, image, taken):
+            if _is_free(box, taken):
                 found[name] = box
-                taken.append(box)
+                taken[_pixels_of(box)] = True
                 break
     return found
 
@@ -106,12 +109,19 @@ def _boxes_about(x: float, y: float, wide: float, half: float) -> Iterator[Box]:
             yield x - wide / 2, middle - half, x + wide / 2, middle + half
 
 
-def _is_free(box: Box, image: Image.Image, taken: Sequence[Box]) -> bool:
-    """Whether a box lies in an image and overlaps none that are taken."""
+def _is_free(box: Box, taken: Bool[np.ndarray, "h w"]) -> bool:
+    """Whether a box lies in an image and on no pixel that is taken: by one look, however many other
+    boxes there are."""
     left, top, right, bottom = box
-    inside = left >= 0 and top >= 0 and right <= image.width and bottom <= image.height
-    return inside and not any(_overlap(box, other) for other in taken)
+    height, width = taken.shape
+    inside = left >= 0 and top >= 0 and right <= width and bottom <= height
+    return inside and not taken[_pixels_of(box)].any()
 
 
-def _overlap(one: Box, other: Box) -> bool:
-    return all(one[i] < other[i + 2] and other[i] < one[i + 2] for i in (0, 1))
+def _pixels_of(box: Box) -> tuple[slice, slice]:
+    """Rows and columns that a box touches, from the image's first on."""
+    left, top, right, bottom = box
+    return (
+        slice(max(math.floor(top), 0), max(math.ceil(bottom), 0)),
+        slice(max(math.floor(left), 0), max(math.ceil(right), 0)),
+    )
