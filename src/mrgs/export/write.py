@@ -47,7 +47,9 @@ def export_run(
             ``export`` if None.
         format: the name of one of ``mrgs.export.FORMATS``, or ``all``.
         palette: colours of the colour-mapped files.
-        limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
+        limits_c: °C of the palette's first and last colour; None takes the scene's whole range
+            for splats, a map's own for a map; the page then begins with the viewer's range, or with
+            that of what is seen where areas are corrected.
         maps: choices for ``ortho`` and ``elevation``.
 
     Raises:
@@ -89,7 +91,9 @@ def export(
             written here.
         folder: made if it does not exist; files of these names are replaced.
         palette: colours of the colour-mapped files.
-        limits_c: °C of the palette's first and last colour; None takes the scene's whole range.
+        limits_c: °C of the palette's first and last colour; None takes the scene's whole range
+            for splats, a map's own for a map; the page then begins with the viewer's range, or with
+            that of what is seen where areas are corrected.
         maps: choices for ``ortho`` and ``elevation``.
         on_baked: called with the PSNR that baking a run costs, dB.
         progress: called before each part with its number, the number of parts, and its name: first
