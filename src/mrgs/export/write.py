@@ -48,8 +48,8 @@ def export_run(
         format: the name of one of ``mrgs.export.FORMATS``, or ``all``.
         palette: colours of the colour-mapped files.
         limits_c: °C of the palette's first and last colour; None takes the scene's whole range
-            for splats, a map's own for a map; the page then begins with the viewer's range, or, where
-            areas are corrected, with what the model shows to the photos' cameras.
+            for splats, a map's own for a map; the page then begins with the viewer's range, or
+            with what the model shows to the photos' cameras where areas are corrected.
         maps: choices for ``ortho`` and ``elevation``.
 
     Raises:
@@ -92,8 +92,8 @@ def export(
         folder: made if it does not exist; files of these names are replaced.
         palette: colours of the colour-mapped files.
         limits_c: °C of the palette's first and last colour; None takes the scene's whole range
-            for splats, a map's own for a map; the page then begins with the viewer's range, or, where
-            areas are corrected, with what the model shows to the photos' cameras.
+            for splats, a map's own for a map; the page then begins with the viewer's range, or
+            with what the model shows to the photos' cameras where areas are corrected.
         maps: choices for ``ortho`` and ``elevation``.
         on_baked: called with the PSNR that baking a run costs, dB.
         progress: called before each part with its number, the number of parts, and its name: first
