@@ -317,9 +317,10 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         numbers = [mark["id"] for mark in (await answer(connection, "marks"))["of"]]
         assert len(numbers) == 2
         (pane,) = (await picture(connection, number=2))["panes"]
-        ((x, y, label),) = pane["marks"]
+        ((x, y, label, short),) = pane["marks"]
         assert (x, y) == pytest.approx((0.5, 0.5), abs=0.02)
         assert label.startswith("S1  ")
+        assert short == "S1"
         (outline,) = pane["outlines"]
         assert len(outline["corners"]) == 4
         spot, box = numbers

@@ -176,7 +176,9 @@ class Inspection:
         """The spots, and the point that was read last."""
         labels = [
             PointLabel(
-                np.array(reading.mark.points[0]), label_text(reading, self.subject.temperature)
+                np.array(reading.mark.points[0]),
+                label_text(reading, self.subject.temperature),
+                reading.mark.name,
             )
             for reading in self._readings
             if reading.mark.kind == "spot"
@@ -190,7 +192,11 @@ class Inspection:
         """The anomalies that the report proposes."""
         board, temperature = self._board, self.subject.temperature
         return [
-            PointLabel(np.array(reading.mark.points[0]), f"{label_text(reading, temperature)} ?")
+            PointLabel(
+                np.array(reading.mark.points[0]),
+                f"{label_text(reading, temperature)} ?",
+                f"{reading.mark.name} ?",
+            )
             for reading in (() if board is None else board.proposals)
         ]
 
@@ -203,6 +209,7 @@ class Inspection:
                 label_text(reading, self.subject.temperature),
                 reading.low_at,
                 reading.high_at,
+                reading.mark.name,
             )
             for reading in self._readings
             if reading.mark.kind != "spot"

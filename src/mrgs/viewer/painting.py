@@ -53,10 +53,12 @@ class PointLabel:
     Attributes:
         position: world coordinates, [3].
         label: drawn beside it.
+        short: the same where there is no room for the label; may be empty.
     """
 
     position: Float[np.ndarray, "3"]
     label: str
+    short: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +71,7 @@ class Outline:
         label: drawn beside it.
         low_at: world coordinates of the smallest value, [3]; empty if there is none.
         high_at: of the largest value.
+        short: see ``PointLabel``.
     """
 
     corners: Float[np.ndarray, "n 3"]
@@ -76,6 +79,7 @@ class Outline:
     label: str
     low_at: tuple[float, ...] = ()
     high_at: tuple[float, ...] = ()
+    short: str = ""
 
 
 class SeenOutline(NamedTuple):
@@ -87,6 +91,7 @@ class SeenOutline(NamedTuple):
         label: see ``Outline``.
         low: place of the smallest value; None where that is hidden.
         high: place of the largest value; None where that is hidden.
+        short: see ``PointLabel``.
     """
 
     corners: list[tuple[float, float]]
@@ -94,6 +99,7 @@ class SeenOutline(NamedTuple):
     label: str
     low: tuple[float, float] | None
     high: tuple[float, float] | None
+    short: str
 
 
 @dataclass(frozen=True)
@@ -345,9 +351,9 @@ def pane_scale(pane: Pane, scales: Scales) -> Scale | None:
 
 def seen_marks(
     pane: Pane, images: PaneImages, marks: Sequence[PointLabel]
-) -> list[tuple[float, float, str]]:
-    """Where a pane shows marks: x and y from 0 to 1 over the pane, and the label; without those
-    that lie outside or behind something."""
+) -> list[tuple[float, float, str, str]]:
+    """Where a pane shows marks: x and y from 0 to 1 over the pane, the label, and that for little
+    room; without those that lie outside or behind something."""
     places = []
     size = pane.camera.width, pane.camera.height
     for mark in marks:
@@ -356,7 +362,7 @@ def seen_marks(
             continue
         x, y = pixel.tolist()
         if not _is_hidden((x, y, depth.item()), images, size):
-            places.append((x / size[0], y / size[1], mark.label))
+            places.append((x / size[0], y / size[1], mark.label, mark.short))
     return places
 
 
@@ -373,7 +379,7 @@ def seen_outlines(pane: Pane, images: PaneImages, outlines: Sequence[Outline]) -
         size = pixels.new_tensor([pane.camera.width, pane.camera.height])
         corners = [(x, y) for x, y in (pixels / size).tolist()]
         low, high = (_seen_place(pane, images, at) for at in (outline.low_at, outline.high_at))
-        found.append(SeenOutline(corners, outline.closed, outline.label, low, high))
+        found.append(SeenOutline(corners, outline.closed, outline.label, low, high, outline.short))
     return found
 
 
@@ -391,7 +397,7 @@ def _seen_place(
     return None if _is_hidden((x, y, depth.item()), images, size) else (x / size[0], y / size[1])
 
 
-def _draw_mark(image: Image.Image, mark: tuple[float, float, str]) -> None:
+def _draw_mark(image: Image.Image, mark: tuple[float, float, str, str]) -> None:
     x, y, label = round(mark[0] * image.width), round(mark[1] * image.height), mark[2]
     draw = ImageDraw.Draw(image)
     for color, width in (((0, 0, 0), 4), ((255, 255, 255), 2)):

@@ -265,11 +265,11 @@ def test_marks_are_listed_drawn_and_hidden_behind_surfaces(open_page, tmp_path):
 
 
 def test_a_long_list_of_marks_scrolls_beside_the_picture(open_page):
-    box = mark("box", [[0.0, 0.0, 2.0]] * 4, emissivity=0.5, reflected_c=-10.0)
+    box = mark("box", [[0.0, 0.0, 2.0]] * 4, lines=["1.00 m", "corrected for ε 0.5"])
     page = open_page(marks=[box] * 30, viewport={"width": 800, "height": 600})
     first = page.locator("#mark-list details").first
     first.locator("summary").press("Enter")
-    assert "emissivity 0.5, reflected temperature −10\u00a0°C" in first.inner_text()
+    assert "corrected for ε 0.5" in first.inner_text()
     assert page.evaluate("document.documentElement.scrollHeight <= window.innerHeight")
 
 

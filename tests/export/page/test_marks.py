@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 from mrgs.export.page.marks import page_marks
 from mrgs.marks import Mark, Marks
-from mrgs.marks.measure import MarkMeter
+from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
+from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.marks.uncertainty.budget import Budget
 from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
@@ -32,3 +33,20 @@ def test_the_page_says_that_the_accuracy_of_the_camera_is_not_known():
     (shown,), notes = page_marks(marks)
     assert shown["label"].startswith("S1  20.0 ± ")
     assert notes == ("The accuracy of the thermal camera is not known, and not included.",)
+
+
+def test_an_area_says_what_it_is_corrected_for_as_a_spot_within_it_does():
+    corners = tuple((x, 0.0, z) for x, z in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)))
+    area = Mark("B1", "box", corners, SPOT.eye, emissivity=0.5, reflected_c=-10.0)
+    surface = SurfaceSettings(0.5, -10.0)
+    readings = [MarkReading(mark, mean=0.5, surface=surface) for mark in (area, SPOT)]
+    marks = SimpleNamespace(
+        marks=Marks((area, SPOT)),
+        run=SimpleNamespace(temperature=RANGE),
+        meter=SimpleNamespace(
+            measure=lambda _: readings, uncertainty=None, capture=CaptureSettings()
+        ),
+        world=WorldFrame(),
+    )
+    shown, _ = page_marks(marks)
+    assert ["corrected for ε 0.5, T_refl −10.0 °C" in each["lines"] for each in shown] == [True] * 2

@@ -30,6 +30,7 @@ class Page {
     this.resolution = 1;
     this.lastMove = -Infinity;
     this.lastFrame = 0;
+    this.overMs = 0;
     this.inMotion = false;
     this.spot = null;
     this.hover = null;
@@ -269,7 +270,7 @@ class Page {
   frame(now) {
     this.frameRequested = false;
     const inMotion = this.navigation.dragging || performance.now() - this.lastMove < REST_MS;
-    const elapsed = now - this.lastFrame;
+    const elapsed = now - this.lastFrame - this.overMs; // marks are not drawn faster at a coarser resolution
     const wasInMotion = this.inMotion;
     this.lastFrame = now;
     this.inMotion = inMotion;
@@ -282,8 +283,10 @@ class Page {
     const camera = this.viewpoint.cameraFor(width, height);
     this.renderer.draw(camera, this.look(camera));
     if (!this.complete) this.timeDrawing();
+    const drawn = performance.now();
     this.placeMarker();
     this.drawMarks();
+    this.overMs = performance.now() - drawn;
     if (inMotion) {
       clearTimeout(this.rest);
       this.rest = setTimeout(() => this.requestFrame(), REST_MS);
@@ -398,7 +401,7 @@ class Page {
       }
       const lines = document.createElement("div");
       lines.className = "lines muted";
-      lines.textContent = [mark.severity && `Severity ${mark.severity}`, ...mark.lines, settingsOf(mark), mark.note].filter(Boolean).join("\n");
+      lines.textContent = [mark.severity && `Severity ${mark.severity}`, ...mark.lines, mark.note].filter(Boolean).join("\n");
       row.append(summary, lines);
       if (mark.profile.length) row.append(profileChart(mark));
       return row;
@@ -412,11 +415,13 @@ class Page {
     const { clientWidth, clientHeight } = this.canvas;
     const camera = this.viewpoint.cameraFor(clientWidth, clientHeight);
     const place = (point) => point && project(camera, point);
+    const labels = new Labels(over, clientWidth, clientHeight);
     this.facts.marks.forEach((mark, index) => {
       const corners = mark.points.map(place);
       if (this.hidden.has(index) || corners.includes(null)) return;
-      if (mark.kind === "spot") drawMark(over, ...corners[0], mark.label, clientWidth, clientHeight);
-      else drawOutline(over, (...at) => at, { corners, closed: mark.closed, label: mark.label, low: place(mark.lowAt), high: place(mark.highAt) }, clientWidth, clientHeight);
+      const { name: short, label, closed } = mark;
+      if (mark.kind === "spot") drawMark(labels, ...corners[0], [label, short]);
+      else drawOutline(labels, (...at) => at, { corners, closed, label, short, low: place(mark.lowAt), high: place(mark.highAt) });
     });
   }
 
@@ -452,14 +457,6 @@ class Page {
     marker.style.transform = `translate(${place[0]}px, ${place[1]}px)`;
     element("marker-text").textContent = this.spot.text;
   }
-}
-
-// The settings of a mark's surface that are not those of the photos.
-function settingsOf({ emissivity, reflected_c: reflected }) {
-  const own = [];
-  if (emissivity !== null) own.push(`emissivity ${emissivity}`);
-  if (reflected !== null) own.push(`reflected temperature ${withMinus(String(reflected))}\u00a0°C`);
-  return own.join(", ");
 }
 
 function showFailure(message) {

@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 
 from mrgs.marks.mark import Place
 from mrgs.marks.run_marks import RunMarks
+from mrgs.marks.tables import corrected_text
 from mrgs.marks.texts import label_text, mark_text
 
 PageMark: TypeAlias = dict[str, Any]
@@ -24,10 +25,13 @@ def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
         return [], ()
     shown = []
     for reading in marks.meter.measure(known):
-        mark = reading.mark
+        mark, text = reading.mark, mark_text(reading, known.reference, temperature, marks.world)
+        # An area's own settings are in no field here.
+        corrected = [corrected_text(reading)] if mark.has_settings and not reading.problem else []
         shown.append(
             {
-                **mark_text(reading, known.reference, temperature, marks.world),
+                **text,
+                "lines": [*text["lines"], *corrected],
                 "points": [_rounded(point) for point in mark.points],
                 "closed": mark.is_area,
                 "lowAt": list(reading.low_at) or None,

@@ -129,8 +129,8 @@ class Renderer {
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 
-  // Value, place and, where there are areas, depth of all pixels that show a surface, of an image that is drawn for this
-  // alone.
+  // Value, place and, where there are areas, depth of all pixels that show a surface, of an image that is drawn for
+  // this alone.
   seenPixels(camera, look, surfaceAlpha) {
     const { gl } = this;
     this.blend(camera, look);

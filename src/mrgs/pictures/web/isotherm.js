@@ -7,8 +7,8 @@ const MAGNUS_B = 243.12;
 const MAGNUS_LIMITS = [-45, 60];
 const AIR_LIMITS = [-90, 90];
 
-// By mode: the label of each number, what it starts with, and its limits (null: of the scale). The survey of the run may
-// state what the air was like.
+// By mode: the label of each number, what it starts with, and its limits (null: of the scale). The survey of the run
+// may state what the air was like.
 const isothermFields = ({ inside_c, outside_c, humidity_percent }) => ({
   above: [["Above", null, null]],
   below: [["Below", null, null]],

@@ -14,19 +14,44 @@ function shape(name, attributes, parent, text) {
 const LABEL_SHIFTS = [0, 1, -1, 2, -2];
 const LABEL_MARGIN = 2;
 
-// The label of a place: to its right or left, where it covers no other one and lies within the picture; its first word
-// alone where there is no room for the rest, and nothing where there is none for that.
-function writeLabel(over, x, y, gap, text, width, height) {
-  const others = [...over.querySelectorAll(":scope > text")].map((each) => each.getBBox());
-  const label = shape("text", {}, over);
-  for (const words of new Set([text, text.split("  ")[0]])) {
-    label.textContent = words;
-    const place = freePlace(label.getBBox(), [x + gap, x - gap], y, others, [width, height]);
-    if (!place) continue;
-    for (const [name, value] of Object.entries(place)) label.setAttribute(name, value);
-    return;
+// By text: its box where its left end lies at the origin. Measuring makes the browser lay out the page.
+const labelBoxes = new Map();
+const MOST_BOXES = 5000;
+
+function labelBox(text, over) {
+  if (!labelBoxes.has(text)) {
+    if (labelBoxes.size >= MOST_BOXES) labelBoxes.clear();
+    const measured = shape("text", {}, over, text);
+    const { y, width, height } = measured.getBBox();
+    measured.remove();
+    if (!width) return { y, width, height }; // nothing is laid out yet
+    labelBoxes.set(text, { y, width, height });
   }
-  label.remove();
+  return labelBoxes.get(text);
+}
+
+// The labels over a picture of this size, none of which covers another.
+class Labels {
+  constructor(over, width, height) {
+    Object.assign(this, { over, width, height });
+    this.taken = [];
+  }
+
+  put(text, x, y) {
+    const box = labelBox(text, this.over);
+    this.taken.push({ x, y: y + box.y, width: box.width, height: box.height });
+    shape("text", { x, y }, this.over, text);
+  }
+
+  // Beside a place, to its right or left: the first of some texts, the longest first, that covers no other label and
+  // lies within the picture; nothing where there is no room for any.
+  write(x, y, gap, texts) {
+    for (const text of texts) {
+      const box = text && labelBox(text, this.over);
+      const place = box && freePlace(box, [x + gap, x - gap], y, this.taken, [this.width, this.height]);
+      if (place) return this.put(text, place.x, place.y);
+    }
+  }
 }
 
 // The first place for a box of text whose left or right end is at one of two abscissas; null if all are taken.
@@ -43,16 +68,17 @@ function freePlace(box, [right, left], y, others, [width, height]) {
   return null;
 }
 
-// A cross with its label, in a picture of this size.
-function drawMark(over, x, y, label, width, height) {
+// A cross with its label: the whole one, and that for little room.
+function drawMark(labels, x, y, texts) {
   const cross = `M${x - 9} ${y}H${x + 9}M${x} ${y - 9}V${y + 9}`;
-  for (const layer of ["under", "over"]) shape("path", { d: cross, class: layer }, over);
-  writeLabel(over, x, y - 10, 13, label, width, height);
+  for (const layer of ["under", "over"]) shape("path", { d: cross, class: layer }, labels.over);
+  labels.write(x, y - 10, 13, texts);
 }
 
-// A line or an area with its label at the highest corner in the picture, and dots at its extremes; `at` maps its places to pixels of a
-// picture of this size.
-function drawOutline(over, at, { corners, closed, label, low, high }, width, height) {
+// A line or an area with its label at the highest corner in the picture, and dots at its extremes; `at` maps its places
+// to pixels of the picture.
+function drawOutline(labels, at, { corners, closed, label, short, low, high }) {
+  const { over, width, height } = labels;
   const places = corners.map((corner) => at(...corner));
   const d = `M${places.map((place) => place.map((n) => n.toFixed(1)).join(" ")).join("L")}${closed ? "Z" : ""}`;
   for (const layer of ["under", "over"]) shape("path", { d, class: layer }, over);
@@ -64,7 +90,7 @@ function drawOutline(over, at, { corners, closed, label, low, high }, width, hei
   const inside = places.filter(([x, y]) => x >= 0 && x <= width && y >= 0 && y <= height);
   if (!inside.length) return;
   const [x, y] = inside.reduce((best, place) => (place[1] < best[1] ? place : best));
-  writeLabel(over, x, Math.max(y - 8, 14), 6, label, width, height);
+  labels.write(x, Math.max(y - 8, 14), 6, [label, short]);
 }
 
 // The values along a line as a small chart: pairs of distance and value, null where there is no surface; `ends` are its

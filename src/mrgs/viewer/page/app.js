@@ -376,9 +376,10 @@ class Page {
       if (pane.free && pane.place[2] === 1 && element("show-cameras").checked) this.drawCameras(over, shown.camera);
       const own = shape("svg", { x: left, y: top, width, height }, over); // which clips what lies beside the pane
       const at = (x, y) => [x * width, y * height];
-      if (pane.title) shape("text", { x: 12, y: 24 }, own, pane.title);
-      for (const outline of pane.outlines) drawOutline(own, at, outline, width, height);
-      for (const [x, y, label] of pane.marks) drawMark(own, ...at(x, y), label, width, height);
+      const labels = new Labels(own, width, height);
+      if (pane.title) labels.put(pane.title, 12, 24);
+      for (const outline of pane.outlines) drawOutline(labels, at, outline);
+      for (const [x, y, ...texts] of pane.marks) drawMark(labels, ...at(x, y), texts);
       if (pane.scale && height > 140) this.addBar(pane.scale, left, clientHeight - top - height, height);
     }
   }
