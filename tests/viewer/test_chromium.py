@@ -407,6 +407,8 @@ def test_labels_stay_in_their_pane_beside_their_marks_and_apart(open_page, board
 
 def test_the_middle_is_read_and_marked_with_keys(open_page, board):
     page = open_page()
+    assert page.locator("#view").get_attribute("aria-label").endswith(", s marks it as a spot")
+    assert page.locator("#spot-key").is_visible()
     page.locator("#view").focus()
     page.keyboard.press("Enter")
     told = shown_celsius(page, "#value")

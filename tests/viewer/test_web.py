@@ -302,6 +302,7 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         hello = await answer(connection, "hello")
         assert hello["views"][0]["name"] == balls.train[0].name
         assert hello["modes"][0]["label"] == "Temperature"
+        assert (hello["longest_side_px"], hello["video_seconds"]) == (4096, [0.5, 600])
         await picture(connection)
         await connection.send('{"type": "hover", "x": 0.5, "y": 0.5}')
         text = (await answer(connection, "hover"))["text"]

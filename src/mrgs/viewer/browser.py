@@ -43,6 +43,8 @@ from mrgs.viewer.cameras import fitted_size
 from mrgs.viewer.inspection import DrawnPicture, Inspection, VideoProgress
 from mrgs.viewer.layout import Pane
 from mrgs.viewer.messages import (
+    LONGEST_SIDE_PX,
+    VIDEO_SECONDS,
     Act,
     AddMark,
     AnyMessage,
@@ -419,9 +421,10 @@ class Browser:
             "palettes": palette_facts([*PALETTE_CHOICES, "depth", "error"]),
             "choices": PALETTE_CHOICES,
             "modalities": [self._modality(each) for each in subject.modalities],
-            "readable": bool(subject.readable),
             "marks": subject.board is not None,
             "mark_limits": MARK_LIMITS,
+            "longest_side_px": LONGEST_SIDE_PX,
+            "video_seconds": VIDEO_SECONDS,
             "air": {} if subject.board is None else air_facts(subject.board.survey),
         }
 

@@ -16,6 +16,7 @@ from mrgs.scene.rotations import rigid_transform
 from mrgs.viewer.source import Effort
 
 LONGEST_SIDE_PX = 4096
+VIDEO_SECONDS = 0.5, 600.0
 LARGEST_MESSAGE = 65_536
 """Bytes."""
 
@@ -27,7 +28,7 @@ Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=1e-3, le=FARTHEST)]
 Share: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Side: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=LONGEST_SIDE_PX)]
 Index: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
-Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=0.5, le=600)]
+Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=VIDEO_SECONDS[0], le=VIDEO_SECONDS[1])]
 Limits: TypeAlias = tuple[Number, Number]
 
 

@@ -3,8 +3,6 @@
 const REST_MS = 160;
 const STILL_MS = 500;
 const MAX_PIXEL_RATIO = 3;
-const LONGEST_SIDE_PX = 4096;
-const VIDEO_SECONDS = [0.5, 600];
 const FRUSTUM_DEPTH = 0.06; // of the distance between the camera and what it turns about
 
 const element = (id) => document.getElementById(id);
@@ -38,8 +36,9 @@ function splitPicture(data) {
 // Asks for pictures: soon while the camera moves, sharp once it rests, at full resolution if it goes on resting. Only
 // visible pages are called back for a frame, so a hidden one asks for nothing.
 class Pictures {
-  constructor(connection, canvas, cameraFor, onShown) {
+  constructor(connection, canvas, longestSide, cameraFor, onShown) {
     this.connection = connection;
+    this.longestSide = longestSide;
     this.canvas = canvas;
     this.cameraFor = cameraFor;
     this.onShown = onShown;
@@ -78,7 +77,7 @@ class Pictures {
 
   size() {
     const { clientWidth, clientHeight } = this.canvas;
-    const ratio = Math.min(window.devicePixelRatio || 1, MAX_PIXEL_RATIO, LONGEST_SIDE_PX / Math.max(clientWidth, clientHeight, 1));
+    const ratio = Math.min(window.devicePixelRatio || 1, MAX_PIXEL_RATIO, this.longestSide / Math.max(clientWidth, clientHeight, 1));
     return [clientWidth, clientHeight].map((side) => Math.max(1, Math.floor(side * ratio)));
   }
 
@@ -137,7 +136,7 @@ class Page {
     element("note").textContent = facts.note;
     this.viewpoint = new Viewpoint(facts.start.world, () => this.moved());
     this.pictures = new Pictures(
-      this.connection, this.canvas,
+      this.connection, this.canvas, facts.longest_side_px,
       (width, height) => this.viewpoint.cameraFor(width, height),
       (shown, camera) => this.shown(shown, camera),
     );
@@ -172,6 +171,8 @@ class Page {
     for (const { name } of views) element("photo").add(new Option(name));
     element("photo-section").hidden = views.length === 0;
     element("measure-section").hidden = !marks;
+    element("spot-key").hidden = !marks;
+    if (marks) this.canvas.setAttribute("aria-label", `${this.canvas.getAttribute("aria-label")}, s marks it as a spot`);
   }
 
   connectControls() {
@@ -308,7 +309,7 @@ class Page {
   }
 
   sendPath(type) {
-    const seconds = numberIn(element("seconds"), element("seconds-said"), "Seconds", VIDEO_SECONDS);
+    const seconds = numberIn(element("seconds"), element("seconds-said"), "Seconds", this.facts.video_seconds);
     if (seconds !== null) this.connection.send(type, { seconds });
   }
 
