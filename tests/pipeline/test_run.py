@@ -76,18 +76,20 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def finished(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished pipeline, stopped before each stage and continued by the same call."""
+    """A finished pipeline in a relative folder, stopped before each stage and continued by the
+    same call."""
     output = tmp_path_factory.mktemp("pipeline") / "results"
     with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(output.parent)
         patch.setitem(QUALITIES, "fast", Quality("fast", "fast", 2, 100, 640))
         for index, stage in enumerate(STAGES):
             watcher = Watcher(stop_at=stage)
             with pytest.raises(KeyboardInterrupt):
-                run_pipeline(small_scene, output, quality="fast", monitor=watcher)
+                run_pipeline(small_scene, output.name, quality="fast", monitor=watcher)
             assert watcher.reused_stages == STAGES[: max(index - 1, 0)]
             assert watcher.ran == STAGES[max(index - 1, 0) : index]
         last = Watcher()
-        run_pipeline(small_scene, output, quality="fast", monitor=last)
+        run_pipeline(small_scene, output.name, quality="fast", monitor=last)
         assert (last.reused_stages, last.ran) == (STAGES[:-1], STAGES[-1:])
         assert last.left, "the exports say how long they take"
         assert None not in last.left

@@ -90,7 +90,7 @@ def run_pipeline(
     source, chosen = Path(source), _quality(quality)
     title = gpu.device_title(gpu.choose_device(device))
     intake, options = _taken_in(source, options or PrepareOptions(), monitor)
-    target = default_output(source) if output is None else Path(output)
+    target = (default_output(source) if output is None else Path(output)).absolute()
     _require_own(source, target)
     missing = require_extras(intake, options)
     on_cpu = gpu.choose_device(device) == HOST
