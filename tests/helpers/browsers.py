@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -46,6 +46,27 @@ def new_page(browser: Any, **options: Any) -> Any:
     page = browser.new_context(**options).new_page()
     page.set_default_timeout(1000 * PATIENCE_S)
     return page
+
+
+def collect_errors(page: Any, errors: list[str], own: Sequence[str]) -> None:
+    """Note whatever a page reports as an error, or fetches from elsewhere.
+
+    Args:
+        page: before it is opened.
+        errors: to add to.
+        own: schemes of addresses that the page may fetch, such as "blob".
+    """
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on(
+        "console",
+        lambda message: errors.append(message.text) if message.type == "error" else None,
+    )
+    page.on(
+        "request",
+        lambda request: (
+            errors.append(request.url) if request.url.split(":")[0] not in own else None
+        ),
+    )
 
 
 def wait_until(condition: Callable[[], bool], what: str, page: Any = None) -> None:

@@ -373,6 +373,17 @@ def test_photos_in_the_scene_s_own_folders(photos, tmp_path):
     assert contents(root) == before
 
 
+@pytest.fixture
+def digested(monkeypatch) -> list[str]:
+    """Names of the files whose content is read to tell whether it has changed."""
+    names = []
+    original = contents_module.digest
+    monkeypatch.setattr(
+        contents_module, "digest", lambda path: names.append(path.name) or original(path)
+    )
+    return names
+
+
 SET = {
     f"{i}_{mark}": kind
     for i in range(3)
@@ -407,13 +418,9 @@ def test_a_photo_exported_again_with_its_old_size_and_time_is_read_again(made, p
     np.testing.assert_array_equal(pixels(scene / "thermal/1.tiff"), before + np.float32(5))
 
 
-def test_a_call_that_was_cut_short_remembers_what_others_read(made, photos, scene, monkeypatch):
+def test_a_call_that_was_cut_short_remembers_what_others_read(made, photos, scene, digested):
     made(SET)
-    digested = []
-    original = contents_module.digest
-    monkeypatch.setattr(
-        contents_module, "digest", lambda path: digested.append(path.name) or original(path)
-    )
+    digested.clear()
     pairing, cache = find_pairs(photos({})), Cache(scene / "prepare")
 
     def stop(step: str, done: int, total: int) -> None:
@@ -427,14 +434,10 @@ def test_a_call_that_was_cut_short_remembers_what_others_read(made, photos, scen
     assert digested == ["0_t.tif"]
 
 
-def test_photos_are_read_again_only_where_their_files_changed(made, photos, scene, monkeypatch):
+def test_photos_are_read_again_only_where_their_files_changed(made, photos, scene, digested):
     """A photo that was touched is compared by its content, and not converted again."""
     made(SET)
-    digested = []
-    original = contents_module.digest
-    monkeypatch.setattr(
-        contents_module, "digest", lambda path: digested.append(path.name) or original(path)
-    )
+    digested.clear()
     cache = Cache(scene / "prepare")
     (photos({}) / "2_t.tif").touch()
     convert_photos(find_pairs(photos({})), scene, Overrides(), cache, quiet)

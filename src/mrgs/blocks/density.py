@@ -13,7 +13,6 @@ from mrgs.blocks.region import Region, Ring, ScenePlane
 from mrgs.method.density import (
     DensityStep,
     DensityUpdate,
-    Setting,
     Strategy,
     StrategyState,
 )
@@ -68,7 +67,7 @@ class LocalDensityControl(Strategy):
     inner: Strategy = field(kw_only=True)
     part: Part = field(kw_only=True)
 
-    def settings(self) -> Mapping[str, Setting]:
+    def settings(self) -> Mapping[str, object]:
         """None: they follow from the plan of the blocks, which is compared."""
         return {}
 

@@ -221,7 +221,7 @@ class MarkStore:
     @contextmanager
     def _locked(self) -> Iterator[None]:
         """One change at a time, whatever process makes it."""
-        require_folder(self.folder)  # the lock would make it anew
+        require_folder(self.folder)  # the lock would make the folder again
         lock = FileLock(self.folder / LOCK_FILE)
         try:
             lock.acquire(timeout=PATIENCE_S)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import warnings
 import weakref
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -12,14 +11,14 @@ from pathlib import Path
 
 import torch
 
-from mrgs.errors import ConfigError, MrgsWarning
+from mrgs.errors import ConfigError
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.render import Model, render
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
-from mrgs.system.callers import users_level
+from mrgs.system.callers import warn
 from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import DeviceName
 from mrgs.system.limits import shown
@@ -301,10 +300,8 @@ def _kept_if_stopped(folder: RunFolder) -> Iterator[None]:
     except (Exception, KeyboardInterrupt):
         if isinstance(folder, TemporaryRunFolder) and folder.checkpoints():
             folder.keep()
-            warnings.warn(
+            warn(
                 f"the run is kept in {folder.path} until this process ends: continue it with "
-                f"output={str(folder.path)!r} and resume=True, or open it with load_run",
-                MrgsWarning,
-                stacklevel=users_level(),
+                f"output={str(folder.path)!r} and resume=True, or open it with load_run"
             )
         raise

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import zip_longest
@@ -14,7 +13,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from mrgs.errors import MrgsWarning, SceneError
+from mrgs.errors import SceneError
 from mrgs.scene.arrays import Array, as_tensor
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import RGB, THERMAL, Modality
@@ -22,7 +21,7 @@ from mrgs.scene.point_cloud import GREY, PointCloud
 from mrgs.scene.radiometry import COLDEST_C, HOTTEST_C
 from mrgs.scene.temperature import ZERO_CELSIUS_K, TemperatureRange, are_everyday
 from mrgs.scene.view import Pixels, PosedImage, View
-from mrgs.system.callers import users_level
+from mrgs.system.callers import warn
 
 Images: TypeAlias = Iterable[Array | None]
 """One image for each view, None where a view has none."""
@@ -110,11 +109,9 @@ def warn_of_kelvin(thermal: Sequence[Tensor | None]) -> None:
         return
     low, middle, high = np.percentile(known.numpy(), (1, 50, 99))
     if are_everyday(low - ZERO_CELSIUS_K, middle - ZERO_CELSIUS_K, high - ZERO_CELSIUS_K):
-        warnings.warn(
+        warn(
             f"celsius has values from {low:.5g} to {high:.5g}, which look like kelvin: subtract "
-            f"{ZERO_CELSIUS_K} if they are",
-            MrgsWarning,
-            stacklevel=users_level(),
+            f"{ZERO_CELSIUS_K} if they are"
         )
 
 

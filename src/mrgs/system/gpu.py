@@ -19,8 +19,8 @@ from typing import Literal, TypeAlias, get_args
 import torch
 from torch import Tensor
 
-from mrgs.errors import DeviceError, MrgsWarning
-from mrgs.system.callers import users_level
+from mrgs.errors import DeviceError
+from mrgs.system.callers import warn
 
 HOST = torch.device("cpu")
 
@@ -87,9 +87,7 @@ def choose_device(name: DeviceName) -> torch.device:
     if name == "cuda":
         raise DeviceError(f"{obstacle}; or use the CPU", options=("device",))
     if _driver_is_installed():
-        warnings.warn(
-            f"the NVIDIA GPU is not used: {obstacle}", MrgsWarning, stacklevel=users_level()
-        )
+        warn(f"the NVIDIA GPU is not used: {obstacle}")
     return torch.device("cpu")
 
 

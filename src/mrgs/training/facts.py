@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mrgs.errors import MrgsWarning, RunError, SceneError
+from mrgs.errors import RunError, SceneError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import RGB, THERMAL, Modality, Scene, TemperatureRange
-from mrgs.system.callers import users_level
+from mrgs.system.callers import warn
 from mrgs.training.fingerprint import ImageFingerprint, changes, fingerprints
 
 
@@ -165,11 +164,9 @@ def facts_to_resume(
                 f"or accept the changes",
                 options=("accept_changes",),
             )
-        warnings.warn(
+        warn(
             f"{scene.name} has changed since the run began ({changed}); training goes on with it "
-            f"as it is now",
-            MrgsWarning,
-            stacklevel=users_level(),
+            f"as it is now"
         )
     return facts._replace(scene=scene.path, capture=Capture.of(scene), images=images)
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from mrgs.errors import DamagedCheckpointError, MrgsWarning, RunError
-from mrgs.system.callers import users_level
+from mrgs.errors import DamagedCheckpointError, RunError
+from mrgs.system.callers import warn
 from mrgs.training.run_folder import RunFolder
 
 T = TypeVar("T")
@@ -37,8 +36,7 @@ def load_newest(folder: RunFolder, load: Callable[[Path], T], *, set_aside: bool
             damaged.append(error)
             continue
         for one in damaged:
-            text = _older_is_used(folder, one, path, set_aside)
-            warnings.warn(text, MrgsWarning, stacklevel=users_level())
+            warn(_older_is_used(folder, one, path, set_aside))
         return found
     raise RunError(
         f"{folder.path} has no checkpoint that is whole ({damaged[0].reason}): restore one from a "

@@ -1,5 +1,4 @@
-"""Marks that are measured anew only where something has changed that their temperature depends
-on."""
+"""Marks that are measured again only where their temperature may have changed."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ MOST_REMEMBERED = 4 * MOST_MARKS
 class RememberingMeter(MarkMeter):
     """Measures marks in a model that does not change, and remembers what it found: another note, a
     new name or one more mark change nothing of what the others measure. Surfaces with an emissivity
-    of their own may lie on any of them, so that after a change of these all are measured anew.
+    of their own may lie on any of them, so that after a change of these all are measured again.
     """
 
     def __init__(self, *args: Any, **more: Any) -> None:

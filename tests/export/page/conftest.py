@@ -14,7 +14,7 @@ from mrgs.marks.regions import Regions
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality, TemperatureRange
-from tests.helpers.browsers import chromium, new_page
+from tests.helpers.browsers import chromium, collect_errors, new_page
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.pages import SETTLED
 
@@ -108,15 +108,7 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
         )  # fmt: skip
         page = new_page(browser, offline=True, **options)
         contexts.append(page.context)
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on(
-            "console",
-            lambda message: errors.append(message.text) if message.type == "error" else None,
-        )
-        page.on(
-            "request",
-            lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "blob") else None,
-        )
+        collect_errors(page, errors, ("file", "blob"))
         page.goto(path.as_uri())
         page.wait_for_selector(SETTLED)
         return page

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from mrgs.prepare.page.write import write_page
-from tests.helpers.browsers import chromium, needs_chromium, new_page
+from tests.helpers.browsers import chromium, collect_errors, needs_chromium, new_page
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = [needs_chromium, pytest.mark.slow]
@@ -21,15 +21,7 @@ def page(prepared) -> Iterator[Any]:
     errors: list[str] = []
     with chromium() as browser:
         page = new_page(browser, offline=True, viewport={"width": 390, "height": 800})
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on(
-            "console",
-            lambda message: errors.append(message.text) if message.type == "error" else None,
-        )
-        page.on(
-            "request",
-            lambda r: errors.append(r.url) if r.url.split(":")[0] not in ("file", "data") else None,
-        )
+        collect_errors(page, errors, ("file", "data"))
         page.goto(path.as_uri())
         yield page
     assert errors == []

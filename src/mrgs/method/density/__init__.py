@@ -6,7 +6,6 @@ from mrgs.method.density.adaptive import AdaptiveDensityControl
 from mrgs.method.density.strategy import (
     DensityStep,
     DensityUpdate,
-    Setting,
     Strategy,
     StrategyState,
 )
@@ -20,7 +19,6 @@ __all__ = [
     "ConfiguredStrategy",
     "DensityStep",
     "DensityUpdate",
-    "Setting",
     "Strategy",
     "StrategyState",
 ]

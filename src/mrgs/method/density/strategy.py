@@ -25,10 +25,6 @@ StrategyState: TypeAlias = dict[str, Tensor]
 """What a strategy remembers between steps, by name; saved in checkpoints."""
 
 
-Setting: TypeAlias = bool | int | float | str | None
-"""Of a strategy, as a checkpoint's header holds it."""
-
-
 class DensityStep(NamedTuple):
     """A training step, as a strategy sees it after the parameters have moved.
 
