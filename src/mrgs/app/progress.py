@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -24,7 +23,7 @@ from rich.table import Column
 
 from mrgs.app.interrupts import CTRL_C, Interruption, interrupts
 from mrgs.app.style import say_note
-from mrgs.errors import MrgsWarning
+from mrgs.system.callers import warn
 
 if TYPE_CHECKING:
     from mrgs.pipeline.forecast import Forecast
@@ -196,7 +195,7 @@ class TrainingProgress:
             f"{len(scene.points.positions):,} start points"
         )
         for note in scene.notes:  # those already shown are not repeated
-            warnings.warn(f"{scene.name}: {note}", MrgsWarning, stacklevel=2)
+            warn(f"{scene.name}: {note}")
         print(_plan(scene, config))
         sys.stdout.flush()
         if self._compiles:

@@ -126,7 +126,7 @@ def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, SceneDat
                 "some, or list them in val_filenames"
             )
         with suppress(SceneError):  # a photo that cannot be read: the runs will say it
-            warn_of_oddities(loaded, stacklevel=4)
+            warn_of_oddities(loaded)
         other = named.setdefault(loaded.name, SceneData(loaded)).scene.path
         if other != loaded.path:
             raise ConfigError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from functools import cache, partial
@@ -17,9 +16,10 @@ from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_imag
 from mrgs.data.sources import SceneSource, ViewSource
 from mrgs.data.splits import Split, assign_splits
 from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
-from mrgs.errors import ConfigError, MrgsWarning
+from mrgs.errors import ConfigError
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
+from mrgs.system.callers import warn
 from mrgs.system.collector import collector_paused
 from mrgs.system.message import Message
 
@@ -60,7 +60,7 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
             error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
         ) from None
     for text in source.notes.repaired:
-        warnings.warn(f"{source.root.name}: {text}", MrgsWarning, stacklevel=2)
+        warn(f"{source.root.name}: {text}")
     return scene
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
@@ -13,9 +12,9 @@ import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from mrgs.errors import MrgsWarning
 from mrgs.scene import THERMAL, Camera, Modality, Scene
 from mrgs.scene.view import evenly_spaced
+from mrgs.system.callers import warn
 
 PHOTOS = 12
 """How many views' photos are looked at."""
@@ -65,8 +64,8 @@ def oddities(scene: Scene) -> list[str]:
     return found
 
 
-def warn_of_oddities(scene: Scene, stacklevel: int) -> None:
-    """Warn of each oddity; ``stacklevel`` as in ``warnings.warn``, 1 being the caller.
+def warn_of_oddities(scene: Scene) -> None:
+    """Warn of each oddity.
 
     Warns:
         MrgsWarning: see ``oddities``.
@@ -75,7 +74,7 @@ def warn_of_oddities(scene: Scene, stacklevel: int) -> None:
         SceneError: a photo cannot be read.
     """
     for text in oddities(scene):
-        warnings.warn(f"{scene.name}: {text}", MrgsWarning, stacklevel=stacklevel + 1)
+        warn(f"{scene.name}: {text}")
 
 
 def _of_files(scene: Scene) -> Iterator[str]:

@@ -16,7 +16,6 @@ scene units) is optional.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -29,7 +28,7 @@ from torch import Tensor
 from mrgs.data import load_scene
 from mrgs.data.files import IMAGE_SUFFIXES, without_image_suffix
 from mrgs.data.images import Decoded, decode, with_channels
-from mrgs.errors import MrgsWarning, RunError, SceneError
+from mrgs.errors import RunError, SceneError
 from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.report import RunFacts
 from mrgs.evaluation.score_run import Progress, score_views
@@ -45,6 +44,7 @@ from mrgs.scene import (
     View,
     in_order,
 )
+from mrgs.system.callers import warn
 
 GREY_TOLERANCE = 2.5 / 255
 """Largest difference between the channels of a grey image that was saved in colour."""
@@ -216,11 +216,9 @@ def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str
             )
     extra = sorted(found.keys() - set(names))
     if extra:
-        warnings.warn(
+        warn(
             f"{folder} holds {len(extra)} images that belong to no eval view ({_listed(extra)}); "
-            f"they are left out",
-            MrgsWarning,
-            stacklevel=2,
+            f"they are left out"
         )
     return {name: found[name][0] for name in names}
 

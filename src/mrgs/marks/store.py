@@ -4,7 +4,6 @@ step."""
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -15,11 +14,12 @@ import numpy as np
 from filelock import FileLock, Timeout
 from jaxtyping import Float
 
-from mrgs.errors import ConfigError, MrgsWarning, RunError
+from mrgs.errors import ConfigError, RunError
 from mrgs.marks.mark import Mark, Marks
 from mrgs.runs.open import TrainedRun
 from mrgs.scene import Camera, Scene
 from mrgs.system.atomic import require_folder, write_error, write_text
+from mrgs.system.callers import warn
 from mrgs.system.limits import shown
 
 FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
@@ -211,11 +211,9 @@ class MarkStore:
         except OSError as error:
             raise write_error(path, error) from error
         reason = " ".join(reason.split())
-        warnings.warn(
+        warn(
             f"{path} is damaged ({reason}): it is kept as {aside.name}; fix it and rename it, or "
-            f"undo to bring back the marks before the last change",
-            MrgsWarning,
-            stacklevel=4,
+            f"undo to bring back the marks before the last change"
         )
 
     @contextmanager

@@ -15,16 +15,16 @@ _BETWEEN = contextlib.__file__
 """Stands between a ``with`` and the block that it opens."""
 
 
-def warn(text: str) -> None:
+def warn(text: str, category: type[MrgsWarning] = MrgsWarning) -> None:
     """Warn of something that concerns the user's call of this package: the warning points at it.
 
     Warns:
-        MrgsWarning: the text.
+        MrgsWarning: the text, in this category.
     """
-    warnings.warn(text, MrgsWarning, stacklevel=users_level())
+    warnings.warn(text, category, stacklevel=_users_level())
 
 
-def users_level() -> int:
+def _users_level() -> int:
     """The ``stacklevel`` with which the calling function's warning points at the line outside of
     this package from which it was called; at the outermost one where there is none."""
     frame, level = sys._getframe(1), 1

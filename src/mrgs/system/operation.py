@@ -12,7 +12,6 @@ from __future__ import annotations
 import importlib
 import math
 import os
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -26,6 +25,7 @@ from torch import Tensor, nn
 
 from mrgs.errors import KernelWarning
 from mrgs.system import gpu
+from mrgs.system.callers import warn
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -149,10 +149,9 @@ class Operation(Generic[P, R]):
         self.rejected = True
         if self.name not in check.rejected:
             check.rejected.add(self.name)
-            warnings.warn(
+            warn(
                 f"{self.__name__}: the kernel {problem}; the plain definition is used, slower",
                 KernelWarning,
-                stacklevel=3,
             )
 
     def _difference(

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import shutil
-import warnings
 from pathlib import Path
 
-from mrgs.errors import MrgsWarning
+from mrgs.system.callers import warn
 
 
 def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
@@ -26,11 +25,9 @@ def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     free = shutil.disk_usage(existing).free
     if free < needed_bytes:
-        warnings.warn(
+        warn(
             f"{what} will take about {_size(needed_bytes)}, and the disk of {folder} has "
-            f"{_size(free)} left: make room before it is full, or stop and choose another place",
-            MrgsWarning,
-            stacklevel=3,
+            f"{_size(free)} left: make room before it is full, or stop and choose another place"
         )
 
 

@@ -6,7 +6,6 @@ kernel takes the host longer than that. A replay starts them all at once (docs/d
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Hashable, Sequence
 from itertools import combinations
 from typing import TypeAlias
@@ -15,7 +14,7 @@ import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
-from mrgs.errors import MrgsWarning
+from mrgs.system.callers import warn
 from mrgs.system.cuda_graph import CudaGraph, waits_are_errors
 from mrgs.system.gpu import lacks_memory
 from mrgs.system.recording import ListRoom, lists_have
@@ -155,11 +154,7 @@ class Recorder:
         else:
             return True
         # Here the memory is free that the error's frames held.
-        warnings.warn(
-            f"steps cannot be recorded as a CUDA graph, and take longer: {problem}",
-            MrgsWarning,
-            stacklevel=3,
-        )
+        warn(f"steps cannot be recorded as a CUDA graph, and take longer: {problem}")
         for parameter in self._parameters:
             parameter.grad = None
         self.forget()

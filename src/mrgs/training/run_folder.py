@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import tempfile
-import warnings
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -17,8 +16,9 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from filelock import FileLock, Timeout
 
-from mrgs.errors import ConfigError, FolderInUseError, MrgsWarning, RunError, SceneError
+from mrgs.errors import ConfigError, FolderInUseError, RunError, SceneError
 from mrgs.system.atomic import remove_abandoned, write_error, write_text
+from mrgs.system.callers import warn
 from mrgs.system.strict_yaml import parse_yaml, write_yaml
 
 CHECKPOINTS_KEPT = 2
@@ -206,11 +206,9 @@ class RunFolder:
         missing = [name for name in _names_in(whole) if name not in have]
         if missing:
             more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
-            warnings.warn(
+            warn(
                 f"{self.config_file} lacks {', '.join(missing[:_NAMED])}{more}, for which the "
-                f"defaults are used: restore it if it was cut off",
-                MrgsWarning,
-                stacklevel=3,
+                f"defaults are used: restore it if it was cut off"
             )
 
     def _require_config(self) -> None:

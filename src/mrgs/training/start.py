@@ -12,7 +12,6 @@ from typing import Any, Generic, TypeVar, cast
 from mrgs.data import load_scene
 from mrgs.data.oddities import warn_of_oddities
 from mrgs.scene import Scene
-from mrgs.system.callers import users_level
 from mrgs.system.forks import require_own_threads, will_compute
 from mrgs.system.operation import plainly
 from mrgs.system.torch_modes import own_modes
@@ -108,7 +107,7 @@ def start_training(
             else load_scene(scene, resolution=config.resolution, seed=config.seed)
         )
     will_compute()
-    warn_of_oddities(loaded, stacklevel=users_level())
+    warn_of_oddities(loaded)
     with folder.training(config, resume), plainly(plain):
         if on_start is not None:
             on_start(loaded, config)

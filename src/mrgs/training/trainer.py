@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, nullcontext
 from copy import deepcopy
@@ -13,7 +12,7 @@ import torch
 from torch import Tensor
 
 from mrgs.distributed.processes import Processes
-from mrgs.errors import ConfigError, LinkError, MrgsWarning, PeerError, TrainingError
+from mrgs.errors import ConfigError, LinkError, PeerError, TrainingError
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import SceneScale, Term
@@ -343,11 +342,9 @@ class Trainer(Driver[StepStatistics]):
         if self.state.strategy.may_change_at(self.state.step) and align_replicas(
             self._processes, self.state
         ):
-            warnings.warn(
+            warn(
                 "the machines round differently, so all take the first one's model whenever "
-                "Gaussians are added or removed",
-                MrgsWarning,
-                stacklevel=2,
+                "Gaussians are added or removed"
             )
 
     def _control_density(self, result: StepResult) -> None:

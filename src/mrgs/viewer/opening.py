@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from mrgs.errors import MrgsWarning, RunError
+from mrgs.errors import RunError
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.run_marks import stereo_of, thermal_cameras
@@ -23,6 +22,7 @@ from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene
 from mrgs.scene.overview import best_view
+from mrgs.system.callers import warn
 from mrgs.viewer.board import Appraiser, MarkBoard
 from mrgs.viewer.cameras import camera_around
 from mrgs.viewer.fields import PaneImages
@@ -43,11 +43,7 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
         note = (
             f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
         )
-        warnings.warn(
-            f"{run.folder.path} is still training: showing its checkpoint of {step}",
-            MrgsWarning,
-            stacklevel=2,
-        )
+        warn(f"{run.folder.path} is still training: showing its checkpoint of {step}")
     subject = Subject(
         run.folder.path.resolve().name,
         TrainedSource(run.model),
