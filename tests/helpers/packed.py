@@ -1,16 +1,25 @@
-"""A decoder of the packed model of a page, which follows the description of ``packing.py``."""
+"""A model packed for a page, and a decoder that follows the description of ``packing.py``."""
 
 from __future__ import annotations
 
 import gzip
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
 
-from mrgs.export.page.packing import PackedModel
+from mrgs.export.page.packing import PackedModel, curve_rows, harmonics_limits, pack_in_order
 from mrgs.runs.baked import BakedModel
+from mrgs.scene import Modality
+
+
+def pack(baked: BakedModel, modalities: Sequence[Modality] | None = None) -> PackedModel:
+    modalities = baked.modalities if modalities is None else modalities
+    rows = curve_rows(baked, modalities)
+    limits = harmonics_limits(baked, rows, modalities)
+    return pack_in_order(baked.subset(torch.from_numpy(rows)), modalities, limits)
 
 
 def unpack(packed: PackedModel) -> dict[str, np.ndarray]:

@@ -168,10 +168,7 @@ class BakedModel:
         """
         cameras = asked_cameras(cameras, self.modalities)
         with torch.no_grad():
-            blends = self.blend(
-                {each: self.values(each, camera.position) for each, camera in cameras.items()},
-                cameras,
-            )
+            blends = self._blend(cameras)
             if surface is None:
                 return blends
             return Rendering(dict(blends), {surface: self.median_depth(surface, cameras[surface])})
@@ -185,24 +182,14 @@ class BakedModel:
                 viewmat, K, camera.width, camera.height, self.dilation.of(camera),
             )  # fmt: skip
 
-    def blend(
-        self,
-        values: Mapping[Modality, Float[Tensor, "n _"]],
-        cameras: Mapping[Modality, Camera],
-    ) -> Rendering:
-        """Blend any values of the splats with the modalities' opacities, before black.
-
-        Differentiable in the values.
-
-        Args:
-            values: of each modality, [N, C].
-            cameras: of the same modalities.
-        """
+    def _blend(self, cameras: Mapping[Modality, Camera]) -> Rendering:
+        """The modalities' values, each blended with its opacities, before black."""
         blends: dict[Modality, Blend] = {}
         for camera, modalities in shared_passes(cameras):
+            values = [self.values(each, cameras[each].position) for each in modalities]
             layers = [
-                Layer(self.opacities[each], values[each], values[each].new_zeros(each.channels))
-                for each in modalities
+                Layer(self.opacities[each], own, own.new_zeros(each.channels))
+                for each, own in zip(modalities, values, strict=True)
             ]
             raster = rasterize(
                 self.means, self.quats, self.scales, layers, camera.viewmat, camera.K,

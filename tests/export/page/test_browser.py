@@ -15,7 +15,6 @@ from PIL import Image
 
 from mrgs.export.page import parts, write_page
 from mrgs.export.page.marks import PageMark
-from mrgs.export.page.packing import pack
 from mrgs.pictures.palette import colorize
 from mrgs.rasterizer import dilation
 from mrgs.rasterizer.dilation import Dilation
@@ -23,7 +22,7 @@ from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
 from tests.helpers.browsers import needs_chromium, wait_until
 from tests.helpers.gaussians import NEAR_INFRARED
-from tests.helpers.packed import as_model, unpack
+from tests.helpers.packed import as_model, pack, unpack
 from tests.helpers.pages import SETTLED, fitted, picture, psnr, read, shown
 
 PIXELS = [

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.export.page.packing import morton_order, pack, smallest_three
+from mrgs.export.page.packing import morton_order, smallest_three
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.gaussians import NEAR_INFRARED
-from tests.helpers.packed import as_model, unpack
+from tests.helpers.packed import as_model, pack, unpack
 
 
 def test_every_parameter_comes_back_within_half_a_step(baked):
@@ -78,13 +78,6 @@ def test_each_plane_starts_at_a_multiple_of_its_width(with_nir):
         at += np.dtype(kind).itemsize * length
 
 
-def test_fewer_degrees_leave_the_higher_harmonics_out(baked):
-    full, flat = pack(baked), pack(baked, sh_degree=0)
-    np.testing.assert_array_equal(unpack(full)["sh_dc.rgb"], unpack(flat)["sh_dc.rgb"])
-    assert unpack(flat)["sh_rest.rgb"].shape == (600, 0, 3)
-    assert len(flat.data) < 0.6 * len(full.data)
-
-
 def test_a_modality_without_view_dependence_is_packed_without_it(with_nir):
     rest = {**with_nir.sh_rest, NEAR_INFRARED: with_nir.sh_rest[NEAR_INFRARED][:, :0]}
     flat = replace(with_nir, sh_rest=rest)
@@ -121,11 +114,6 @@ def test_an_invisible_model_is_named(baked):
         ConfigError, match="no splat that can be seen, so there is nothing to show; train it longer"
     ):
         pack(replace(baked, opacities=dict.fromkeys((RGB, THERMAL), nothing)))
-
-
-def test_the_degree_is_checked(baked):
-    with pytest.raises(ValueError, match="sh_degree must be from 0 to 3, not 4"):
-        pack(baked, sh_degree=4)
 
 
 def test_neighbours_on_the_curve_are_neighbours_in_space():

@@ -22,7 +22,7 @@ MODALITIES = (THERMAL, RGB)
 @pytest.fixture
 def model(baked, cameras, monkeypatch) -> PageModel:
     monkeypatch.setattr(parts, "PART", PART)
-    return PageModel(baked, 3, MODALITIES, cameras["view 3"])
+    return PageModel(baked, MODALITIES, cameras["view 3"])
 
 
 def centres(part: PagePart) -> np.ndarray:
@@ -76,14 +76,14 @@ def test_the_parts_before_the_camera_come_first(baked, cameras, monkeypatch):
     camera = cameras["view 3"]
     away = torch.arange(600) % 2 == 0
     means[away] += (camera.position - 4 * camera.viewmat[2, :3]).float()  # behind the camera
-    _, *fine = PageModel(replace(baked, means=means), 3, MODALITIES, camera).parts()
+    _, *fine = PageModel(replace(baked, means=means), MODALITIES, camera).parts()
     seen = [camera.contains(camera.project(torch.tensor(centres(p)))[0]).sum() for p in fine]
     assert seen[0] > 0
     assert seen[-1] == 0
 
 
 def test_a_small_model_is_one_part_as_it_was(baked, cameras):
-    model = PageModel(baked, 3, MODALITIES, cameras["view 3"])
+    model = PageModel(baked, MODALITIES, cameras["view 3"])
     (only,) = model.parts()
     assert model.facts["parts"] == 1
     assert (only.first, only.replaces) == (0, (0, 0))

@@ -14,12 +14,12 @@ import pytest
 from mrgs.errors import ConfigError, RunError
 from mrgs.export.page import write_page
 from mrgs.export.page.areas import area_facts
-from mrgs.export.page.packing import pack
 from mrgs.export.page.write import visible_range
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions
 from mrgs.scene import THERMAL
+from tests.helpers.packed import pack
 from tests.helpers.walls import RANGE, render_wall
 
 SQUARE = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
@@ -180,7 +180,7 @@ def test_every_modality_of_the_model_is_offered(with_nir, cameras, tmp_path):
     assert buttons == names
 
 
-def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
+def test_palette_range_and_start_can_be_chosen(baked, cameras, tmp_path):
     path = write_page(
         baked,
         cameras,
@@ -188,15 +188,11 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
         tmp_path / "p.html",
         palette="iron",
         range_c=(10.0, 30.0),
-        max_splats=150,
-        sh_degree=1,
         start="view 3",
     )
     page = Elements(path.read_text(encoding="utf-8"))
     facts = json.loads(page.texts["facts"])
     assert facts["modalities"][0]["range"] == [10.0, 30.0]
-    assert facts["model"]["count"] == 150
-    assert len(json.loads(page.texts["part"])["header"]["limits"]["sh"]["rgb"]) == 2
     assert [a for tag, a in page.tags if tag == "option" and "selected" in a] == [
         {"value": "iron", "selected": None},
         {"selected": None},
@@ -214,8 +210,6 @@ def test_palette_range_and_size_can_be_chosen(baked, cameras, tmp_path):
         ),
         ({"range_c": (30.0, 30.0)}, "the temperature range 30 to 30 must rise"),
         ({"range_c": (float("nan"), 30.0)}, "the temperature range nan to 30 must rise"),
-        ({"max_splats": 0}, "max_splats is 0; it must be at least 1"),
-        ({"sh_degree": 4}, "sh_degree is 4; it must be from 0 to 3"),
     ],
 )
 def test_bad_options_are_named(baked, cameras, tmp_path, options, message):

@@ -60,34 +60,19 @@ class PackedModel(NamedTuple):
 
 
 HarmonicsLimits: TypeAlias = dict[Modality, list[list[float]]]
-"""Lowest and highest coefficient of each degree that is kept, of each modality with harmonics."""
-
-
-def pack(
-    baked: BakedModel, sh_degree: int = 3, modalities: Sequence[Modality] | None = None
-) -> PackedModel:
-    """Quantise and compress a model; splats that no pixel can show (all opacities below 1/255) are
-    left out.
-
-    Args:
-        baked: N splats.
-        sh_degree: highest degree of the harmonics to keep, 0 to 3.
-        modalities: to pack; all if None.
-
-    Raises:
-        ConfigError: no splat can be seen.
-        ValueError: ``sh_degree`` is not from 0 to 3.
-    """
-    modalities = baked.modalities if modalities is None else modalities
-    rows = curve_rows(baked, modalities)
-    limits = harmonics_limits(baked, rows, sh_degree, modalities)
-    return pack_in_order(baked.subset(torch.from_numpy(rows)), modalities, limits)
+"""Lowest and highest coefficient of each degree, of each modality with harmonics."""
 
 
 def pack_in_order(
     baked: BakedModel, modalities: Sequence[Modality], sh_limits: HarmonicsLimits
 ) -> PackedModel:
-    """Quantise and compress all splats in their order; see ``pack``."""
+    """Quantise and compress all splats in their order.
+
+    Args:
+        baked: N splats, as ``curve_rows`` chooses and orders them.
+        modalities: to pack.
+        sh_limits: see ``harmonics_limits``.
+    """
     low, high, positions = _chunked_positions(_array(baked.means))
     scales, scale_limits = _quantise(np.log(_array(baked.scales)), 1023)
     planes: dict[str, np.ndarray] = {
@@ -124,7 +109,8 @@ def pack_in_order(
 
 
 def curve_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np.ndarray, " k"]:
-    """The splats that some pixel can show, along the space-filling curve.
+    """The splats that some pixel can show (an opacity is 1/255 or more), along the space-filling
+    curve.
 
     Raises:
         ConfigError: there are none.
@@ -140,24 +126,15 @@ def curve_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np.nd
 
 
 def harmonics_limits(
-    baked: BakedModel,
-    rows: Int64[np.ndarray, " k"],
-    sh_degree: int,
-    modalities: Sequence[Modality],
+    baked: BakedModel, rows: Int64[np.ndarray, " k"], modalities: Sequence[Modality]
 ) -> HarmonicsLimits:
     """The limits of each degree's coefficients, that all but a few of the splats keep.
 
     Args:
         baked: N splats.
         rows: of the splats that count; of many, some are looked at.
-        sh_degree: highest degree to keep, 0 to 3; fewer where there are none.
         modalities: to pack.
-
-    Raises:
-        ValueError: ``sh_degree`` is not from 0 to 3.
     """
-    if sh_degree not in range(4):
-        raise ValueError(f"sh_degree must be from 0 to 3, not {sh_degree}")
     some = torch.from_numpy(rows[:: -(-len(rows) // SAMPLED)])
     limits = {}
     for modality in modalities:
@@ -165,8 +142,8 @@ def harmonics_limits(
             sh = _array(
                 torch.cat([baked.sh_dc[modality][some], baked.sh_rest[modality][some]], dim=1)
             )
-            degree = min(sh_degree, math.isqrt(sh.shape[1]) - 1)
-            limits[modality] = [_band_limits(_band(sh, band), band) for band in range(degree + 1)]
+            bands = range(math.isqrt(sh.shape[1]))
+            limits[modality] = [_band_limits(_band(sh, band), band) for band in bands]
     return limits
 
 

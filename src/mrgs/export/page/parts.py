@@ -58,7 +58,6 @@ class PageModel:
 
     Args:
         baked: N splats.
-        sh_degree: highest degree of the harmonics to keep, 0 to 3.
         modalities: to pack.
         camera: that the page opens on: the parts that fill most of its image come first.
 
@@ -66,13 +65,11 @@ class PageModel:
         ConfigError: no splat can be seen.
     """
 
-    def __init__(
-        self, baked: BakedModel, sh_degree: int, modalities: Sequence[Modality], camera: Camera
-    ) -> None:
+    def __init__(self, baked: BakedModel, modalities: Sequence[Modality], camera: Camera) -> None:
         self._baked, self._modalities = baked, modalities
         rows = curve_rows(baked, modalities)
         self.count = len(rows)
-        self._limits = harmonics_limits(baked, rows, sh_degree, modalities)
+        self._limits = harmonics_limits(baked, rows, modalities)
         parts = np.split(rows, range(PART, len(rows), PART))
         order = np.argsort([-_share(baked, part, camera) for part in parts], kind="stable")
         self._parts = [parts[index] for index in order]

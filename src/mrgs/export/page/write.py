@@ -14,7 +14,6 @@ from mrgs.errors import ConfigError
 from mrgs.export.page.areas import area_facts
 from mrgs.export.page.marks import PageMark
 from mrgs.export.page.parts import PageModel
-from mrgs.export.page.visibility import most_visible
 from mrgs.marks.regions import Regions
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
@@ -68,8 +67,6 @@ def write_page(
     *,
     palette: PaletteName = "inferno",
     range_c: tuple[float, float] | None = None,
-    max_splats: int | None = None,
-    sh_degree: int = 3,
     notes: Sequence[str] = (),
     modalities: Sequence[Modality] | None = None,
     start: str | None = None,
@@ -81,8 +78,8 @@ def write_page(
     """Write the model as one HTML page; returns its path.
 
     The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
-    It takes about 7 MB for 100,000 splats with RGB and thermal (4 MB with ``sh_degree=1``). A model
-    of more than ``parts.PART`` splats is shown coarsely first, and finely as its parts are read.
+    It takes about 7 MB for 100,000 splats with RGB and thermal. A model of more than ``parts.PART``
+    splats is shown coarsely first, and finely as its parts are read.
 
     Args:
         baked: N splats.
@@ -92,8 +89,6 @@ def write_page(
         palette: one of ``PALETTE_CHOICES``; the reader may choose another.
         range_c: temperatures at the ends of the palette, °C (normalised without °C); None takes
             those of what some of the cameras see.
-        max_splats: keep only this many, those that paint most of the photos.
-        sh_degree: 0 to 3; a lower degree makes a smaller file with less view dependence.
         notes: sentences for the section on temperatures.
         modalities: to show; None shows all of the model's. The page opens on the first of them that
             has a unit.
@@ -108,14 +103,18 @@ def write_page(
         RunError: the file cannot be written.
     """
     shown = metric_first(in_order(baked.modalities if modalities is None else modalities))
-    _check(shown, cameras, palette, range_c, max_splats, sh_degree)
+    _check(shown, cameras, palette, range_c)
     every = list(cameras.values())
-    baked = _reduced(baked, every, max_splats)
     start = start or next(iter(cameras))
-    model = PageModel(baked, sh_degree, shown, cameras[start])
+    model = PageModel(baked, shown, cameras[start])
     areas = area_facts(regions) if regions and THERMAL in shown else None
     facts = {
-        **_facts(baked, model, every, shown, range_c, regions),
+        "model": model.facts,
+        "cameras": [camera_facts(camera) for camera in every],
+        "world": world_facts(every),
+        "palettes": palette_facts(PALETTE_CHOICES),
+        "modalities": [_modality_facts(each, baked, every, range_c, regions) for each in shown],
+        "readable": [each.name for each in shown if each.channels == 1],
         "areas": areas,
         "marks": list(marks),
         "length_unit": length_unit,
@@ -144,13 +143,6 @@ def write_page(
         worker=Markup("\n").join(asset(f"export/page/{name}") for name in WORKER_SCRIPTS),
         parts=(Markup(part.to_json()) for part in model.parts()),
     )
-
-
-def _reduced(baked: BakedModel, cameras: Sequence[Camera], max_splats: int | None) -> BakedModel:
-    """The splats that paint most of the photos; all without a limit."""
-    if max_splats is None:
-        return baked
-    return baked.subset(most_visible(baked, cameras, max_splats))
 
 
 def visible_range(
@@ -182,8 +174,6 @@ def _check(
     cameras: Mapping[str, Camera],
     palette: PaletteName,
     range_c: tuple[float, float] | None,
-    max_splats: int | None,
-    sh_degree: int,
 ) -> None:
     if not modalities:
         raise ConfigError("the page needs at least one modality to show")
@@ -198,29 +188,6 @@ def _check(
             f"the temperature range {range_c[0]:g} to {range_c[1]:g} must rise from a number to a "
             f"larger one"
         )
-    if max_splats is not None and max_splats < 1:
-        raise ConfigError(f"max_splats is {max_splats}; it must be at least 1")
-    if sh_degree not in range(4):
-        raise ConfigError(f"sh_degree is {sh_degree}; it must be from 0 to 3")
-
-
-def _facts(
-    baked: BakedModel,
-    model: PageModel,
-    cameras: Sequence[Camera],
-    shown: Sequence[Modality],
-    range_c: tuple[float, float] | None,
-    regions: Regions | None,
-) -> dict[str, Any]:
-    """What the page's script reads as JSON."""
-    return {
-        "model": model.facts,
-        "cameras": [camera_facts(camera) for camera in cameras],
-        "world": world_facts(cameras),
-        "palettes": palette_facts(PALETTE_CHOICES),
-        "modalities": [_modality_facts(each, baked, cameras, range_c, regions) for each in shown],
-        "readable": [each.name for each in metric_first(shown) if each.channels == 1],
-    }
 
 
 def _modality_facts(
