@@ -30,6 +30,7 @@ def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.MonkeyPat
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda: (9, 0))
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda *_: "NVIDIA H200")
     monkeypatch.setattr(gpu, "_has_triton", lambda: True)
+    monkeypatch.setattr(gpu, "_triton_version", lambda: "3.4.0")
     monkeypatch.setattr(gpu, "_driver_is_installed", lambda: True)
     monkeypatch.setenv("CC", "gcc")
     return monkeypatch
@@ -81,6 +82,14 @@ def without_triton_on_windows(machine: pytest.MonkeyPatch) -> str:
     return f"{without_triton(machine)}-windows"
 
 
+def with_old_triton(machine: pytest.MonkeyPatch) -> str:
+    machine.setattr(gpu, "_triton_version", lambda: "3.3.1+gitc8757738")
+    return (
+        "Triton 3.3.1+gitc8757738 is too old: 3.4 or newer is needed, which comes with torch 2.8: "
+        "pip install --upgrade torch"
+    )
+
+
 def without_compiler(machine: pytest.MonkeyPatch) -> str:
     machine.delenv("CC")
     machine.setattr(gpu.shutil, "which", lambda name: None)
@@ -122,7 +131,7 @@ def fail(machine: pytest.MonkeyPatch, reason: str) -> None:
 OBSTACLES = [
     without_driver, with_old_driver, with_hidden_gpu, with_cpu_torch, with_cpu_torch_on_windows,
     with_old_gpu,
-    without_triton, without_triton_on_windows, without_compiler, without_headers,
+    without_triton, without_triton_on_windows, with_old_triton, without_compiler, without_headers,
     with_gpu_that_does_not_start,
 ]  # fmt: skip
 
@@ -176,6 +185,12 @@ def test_there_is_no_cuda_on_a_mac(machine):
     machine.setattr(sys, "platform", "darwin")
     with pytest.raises(DeviceError, match=r"^there is no CUDA for macOS; or use the CPU$"):
         choose_device("cuda")
+
+
+@pytest.mark.parametrize("version", ["3.4.0", "3.10.0", "4.0", None])
+def test_newer_versions_of_triton_and_unknown_ones_are_tried(version, machine):
+    machine.setattr(gpu, "_triton_version", lambda: version)
+    assert choose_device("cuda").type == "cuda"
 
 
 def test_a_gpu_that_can_be_used_is_used_unless_the_cpu_is_asked_for(machine):

@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import shutil
 import sys
 import sysconfig
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import lru_cache
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
@@ -28,6 +31,9 @@ DeviceName: TypeAlias = Literal["auto", "cpu", "cuda"]
 
 OLDEST_CAPABILITY = (7, 5)
 """Turing (2018): the oldest GPUs for which both torch and Triton still build code."""
+
+OLDEST_TRITON = (3, 4)
+"""Older ones cannot compile the kernels: 3.3, which comes with torch 2.7, fails on 4 of them."""
 
 # Multiplications and additions are fused, as in the CPU kernels. Triton 3.9 warns unless this is
 # said.
@@ -166,6 +172,12 @@ def _triton_obstacle() -> str | None:
         if sys.platform == "win32":
             return "Triton is missing: pip install triton-windows"
         return "Triton is missing: pip install triton"
+    version = _triton_version()
+    if version is not None and _numbers(version) < OLDEST_TRITON:
+        return (
+            f"Triton {version} is too old: {'.'.join(map(str, OLDEST_TRITON))} or newer is needed, "
+            "which comes with torch 2.8: pip install --upgrade torch"
+        )
     if not (
         os.environ.get("CC")
         or shutil.which("gcc")
@@ -205,6 +217,19 @@ def _header_folders() -> list[Path]:
 @lru_cache(maxsize=1)
 def _has_triton() -> bool:
     return importlib.util.find_spec("triton") is not None
+
+
+def _triton_version() -> str | None:
+    """Read without loading Triton, which decides when it is imported whether it interprets."""
+    for name in ("triton", "triton-windows"):
+        with suppress(PackageNotFoundError):
+            return installed_version(name)
+    return None
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    """(3, 4) of "3.4.0+git1"."""
+    return tuple(int(number) for number in re.findall(r"\d+", version)[:2])
 
 
 def _driver_is_installed() -> bool:
