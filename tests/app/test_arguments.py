@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import inspect
 import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -67,6 +70,15 @@ def test_help_explains_every_option(name, capsys):
         option = "positional arguments" if positional else f"--{field.name.replace('_', '-')} "
         assert option in text
     assert "None" not in text
+
+
+@pytest.mark.parametrize("kind", [*commands.COMMANDS.values(), options.PhotoOptions])
+def test_help_of_an_option_is_one_line_in_the_code(kind):
+    """tyro would keep the line break and the indentation."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body[1:]
+    values = [node.value for node in body if isinstance(node, ast.Expr)]
+    texts = [ast.literal_eval(value) for value in values]
+    assert [text for text in texts if "\n" in text] == []
 
 
 def test_lists_of_choices_are_complete(capsys):

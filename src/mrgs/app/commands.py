@@ -26,6 +26,21 @@ from mrgs.app.options import (
 if TYPE_CHECKING:
     from mrgs.export.maps.options import MapOptions
 
+# tyro keeps the line breaks of indented docstrings of fields: longer helps are said here.
+RESUME_HELP = (
+    "Resume the run in --output; all options but --accept-changes, --device, --plain, "
+    "--tensorboard and --view come from the saved run."
+)
+SYNTH_SCENE_HELP = (
+    "Scene: things on a table, a house in winter, a powered circuit board; or one of the kinds "
+    "whose layout is drawn from the seed: room, house, circuit, roof, machine. random also draws "
+    "the kind. solar-plant is the survey of a solar plant by a drone, without Mitsuba."
+)
+SynthScene = Literal[
+    "tabletop", "facade", "electronics", "room", "house", "circuit", "roof", "machine", "random",
+    "solar-plant",
+]  # fmt: skip
+
 
 @dataclass(frozen=True)
 class RunAll:
@@ -80,25 +95,19 @@ class Train:
     """Views per step; by default 1, or one per process under torchrun (docs/large-scenes.md)."""
     config: Maybe[Path] = None
     """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
-    resume: bool = False
-    """Resume the run in --output; all options but --accept-changes, --device, --plain,
-    --tensorboard and --view come from the saved run."""
+    resume: Annotated[bool, tyro.conf.arg(help=RESUME_HELP)] = False
     accept_changes: bool = False
-    """With --resume: continue although photos, poses or intrinsics have changed since the run
-    began."""
+    """With --resume: continue although photos, poses or intrinsics have changed."""
     blocks: Maybe[str] = None
-    """Train a large scene in blocks and join them: auto, or ROWSxCOLUMNS such as 2x3. Steps and
-    Gaussians are those of each block. Re-run the same command to resume (docs/large-scenes.md)."""
+    """Train a large scene in blocks: auto, or ROWSxCOLUMNS such as 2x3 (docs/large-scenes.md)."""
     overlap: Maybe[float] = None
-    """With --blocks: margin that is trained about each block, in metres where the scene has them,
-    else in scene units; by default 15 % of the narrowest block."""
+    """With --blocks: margin about each, m or scene units; default: 15 % of the narrowest block."""
     block: Maybe[int] = None
     """With --blocks: train only this block, from 1; for job arrays."""
     device: DeviceName = "auto"
     """auto uses a usable GPU, else the CPU. A run can be resumed on a different device."""
     plain: bool = False
-    """Run the plain definition of every operation instead of its kernel, much slower; so does
-    MRGS_PLAIN=1, for any command."""
+    """Run plain definitions in place of kernels, much slower; MRGS_PLAIN=1 for other commands."""
     tensorboard: bool = False
     """Also write the log to RUN/tensorboard. Needs mrgs[tensorboard]."""
     view: bool = False
@@ -184,13 +193,11 @@ class Export:
     range_c: Maybe[tuple[float, float]] = None
     """°C of the palette's first and last colour; by default the scene's full range."""
     plane: Maybe[tuple[str, str, str]] = None
-    """Three points X,Y,Z of the facade for --format elevation: lower left, lower right, one above
-    them; by default it is found."""
+    """elevation: X,Y,Z of the façade's lower left, lower right and a point above (else found)."""
     pixel_size: Maybe[float] = None
     """Pixel size of the maps (ortho, elevation) in metres; by default that of the photos."""
     crs: Maybe[str] = None
-    """Projected coordinate system in metres, such as EPSG:25832, for ortho and las; by default UTM
-    on WGS 84."""
+    """ortho, las: projected coordinate system in metres, such as EPSG:25832; by default UTM."""
 
     def maps(self) -> MapOptions:
         """The choices for the maps.
@@ -333,8 +340,7 @@ class CompareMethods:
     jobs: int = 1
     """Number of parallel runs; they share the cores."""
     device: DeviceName = "auto"
-    """Device to train and render on; auto uses a usable GPU, else the CPU. Methods without GPU
-    support use the CPU."""
+    """auto uses a usable GPU, else the CPU. Methods without GPU support use the CPU."""
     output: Path = Path("runs/compare")
     """Folder of the runs, tables and figures."""
     lpips_weights: Maybe[Path] = None
@@ -379,13 +385,7 @@ class Synth:
 
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
     """Folder of the new scene."""
-    scene: Literal[
-        "tabletop", "facade", "electronics", "room", "house", "circuit", "roof", "machine",
-        "random", "solar-plant",
-    ] = "tabletop"  # fmt: skip
-    """Scene: things on a table, a house in winter, a powered circuit board; or one of the kinds
-    whose layout is drawn from the seed: room, house, circuit, roof, machine. random also draws the
-    kind. solar-plant is the survey of a solar plant by a drone, without Mitsuba."""
+    scene: Annotated[SynthScene, tyro.conf.arg(help=SYNTH_SCENE_HELP)] = "tabletop"
     train_views: Maybe[int] = None
     """Number of training views, by default 40; for solar-plant it follows from --overlap."""
     eval_views: int = 8

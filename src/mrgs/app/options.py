@@ -55,18 +55,15 @@ class PhotoOptions:
     """Facts about the photos that their files do not hold."""
 
     pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
-    """How RGB and thermal photos are paired: by file names, two folders, or time; thermal uses the
-    thermal photos only."""
+    """How photos are paired: by file names, two folders or time; thermal: thermal photos only."""
     pair_table: Maybe[Path] = None
-    """CSV file with two columns, the RGB and the thermal photo, if pairs cannot be inferred from
-    file names."""
+    """CSV file with the columns rgb and thermal, if pairs cannot be inferred from file names."""
     tolerance: float = 2.0
     """Maximum time difference within a pair, in seconds."""
     poses: Maybe[Path] = None
     """Folder with poses of these photos from COLMAP or nerfstudio; they are used as they are."""
     emissivity: Maybe[float] = None
-    """Surface emissivity. This and the next six options override the values stored in the photos;
-    see docs/radiometric.md."""
+    """Surface emissivity. This and the next six options override the values in the photos."""
     reflected: Maybe[float] = None
     """Reflected apparent temperature, °C."""
     distance: Maybe[float] = None
@@ -84,19 +81,15 @@ class PhotoOptions:
     bounds: Maybe[tuple[float, float]] = None
     """Temperatures (°C) of black and white, for greyscale thermal photos with a fixed span."""
     thermal_fov: Maybe[float] = None
-    """Horizontal field of view of the thermal camera in degrees, from its data sheet; helps to
-    locate the camera."""
+    """Horizontal field of view of the thermal camera in degrees, from its data sheet."""
     thermal_camera: Maybe[Path] = None
-    """JSON file with the thermal camera, such as the transforms.json of another scene taken with
-    it; see docs/prepare.md."""
+    """JSON file with the thermal camera, or another scene's transforms.json (docs/prepare.md)."""
     one_camera: bool = False
     """The two images of a pair show the same scene, pixel for pixel."""
     target: Maybe[tuple[str, float]] = None
-    """Chessboard that both cameras see: inner corners and side of a square in m, such as
-    7x6 0.05."""
+    """Chessboard that both cameras see: inner corners and square size in m, such as 7x6 0.05."""
     known_distance: Maybe[tuple[str, str, float]] = None
-    """Two pixels of one view and the distance between the points they show, in m: NAME:X,Y NAME:X,Y
-    METRES."""
+    """Two pixels of one view and the distance between their points: NAME:X,Y NAME:X,Y METRES."""
     eval_every: int = 8
     """Hold out every Nth view for evaluation; 0 holds out none."""
 
