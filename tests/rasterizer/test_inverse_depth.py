@@ -11,6 +11,7 @@ from torch import Tensor
 from mrgs.rasterizer import reference
 from mrgs.rasterizer.contract import STEEPEST_TANGENT
 from mrgs.rasterizer.inverse_depth import inverse_depths, ray_directions, surface_planes
+from mrgs.scene import Camera
 from tests.helpers.gaussians import random_gaussians
 
 WIDTH, HEIGHT = 12, 9
@@ -76,6 +77,12 @@ def test_the_kernels_find_the_spread_of_the_depths():
     torch.testing.assert_close(variance, expected.float(), rtol=1e-3, atol=1e-6)
     (variance.sum() + found.sum.sum()).backward()
     assert all(tensor.grad.isfinite().all() for tensor in single)
+
+
+def test_rays_pass_through_the_centres_of_the_pixels():
+    x, y = ray_directions(K, WIDTH, HEIGHT)
+    at_depth_1 = Camera(K, torch.eye(4), WIDTH, HEIGHT).unproject_image(torch.ones_like(x))
+    torch.testing.assert_close(torch.stack([x, y, torch.ones_like(x)], dim=2), at_depth_1)
 
 
 def disc(tilt: float) -> list[Tensor]:
