@@ -24,7 +24,7 @@ class Checked:
     statistics: dict[str, ViewStatistics]
 
     def problems(self) -> list[Problem]:
-        views = [*self.scene.train, *self.scene.eval]
+        views = [*self.scene.views]
         return [
             *pose_problems(self.scene),
             *image_problems(self.scene, [self.statistics[view.name] for view in views]),
@@ -43,7 +43,7 @@ class Checked:
     def posed(self, change: Callable[[View], View], every: int = 1, first: int = 0) -> Checked:
         """The same for changes of the cameras alone, in all views: the pixels are not read
         again."""
-        views = [*self.scene.train, *self.scene.eval]
+        views = [*self.scene.views]
         for index in range(first, len(views), every):
             views[index] = change(views[index])
         count = len(self.scene.train)
@@ -58,7 +58,7 @@ def tabletop() -> Checked:
     """The bundled scene with every second of its training views; only to be read."""
     scene = load_scene(TABLETOP)
     scene = replace(scene, train=scene.train[::2])
-    views = [*scene.train, *scene.eval]
+    views = [*scene.views]
     return Checked(
         scene, {view.name: measure_view(view, "training", scene.temperature, 320) for view in views}
     )

@@ -96,7 +96,7 @@ def test_scenes_of_one_modality(tmp_path, original, modality):
     write_cameras(tmp_path / "out", alone)
     for _ in range(2):  # transforms.json, then COLMAP
         found = load_scene(tmp_path / "out")
-        views = [*found.train, *found.eval]
+        views = found.views
         assert all(list(view.images) == [modality] for view in views)
         cameras = {view.name: view.camera for view in views}
         for view in alone.train:

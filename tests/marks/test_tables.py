@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mrgs.data.earth import enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.marks import Mark, Marks
 from mrgs.marks.measure import SEVERAL_SURFACES, MarkMeter, MarkReading
@@ -22,7 +23,6 @@ from mrgs.marks.tables import (
 )
 from mrgs.marks.texts import difference_text, mark_text
 from mrgs.marks.uncertainty import Uncertainty
-from mrgs.prepare.earth import enu
 from mrgs.scene import EarthPosition, TemperatureRange, WorldFrame
 from tests.helpers.walls import RANGE, render_wall
 

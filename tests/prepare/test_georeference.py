@@ -10,12 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mrgs.data.earth import SEMI_MAJOR_AXIS_M, enu
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Georeference, Reconstruction
-from mrgs.prepare.earth import SEMI_MAJOR_AXIS_M, enu
-from mrgs.prepare.georeference import KnownDistance, apply, georeference
+from mrgs.prepare.georeference import apply, georeference
+from mrgs.prepare.known_distance import KnownDistance
 from mrgs.prepare.levelling import centres, up_of_cameras
 from mrgs.scene import EarthPosition, PointCloud, WorldFrame
 

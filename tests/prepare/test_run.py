@@ -121,8 +121,8 @@ def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
     scene, truth = load_scene(tmp_path / "scene"), load_scene(posed)
     assert ([view.name for view in scene.eval], len(scene.train)) == (["shot_00", "shot_04"], 6)
     assert (scene.temperature.min_c, scene.temperature.max_c) == (10.0, 30.0)
-    true = {view.name: view for view in (*truth.train, *truth.eval)}
-    for view in (*scene.train, *scene.eval):
+    true = {view.name: view for view in truth.views}
+    for view in scene.views:
         assert view.shares_camera(RGB, THERMAL)
         assert torch.equal(
             view.images[RGB].load().values, true[view.name].images[RGB].load().values

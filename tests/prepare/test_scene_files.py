@@ -124,7 +124,7 @@ def test_cameras_points_split_and_bounds_come_back(tmp_path):
     write(tmp_path, photos, reconstruct(names), rig, METRIC, eval_every=4, bounds=None)
     scene = load_scene(tmp_path)
     assert [view.name for view in scene.eval] == ["shot_0", "shot_5", "shot_9"]
-    views = {view.name: view for view in (*scene.train, *scene.eval)}
+    views = {view.name: view for view in scene.views}
     assert set(views) == set(names)
     for name in names:
         own = viewmat(int(name.rpartition("_")[2]))
@@ -174,7 +174,7 @@ def test_what_the_camera_noted_stays_with_the_photo(tmp_path):
     names = [view.name for view in views]
     write(tmp_path, replace(photos, views=views), reconstruct(names), None, None)
     scene = load_scene(tmp_path)
-    records = {view.name: view.images[THERMAL].record for view in (*scene.train, *scene.eval)}
+    records = {view.name: view.images[THERMAL].record for view in scene.views}
     assert records["shot_0"] == noted.record
     assert records["shot_1"].parameters is None
     assert noted.record.serial == "4711"

@@ -20,7 +20,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import write_report
-from mrgs.report.proposals import propose, views_of
+from mrgs.report.proposals import propose
 from mrgs.report.spots import find_spots
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import THERMAL
@@ -300,7 +300,7 @@ def test_proposals_in_a_region_have_its_emissivity(run: Run):
     marks, scene = open_marks(run), run.load_scene()
     found = propose(marks, scene, marks.meter.regions(marks.marks), Survey())
     name, (before, _, _) = next(iter(found.anomalies.items()))
-    camera = views_of(scene)[before.view].images[THERMAL].camera
+    camera = scene.views[before.view].images[THERMAL].camera
     x, y = camera.project(torch.from_numpy(before.position))[0].tolist()
     marks.box(camera, (x - 2, y - 2), (x + 2, y + 2), emissivity=0.5, reflected_c=0.0)
     regions = marks.meter.regions(marks.marks)
@@ -309,7 +309,7 @@ def test_proposals_in_a_region_have_its_emissivity(run: Run):
     assert settings is not None
     apparent = scene.temperature.to_celsius(before.value)
     (expected,) = marks.meter.capture.corrected(np.array([apparent]), settings)
-    (after, *_), _ = find_spots(views_of(scene), regions.render, ball=scene.reach)
+    (after, *_), _ = find_spots(scene.views, regions.render, ball=scene.reach)
     assert scene.temperature.to_celsius(after.value) == pytest.approx(expected, abs=0.1 * expected)
     assert expected > apparent + 5
     reading = next(each for each in marks.measure_proposals() if each.mark.name == name)

@@ -23,7 +23,7 @@ CELSIUS = np.random.default_rng(1).uniform(12.3, 31.7, (9, 6, 8)).astype(np.floa
 
 def test_it_is_the_scene_of_the_folder(small_scene: Path):
     folder = load_scene(small_scene)
-    views = sorted((*folder.train, *folder.eval), key=lambda view: view.name[-5:])
+    views = sorted(folder.views, key=lambda view: view.name[-5:])
     files = sorted((small_scene / "images").iterdir(), key=lambda path: path.stem[-5:])
     made = Scene.from_arrays(
         [view.camera for view in views],
@@ -93,7 +93,7 @@ def test_colours_that_are_not_known_are_not_valid_in_held_out_views_too():
     rgb = RGB_IMAGES / 255
     rgb[:, :3] = np.nan
     made = Scene.from_arrays(CAMERAS, rgb=rgb)
-    for view in (*made.train, *made.eval):
+    for view in made.views:
         pixels = view.images[RGB].load()
         assert pixels.values.isfinite().all()
         assert not pixels.valid[:3].any()

@@ -9,9 +9,9 @@ import torch
 from PIL import Image
 
 from mrgs.data import load_scene
+from mrgs.data.earth import enu
 from mrgs.data.radiometric.exif import read_exif
 from mrgs.errors import ConfigError
-from mrgs.prepare.earth import enu
 from mrgs.scene import THERMAL
 from mrgs_synth.solar_plant import PlantOptions, synthesize_plant
 from mrgs_synth.solar_plant.cast import photograph, surfaces_of
@@ -64,7 +64,7 @@ def test_the_thermal_photos_show_the_exact_temperatures(small_plant: Path) -> No
 def test_photos_carry_noisy_positions(small_plant: Path) -> None:
     scene = load_scene(small_plant)
     away = []
-    for view in (*scene.train, *scene.eval):
+    for view in scene.views:
         gps = read_exif((small_plant / f"images/{view.name}.jpg").read_bytes()).gps
         assert gps is not None
         origin = type(gps)(*ORIGIN)

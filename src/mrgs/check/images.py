@@ -55,7 +55,7 @@ def _unreadable(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Prob
 
 def _missing(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
     """Views that lack an image of a modality."""
-    views = [*scene.train, *scene.eval]
+    views = scene.views
     present = cameras_by_modality(scene)
     found = []
     for modality in in_order((*_EXPECTED, *present)):

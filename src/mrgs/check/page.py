@@ -10,7 +10,8 @@ from mrgs.check.poses import cameras_by_modality
 from mrgs.check.problems import Problem
 from mrgs.check.statistics import ViewStatistics
 from mrgs.data.transforms import pinhole_lens
-from mrgs.prepare.page.cameras import capitalised, lens_rows
+from mrgs.pictures.values import capitalised
+from mrgs.prepare.page.cameras import lens_rows
 from mrgs.prepare.page.overlay import thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs
 from mrgs.prepare.page.temperatures import temperatures
@@ -57,7 +58,7 @@ def write_check_page(
 
 def _world(scene: Scene) -> World:
     """Cameras and points."""
-    cameras = {view.name: view.camera for view in (*scene.train, *scene.eval)}
+    cameras = {view.name: view.camera for view in scene.views}
     held_out = frozenset(view.name for view in scene.eval)
     return world_of(cameras, held_out, scene.points, metric=False, north=False)
 

@@ -64,7 +64,7 @@ be right, from the one that was read, and what to do."""
 
 def pose_problems(scene: Scene) -> list[Problem]:
     """All problems of views, cameras and points that need no pixels."""
-    views = [*scene.train, *scene.eval]
+    views = scene.views
     cameras = {view.name: view.camera for view in views}
     found = [*_number_of_views(scene), *_scale(scene, list(cameras.values()))]
     if any(note.startswith(NO_POINTS) for note in scene.notes):
@@ -91,7 +91,7 @@ def pose_problems(scene: Scene) -> list[Problem]:
 def cameras_by_modality(scene: Scene) -> dict[Modality, dict[str, Camera]]:
     """The cameras of all images of each modality, by the view's name."""
     found: dict[Modality, dict[str, Camera]] = {}
-    for view in (*scene.train, *scene.eval):
+    for view in scene.views:
         for modality, camera in view.cameras.items():
             found.setdefault(modality, {})[view.name] = camera
     return {modality: found[modality] for modality in in_order(found)}

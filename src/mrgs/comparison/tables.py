@@ -10,7 +10,7 @@ from mrgs.comparison import paper
 from mrgs.comparison.results import Cell, Outcome, kind_of, over_scenes, over_seeds
 from mrgs.comparison.table import Group, Row, Table
 from mrgs.evaluation.figures import REPORTED, Figure, Missing
-from mrgs.evaluation.report import heading
+from mrgs.pictures.values import capitalised
 from mrgs.scene import THERMAL
 
 NAMES = (*(modality.name for modality in REPORTED), "ablation", "neighbours", "truth")
@@ -104,7 +104,7 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
 
 def _scored(outcomes: Outcomes) -> dict[str, str]:
     """Names and titles of the tables' modalities: ``REPORTED``, and what else any scene has."""
-    titles = {modality.name: heading(modality) for modality in REPORTED}
+    titles = {modality.name: capitalised(modality.title) for modality in REPORTED}
     others = {name for each in outcomes.all for name in each.modalities} - titles.keys()
     return titles | {name: name for name in sorted(others)}
 

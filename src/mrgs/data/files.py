@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import reprlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mrgs.errors import SceneError
+from mrgs.system.limits import shown
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 MAX_FILE_BYTES = 4 * 2**30
@@ -23,11 +23,6 @@ digits for them."""
 def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()) -> SceneError:
     """An error of one line that names the file first; ``options`` are those of the error."""
     return SceneError(f"{file}: {problem}".replace("\n", " "), options=options)
-
-
-def shown(value: object) -> str:
-    """An untrusted value, truncated to one line, for an error message."""
-    return reprlib.repr(value)
 
 
 def contained(root: Path, relative: str, named_in: Path | str) -> Path:

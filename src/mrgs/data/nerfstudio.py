@@ -29,7 +29,6 @@ from mrgs.data.files import (
     is_file,
     read_json_object,
     scene_error,
-    shown,
     without_image_suffix,
 )
 from mrgs.data.images import probe
@@ -42,6 +41,7 @@ from mrgs.data.transforms import RECORD
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
 from mrgs.scene.radiometry import PhotoRecord
+from mrgs.system.limits import shown
 
 MOST_MODALITIES = 16
 IMAGE_CHANNELS = (1, 3)

@@ -12,13 +12,14 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrgs.data.files import MAX_MAGNITUDE, scene_error, shown
+from mrgs.data.files import MAX_MAGNITUDE, scene_error
 from mrgs.scene.camera_matrices import (
     ORTHONORMAL_TOLERANCE,
     ends_in_last_row,
     nearest_rotations,
 )
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV, matrix_from_quaternion, rigid_transform
+from mrgs.system.limits import shown
 
 
 def matrix_from_json(

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 from mrgs.system.threads import available_cores
 
-_THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
-
 
 class Launch(NamedTuple):
     """A process among those that one ``torchrun`` has started.

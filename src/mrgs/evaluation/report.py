@@ -14,7 +14,7 @@ from mrgs.evaluation.parts import Parts
 from mrgs.evaluation.scored_data import ScoredData
 from mrgs.evaluation.truth import TRUTH_FIGURES
 from mrgs.pictures.markdown import escape_markdown
-from mrgs.scene import Modality
+from mrgs.pictures.values import capitalised
 from mrgs.system.atomic import write_text
 
 COLUMNS = {
@@ -126,7 +126,7 @@ def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
     for modality, mean in metrics.mean.items():
         figures = [(escape_markdown(view.name), view.figures[modality]) for view in metrics.views]
         table = _table([("**mean**", mean), *figures], figure_names(modality))
-        blocks += [f"## {heading(modality)}", table]
+        blocks += [f"## {capitalised(modality.title)}", table]
     if metrics.truth is not None:
         truths = [(escape_markdown(view.name), view.truth) for view in metrics.views if view.truth]
         table = _table([("**mean**", metrics.truth), *truths], TRUTH_FIGURES)
@@ -212,11 +212,6 @@ def _parts_text(parts: Parts) -> str:
             *rows,
         ]
     )
-
-
-def heading(modality: Modality) -> str:
-    """A modality's title with a capital letter, for headings."""
-    return modality.title[:1].upper() + modality.title[1:]
 
 
 def format_figure(name: str, figure: Figure) -> str:

@@ -60,9 +60,7 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
         SceneError: an image of the scene cannot be read.
     """
     paths = [
-        path
-        for view in (*scene.train, *scene.eval)
-        for path in _write_images(folder, view, scene.temperature)
+        path for view in scene.views for path in _write_images(folder, view, scene.temperature)
     ]
     if scene.temperature is not None and THERMAL in scene.modalities:
         bounds = scene.temperature.min_c, scene.temperature.max_c
@@ -75,7 +73,7 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
 
 def _write_transforms(path: Path, scene: Scene) -> Path:
     """Intrinsics in each frame, the split as lists of file names."""
-    frames = [_frame(view, scene.temperature is not None) for view in (*scene.train, *scene.eval)]
+    frames = [_frame(view, scene.temperature is not None) for view in scene.views]
     names = [frame["file_path"] for frame in frames]
     count = len(scene.train)
     facts = {"applied_transform": np.eye(4)[:3].tolist(), **world_json(scene.world)}
@@ -154,7 +152,7 @@ def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
 
 def _registered(scene: Scene) -> list[tuple[str, Camera]]:
     """Names and cameras for COLMAP."""
-    views, has_celsius = (*scene.train, *scene.eval), scene.temperature is not None
+    views, has_celsius = scene.views, scene.temperature is not None
     named = [
         [
             (_image_path(view, modality, has_celsius), camera)

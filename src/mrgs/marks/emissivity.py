@@ -125,8 +125,7 @@ class CaptureSettings:
 
 def records_of(scene: Scene) -> list[PhotoRecord]:
     """What the camera noted beside the thermal photos, as far as the scene says."""
-    views = (*scene.train, *scene.eval)
-    found = (view.images[THERMAL].record for view in views if THERMAL in view.images)
+    found = (view.images[THERMAL].record for view in scene.views if THERMAL in view.images)
     return [record for record in found if record is not None]
 
 

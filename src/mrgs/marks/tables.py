@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from mrgs.data.earth import geodetic
 from mrgs.marks.mark import Mark, Place
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.uncertainty import COVERAGE, Uncertainty
+from mrgs.pictures.numbers import number_text
 from mrgs.pictures.values import decimals_of, unit_label
-from mrgs.prepare.earth import geodetic
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
 from mrgs.system.atomic import write_text
 from mrgs.system.message import Message
@@ -47,7 +48,8 @@ def length_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
 
 
 def area_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
-    """The same of an area, of which both sides are off."""
+    """What the scene's scale leaves open of an area, both of whose sides are off, for 95 of 100
+    cases, in its unit; NaN where that is not known."""
     error = world.scale_error
     return math.nan if error is None else COVERAGE * 2 * error * reading.area
 
@@ -65,8 +67,7 @@ def value_text(
     """
     if math.isnan(value):
         return DASH
-    decimals = decimals_of(THERMAL, temperature)
-    text = f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
+    text = number_text(value, decimals_of(THERMAL, temperature), sign=sign)
     label = unit_label(THERMAL, temperature)
     if unit and label:
         return f"{text} {'K' if sign else label}"
@@ -91,7 +92,7 @@ def settings_texts(reading: MarkReading) -> list[str]:
     emissivity, reflected = _settings_of(reading)
     texts = [] if emissivity is None else [f"ε {emissivity:.3g}"]
     if reflected is not None:
-        texts.append(f"T_refl {reflected:.1f} °C".replace("-", "−"))
+        texts.append(f"T_refl {number_text(reflected, 1)} °C")
     return texts
 
 

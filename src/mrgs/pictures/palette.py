@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.interpolate import PchipInterpolator
 
+from mrgs.pictures.numbers import number_text
+
 PaletteName = Literal[
     "inferno", "iron", "grey", "black-hot", "rainbow", "arctic", "lava", "depth", "error"
 ]
@@ -105,7 +107,7 @@ def tick_labels(ticks: list[float], decimal: str = ".") -> list[str]:
             math.isclose(round(tick, decimals), tick, rel_tol=1e-9, abs_tol=1e-9) for tick in ticks
         ):
             break
-    return [f"{tick:.{decimals}f}".replace("-", "−").replace(".", decimal) for tick in ticks]
+    return [number_text(tick, decimals).replace(".", decimal) for tick in ticks]
 
 
 def display_range(values: Float[np.ndarray, "..."], tail: float = 0.5) -> tuple[float, float]:

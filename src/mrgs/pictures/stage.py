@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from mrgs.pictures.palette import PaletteName, palette_table
-from mrgs.pictures.values import decimals_of, range_of, unit_label
+from mrgs.pictures.values import capitalised, decimals_of, range_of, unit_label
 from mrgs.scene import Camera, Modality, TemperatureRange
 from mrgs.scene.camera_paths import focus_point
 from mrgs.survey import Survey
@@ -76,10 +76,9 @@ def modality_facts(
     """A modality for ``scale.js``: name and label, what its normalised values 0 and 1 stand for,
     and the limits that its colour scale starts with."""
     low, high = range_of(modality, temperature)
-    quantity = modality.quantity
     return {
         "name": modality.name,
-        "label": quantity[:1].upper() + quantity[1:],
+        "label": capitalised(modality.quantity),
         "channels": modality.channels,
         "metric": modality.is_metric,
         "scale": {

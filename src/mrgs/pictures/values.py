@@ -9,6 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from mrgs.pictures.drawing import Scale
+from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import PaletteName
 from mrgs.scene import THERMAL, Modality, TemperatureRange
 
@@ -67,11 +68,18 @@ def decimals_of(modality: Modality, temperature: TemperatureRange | None) -> int
     return min(max(1, math.ceil(math.log10(LEAST_STEPS / celsius.span_c))), MOST_DECIMALS)
 
 
-def format_value(modality: Modality, value: float, temperature: TemperatureRange | None) -> str:
-    """A value in the unit of ``unit_of`` as text with that unit; normalised values without one."""
-    unit = unit_of(modality, temperature)
-    text = f"{value:.{decimals_of(modality, temperature)}f}".replace("-", "−")
-    return text if unit == NORMALISED else f"{text} {unit}"
+def format_value(
+    modality: Modality, value: float, temperature: TemperatureRange | None, *, sign: bool = False
+) -> str:
+    """A value in the unit of ``unit_of`` as text with that unit, normalised values without one; see
+    ``number_text`` for the sign."""
+    text = number_text(value, decimals_of(modality, temperature), sign=sign)
+    return f"{text} {unit_label(modality, temperature)}".rstrip()
+
+
+def capitalised(text: str) -> str:
+    """A title or a quantity at the beginning of a line."""
+    return text[:1].upper() + text[1:]
 
 
 def folder_of_values(modality: Modality, temperature: TemperatureRange | None) -> tuple[str, str]:

@@ -18,8 +18,6 @@ from mrgs.prepare.levelling import levelled
 from mrgs.prepare.similarity import Similarity
 from mrgs.scene import PointCloud, WorldFrame
 
-__all__ = ["KnownDistance", "apply", "georeference"]
-
 ARBITRARY = "The scale is arbitrary."
 KNOWN = "The scale is that of the known distance."
 

@@ -12,9 +12,9 @@ from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
+from mrgs.data.earth import ecef, enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.prepare.contract import Georeference, Reconstruction
-from mrgs.prepare.earth import ecef, enu
 from mrgs.prepare.levelling import centres
 from mrgs.prepare.similarity import RobustFit, Similarity, fit_robustly
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.data.files import read_json_object, scene_error, shown
+from mrgs.data.files import read_json_object, scene_error
 from mrgs.data.images import decode, probe
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import lens_from_json
@@ -20,11 +20,11 @@ from mrgs.data.sources import ImageSource
 from mrgs.errors import ConfigError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.options import PrepareOptions
-from mrgs.prepare.rig.calibrate import calibrate_rig
 from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Pixels
 from mrgs.scene.rotations import rigid_transform
+from mrgs.system.limits import shown
 
 EXTRINSICS = "thermal_from_rgb_m"
 """Key of the rigid motion [4, 4] from RGB camera to thermal camera axes, metres, in
@@ -85,9 +85,7 @@ Calibrate = Callable[..., RigCalibration]
 """Such as ``mrgs.prepare.rig.calibrate.calibrate_rig``."""
 
 
-def calibrate_thermal_camera(
-    work: Work, calibrate: Calibrate = calibrate_rig
-) -> RigCalibration | None:
+def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration | None:
     """Calibrate the thermal camera from the posed photos and the user's options.
 
     Args:

@@ -35,7 +35,7 @@ WHITE, BLACK, LOW, HIGH = (255, 255, 255), (0, 0, 0), (70, 150, 255), (255, 70, 
 def nearest_view(mark: Mark, scene: Scene) -> View | None:
     """The thermal view from nearest to where the mark was drawn that has all of it in its image."""
     points, eye = torch.tensor(mark.points).double(), torch.tensor(mark.eye).double()
-    views = [view for view in (*scene.train, *scene.eval) if THERMAL in view.images]
+    views = [view for view in scene.views if THERMAL in view.images]
     seen = [
         view
         for view in views

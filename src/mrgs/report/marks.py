@@ -13,7 +13,6 @@ from PIL import Image
 
 from mrgs.marks import MarkReading
 from mrgs.marks.mark import Mark
-from mrgs.marks.moisture import temperature_factor
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import (
     DASH,
@@ -192,8 +191,8 @@ def _difference(reading: MarkReading, temperature: TemperatureRange | None) -> s
 
 
 def _factor(mean: float, survey: Survey) -> str:
-    """f_Rsi, which is defined for surfaces inside only; a dash where it would not lie from 0 to 1,
-    as of a radiator."""
+    """f_Rsi = (T_si - T_e) / (T_i - T_e) (ISO 13788), which is defined for surfaces inside only; a
+    dash where it would not lie from 0 to 1, as of a radiator."""
     inside, outside = survey.inside_c, survey.outside_c
     if (
         survey.side != "inside"
@@ -203,7 +202,7 @@ def _factor(mean: float, survey: Survey) -> str:
         or math.isnan(mean)
     ):
         return DASH
-    factor = temperature_factor(mean, inside, outside)
+    factor = (mean - outside) / (inside - outside)
     return f"{factor:.2f}" if 0 <= factor <= 1 else DASH
 
 

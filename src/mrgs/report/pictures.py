@@ -59,7 +59,7 @@ def overviews(
     Raises:
         SceneError: a photo cannot be read.
     """
-    views = [view for view in (*scene.train, *scene.eval) if THERMAL in view.images]
+    views = [view for view in scene.views if THERMAL in view.images]
     candidates = views[:: -(-len(views) // OVERVIEW_CANDIDATES)] if views else []
     seen = [_seen(view, marks, render) for view in candidates]
     left, chosen = set(marks), []

@@ -14,12 +14,13 @@ from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import eye_of, spot_radius
 from mrgs.marks.tables import value_text
+from mrgs.pictures.numbers import number_text
 from mrgs.pictures.values import in_unit
 from mrgs.report.marks import ShownMark
 from mrgs.report.pictures import photo_value, surroundings
 from mrgs.report.spots import Spot, find_spots
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Scene, TemperatureRange, View
+from mrgs.scene import THERMAL, Scene, TemperatureRange
 from mrgs.survey import Survey
 
 PROPOSED = 3
@@ -114,7 +115,7 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> 
     stated = survey.hot_places, survey.cold_places
     counts = [PROPOSED if count is None else count for count in stated]
     most = CANDIDATES * max(counts)
-    found = find_spots(views_of(scene), regions.render, most, scene.reach, judged)
+    found = find_spots(scene.views, regions.render, most, scene.reach, judged)
     chosen = [
         _standing_out(spots[: CANDIDATES * count], count, marks, scene, regions)
         for spots, count in zip(found, counts, strict=True)
@@ -155,7 +156,7 @@ def _standing_out(
 
 def _measured(spot: Spot, marks: RunMarks, scene: Scene, regions: Regions) -> Anomaly:
     """A spot as a mark without a name of its own, seen from the view that shows it best."""
-    view = views_of(scene)[spot.view]
+    view = scene.views[spot.view]
     camera = view.images[THERMAL].camera
     points = places_of([spot.position.tolist()])
     mark = Mark("?", "spot", points, eye_of(camera), spot_radius(points[0], camera, scene))
@@ -204,15 +205,14 @@ def show_proposals(
 
 def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> ShownProposal:
     spot, temperature = anomaly.spot, scene.temperature
-    photo = photo_value(views_of(scene)[spot.view], spot)
-    x, y, z = spot.position
+    photo = photo_value(scene.views[spot.view], spot)
     return ShownProposal(
         mark,
         value_text(anomaly.contrast, temperature, sign=True),
         _text(spot.low, temperature),
         _text(spot.high, temperature),
         spot.views,
-        f"{x:.2f}, {y:.2f}, {z:.2f}".replace("-", "−"),
+        ", ".join(number_text(each, 2) for each in spot.position.tolist()),
         None if photo is None else _text(photo, temperature),
         photo is not None and not 0 < photo < 1 and run.image_model.thermal_gain is None,
     )
@@ -220,8 +220,3 @@ def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> ShownPr
 
 def _text(value: float, temperature: TemperatureRange | None) -> str:
     return value_text(in_unit(THERMAL, value, temperature), temperature)
-
-
-def views_of(scene: Scene) -> list[View]:
-    """All views, in the order that spots count them in."""
-    return [*scene.train, *scene.eval]

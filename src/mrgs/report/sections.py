@@ -12,10 +12,11 @@ from PIL import Image
 
 from mrgs.errors import RunError
 from mrgs.evaluation.figures import REPORTED
-from mrgs.evaluation.report import COLUMNS, PART_NAMES, SPREADS, heading
+from mrgs.evaluation.report import COLUMNS, PART_NAMES, SPREADS
 from mrgs.marks.emissivity import records_of
 from mrgs.marks.tables import digits
 from mrgs.pictures.html import InlineImage, inline_image
+from mrgs.pictures.values import capitalised
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Modality, Scene, View, WorldFrame, in_order
@@ -49,7 +50,7 @@ class Scores(NamedTuple):
 def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]]:
     """Views, image sizes, temperature range and scale of the capture, and the thermal camera, as
     the photos name it, or else the survey; translated."""
-    views = [*scene.train, *scene.eval]
+    views = scene.views
     modalities = in_order((*REPORTED, *scene.modalities))
     shared = all(
         view.shares_camera(modality, other)
@@ -60,7 +61,7 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
     temperature = scene.temperature
     return [
         (t("Views"), t("{train} training, {evaluation} evaluation", **counts)),
-        *((t(f"{heading(each)} photos"), _sizes(each, views, t)) for each in modalities),
+        *((t(f"{capitalised(each.title)} photos"), _sizes(each, views, t)) for each in modalities),
         (
             t("Cameras"),
             t("one for all images of a view") if shared else t("each image has its own"),
@@ -170,7 +171,7 @@ def read_scores(run: Run, t: Texts) -> Scores | None:
         return None
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        titles = {each.name: heading(each) for each in (*REPORTED, *run.modalities)}
+        titles = {each.name: capitalised(each.title) for each in (*REPORTED, *run.modalities)}
         rows = [
             (
                 f"{t(titles.get(group, group))}, {t(COLUMNS[name][0])}",

@@ -152,6 +152,11 @@ class Scene:
         return reach(self.points.positions, self.train_cameras)
 
     @property
+    def views(self) -> tuple[View, ...]:
+        """All views: training views first, then held-out ones."""
+        return (*self.train, *self.eval)
+
+    @property
     def train_cameras(self) -> list[Camera]:
         """One camera of each training view: the RGB camera, where it has one."""
         return [view.camera for view in self.train]

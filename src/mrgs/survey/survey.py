@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import yaml
 
@@ -24,7 +24,6 @@ LARGEST_FILE = 100_000
 
 Standard = Literal["EN 13187", "ISO 6781-3", "IEC TS 62446-3"]
 Side = Literal["inside", "outside"]
-STANDARDS: tuple[Standard, ...] = get_args(Standard)
 
 
 @dataclass(frozen=True)

@@ -347,10 +347,9 @@ class Inspection:
             return "no surface"
         if pane.kind not in ("uncertainty", "difference"):
             return self.subject.format_value(modality, value)
-        text = self.subject.format_difference(modality, value)
         if pane.kind == "uncertainty":
-            return f"± {text}"
-        return f"+{text}" if value > 0 else text
+            return f"± {self.subject.format_difference(modality, value)}"
+        return self.subject.format_difference(modality, value, sign=True)
 
     def _place(self, x: float, y: float) -> Place | None:
         """The pane and the place in it at a place of the latest picture; None between the panes."""

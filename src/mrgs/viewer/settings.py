@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 from mrgs.pictures.limits import starting_limits
 from mrgs.pictures.palette import PaletteName
-from mrgs.pictures.values import format_value
+from mrgs.pictures.values import capitalised, format_value
 from mrgs.render import Model
 from mrgs.scene import (
     THERMAL,
@@ -63,13 +63,13 @@ class Mode:
         words = [modality.quantity for modality in self.modalities]
         match self.kind:
             case "image":
-                return _capitalised(words[0])
+                return capitalised(words[0])
             case "side_by_side":
-                return f"{_capitalised(words[0])} | {words[1]}, side by side"
+                return f"{capitalised(words[0])} | {words[1]}, side by side"
             case "blend":
-                return f"{_capitalised(words[1])} over {words[0]} (slider)"
+                return f"{capitalised(words[1])} over {words[0]} (slider)"
             case "split":
-                return f"{_capitalised(words[0])} left, {words[1]} right (slider)"
+                return f"{capitalised(words[0])} left, {words[1]} right (slider)"
             case "photos":
                 return "Photos beside the model"
             case "uncertainty":
@@ -180,7 +180,7 @@ class Subject:
     @property
     def views(self) -> tuple[View, ...]:
         """The captured views: training views first, then held-out ones."""
-        return () if self.scene is None else (*self.scene.train, *self.scene.eval)
+        return () if self.scene is None else self.scene.views
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -203,9 +203,10 @@ class Subject:
         """A value of a modality as text, with its unit if it has one."""
         return format_value(modality, value, self.temperature)
 
-    def format_difference(self, modality: Modality, value: float) -> str:
-        """The same of a difference of two values, or of a ±."""
-        return in_kelvin(self.format_value(modality, value))
+    def format_difference(self, modality: Modality, value: float, *, sign: bool = False) -> str:
+        """A difference of two values of a modality, or a ±, as text with its unit; see
+        ``number_text`` for the sign."""
+        return in_kelvin(format_value(modality, value, self.temperature, sign=sign))
 
 
 def shown_modalities(model: Model, scene: Scene | None) -> tuple[Modality, ...]:
@@ -220,7 +221,3 @@ def shown_modalities(model: Model, scene: Scene | None) -> tuple[Modality, ...]:
 def in_kelvin(text: str) -> str:
     """The unit of a difference in place of that of the values."""
     return text.replace("°C", "K")
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]

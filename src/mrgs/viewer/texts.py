@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import TypedDict
 
+from mrgs.pictures.numbers import number_text
 from mrgs.scene import THERMAL, Modality, WorldFrame
 from mrgs.viewer.inspection import PointReading
 from mrgs.viewer.picking import ValueReading
@@ -29,7 +30,7 @@ def header(subject: Subject) -> str:
         return f"No thermal photos: {shown} and depth only."
     if scale is None:
         return "This scene has no known °C: temperatures are normalised, 0 to 1."
-    return f"Recorded range {number(scale.min_c, 1)} to {number(scale.max_c, 1)} °C."
+    return f"Recorded range {number_text(scale.min_c, 1)} to {number_text(scale.max_c, 1)} °C."
 
 
 def point(shown: PointReading, subject: Subject) -> ReadingText:
@@ -43,16 +44,15 @@ def point(shown: PointReading, subject: Subject) -> ReadingText:
             value = f"{first.quantity} {value}"
     if first is not None and shown.photo_value is not None:
         gap = reading.values[first].value - shown.photo_value
-        sign = "+" if gap >= 0 else "−"
         photo = subject.format_value(first, shown.photo_value)
-        lines.append(f"photo {photo}, model {sign}{subject.format_difference(first, abs(gap))}")
+        lines.append(f"photo {photo}, model {subject.format_difference(first, gap, sign=True)}")
     for modality, other in reading.values.items():
         if modality != first:
             lines.append(" ".join((modality.quantity, *_value_texts(other, modality, subject))))
-    depth, deviation_of_depth = number(reading.depth, 3), number(reading.depth_deviation, 3)
     world = WorldFrame() if subject.scene is None else subject.scene.world
-    lines.append(f"depth {depth} ± {deviation_of_depth} {world.length_unit}")
-    lines.append("position " + ", ".join(number(each, 3) for each in reading.position))
+    depth, around = (number_text(each, 3) for each in (reading.depth, reading.depth_deviation))
+    lines.append(f"depth {depth} ± {around} {world.length_unit}")
+    lines.append("position " + ", ".join(number_text(each, 3) for each in reading.position))
     return {"value": value, "deviation": deviation, "lines": lines}
 
 
@@ -60,11 +60,6 @@ def keyframes(count: int) -> str:
     """How many keyframes a path has, and what it still needs."""
     few = {0: "No keyframes yet.", 1: "1 keyframe; add at least one more."}
     return few.get(count, f"{count} keyframes.")
-
-
-def number(value: float, digits: int) -> str:
-    """The number with a proper minus sign."""
-    return f"{value:.{digits}f}".replace("-", "−")
 
 
 def _value_texts(value: ValueReading, modality: Modality, subject: Subject) -> tuple[str, str]:

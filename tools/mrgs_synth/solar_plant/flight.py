@@ -10,7 +10,7 @@ from jaxtyping import Float
 from PIL import Image
 from PIL.ExifTags import GPS, IFD, Base
 
-from mrgs.prepare.earth import geodetic
+from mrgs.data.earth import geodetic
 from mrgs.scene import Camera, EarthPosition
 
 ORIGIN = EarthPosition(48.137, 11.575, 520.0)

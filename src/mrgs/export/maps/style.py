@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mrgs.pictures.drawing import Scale
+from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import palette_table
 from mrgs.system.atomic import write_text
 
@@ -47,11 +48,10 @@ def write_style(path: Path, scale: Scale) -> Path:
     values = scale.low + shares * (scale.high - scale.low)
     colors = palette_table(scale.palette)[np.rint(255 * shares).astype(int)]
     for value, color in sorted(zip(values.tolist(), colors.tolist(), strict=True)):
-        label = f"{value:.1f}".replace("-", "−")
         ElementTree.SubElement(
             ramp,
             "item",
-            value=f"{value:.4f}", label=f"{label} {scale.unit}", alpha="255",
+            value=f"{value:.4f}", label=f"{number_text(value, 1)} {scale.unit}", alpha="255",
             color="#" + bytes(color).hex(),
         )  # fmt: skip
     ElementTree.indent(document)

@@ -19,6 +19,7 @@ from mrgs.export.maps.picture import Caption, map_picture, map_scale
 from mrgs.export.maps.style import write_style
 from mrgs.export.sidecar import UP_SNAP, comment_lines, up_direction
 from mrgs.pictures.files import write_png
+from mrgs.pictures.numbers import number_text
 from mrgs.scene import THERMAL, Scene
 from mrgs.scene.depth_map import DepthMap
 
@@ -112,6 +113,6 @@ def summary(drawn: OrthographicMap) -> str:
     """Temperatures and photos of a map, in one line."""
     celsius = drawn.celsius[np.isfinite(drawn.celsius)]
     photos = drawn.bands[4][np.isfinite(drawn.celsius)]
-    low, high = (f"{each:.1f}".replace("-", "−") for each in (celsius.min(), celsius.max()))
+    low, high = (number_text(float(each), 1) for each in (celsius.min(), celsius.max()))
     places = f"{np.median(photos):.0f} photos per place (median)"
     return f"{low} to {high} °C · {places} · {UNSEEN}"

@@ -1,7 +1,8 @@
 // Which temperatures are marked in one colour: above, below or between two; where air would condense; where a wall is
-// insulated badly. `mrgs.marks.moisture` has the same formulas.
+// insulated badly: below the temperature factor f_Rsi of ISO 13788, which DIN 4108-2 wants to be 0.7.
 
 const OPEN_END = 1e6;
+// Magnus' formula over water (WMO, Guide to Instruments and Methods of Observation).
 const MAGNUS_A = 17.62;
 const MAGNUS_B = 243.12;
 const MAGNUS_LIMITS = [-45, 60];

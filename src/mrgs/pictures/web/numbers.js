@@ -2,7 +2,8 @@
 
 const TYPED_NUMBER = /^[+−-]?(\d+([.,]\d*)?|[.,]\d+)$/;
 
-const withMinus = (text) => text.replace("-", "−");
+// A proper minus sign, which what is shown as zero never has.
+const withMinus = (text) => text.replace(/^-(?=[0.]+$)/, "").replace("-", "−");
 
 // NaN for everything else.
 function numberOf(text) {

@@ -38,11 +38,6 @@ def lens_rows(lenses: Mapping[str, Lens], what: str) -> list[tuple[str, str]]:
     ]
 
 
-def capitalised(title: str) -> str:
-    """A modality's title at the beginning of a row."""
-    return title[:1].upper() + title[1:]
-
-
 def lens_text(lens: Lens) -> str:
     """Size, field of view, focal length, principal point and distortion, in a sentence."""
     wide, high = (

@@ -16,6 +16,7 @@ from jaxtyping import Float32
 from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
+from mrgs.pictures.values import capitalised
 from mrgs.prepare.consistency import Agreement, agreements
 from mrgs.prepare.contract import (
     ConvertedPhotos,
@@ -24,7 +25,7 @@ from mrgs.prepare.contract import (
     Skipped,
     StageReport,
 )
-from mrgs.prepare.page.cameras import capitalised, lens_rows, rig_facts
+from mrgs.prepare.page.cameras import lens_rows, rig_facts
 from mrgs.prepare.page.measure import MeasuredPhoto, measured_photos
 from mrgs.prepare.page.overlay import thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width

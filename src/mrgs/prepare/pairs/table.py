@@ -6,13 +6,14 @@ import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from mrgs.data.files import contained, decoded_text, is_file, read_bytes, scene_error, shown
+from mrgs.data.files import contained, decoded_text, is_file, read_bytes, scene_error
 from mrgs.errors import SceneError
 from mrgs.prepare.pairs.inventory import Inventory
 from mrgs.prepare.pairs.names import HEADINGS, PARTNER, REFERENCE, composed, printable
 from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import Match, Pair, in_order
 from mrgs.scene import Modality
+from mrgs.system.limits import shown
 
 _MAX_BYTES = 16 * 2**20
 _COLUMNS = (PARTNER, REFERENCE)

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from mrgs.data.earth import enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction
-from mrgs.prepare.earth import enu
 from mrgs.prepare.sfm.job import set_up
 from mrgs.prepare.sfm.process import check_version, installed_version, run_colmap
 from mrgs.prepare.sfm.result import read_result

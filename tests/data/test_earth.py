@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mrgs.data.earth import SEMI_MAJOR_AXIS_M, ecef, enu, geodetic
 from mrgs.data.radiometric import GpsPosition
-from mrgs.prepare.earth import SEMI_MAJOR_AXIS_M, ecef, enu, geodetic
 
 
 def test_ecef_on_the_axes():
