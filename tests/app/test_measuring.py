@@ -18,7 +18,7 @@ VIEW = "frame_train_00001"
 
 @pytest.fixture(scope="module")
 def folder(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    config = make_config(max_steps=60, max_gaussians=300)
+    config = make_config("mrgs", max_steps=60, max_gaussians=300)
     output = tmp_path_factory.mktemp("measured") / "run"
     return trained_run(tmp_path_factory, small_scene, config, output)
 

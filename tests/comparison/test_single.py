@@ -106,5 +106,5 @@ def test_another_configuration_in_the_folder_is_named(small_scene, tmp_path):
 
 
 def test_a_folder_that_died_before_its_first_checkpoint_may_change_its_mind(tmp_path: Path):
-    RunFolder(tmp_path).start(make_config(max_steps=3))
-    require_same_config(tmp_path, make_config(max_steps=4), None)
+    RunFolder(tmp_path).start(make_config("mrgs", max_steps=3))
+    require_same_config(tmp_path, make_config("mrgs", max_steps=4), None)

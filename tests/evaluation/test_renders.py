@@ -101,7 +101,9 @@ def test_grey_saved_in_colour_and_jpeg_are_read(small_scene, renders):
 
 def test_what_mrgs_renders_scores_as_its_run(small_scene, tmp_path):
     run = load_run(
-        train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=100)).path
+        train(
+            small_scene, tmp_path / "run", make_config("mrgs", max_steps=3, max_gaussians=100)
+        ).path
     )
     folder = render_run(run, "eval")
     metrics = evaluate_renders(small_scene, folder, name="ours", output=tmp_path / "scores")

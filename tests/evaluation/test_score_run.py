@@ -24,7 +24,7 @@ from tests.helpers.runs import trained_run
 
 @pytest.fixture
 def run(small_scene: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    config = make_config(max_steps=3, max_gaussians=100)
+    config = make_config("mrgs", max_steps=3, max_gaussians=100)
     return load_run(trained_run(tmp_path_factory, small_scene, config, tmp_path / "run"))
 
 

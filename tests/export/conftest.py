@@ -18,7 +18,7 @@ from mrgs.training import make_config, train
 
 @pytest.fixture(scope="session")
 def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    config = make_config(preset="fast", max_steps=250, max_gaussians=400)
+    config = make_config("mrgs", preset="fast", max_steps=250, max_gaussians=400)
     # At full rates to the end, so that within so few steps colours come to depend on the view.
     config = replace(config, optimizer=replace(config.optimizer, slowdown_from=1.0))
     return load_run(train(small_scene, tmp_path_factory.mktemp("export") / "run", config).path)

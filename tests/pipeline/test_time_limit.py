@@ -70,7 +70,7 @@ def test_a_pilot_trains_on_photos_of_full_resolution(make_scene, monkeypatch):
             on_step(SimpleNamespace(gaussians=7))
 
     monkeypatch.setattr(resolution, "SMALLEST_PX", 15)
-    config = make_config(preset="fast", max_steps=100)
+    config = make_config("mrgs", preset="fast", max_steps=100)
     pace = measure_pace(Method("paced", "", lambda **_: None, train=train), make_scene(), config)
     assert seen["coarse_until"] == 0
     # Half of the pixels in each direction until step 49 of 100; a quarter would be too few.

@@ -19,7 +19,7 @@ __all__ = ["front", "front_scene"]
 @pytest.fixture(scope="module")
 def trained(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "run"
-    return train(small_scene, folder, make_config(max_steps=60, max_gaussians=150)).path
+    return train(small_scene, folder, make_config("mrgs", max_steps=60, max_gaussians=150)).path
 
 
 @pytest.fixture

@@ -234,7 +234,7 @@ def test_a_scene_without_thermal_photos_has_no_spots(tmp_path):
     folder = train(
         write_scene(tmp_path / "scene", thermal=False),
         tmp_path / "run",
-        make_config(max_steps=2, max_gaussians=60),
+        make_config("mrgs", max_steps=2, max_gaussians=60),
     )
     run = load_run(folder.path)
     assert (

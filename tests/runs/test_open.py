@@ -28,7 +28,7 @@ MIN_C, MAX_C = 10.0, 30.0
 
 @pytest.fixture(scope="module")
 def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    config = make_config(max_steps=3, max_gaussians=100)
+    config = make_config("mrgs", max_steps=3, max_gaussians=100)
     output = tmp_path_factory.mktemp("runs") / "run"
     return load_run(trained_run(tmp_path_factory, small_scene, config, output))
 
@@ -105,7 +105,7 @@ def test_the_package_offers_the_api():
 
 def test_another_temperature_range_or_other_cameras_are_refused(run, tmp_path):
     scene = write_scene(tmp_path / "scene")
-    folder = train(scene, tmp_path / "run", make_config(max_steps=1, max_gaussians=50))
+    folder = train(scene, tmp_path / "run", make_config("mrgs", max_steps=1, max_gaussians=50))
     (scene / "temperature_bounds.json").write_text(
         '{"absolute_min_temperature": 0, "absolute_max_temperature": 99}', encoding="utf-8"
     )

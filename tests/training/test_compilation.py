@@ -59,7 +59,7 @@ def test_the_countdown_goes_by_the_pace(monkeypatch):
     )
     clock = [0.0]
     monkeypatch.setattr(compilation.time, "monotonic", lambda: clock[0])
-    countdown = Countdown(make_config())
+    countdown = Countdown(make_config("mrgs"))
     assert countdown.text == "compiling kernels 0/14, about 15 s left"
     clock[0] = 9.0
     assert countdown.text == "compiling kernels 7/14, about 6 s left"
@@ -84,7 +84,7 @@ def test_another_process_helps_where_there_is_a_core_and_something_to_do(
         compilation, "compiling_progress", lambda config: CompilingProgress(0, 1, left)
     )
     monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
-    config = make_config()
+    config = make_config("mrgs")
     with shared_compiling(config):
         assert started == [to_yaml(config)] * starts
     assert started == [to_yaml(config), "closed"] * starts

@@ -205,7 +205,7 @@ def test_mrgs_plus_starts_and_smooths_alike_in_all_presets():
 
 
 def test_paper_is_the_published_schedule():
-    config = make_config(preset="paper")
+    config = make_config("mrgs", preset="paper")
     schedule, radiation = config.densification, config.radiation
     assert (config.max_steps, config.sh_every) == (30_000, 1_000)
     assert (schedule.start, schedule.stop, schedule.every, schedule.reset_every) == (
@@ -224,7 +224,7 @@ def test_paper_is_the_published_schedule():
 
 
 def test_max_steps_scales_the_schedule():
-    config = make_config(preset="paper", max_steps=3_000)
+    config = make_config("mrgs", preset="paper", max_steps=3_000)
     schedule, radiation = config.densification, config.radiation
     assert (config.max_steps, config.sh_every) == (3_000, 100)
     assert (schedule.start, schedule.stop) == (50, 1_500)
@@ -271,7 +271,7 @@ def test_a_part_can_bring_back_what_the_method_left_out():
 
 def test_a_part_with_a_misspelt_field_names_it():
     with pytest.raises(ConfigError, match=r"my.yaml: field: there is no field 'neighbors_n'"):
-        from_yaml("field: {neighbors_n: 5}", "my.yaml", make_config())
+        from_yaml("field: {neighbors_n: 5}", "my.yaml", make_config("mrgs"))
 
 
 @pytest.mark.parametrize(("steps", "fit"), [(20, 20), (300, 300), (4_000, 300)])
@@ -295,5 +295,5 @@ def test_what_must_be_whole_numbers_is_named(name, value):
 
 
 def test_whole_numbers_may_be_of_any_type():
-    config = make_config(max_steps=np.int64(7), seed=np.uint8(3))
+    config = make_config("mrgs", max_steps=np.int64(7), seed=np.uint8(3))
     assert from_yaml(to_yaml(config), "config.yaml") == config

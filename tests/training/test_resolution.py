@@ -106,8 +106,10 @@ def test_the_point_spread_is_that_of_the_photos():
 
 
 def test_only_the_presets_for_cpus_begin_coarse():
-    sizes = [make_config(preset="fast").pixel_size_at(step) for step in (1, 374, 375, 749, 750)]
+    sizes = [
+        make_config("mrgs", preset="fast").pixel_size_at(step) for step in (1, 374, 375, 749, 750)
+    ]
     assert sizes == [4, 4, 2, 2, 1]
-    assert make_config(preset="paper").pixel_size_at(1) == 1
+    assert make_config("mrgs", preset="paper").pixel_size_at(1) == 1
     with pytest.raises(ConfigError, match=r"coarse_until must be at most 1, not 1\.5"):
-        replace(make_config(), coarse_until=1.5)
+        replace(make_config("mrgs"), coarse_until=1.5)

@@ -159,7 +159,7 @@ def test_a_dead_process_loses_its_lock(folder):
 def test_a_discarded_run_leaves_what_is_not_its_own(folder):
     folder.discard()
     assert not folder.path.exists()
-    folder.start(make_config())
+    folder.start(make_config("mrgs"))
     (folder.path / "notes.txt").write_text("mine")
     folder.discard()
     assert [path.name for path in folder.path.iterdir()] == ["notes.txt"]

@@ -19,7 +19,7 @@ from tests.helpers.subjects import subject_of
 @pytest.fixture(scope="session")
 def small_run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Both modalities, °C, one camera; trained for a moment, so that there is something to see."""
-    config = make_config(max_steps=60, max_gaussians=300)
+    config = make_config("mrgs", max_steps=60, max_gaussians=300)
     output = tmp_path_factory.mktemp("runs") / "balls"
     return load_run(trained_run(tmp_path_factory, small_scene, config, output))
 

@@ -290,7 +290,7 @@ def test_other_captures(tmp_path, camera, options, modes):
     folder = train(
         write_scene(tmp_path / "scene", **options),
         tmp_path / "run",
-        make_config(max_steps=3, max_gaussians=100),
+        make_config("mrgs", max_steps=3, max_gaussians=100),
     )
     run = load_run(folder.path)
     subject = subject_of(run, run.load_scene(), tmp_path)

@@ -124,7 +124,7 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
         looker = threading.Thread(target=look, daemon=True)
         looker.start()
         train(
-            small_scene, tmp_path / "run", make_config(max_steps=6, max_gaussians=60),
+            small_scene, tmp_path / "run", make_config("mrgs", max_steps=6, max_gaussians=60),
             on_start=live.on_start, on_model=on_model, on_step=live.on_step,
         )  # fmt: skip
         looker.join(10)
@@ -168,7 +168,7 @@ def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scen
 
 def test_watching_changes_nothing(small_scene, tmp_path):
     """The same seed gives the same model, watched or not."""
-    config = make_config(max_steps=6, max_gaussians=60)
+    config = make_config("mrgs", max_steps=6, max_gaussians=60)
     alone = train(small_scene, tmp_path / "alone", config)
     seen: list[Tensor] = []
 
@@ -203,7 +203,7 @@ def test_a_burst_viewer_does_not_stop_the_training(small_scene, tmp_path, caplog
             return live.on_step(statistics)
 
         folder = train(
-            small_scene, tmp_path / "run", make_config(max_steps=4, max_gaussians=60),
+            small_scene, tmp_path / "run", make_config("mrgs", max_steps=4, max_gaussians=60),
             on_model=live.on_model, on_step=on_step,
         )  # fmt: skip
     assert "training continues without its viewer: the browser burst" in caplog.text

@@ -24,6 +24,9 @@ from mrgs.system.strict_yaml import read_yaml, write_yaml
 Preset = Literal["fast", "default", "paper"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 
+DEFAULT_METHOD = "mrgs-plus"
+"""Configured and trained where none is named."""
+
 PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True, thermal_drift=True)
 """What ``mrgs-plus`` has and no published method."""
 
@@ -197,7 +200,7 @@ class TrainConfig:
 
 
 def make_config(
-    method: str = "mrgs",
+    method: str = DEFAULT_METHOD,
     preset: str = "default",
     max_steps: int | None = None,
     max_gaussians: int | None = None,
@@ -209,8 +212,8 @@ def make_config(
 
     Args:
         method: ``mrgs`` is the published method, ``mrgs-base``, ``mrgs-fourier`` and ``mrgs-boltz``
-            are its ablations, ``3dgs-rgbt`` is its baseline. ``mrgs-plus`` also models the thermal
-            camera: ``train`` and the command line take it where nothing is given.
+            are its ablations, ``3dgs-rgbt`` is its baseline; ``mrgs-plus`` also models the thermal
+            camera.
         preset: ``default`` (4,000 steps, at most 50,000 Gaussians) and ``fast`` (1,500 and 20,000)
             suit CPUs; ``paper`` is the published schedule of 30,000 steps.
         max_steps: the preset's whole schedule is stretched or shrunk to them.

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mrgs.method.config import TrainConfig
+from mrgs.method.config import DEFAULT_METHOD, TrainConfig
 from mrgs.runs.registry import find_method
-
-METHOD = "mrgs-plus"
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,7 @@ class Quality:
 
     def config(self) -> TrainConfig:
         """The configuration of the training."""
-        config: TrainConfig = find_method(METHOD).configure(
+        config: TrainConfig = find_method(DEFAULT_METHOD).configure(
             self.preset,
             max_steps=self.max_steps,
             max_gaussians=self.max_gaussians,

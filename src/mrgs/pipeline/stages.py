@@ -13,11 +13,11 @@ from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.export import FORMATS, export
 from mrgs.marks.store import judged_content
-from mrgs.method.config import to_yaml
+from mrgs.method.config import DEFAULT_METHOD, to_yaml
 from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.ledger import Ledger, file_stamp
 from mrgs.pipeline.monitor import Monitor
-from mrgs.pipeline.quality import METHOD, QUALITIES, Quality
+from mrgs.pipeline.quality import QUALITIES, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
 from mrgs.prepare.cache import CACHE_FOLDER, digest, fingerprint, stamps
 from mrgs.report import write_report
@@ -196,7 +196,7 @@ class Job:
     def _train(self, report: Report) -> list[Path]:
         folder, method, made_from = (
             RunFolder(self.model),
-            find_method(METHOD),
+            find_method(DEFAULT_METHOD),
             self._made_from_scene(),
         )
         resume = bool(folder.checkpoints())

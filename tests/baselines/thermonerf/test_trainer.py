@@ -120,7 +120,9 @@ def test_what_needs_gaussians_refuses(small_scene, tmp_path):
 
 
 def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene, tmp_path):
-    folder = train(small_scene, tmp_path / "run", make_config(max_steps=1, max_gaussians=50))
+    folder = train(
+        small_scene, tmp_path / "run", make_config("mrgs", max_steps=1, max_gaussians=50)
+    )
     assert open_run(folder.path).gaussian_count == len(load_run(folder.path).model.gaussians)
     with pytest.raises(
         RunError,
