@@ -78,6 +78,7 @@ def test_at_the_start_only_the_spread_changes_anything():
     written = model(seen, torch.tensor([1]))
     assert written[RGB].image is seen[RGB].image
     torch.testing.assert_close(written[THERMAL].image, PointSpread()(seen[THERMAL].image))
+    assert model.point_spread.sigma_px.item() == pytest.approx(0.8)
 
 
 def test_a_photo_that_was_not_learned_from_is_expected_to_have_its_neighbours_gain():

@@ -83,3 +83,16 @@ def test_the_image_model_writes_photos_with_their_drift():
     again = ImageModel(config, capture)
     again.load_state_dict(model.state_dict())
     assert torch.equal(again.thermal_drift.offsets(), model.thermal_drift.offsets())
+
+
+def test_what_a_photo_masks_is_not_taken_for_drift():
+    model = ImageModel(ImageModelConfig(thermal_drift=True), Capture(POINTS, 1.0, has_celsius=True))
+    image, ones = torch.full((12, 16, 1), 0.5), torch.ones(12, 16)
+    valid = ones > 0
+    valid[:, 6:] = False
+    photo = Pixels(torch.where(valid[..., None], image + 0.01, 0.0), valid)
+    view = torch.tensor([0])
+    written = model(Rendering({THERMAL: Blend(image, ones, ones)}), view)
+    middle, variance = model.thermal_residual(view, written, photo).tolist()
+    assert middle == pytest.approx(0.01)
+    assert variance == pytest.approx(0.0, abs=1e-9)
