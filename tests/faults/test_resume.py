@@ -17,7 +17,7 @@ from mrgs.errors import MrgsWarning, RunError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.training import train
 from mrgs.training.checkpoint import load_facts
-from mrgs.training.trainer import open_training
+from mrgs.training.opening import open_training
 from tests.faults.runs import GAUSSIANS, NERF
 from tests.helpers.checkpoints import header_of, rewrite_without_digests
 

@@ -22,6 +22,7 @@ from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Camera, View
 from mrgs.training import METHODS, driver, train, trainer, view_pass
 from mrgs.training.checkpoint import load_facts, load_model
+from mrgs.training.opening import open_training
 from mrgs.training.photos import HostPhotos
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import initial_state
@@ -354,7 +355,7 @@ def test_neither_half_of_a_step_nor_a_training_that_has_ended_is_saved(
 
     folder = RunFolder(tmp_path / "run")
     in_step(monkeypatch, 3, fail)
-    with trainer.open_training(small_scene, folder.path, short_config()) as opened:
+    with open_training(small_scene, folder.path, short_config()) as opened:
         steps = opened.steps()
         next(steps)
         next(steps)
@@ -411,7 +412,7 @@ def test_start_is_told_before_the_model_is_made(small_scene, tmp_path, monkeypat
     def tell(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mrgs.training.trainer.initial_state", lambda *_: pytest.fail("made"))
+    monkeypatch.setattr("mrgs.training.opening.initial_state", lambda *_: pytest.fail("made"))
     with pytest.raises(KeyboardInterrupt):
         train(small_scene, tmp_path / "run", short_config(), on_start=tell)
 

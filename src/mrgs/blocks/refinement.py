@@ -27,9 +27,9 @@ from mrgs.scene import THERMAL, Gaussians, PointCloud, Scene
 from mrgs.system.randomness import seeded
 from mrgs.training.checkpoint import load_model
 from mrgs.training.newest import load_newest
+from mrgs.training.opening import TrainingPart
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import TrainingState
-from mrgs.training.trainer import TrainingPart
 
 WIDEST = 1 / 3
 """Largest standard deviation of a Gaussian that blocks take over from the coarse model, as a share

@@ -29,8 +29,8 @@ from mrgs.system.gpu import DeviceName
 from mrgs.training.checkpoint import load_facts
 from mrgs.training.facts import CheckpointFacts, facts_to_resume
 from mrgs.training.newest import load_newest
+from mrgs.training.opening import train
 from mrgs.training.run_folder import RunFolder
-from mrgs.training.trainer import train
 
 COARSE_STEPS = 0.5
 """Of the coarse model, as a share of a block's."""

@@ -23,14 +23,12 @@ from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import DeviceName
 from mrgs.system.limits import shown
 from mrgs.system.torch_modes import own_modes
-from mrgs.training import trainer
+from mrgs.training import opening
 from mrgs.training.asked_cameras import asked_cameras
+from mrgs.training.opening import OnStep
 from mrgs.training.run_folder import RunFolder, TemporaryRunFolder
 from mrgs.training.step import StepStatistics
-from mrgs.training.trainer import OnStep, Trainer
-
-METHOD = "mrgs-plus"
-"""Trained where no configuration is given."""
+from mrgs.training.trainer import Trainer
 
 _OPEN_LOOPS: weakref.WeakSet[Generator[LiveRun, None, None]] = weakref.WeakSet()
 """Loops of runs with a folder that may not have ended."""
@@ -63,8 +61,8 @@ def train(
         output: the run's folder; must not hold a run unless ``resume``. None takes a temporary
             folder, which is removed with the returned run; of a training that is stopped, with this
             process.
-        config: what to train, see ``make_config``; ``mrgs-plus`` with the preset ``default`` if
-            None. A resumed run keeps its own.
+        config: what to train, see ``make_config``; what that returns by default if None. A resumed
+            run keeps its own.
         resume: continue the run from its newest checkpoint that is whole, exactly; on another
             device up to rounding.
         accept_changes: resume where photos, poses or intrinsics have changed since the run began.
@@ -101,7 +99,7 @@ def train(
     """
     folder = _folder(output)
     with _kept_if_stopped(folder):
-        trainer.train(
+        opening.train(
             scene,
             folder.path,
             _checked_config(config),
@@ -161,7 +159,7 @@ def train_steps(
     """
 
     def opened(folder: RunFolder) -> AbstractContextManager[Trainer]:
-        return trainer.open_training(
+        return opening.open_training(
             scene,
             folder.path,
             _checked_config(config),
@@ -274,11 +272,11 @@ def _checked_config(config: TrainConfig | None) -> TrainConfig:
         ConfigError: it is something else.
     """
     if config is None:
-        return make_config(METHOD)
+        return make_config()
     if not isinstance(config, TrainConfig):
         raise ConfigError(
             f"config must be what make_config returns, not {shown(config)}: such as "
-            f"make_config({METHOD!r}, max_steps=2000)",
+            f"make_config(max_steps=2000)",
             options=("config",),
         )
     return config

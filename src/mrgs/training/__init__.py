@@ -3,8 +3,8 @@ folder."""
 
 from mrgs.method.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config
 from mrgs.training.memory import estimate_bytes
+from mrgs.training.opening import train
 from mrgs.training.step import StepStatistics
-from mrgs.training.trainer import train
 
 __all__ = [
     "METHODS",
