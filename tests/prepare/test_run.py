@@ -360,7 +360,7 @@ def test_given_poses_know_the_photos_by_the_names_that_they_had(photos, posed, t
     stages.pairs(work)
     assert [pair.name for pair in work.pairing.pairs] == list(names.values())
     stages.images(work)
-    stages.poses(work)
+    stages.poses(work, pytest.fail)
     assert list(work.poses.viewmats) == list(work.poses.lenses) == list(names.values())
     assert work.poses.failed == ()
 

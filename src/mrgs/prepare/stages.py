@@ -26,12 +26,8 @@ from mrgs.prepare.contract import (
 from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.existing import poses_of_photos
 from mrgs.prepare.georeference import georeference
-from mrgs.prepare.page.write import write_page
 from mrgs.prepare.pairs.find import find_pairs
-from mrgs.prepare.rig.calibrate import calibrate_rig
 from mrgs.prepare.rig.contract import RigCalibration
-from mrgs.prepare.scene_files import write_scene
-from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.summary import (
     summarize_pairs,
     summarize_photos,
@@ -73,7 +69,7 @@ def images(work: Work) -> StageSummary:
     return summarize_photos(work.images)
 
 
-def poses(work: Work, reconstruct: Callable[..., Reconstruction] = reconstruct) -> StageSummary:
+def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummary:
     """Camera poses, given or by ``reconstruct``; they depend on the posed images and their GPS
     positions alone, so that other temperatures do not matter."""
     views = work.images.views
@@ -112,7 +108,7 @@ def scale_and_north(work: Work) -> StageSummary:
     return StageSummary((work.georeference.text,), work.georeference.warnings)
 
 
-def thermal_camera(work: Work, calibrate: Calibrate = calibrate_rig) -> StageSummary:
+def thermal_camera(work: Work, calibrate: Calibrate) -> StageSummary:
     """Intrinsics and extrinsics of the thermal camera. A target may also give the scale, which then
     changes the scene's world."""
     options, posed, metric = work.options, work.posed, work.metric
@@ -142,7 +138,7 @@ class WrittenScene:
     odd: tuple[str, ...]
 
 
-def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -> StageSummary:
+def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary:
     """``transforms.json``, points and bounds; ``load_scene`` reads them once as a check."""
 
     def write() -> WrittenScene:
@@ -168,7 +164,7 @@ def scene_files(work: Work, write_scene: Callable[[Work], None] = write_scene) -
     return StageSummary(lines, tuple(f"{text[0].upper()}{text[1:]}." for text in written.odd))
 
 
-def page(work: Work, write_page: Callable[..., Path] = write_page) -> StageSummary:
+def page(work: Work, write_page: Callable[..., Path]) -> StageSummary:
     """The HTML page that shows the results."""
     reported = [(report.title, report.lines, report.warnings) for report in work.reports]
     name = work.cache.get(
@@ -182,7 +178,7 @@ def page(work: Work, write_page: Callable[..., Path] = write_page) -> StageSumma
 
 
 @contextmanager
-def page_on_error(work: Work, write_page: Callable[..., Path] = write_page) -> Iterator[None]:
+def page_on_error(work: Work, write_page: Callable[..., Path]) -> Iterator[None]:
     """On an error of the photos, write a page of the results so far: it often shows the cause.
 
     Raises:
