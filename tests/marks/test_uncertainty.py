@@ -138,6 +138,14 @@ def test_the_data_sheet_is_a_limit_and_cancels_in_differences():
     assert math.isnan(one.difference_uncertainty)
 
 
+@pytest.mark.parametrize(("celsius", "limit_c"), [(5.0, 1.0), (40.0, 4.0), (-40.0, 4.0)])
+def test_the_per_cent_of_the_data_sheet_count_below_zero_too(celsius, limit_c):
+    budget = Budget(accuracy=(1.0, 10.0))
+    found = budget.with_settings(Uncertainty(0.0, 0.0), celsius)
+    assert found.camera == pytest.approx(0.95 * limit_c)
+    assert budget.together(np.zeros(1), np.array([celsius])) == pytest.approx(found.camera)
+
+
 @pytest.mark.parametrize("other_c", [0.0, 0.1, 0.3, 1.0, 3.0])
 def test_a_limit_of_error_and_other_parts_together_hold_95_of_100_cases(other_c):
     """The error of a camera is anywhere within its limit, that of the rest is normal."""
