@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from mrgs.data.lens import Lens
+from mrgs.prepare.rig import adjust as adjust_module
 from mrgs.prepare.rig.adjust import Observations, Prior, adjust, aimed, pixel_sigma
 from mrgs.prepare.rig.model import MOTION, ThermalCameras, lens_parameters, project
 
@@ -123,3 +124,29 @@ def test_cameras_are_aimed_at_what_they_observe():
         for m in (far, found.motions)
     )
     assert after < 0.2 * before
+
+
+def test_eliminating_the_motions_gives_what_the_whole_system_gives(monkeypatch):
+    """The equations are solved pair by pair: a system over all pairs would grow with their cube."""
+    _, _, observations = observed(0.3)
+    start, prior = start_and_prior()
+    residual, weight = adjust_module._weights(observations, start.rig, start.motions)
+    equations = adjust_module._normal_equations(
+        observations, residual, weight, start.rig, start.motions, prior
+    )
+    whole = torch.block_diag(equations.rig, *equations.motions)
+    whole[:12, 12:] = equations.coupling.movedim(0, 1).flatten(1)
+    whole[12:, :12] = whole[:12, 12:].T
+    right = torch.cat([equations.rig_gradient, equations.motion_gradients.flatten()])
+    expected, covariance = torch.linalg.solve(whole, right), torch.linalg.inv(whole)
+    solved = []
+    solve = torch.linalg.solve
+    monkeypatch.setattr(
+        torch.linalg, "solve", lambda a, b, **more: solved.append(a.shape) or solve(a, b, **more)
+    )
+    rig, motions = equations.solution()
+    torch.testing.assert_close(torch.cat([rig, motions.flatten()]), expected)
+    assert set(solved) == {(12, 12), (VIEWS, MOTION, MOTION)}
+    for view, found in enumerate(equations.covariances()):
+        own = [*range(12), *range(12 + MOTION * view, 12 + MOTION * (view + 1))]
+        torch.testing.assert_close(found, covariance[own][:, own])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float64, Int64
@@ -17,6 +18,8 @@ _MEDIAN_CHI2 = 1.386
 
 _ROBUST_SCALE = 4.0
 _INLIER_WEIGHT = 0.25
+_LEAST_SIGMA = 1e-9
+"""What fixes a parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +100,14 @@ def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> A
     rig, motions = start.rig, start.motions
     for _ in range(_STEPS):
         residual, weight = _weights(observations, rig, motions)
-        hessian, gradient = _normal_equations(observations, residual, weight, rig, motions, prior)
-        step = torch.linalg.solve(hessian, gradient)
-        rig, motions = rig + step[:RIG], motions + step[RIG:].reshape(-1, MOTION)
+        equations = _normal_equations(observations, residual, weight, rig, motions, prior)
+        rig_step, motion_steps = equations.solution()
+        rig, motions = rig + rig_step, motions + motion_steps
     residual, weight = _weights(observations, rig, motions)
-    hessian, _ = _normal_equations(observations, residual, weight, rig, motions, prior)
+    equations = _normal_equations(observations, residual, weight, rig, motions, prior)
     return Adjusted(
         ThermalCameras(rig, motions),
-        _covariances(hessian, len(motions)),
+        equations.covariances(),
         residual.norm(dim=1),
         weight > _INLIER_WEIGHT * weight.max(),
     )
@@ -138,6 +141,51 @@ def _weights(
     return residual, robust * observations.independent / scale
 
 
+class _NormalEquations(NamedTuple):
+    """Gauss-Newton's equations. No observation depends on the motions of two pairs, so the Hessian
+    is zero but for the blocks below, and the motions can be eliminated one by one (Schur's
+    complement): the work grows with the number of pairs, not with its cube.
+
+    Attributes:
+        rig: Hessian of the rig's parameters.
+        coupling: between these and each pair's motion.
+        motions: of each pair's motion.
+        rig_gradient: negative.
+        motion_gradients: negative.
+    """
+
+    rig: Float64[Tensor, "12 12"]
+    coupling: Float64[Tensor, "v 12 6"]
+    motions: Float64[Tensor, "v 6 6"]
+    rig_gradient: Float64[Tensor, "12"]
+    motion_gradients: Float64[Tensor, "v 6"]
+
+    def solution(self) -> tuple[Float64[Tensor, "12"], Float64[Tensor, "v 6"]]:
+        """The steps of the rig and of the motions."""
+        reduced, eliminated = self._reduced()
+        gradient = (
+            self.rig_gradient - (eliminated @ self.motion_gradients[:, :, None]).sum(dim=0)[:, 0]
+        )
+        rig = torch.linalg.solve(reduced, gradient)
+        left = self.motion_gradients - (self.coupling.mT @ rig[:, None])[:, :, 0]
+        return rig, torch.linalg.solve(self.motions, left)
+
+    def covariances(self) -> Float64[Tensor, "v 18 18"]:
+        """Of the rig's parameters and each pair's motion."""
+        reduced, eliminated = self._reduced()
+        rig = torch.linalg.inv(reduced)
+        mixed = -rig @ eliminated
+        motions = torch.linalg.inv(self.motions) - eliminated.mT @ mixed
+        above = torch.cat([rig.expand(len(mixed), -1, -1), mixed], dim=2)
+        return torch.cat([above, torch.cat([mixed.mT, motions], dim=2)], dim=1)
+
+    def _reduced(self) -> tuple[Float64[Tensor, "12 12"], Float64[Tensor, "v 12 6"]]:
+        """The Hessian of the rig without the motions, and the coupling times the inverse of each
+        motion's Hessian."""
+        eliminated = torch.linalg.solve(self.motions, self.coupling, left=False)
+        return self.rig - (eliminated @ self.coupling.mT).sum(dim=0), eliminated
+
+
 def _normal_equations(
     observations: Observations,
     residual: Float64[Tensor, "n 2"],
@@ -145,8 +193,7 @@ def _normal_equations(
     rig: Float64[Tensor, "12"],
     motions: Float64[Tensor, "v 6"],
     prior: Prior,
-) -> tuple[Tensor, Tensor]:
-    """Hessian and negative gradient over the rig's parameters, followed by each pair's."""
+) -> _NormalEquations:
     count, views = len(motions), observations.views
     information = observations.information * weight[:, None, None]
     jacobian = project_jacobian(rig, motions[views], observations.points)
@@ -154,25 +201,13 @@ def _normal_equations(
     blocks.index_add_(0, views, torch.einsum("nia,nij,njb->nab", jacobian, information, jacobian))
     slopes = jacobian.new_zeros(count, RIG + MOTION)
     slopes.index_add_(0, views, torch.einsum("nia,nij,nj->na", jacobian, information, residual))
-    hessian = jacobian.new_zeros(RIG + MOTION * count, RIG + MOTION * count)
-    hessian[:RIG, :RIG] = blocks[:, :RIG, :RIG].sum(dim=0)
-    for view, block in enumerate(blocks):
-        own = slice(RIG + MOTION * view, RIG + MOTION * (view + 1))
-        hessian[:RIG, own], hessian[own, :RIG], hessian[own, own] = (
-            block[:RIG, RIG:],
-            block[RIG:, :RIG],
-            block[RIG:, RIG:],
-        )
-    precision = torch.cat([prior.rig_sigma, prior.motion_sigma.repeat(count)]).clamp(min=1e-9) ** -2
-    error = torch.cat([prior.rig - rig, -motions.flatten()])
-    gradient = torch.cat([slopes[:, :RIG].sum(dim=0), slopes[:, RIG:].flatten()])
-    return hessian + torch.diag(precision), gradient + precision * error
-
-
-def _covariances(hessian: Tensor, count: int) -> Float64[Tensor, "v 18 18"]:
-    covariance = torch.linalg.inv(hessian)
-    chosen = [
-        torch.cat([torch.arange(RIG), torch.arange(RIG + MOTION * view, RIG + MOTION * (view + 1))])
-        for view in range(count)
-    ]
-    return torch.stack([covariance[index][:, index] for index in chosen])
+    rig_precision, motion_precision = (
+        sigma.clamp(min=_LEAST_SIGMA) ** -2 for sigma in (prior.rig_sigma, prior.motion_sigma)
+    )
+    return _NormalEquations(
+        blocks[:, :RIG, :RIG].sum(dim=0) + torch.diag(rig_precision),
+        blocks[:, :RIG, RIG:],
+        blocks[:, RIG:, RIG:] + torch.diag(motion_precision),
+        slopes[:, :RIG].sum(dim=0) + rig_precision * (prior.rig - rig),
+        slopes[:, RIG:] - motion_precision * motions,
+    )
