@@ -9,7 +9,13 @@ import pytest
 import torch
 from PIL import Image
 
-from mrgs.data.images import decode, decode_mask, probe
+from mrgs.data.images import (
+    decode,
+    decode_mask,
+    has_eight_bit_levels,
+    of_eight_bit_levels,
+    probe,
+)
 from mrgs.errors import SceneError
 
 
@@ -146,3 +152,32 @@ def test_mutated_images_give_pixels_or_a_scene_error(tmp_path):
                 except SceneError:
                     continue
             assert torch.isfinite(values).all()
+
+
+@pytest.mark.parametrize(
+    ("size", "least", "expected"),
+    [
+        ((64, 48), 8, (8, 6)),
+        ((64, 48), 9, (16, 12)),
+        ((64, 48), 33, (64, 48)),
+        ((62, 48), 8, (31, 24)),  # an eighth of 62 is no whole number
+        ((63, 48), 8, (63, 48)),
+    ],
+)
+def test_a_jpeg_is_decoded_at_a_fraction_that_divides_its_size(tmp_path, size, least, expected):
+    path = save(tmp_path / "a.jpg", np.full((size[1], size[0], 3), 51, dtype=np.uint8))
+    values = decode(path, least).values
+    assert (values.shape[1], values.shape[0]) == expected
+    torch.testing.assert_close(values, torch.full_like(values, 0.2))
+
+
+def test_other_files_are_decoded_whole(tmp_path):
+    path = save(tmp_path / "a.png", np.full((48, 64), 51, dtype=np.uint8))
+    assert decode(path, 8).values.shape == (48, 64, 1)
+
+
+def test_levels_are_looked_for_in_every_row():
+    values = of_eight_bit_levels(torch.randint(0, 256, (300, 500, 3), dtype=torch.uint8))
+    assert has_eight_bit_levels(values)
+    values[-1, -1, -1] = 0.3
+    assert not has_eight_bit_levels(values)

@@ -89,3 +89,42 @@ def test_an_image_of_more_bits_keeps_its_values(tmp_path):
         for keeps in (False, True)
     )
     assert torch.equal(exact, kept)
+
+
+def test_a_large_photo_is_read_at_a_fraction_of_its_size_where_that_is_enough(tmp_path):
+    lens = Lens(160, 96, 120.0, 120.0, 80.0, 48.0, radial=(-0.1, 0.0, 0.0, 0.0))
+    x, y = np.meshgrid(np.arange(160), np.arange(96))
+    pixels = np.stack([x, 2 * y, 128 + 0 * x], axis=-1).astype(np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "a.jpg", quality=95)
+    sizes = []
+
+    def decoder(path):
+        values, valid = decode_rgb(path, least_width=40)
+        sizes.append(values.shape[:2])
+        return values, valid
+
+    small = posed_image(source(tmp_path / "a.jpg", lens), decoder, 20, may_shrink=True)
+    whole = posed_image(source(tmp_path / "a.jpg", lens), decode_rgb, 20)
+    assert small.camera == whole.camera or small.camera.coincides_with(whole.camera)
+    torch.testing.assert_close(small.load().values, whole.load().values, atol=0.02, rtol=0)
+    assert sizes == [(24, 40)]
+    exact = posed_image(source(tmp_path / "a.jpg", lens), decoder, 20)
+    with pytest.raises(SceneError, match="is 40×24 px, but its intrinsics are for 160×96 px"):
+        exact.load()
+
+
+def test_a_mask_of_a_photo_that_is_read_small_keeps_out_all_that_it_touches(tmp_path):
+    lens = Lens(160, 96, 120.0, 120.0, 80.0, 48.0)
+    Image.fromarray(np.full((96, 160, 3), 90, np.uint8)).save(tmp_path / "a.jpg")
+    mask = np.full((96, 160), 255, np.uint8)
+    mask[5, 9] = 0
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    image = posed_image(
+        source(tmp_path / "a.jpg", lens, tmp_path / "mask.png"),
+        lambda path: decode_rgb(path, least_width=40),
+        40,
+        may_shrink=True,
+    )
+    valid = image.load().valid
+    assert valid.shape == (24, 40)
+    assert (~valid).nonzero().tolist() == [[1, 2]]

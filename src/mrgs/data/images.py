@@ -27,8 +27,14 @@ MAX_PIXELS = 80_000_000
 """Larger images are refused unread. Below Pillow's own limit, so that its global setting need not
 be touched."""
 
+DRAFT_SHARES = (8, 4, 2)
+"""A JPEG decoder gives one pixel for so many in each direction, by transforming fewer frequencies
+back."""
+
 Kind = Literal["grey", "colour", "float"]
 """One channel of integers, three channels of integers, or one channel of floats (a TIFF in °C)."""
+
+_PIXELS_AT_ONCE = 2**16
 
 LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
 """ITU-R BT.601, as in JPEG; the weights add up to 1, so that a grey image saved in colour keeps its
@@ -70,14 +76,22 @@ class Decoded(NamedTuple):
     kind: Kind
 
 
-def decode(path: Path) -> Decoded:
+def decode(path: Path, least_width: int | None = None) -> Decoded:
     """The pixels of an image.
+
+    Args:
+        path: the file.
+        least_width: a JPEG file is decoded at a half, a quarter or an eighth of its size, if that
+            is still as many pixels wide and its size divides: much faster, and each pixel is about
+            the mean of those that it stands for. None decodes every pixel.
 
     Raises:
         SceneError: the file cannot be decoded: damaged, cut off, or refused by ``probe``.
     """
     with _opened(path) as image:
         kind = _kind(image, path)
+        if least_width is not None:
+            image.draft(None, _draft_size(image.size, least_width))
         if kind == "float":
             values = np.array(image, dtype=np.float32)
             finite = np.isfinite(values)
@@ -95,7 +109,18 @@ def decode(path: Path) -> Decoded:
     pixels = pixels.reshape(pixels.shape[0], pixels.shape[1], -1)
     channels = 1 if kind == "grey" else 3
     valid = _mask(pixels[..., channels] >= 128) if pixels.shape[2] > channels else None
-    return Decoded(torch.from_numpy(pixels[..., :channels].astype(np.float32) / 255), valid, kind)
+    values = pixels[..., :channels].astype(np.float32)
+    values /= 255  # in place: a photo of 48 megapixels takes 0.6 GB
+    return Decoded(torch.from_numpy(values), valid, kind)
+
+
+def _draft_size(size: tuple[int, int], least_width: int) -> tuple[int, int]:
+    """The smallest size at which a JPEG decoder gives the same field of view, at least so wide."""
+    width, height = size
+    for share in DRAFT_SHARES:
+        if width % share == height % share == 0 and width // share >= least_width:
+            return width // share, height // share
+    return size
 
 
 def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Tensor, "h w d"]:
@@ -117,6 +142,12 @@ def eight_bit_levels(values: Float32[Tensor, "*shape"]) -> UInt8[Tensor, "*shape
     theirs."""
     levels = (values * 255).round_().clamp_(0, 255)
     return levels.to(torch.uint8) if torch.equal(levels / 255, values) else None
+
+
+def has_eight_bit_levels(values: Float32[Tensor, "h w c"]) -> bool:
+    """Whether ``eight_bit_levels`` would find them, a few rows at a time."""
+    rows = max(1, _PIXELS_AT_ONCE // max(values.shape[1], 1))
+    return all(eight_bit_levels(block) is not None for block in values.split(rows))
 
 
 def of_eight_bit_levels(levels: UInt8[Tensor, "*shape"]) -> Float32[Tensor, "*shape"]:

@@ -12,10 +12,11 @@ from torch import Tensor
 
 from mrgs.data.files import scene_error
 from mrgs.data.images import (
+    DRAFT_SHARES,
     ImageInfo,
     decode,
     decode_mask,
-    eight_bit_levels,
+    has_eight_bit_levels,
     probe,
     with_channels,
 )
@@ -48,7 +49,11 @@ def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
 
 
 def posed_image(
-    source: ImageSource, decoder: Decoder, resolution: int | None, keeps_levels: bool = False
+    source: ImageSource,
+    decoder: Decoder,
+    resolution: int | None,
+    keeps_levels: bool = False,
+    may_shrink: bool = False,
 ) -> PosedImage:
     """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is
     called.
@@ -59,6 +64,7 @@ def posed_image(
         resolution: largest width in pixels; None keeps the file's.
         keeps_levels: whether an image of 8 bits has no more levels after it was undistorted or made
             smaller, so that it takes as little memory as before.
+        may_shrink: whether the decoder may give the file's pixels at one of ``DRAFT_SHARES``.
 
     Raises:
         SceneError: the distortion leaves nothing of the image.
@@ -70,7 +76,8 @@ def posed_image(
     camera = Camera(_matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
     if resolution is not None and resolution < camera.width:
         camera = camera.with_width(resolution)
-    load = partial(_load, source, decoder, camera.width, camera.height, keeps_levels)
+    size = camera.width, camera.height
+    load = partial(_load, source, decoder, size, keeps_levels, may_shrink)
     files = (source.path,) if source.mask is None else (source.path, source.mask)
     return PosedImage(camera, load, files, source.record)
 
@@ -85,17 +92,17 @@ def _matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
 
 
 def decode_intensities(
-    path: Path, channels: int
+    path: Path, channels: int, least_width: int | None = None
 ) -> tuple[Float32[Tensor, "h w {channels}"], Bool[Tensor, "h w"] | None]:
     """Values in [0, 1] and the mask of usable pixels (None if all are).
 
     A grey image gets ``channels`` equal channels; of a colour image, where one channel is wanted,
-    the luminance is taken.
+    the luminance is taken. ``least_width`` as for ``decode``.
 
     Raises:
         SceneError: the file cannot be decoded, holds floats, or has another number of channels.
     """
-    values, valid, kind = decode(path)
+    values, valid, kind = decode(path, least_width)
     if kind == "float":
         raise scene_error(
             path, "holds floats where intensities are expected; save it with 8 or 16 bits"
@@ -106,26 +113,48 @@ def decode_intensities(
         raise scene_error(path, str(error)) from error
 
 
-def decode_rgb(path: Path) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"] | None]:
+def decode_rgb(
+    path: Path, least_width: int | None = None
+) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"] | None]:
     """Colours in [0, 1] and the mask of usable pixels; see ``decode_intensities``."""
-    return decode_intensities(path, RGB.channels)
+    return decode_intensities(path, RGB.channels, least_width)
 
 
 def _load(
-    source: ImageSource, decoder: Decoder, width: int, height: int, keeps_levels: bool
+    source: ImageSource,
+    decoder: Decoder,
+    size: tuple[int, int],
+    keeps_levels: bool,
+    may_shrink: bool,
 ) -> Pixels:
     decoded, valid = decoder(source.path)
     values = decoded
-    _check_size((values.shape[1], values.shape[0]), source.lens, source.path)
+    share = _share(values, source.lens) if may_shrink else 1
+    lens = source.lens.resized(source.lens.width // share, source.lens.height // share)
+    _check_size((values.shape[1], values.shape[0]), lens, source.path)
     if source.mask is not None:
         mask = decode_mask(source.mask)
         _check_size((mask.shape[1], mask.shape[0]), source.lens, source.mask)
+        mask = _shrunk(mask, share)
         valid = mask if valid is None else valid & mask
-    values, valid = undistort(values, valid, source.lens)
-    values, valid = resize(values, valid, width, height)
-    if keeps_levels and values is not decoded and eight_bit_levels(decoded) is not None:
+    values, valid = undistort(values, valid, lens)
+    values, valid = resize(values, valid, *size)
+    if keeps_levels and values is not decoded and has_eight_bit_levels(decoded):
         values = (values * 255).round_() / 255
     return Pixels(values.contiguous(), valid)
+
+
+def _share(values: Float32[Tensor, "h w c"], lens: Lens) -> int:
+    """How many pixels of the lens one of the values stands for, across; 1 for any other size."""
+    size = values.shape[1], values.shape[0]
+    shares = (s for s in DRAFT_SHARES if (size[0] * s, size[1] * s) == (lens.width, lens.height))
+    return next(shares, 1)
+
+
+def _shrunk(mask: Bool[Tensor, "h w"], share: int) -> Bool[Tensor, "y x"]:
+    """A pixel counts if all do that it stands for."""
+    height, width = mask.shape
+    return mask.reshape(height // share, share, width // share, share).all(dim=3).all(dim=1)
 
 
 def _check_size(size: tuple[int, int], lens: Lens, path: Path) -> None:

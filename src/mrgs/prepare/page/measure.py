@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 from PIL import Image
 
+from mrgs.data.images import probe
+from mrgs.data.load import PREVIEW_MARGIN
 from mrgs.data.posed import decode_rgb
 from mrgs.pictures.files import to_rgb8
 from mrgs.pictures.html import InlineImage, inline_image
@@ -50,9 +52,10 @@ def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[Measure
 
 
 def _photo(scene: Path, view: ConvertedView) -> MeasuredPhoto:
-    values, _ = decode_rgb(scene / view.images[RGB].file)
-    height, width = values.shape[:2]
+    file = scene / view.images[RGB].file
+    values, _ = decode_rgb(file, PREVIEW_MARGIN * WIDTH_PX)
+    info = probe(file)
     image = Image.fromarray(to_rgb8(reduced(values, None, WIDTH_PX)[0]))
     return MeasuredPhoto(
-        view.name, width, height, inline_image(image, f"photo {view.name}", quality=75)
+        view.name, info.width, info.height, inline_image(image, f"photo {view.name}", quality=75)
     )

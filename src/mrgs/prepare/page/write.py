@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from mrgs.data import load_scene
+from mrgs.data.load import load_preview
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.pictures.values import capitalised
@@ -51,7 +51,7 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
 
     One file that needs nothing from the network: warnings, stages with their times, cameras and
     points, each view's photo and thermal image and their overlay, temperatures, lenses, and what
-    was skipped. Its views are what ``load_scene`` reads, exactly as training will read them.
+    was skipped. Its views are those that ``load_scene`` reads, as training will read them.
 
     Args:
         work: a scene in preparation; results that are not there yet are left out. If there are
@@ -152,12 +152,13 @@ def _content(work: Work) -> _Content:
     shown = [photos.views[index] for index in evenly_spaced(len(photos.views), MOST_SHOWN)]
     width = thumbnail_width(len(shown))
     written = posed is not None and (scene / TRANSFORMS).is_file()
-    loaded = load_scene(scene, resolution=width) if written else None
+    loaded = load_preview(scene, width) if written else None
     temperature = None if loaded is None else loaded.temperature
     views = {} if loaded is None else _with_status(loaded)
     failed = {} if posed is None else {item.name: item.reason for item in posed.failed}
     previews = []
-    for view in shown:
+    for done, view in enumerate(shown):
+        work.progress("reading images", done, len(shown))
         if view.name in views:
             previews.append(preview_of_view(*views[view.name], temperature, width))
         else:
@@ -167,6 +168,7 @@ def _content(work: Work) -> _Content:
                 else "in no scene yet"
             )
             previews.append(preview_of_files(scene, view, reason, temperature, width))
+    work.progress("drawing", 0, 0)
     found: list[Agreement | None] = [None] * len(previews)
     if posed is not None and written:
         images = [view.images.get(THERMAL) if view.registered else None for view in previews]

@@ -72,7 +72,8 @@ def reduced_pair(
     """
     thermal = pair.load_thermal()
     height, width = thermal.values.shape[:2]
-    camera = pair.photo.camera
+    photo = pair.small or pair.photo
+    camera = photo.camera
     camera = camera.with_width(min(PHOTO_WIDTH_PX, camera.width))
     visible = (
         None
@@ -85,7 +86,7 @@ def reduced_pair(
     reduced = min(THERMAL_WIDTH_PX, width)
     return ReducedPair(
         name=pair.name,
-        photo=grey_plane(pair.photo.load(), pair.name).resized(camera.width, camera.height),
+        photo=grey_plane(photo.load(), pair.name).resized(camera.width, camera.height),
         camera=camera,
         depth=depth,
         thermal=grey_plane(thermal, pair.name).resized(

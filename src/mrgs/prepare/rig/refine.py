@@ -70,10 +70,15 @@ def refine(
     width = pairs[0].thermal.values.shape[1]
     levels = [level for level in LEVELS if level.width_px <= width] or [LEVELS[0]]
     known = set() if corners is None else set(corners.views.tolist())
-    cameras = _shifted(pairs, size, cameras, levels[0], known)
-    for number, level in enumerate(levels):
-        report("matching", number, len(levels))
-        observations = _observe(pairs, size, cameras, level)
+    passes = len(levels) + 1
+
+    def of_pass(number: int) -> Callable[[int], None]:
+        done, total = number * len(pairs), passes * len(pairs)
+        return lambda view: report("matching", done + view, total)
+
+    cameras = _shifted(pairs, size, cameras, levels[0], known, of_pass(0))
+    for number, level in enumerate(levels, start=1):
+        observations = _observe(pairs, size, cameras, level, of_pass(number))
         if corners is not None:
             observations = Observations.joined([observations, corners])
         if len(observations.views) < FEWEST_MATCHES:
@@ -99,14 +104,20 @@ class _ComparedPair:
 
 
 def _compared(
-    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
+    pairs: Sequence[ReducedPair],
+    size: tuple[int, int],
+    cameras: ThermalCameras,
+    level: Level,
+    report: Callable[[int], None],
 ) -> Iterator[_ComparedPair]:
-    """The pairs with the current cameras; ``scale`` is thermal file pixels per compared pixel."""
+    """The pairs with the current cameras; ``scale`` is thermal file pixels per compared pixel, and
+    ``report`` is called with the number of each pair."""
     lens = cameras.lens(*size)
     width = min(level.width_px, pairs[0].thermal.values.shape[1])
     height = max(1, round(size[1] * width / size[0]))
     rays, scale = thermal_rays(lens, width, height), size[0] / width
     for view, pair in enumerate(pairs):
+        report(view)
         photo_from_thermal = torch.linalg.inv(
             cameras.correction(view) @ cameras.extrinsics()
         ).numpy()
@@ -126,11 +137,12 @@ def _shifted(
     cameras: ThermalCameras,
     level: Level,
     known: set[int],
+    report: Callable[[int], None],
 ) -> ThermalCameras:
     """Each camera, except the known ones, rotated so that its whole image is aligned: patches alone
     would lose pairs that are far off."""
     fx, motions = cameras.lens(*size).fx, cameras.motions.clone()
-    for view, pair in enumerate(_compared(pairs, size, cameras, level)):
+    for view, pair in enumerate(_compared(pairs, size, cameras, level, report)):
         if view in known:
             continue
         reach = round(_FARTHEST_WIDTHS * pair.photo.values.shape[2])
@@ -140,11 +152,15 @@ def _shifted(
 
 
 def _observe(
-    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
+    pairs: Sequence[ReducedPair],
+    size: tuple[int, int],
+    cameras: ThermalCameras,
+    level: Level,
+    report: Callable[[int], None],
 ) -> Observations:
     """Match the patches of all pairs."""
     found: list[tuple[Tensor, ...]] = []
-    for view, pair in enumerate(_compared(pairs, size, cameras, level)):
+    for view, pair in enumerate(_compared(pairs, size, cameras, level, report)):
         matches = match(pair.thermal, pair.photo, level.patches).sharpest(_SHARPEST)
         column, row = matches.centres.astype(int).T
         corners = [
