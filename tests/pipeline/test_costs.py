@@ -49,6 +49,12 @@ def test_a_better_quality_takes_longer(stage):
     )
 
 
+def test_given_poses_need_not_be_found():
+    parts = stage_costs(workload(replace(PHOTOS, poses_given=True)))["prepare"].parts
+    assert not {"features", "matching", "mapping"} & parts.keys()
+    assert stage_costs(workload())["prepare"].parts.keys() > parts.keys()
+
+
 def test_every_export_takes_time():
     stages = stage_costs(workload())
     parts = stages["page"].parts | stages["exports"].parts

@@ -172,9 +172,10 @@ def _prepare(command: Prepare) -> None:
     from mrgs.prepare import prepare
 
     options = command.photo.options()
-    progress = PrepareProgress(expect_prepare(command.photos, options))
+    progress = PrepareProgress()
     try:
         with progress:
+            progress.forecast = expect_prepare(command.photos, options, progress.step)
             made = prepare(
                 command.photos,
                 command.scene,

@@ -58,8 +58,11 @@ def _follow(
             monitor=terminal,
         )
     except KeyboardInterrupt:
+        terminal.pause()
         say_note("results so far are kept; re-run the same command to resume")
         raise
+    finally:
+        terminal.pause()
     print(f"finished in {duration(time.perf_counter() - started)}\n")
     print(what_to_open(results))
 
@@ -92,7 +95,12 @@ class PipelineTerminal(Monitor):
         self._on_cpu = True
         self._show: Callable[..., None] | None = None
 
+    def pause(self) -> None:
+        """Clear the bar of the photos' progress, if there is one."""
+        self._preparing.pause()
+
     def planned(self, plan: PipelinePlan) -> None:  # noqa: D102
+        self.pause()
         self._on_cpu = plan.device == "cpu"
         for name, text in _plan_lines(plan).items():
             print(f"{styled(f'{name}:', 'bold', sys.stdout)}{'':{9 - len(name)}}{text}")
@@ -140,7 +148,7 @@ class PipelineTerminal(Monitor):
         return self._training.step(statistics)
 
     def accepts(self, warnings: Sequence[str], page: Path) -> bool:  # noqa: D102
-        self._preparing.pause()
+        self.pause()
         for text in warnings:
             say_note(text)
         if self._yes:
@@ -150,7 +158,7 @@ class PipelineTerminal(Monitor):
     def answer(  # noqa: D102
         self, error: MrgsError, options: PrepareOptions
     ) -> PrepareOptions | None:
-        self._preparing.pause()
+        self.pause()
         if "unit" in error.options and options.overrides.unit is None:
             unit = _ask(f"{error}\nunit of the values (celsius, kelvin, kelvin*100 ...): ")
             overrides = replace(options.overrides, unit=unit or None)

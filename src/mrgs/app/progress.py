@@ -272,12 +272,12 @@ class TrainingProgress:
 class PrepareProgress:
     """Progress of ``mrgs prepare``: the current step, each finished stage, warnings at the end.
 
-    Args:
+    Attributes:
         forecast: of the whole, where the time left is not given with each step.
     """
 
-    def __init__(self, forecast: Forecast | None = None) -> None:
-        self._forecast = forecast
+    def __init__(self) -> None:
+        self.forecast: Forecast | None = None
         self._started = self._last_line = time.perf_counter()
         self._step = ""
         self._warnings: list[str] = []
@@ -298,10 +298,10 @@ class PrepareProgress:
         """Show how far a step is, and the time left of all steps if it is known."""
         now = time.perf_counter()
         text = f"{step} {done}/{total}" if total else step
-        if left_s is None and self._forecast is not None:
+        if left_s is None and self.forecast is not None:
             from mrgs.pipeline.expect import left_in_stage
 
-            left_s = left_in_stage(self._forecast, step, done, total)
+            left_s = left_in_stage(self.forecast, step, done, total)
         if left_s is not None:
             text += f" | {duration(left_s)} left"
         if step != self._step:

@@ -47,7 +47,8 @@ class Workload:
     """What a pipeline has to do, as far as its cost depends on it.
 
     Attributes:
-        photos: whether poses must be found.
+        photos: whether the scene is made from photos.
+        finds_poses: whether their poses must be found.
         views: of the scene.
         held_out: of them.
         source_px: pixels of a view's images as they are.
@@ -62,6 +63,7 @@ class Workload:
     """
 
     photos: bool
+    finds_poses: bool
     views: int
     held_out: int
     source_px: int
@@ -82,6 +84,7 @@ class Workload:
         start = POINTS_PER_VIEW * intake.views if points is None else points
         return cls(
             photos=intake.kind == "photos",
+            finds_poses=intake.kind == "photos" and not intake.poses_given,
             views=intake.views,
             held_out=intake.held_out,
             source_px=sum(width * height for width, height in intake.sizes.values()),
@@ -104,6 +107,7 @@ class Workload:
         pixels = sum(camera.width * camera.height for camera in scene.train[0].cameras.values())
         return cls(
             photos=False,
+            finds_poses=False,
             views=len(scene.train) + len(scene.eval),
             held_out=len(scene.eval),
             source_px=pixels,
@@ -179,17 +183,24 @@ def _prepare(work: Workload) -> dict[str, float]:
     reading = work.views * (0.02 + 0.04e-6 * work.source_px)
     if not work.photos:
         return {"reading images": reading}
+    return {
+        "pairs": 0.1 + 0.005 * work.views,
+        "images": reading,
+        **(_poses(work) if work.finds_poses else {}),
+        "thermal camera": 0.9 * work.views if work.has_two_cameras else 0.0,
+        "page": 2.0 + 0.02 * work.views,
+    }
+
+
+def _poses(work: Workload) -> dict[str, float]:
+    """Structure from motion."""
     pairs = min(work.views, MAX_EXHAUSTIVE) * (min(work.views, MAX_EXHAUSTIVE) - 1) / 2
     if work.views > MAX_EXHAUSTIVE:
         pairs = work.views * (NEIGHBOURS + ALIKE)
     return {
-        "pairs": 0.1 + 0.005 * work.views,
-        "images": reading,
         "features": 1.5e-6 * work.feature_px * work.views,
         "matching": 0.12 * pairs,
         "mapping": 0.35 * work.views,
-        "thermal camera": 0.9 * work.views if work.has_two_cameras else 0.0,
-        "page": 2.0 + 0.02 * work.views,
     }
 
 

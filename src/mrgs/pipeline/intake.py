@@ -18,7 +18,7 @@ from mrgs.data.images import probe
 from mrgs.data.nerfstudio import find_transforms
 from mrgs.data.radiometric import ThermalPhoto, read_thermal_photo
 from mrgs.errors import MrgsError
-from mrgs.prepare.contract import MIN_VIEWS, PhotoPair
+from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Progress
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL, Modality
@@ -41,6 +41,7 @@ class Intake:
         points: start points of a scene; None for photos.
         bytes: size of the files that are used.
         facts: further sentences for the user.
+        poses_given: whether the poses of photos need not be found.
     """
 
     source: Path
@@ -53,6 +54,7 @@ class Intake:
     points: int | None
     bytes: int
     facts: tuple[str, ...] = ()
+    poses_given: bool = False
 
     @property
     def summary(self) -> str:
@@ -80,8 +82,13 @@ def is_scene(folder: Path) -> bool:
     return find_transforms(root) is not None or find_model(root) is not None
 
 
-def take_in(source: Path, options: PrepareOptions) -> Intake:
+def take_in(source: Path, options: PrepareOptions, progress: Progress | None = None) -> Intake:
     """Look at a folder of photos, or at a scene; nothing is written.
+
+    Args:
+        source: the folder, or a scene's transforms file.
+        options: facts about the photos.
+        progress: called with a step's name, the number of files that are done, and of all.
 
     Raises:
         SceneError: the folder cannot be used: not there, no photos, too few pairs, or a thermal
@@ -92,7 +99,7 @@ def take_in(source: Path, options: PrepareOptions) -> Intake:
         return _scene(source)
     if not source.is_dir():
         raise scene_error(source, "not a folder; give the folder of the photos, or a scene")
-    return _photos(source, options)
+    return _photos(source, options, progress)
 
 
 def _scene(source: Path) -> Intake:
@@ -113,9 +120,13 @@ def _scene(source: Path) -> Intake:
     )
 
 
-def _photos(source: Path, options: PrepareOptions) -> Intake:
+def _photos(source: Path, options: PrepareOptions, progress: Progress | None) -> Intake:
     pairing = find_pairs(
-        source, rule=options.pairs, table=options.pair_table, tolerance_s=options.tolerance_s
+        source,
+        rule=options.pairs,
+        table=options.pair_table,
+        tolerance_s=options.tolerance_s,
+        progress=progress,
     )
     count = len(pairing.pairs)
     if count < MIN_VIEWS:
@@ -137,6 +148,7 @@ def _photos(source: Path, options: PrepareOptions) -> Intake:
         None,
         sum(path.stat().st_size for pair in pairing.pairs for path in pair.photos.values()),
         (pairing.rule, *_unused(len(pairing.skipped))),
+        options.poses is not None,
     )
 
 

@@ -35,7 +35,7 @@ class Monitor:
         return nullcontext()
 
     def progress(self, part: str, done: int, total: int, left_s: float | None) -> None:
-        """Called while a stage runs.
+        """Called while the photos are looked at, and while a stage runs.
 
         Args:
             part: of the stage.

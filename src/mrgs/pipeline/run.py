@@ -140,8 +140,12 @@ def _taken_in(
         raise RunError(
             f"{source} holds the results of an earlier run; give the folder of the photos"
         )
+
+    def report(step: str, done: int, total: int) -> None:
+        monitor.progress(f"photos: {step}", done, total, None)
+
     try:
-        return take_in(source, options), options
+        return take_in(source, options, report), options
     except MrgsError as error:
         if (completed := monitor.answer(error, options)) is None:
             raise

@@ -51,7 +51,13 @@ def pairs(work: Work) -> StageSummary:
         "pairs",
         Pairing,
         (work.photos, stamps(work.photos), rule, table_content, tolerance_s),
-        lambda: find_pairs(work.photos, rule=rule, table=table, tolerance_s=tolerance_s),
+        lambda: find_pairs(
+            work.photos,
+            rule=rule,
+            table=table,
+            tolerance_s=tolerance_s,
+            progress=work.progress,
+        ),
     )
     return summarize_pairs(work.pairing)
 

@@ -17,6 +17,7 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing
+from mrgs.prepare.pairs import inventory
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.flir import FlirPhoto, jpg
@@ -705,3 +706,19 @@ def shuffled(walked):
         order.shuffle(folders)
         order.shuffle(names)
         yield parent, folders, names
+
+
+def test_the_headers_of_unchanged_files_are_read_once(photos, monkeypatch):
+    root = photos({"a_rgb.jpg": "jpg", "a_thermal.tif": "celsius"})
+    read, steps = [], []
+    original = inventory.inspect
+    monkeypatch.setattr(
+        inventory, "inspect", lambda path, name: read.append(path.name) or original(path, name)
+    )
+    first = find_pairs(root, progress=lambda *step: steps.append(step))
+    assert steps == [("reading headers", 0, 2), ("reading headers", 1, 2)]
+    assert find_pairs(root) == first
+    assert sorted(read) == ["a_rgb.jpg", "a_thermal.tif"]
+    (root / "a_rgb.jpg").write_bytes(photo("jpg", size=(32, 12)))
+    find_pairs(root)
+    assert sorted(read) == ["a_rgb.jpg", "a_rgb.jpg", "a_thermal.tif"]

@@ -9,7 +9,7 @@ from typing import Literal
 
 from mrgs.data.files import scene_error
 from mrgs.errors import ConfigError, SceneError
-from mrgs.prepare.contract import Pairing, PhotoPair, Skipped
+from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras
 from mrgs.prepare.pairs.inventory import Inventory, take_inventory
 from mrgs.prepare.pairs.names import PARTNER, REFERENCE, natural, read_stem, view_names
@@ -37,7 +37,12 @@ is used without any."""
 
 
 def find_pairs(
-    photos: Path, *, rule: Rule = "auto", table: Path | None = None, tolerance_s: float = 2.0
+    photos: Path,
+    *,
+    rule: Rule = "auto",
+    table: Path | None = None,
+    tolerance_s: float = 2.0,
+    progress: Progress | None = None,
 ) -> Pairing:
     """The photos of a folder and its subfolders that belong together.
 
@@ -51,6 +56,7 @@ def find_pairs(
         table: a CSV file with the pairs, ``rgb,thermal``, relative to the folder; instead of a
             rule.
         tolerance_s: maximum time difference within a pair, seconds.
+        progress: called with a step's name, the number of files that are done, and of all.
 
     Returns:
         The pairs. Every other file, except hidden ones, is in ``skipped`` with a reason.
@@ -70,7 +76,7 @@ def find_pairs(
             "a table of pairs and a pairing rule are both given; give one of the two",
             options=("pair_table", "pairs"),
         )
-    inventory = take_inventory(photos)
+    inventory = take_inventory(photos, progress)
     root_name = telling_name(inventory.photos, inventory.root.resolve().name)
     if table is not None:
         match = by_table(table, inventory)

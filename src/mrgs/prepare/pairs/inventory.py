@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
 from mrgs.data.files import scene_error, visible_files
-from mrgs.prepare.cache import digest
-from mrgs.prepare.contract import Skipped
+from mrgs.prepare.cache import Stamp, digest, stamp_of
+from mrgs.prepare.contract import Progress, Skipped
 from mrgs.prepare.pairs.names import composed, folder_modality, natural, printable
 from mrgs.prepare.pairs.photo import PREFERENCE, Photo, inspect
 from mrgs.scene import Modality
+
+_REMEMBERED = 20_000
+"""Files whose headers a process remembers: ``prepare`` asks for them again after its duration was
+estimated."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +42,12 @@ def below(root: Path, path: Path) -> str:
     return printable(path.relative_to(root).as_posix())
 
 
-def take_inventory(root: Path) -> Inventory:
+def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
     """All files below a folder.
+
+    Args:
+        root: the folder.
+        progress: called with a step's name, the number of files that are done, and of all.
 
     Raises:
         SceneError: the folder cannot be listed, or holds no file that can be a photo.
@@ -46,14 +55,15 @@ def take_inventory(root: Path) -> Inventory:
     if not root.is_dir():
         raise scene_error(root, "not a folder; give the photos' folder")
     photos, skipped = [], []
-    for path in sorted(
-        visible_files(root), key=lambda path: natural(path.relative_to(root).as_posix())
-    ):
+    files = sorted(visible_files(root), key=lambda path: natural(path.relative_to(root).as_posix()))
+    for done, path in enumerate(files):
+        if progress is not None:
+            progress("reading headers", done, len(files))
         relative = PurePosixPath(path.relative_to(root))
         found = (
             "is a link to a folder, which is not followed"
             if path.is_dir()
-            else inspect(path, relative)
+            else _inspected(path, relative)
         )
         if isinstance(found, str):
             skipped.append(Skipped(below(root, path), found))
@@ -72,6 +82,20 @@ def take_inventory(root: Path) -> Inventory:
     photos, copies = _without_copies(root, photos)
     kept, replaced = _one_file_per_photo(root, photos)
     return Inventory(root, tuple(kept), tuple(skipped + copies + replaced))
+
+
+def _inspected(path: Path, relative: PurePosixPath) -> Photo | str:
+    """What ``inspect`` finds; a file is read once by a process, until it changes."""
+    try:
+        stamp = stamp_of(path)
+    except OSError:
+        return inspect(path, relative)
+    return _inspected_once(path, relative, stamp)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _inspected_once(path: Path, relative: PurePosixPath, stamp: Stamp) -> Photo | str:
+    return inspect(path, relative)
 
 
 def _without_copies(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
