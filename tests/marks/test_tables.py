@@ -117,7 +117,8 @@ def test_the_profile_of_a_line_has_ends_with_units(readings):
 
 def test_a_mark_without_size_has_no_dash_for_it(readings):
     gone = MarkReading(readings[2].mark, problem="why")
-    assert mark_text(gone, "", RANGE, METRES)["lines"] == ["why"]
+    text = mark_text(gone, "", RANGE, METRES)
+    assert (text["problem"], text["lines"]) == ("why", [])
 
 
 def test_a_spreadsheet_reads_the_numbers_and_runs_nothing(readings, tmp_path: Path):

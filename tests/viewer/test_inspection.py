@@ -15,10 +15,10 @@ from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Reach, Scene
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
+from mrgs.viewer.annotation import SCALE_FROM_PX
 from mrgs.viewer.fields import SOLID_ALPHA
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.opening import board_of
-from mrgs.viewer.painting import SCALE_FROM_PX
 from mrgs.viewer.settings import Mode, Settings
 from tests.helpers.scenes import write_scene
 from tests.helpers.subjects import MODES, subject_of

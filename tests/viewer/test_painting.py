@@ -4,41 +4,21 @@ import numpy as np
 import pytest
 
 from mrgs.pictures.palette import palette_table
-from mrgs.scene import RGB, THERMAL, Camera, Reach, TemperatureRange
+from mrgs.scene import THERMAL, Reach
 from mrgs.viewer.fields import PaneImages, difference
 from mrgs.viewer.layout import Pane
 from mrgs.viewer.painting import (
     ISOTHERM_COLOR,
     ISOTHERM_ON_RAINBOW,
     NO_SURFACE_COLOR,
-    Outline,
-    PointLabel,
-    annotate,
     blend,
     compose,
     measure_scales,
     paint,
-    seen_outlines,
     split,
 )
 from mrgs.viewer.settings import Settings
-
-SIZE = (160, 120)
-RANGE = TemperatureRange(0.0, 50.0)
-
-
-def heat(depth: float = 3.0) -> PaneImages:
-    """A ramp from 10 to 30 °C, all at one depth, over grey."""
-    values = np.tile(np.linspace(10, 30, 160, dtype=np.float32), (120, 1))
-    return PaneImages(
-        {RGB: np.full((120, 160, 3), 100, np.uint8), THERMAL: values},
-        np.full((120, 160), depth, np.float32),
-        np.ones((120, 160), bool),
-    )
-
-
-def thermal_pane(camera: Camera, kind: str = "image") -> Pane:
-    return Pane(kind, (THERMAL,), camera)
+from tests.helpers.panes import RANGE, SIZE, heat, thermal_pane
 
 
 def painted(camera, **choices) -> np.ndarray:
@@ -136,55 +116,11 @@ def test_the_scale_of_a_difference_is_even_about_zero(camera):
     assert scale.high == pytest.approx(3, abs=0.05)
 
 
-def compose_one(camera, depth: float = 3.0, **extras) -> np.ndarray:
-    pane, settings = thermal_pane(camera), Settings(palette="grey")
-    fields = heat(depth)
-    scales = measure_scales([pane], [fields], settings, RANGE)
-    picture = compose(SIZE, [pane], [fields], scales, settings)
-    return annotate(picture, [pane], [fields], scales, **extras)
-
-
 def test_the_picture_itself_has_no_marks_and_no_scale(camera):
     pane, settings = thermal_pane(camera), Settings(palette="grey")
     scales = measure_scales([pane], [heat()], settings, RANGE)
     picture = compose(SIZE, [pane], [heat()], scales, settings)
     assert (picture == picture[:1]).all(), "each row of the ramp is the same"
-
-
-def test_marks_stand_where_their_points_are_seen(camera):
-    changed = (
-        compose_one(camera, marks=[PointLabel(np.zeros(3), "S1  20.0 °C")]) != compose_one(camera)
-    ).any(axis=2)
-    assert changed[60, 80]
-    assert not changed[100:].any()
-
-
-def test_marks_behind_something_are_hidden(camera):
-    marks = [PointLabel(np.zeros(3), "S1")]
-    assert (compose_one(camera, depth=2.0, marks=marks) == compose_one(camera, depth=2.0)).all()
-
-
-SQUARE = np.array([[0.0, -0.5, -0.5], [0, 0.5, -0.5], [0, 0.5, 0.5], [0, -0.5, 0.5]])
-
-
-def test_outlines_are_drawn_with_their_extremes(camera):
-    outline = Outline(SQUARE, True, "B1", low_at=(0.0, 0.0, 0.0), high_at=(0.0, 0.2, 0.0))
-    pane = thermal_pane(camera)
-    (seen,) = seen_outlines(pane, heat(), [outline])
-    assert seen.low == pytest.approx((0.5, 0.5))
-    assert seen.corners[0] == pytest.approx((seen.corners[3][0], 1 - seen.corners[3][1]))
-    image = compose_one(camera, outlines=[outline])
-    assert (image[60, 80] == (70, 150, 255)).all()
-    assert (compose_one(camera)[60, 80] != (70, 150, 255)).any()
-    y, x = (round(seen.corners[0][i] * size) for i, size in ((1, 120), (0, 160)))
-    assert (image[y, x] == 255).all()
-
-
-def test_outlines_behind_something_or_behind_the_camera_are_hidden(camera):
-    pane, outline = thermal_pane(camera), Outline(SQUARE, True, "B1")
-    assert seen_outlines(pane, heat(depth=2.0), [outline]) == []
-    around = Outline(np.array([[0.0, 0, 0], [6.0, 0, 0]]), False, "L1")
-    assert seen_outlines(pane, heat(), [around]) == []
 
 
 def test_a_coarse_rendering_is_stretched_to_its_pane(camera):

@@ -40,6 +40,7 @@ class MarkText(TypedDict):
     kind: str
     value: str
     difference: str
+    problem: str
     lines: list[str]
     profile: list[tuple[float, float | None]]
     ends: list[str]
@@ -101,6 +102,7 @@ def mark_text(
         "value": value_with_uncertainty(reading, temperature)
         or value_text(reading.mean, temperature),
         "difference": difference_text(reading, temperature),
+        "problem": reading.problem,
         "lines": _lines(reading, temperature, world),
         "profile": _profile(reading),
         "ends": _ends(reading, temperature, world),
@@ -128,8 +130,8 @@ def difference_text(reading: MarkReading, temperature: TemperatureRange | None) 
 def _lines(
     reading: MarkReading, temperature: TemperatureRange | None, world: WorldFrame
 ) -> list[str]:
-    """Extremes, remarks, size and photos of a mark; first of all why it has no temperature."""
-    lines = [reading.problem] if reading.problem else []
+    """Extremes, remarks, size and photos of a mark."""
+    lines = []
     if not math.isnan(reading.low):
         low = value_text(reading.low, temperature)
         high = value_text(reading.high, temperature, unit=True)

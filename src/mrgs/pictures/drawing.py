@@ -1,9 +1,13 @@
-"""Text and scale bars on Pillow images, in the one font that comes with Pillow (it knows ASCII, °,
-± and ·: letters of other languages are written with those, and the minus sign is drawn)."""
+"""Text, strokes and scale bars on Pillow images.
+
+Text is in the one font that comes with Pillow. It knows ASCII, °, ± and ·: letters of other
+languages are written with those, and the minus sign is drawn.
+"""
 
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Sequence
 from functools import cache
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -17,6 +21,8 @@ INK = (24, 28, 36)
 MUTED = (104, 111, 124)
 HAIRLINE = (222, 225, 230)
 PAPER = (255, 255, 255)
+COLDEST, HOTTEST = (70, 150, 255), (255, 70, 60)
+"""Dots at the smallest and the largest value of a mark."""
 
 MINUS = "−"
 _MINUS_SHARE = 0.09
@@ -113,6 +119,30 @@ def draw_plate(image: Image.Image, box: Box, text: str, size: int) -> None:
     ImageDraw.Draw(image).rounded_rectangle(box, 4, fill=INK)
     middle = ((left + right) / 2, (top + bottom) / 2)
     draw_text(image, middle, text, size, PAPER, anchor="mm")
+
+
+def cross(x: float, y: float, reach: float) -> list[list[tuple[float, float]]]:
+    """The strokes of a cross about a place."""
+    return [[(x - reach, y), (x + reach, y)], [(x, y - reach), (x, y + reach)]]
+
+
+def draw_strokes(
+    image: Image.Image, paths: Sequence[Sequence[tuple[float, ...]]], width: int
+) -> None:
+    """Draw lines in white, each between two black ones, so that they are seen on any picture."""
+    draw = ImageDraw.Draw(image)
+    for color, wide in (((0, 0, 0), 2 * width), ((255, 255, 255), width)):
+        for path in paths:
+            draw.line([*path], fill=color, width=wide, joint="curve")
+
+
+def draw_dot(
+    image: Image.Image, place: Sequence[float], radius: int, color: tuple[int, int, int]
+) -> None:
+    """Draw a dot with a white rim."""
+    x, y = place
+    box = (x - radius, y - radius, x + radius, y + radius)
+    ImageDraw.Draw(image).ellipse(box, fill=color, outline=PAPER, width=max(1, radius // 3))
 
 
 def text_width(text: str, size: int) -> float:

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from mrgs.marks import MarkReading
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
-from mrgs.pictures.drawing import Scale, above_scale, draw_plate, text_width
+from mrgs.pictures.drawing import (
+    COLDEST,
+    HOTTEST,
+    PAPER,
+    Scale,
+    above_scale,
+    cross,
+    draw_dot,
+    draw_plate,
+    draw_strokes,
+    text_width,
+)
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
+from mrgs.report.overlays import STROKE_PX
 from mrgs.scene import RGB, THERMAL, Camera, Scene, View
 
 WIDTH_PX = 640
@@ -29,7 +39,7 @@ SPANNED_SHARE = 0.6
 """Of a picture's sides about the mark whose temperatures the colours span."""
 
 LABEL_PX, BAR_TEXT_PX, SCALE_GAP_PX = 22, 24, 8
-WHITE, BLACK, LOW, HIGH = (255, 255, 255), (0, 0, 0), (70, 150, 255), (255, 70, 60)
+CROSS_PX, DOT_PX = 16, 7
 
 
 def nearest_view(mark: Mark, scene: Scene) -> View | None:
@@ -118,38 +128,25 @@ def _cropped(view: View, wanted: Camera) -> Image.Image:
         Image.Transform.EXTENT,
         (left, top, right, bottom),
         Image.Resampling.BICUBIC,
-        fillcolor=WHITE,
+        fillcolor=PAPER,
     )
 
 
 def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
     """The mark with its name and extremes over a picture of a camera."""
-    mark, draw = reading.mark, ImageDraw.Draw(image)
+    mark = reading.mark
     pixels, _ = camera.project(torch.tensor(mark.points).double())
     corners = [(x, y) for x, y in pixels.tolist()]
     x, y = min(corners, key=lambda corner: corner[1])
-    for color, width in ((BLACK, 6), (WHITE, 3)):
-        if mark.kind == "spot":
-            draw.line([(x - 16, y), (x + 16, y)], fill=color, width=width)
-            draw.line([(x, y - 16), (x, y + 16)], fill=color, width=width)
-        else:
-            path = [*corners, corners[0]] if mark.is_area else corners
-            draw.line(path, fill=color, width=width, joint="curve")
-    if mark.kind != "spot":
-        _dot(draw, reading.low_at, camera, LOW)
-        _dot(draw, reading.high_at, camera, HIGH)
+    if mark.kind == "spot":
+        draw_strokes(image, cross(x, y, CROSS_PX), STROKE_PX)
+    else:
+        draw_strokes(image, [[*corners, corners[0]] if mark.is_area else corners], STROKE_PX)
+        for place, color in ((reading.low_at, COLDEST), (reading.high_at, HOTTEST)):
+            if place:
+                pixel = camera.project(torch.tensor(place).double())[0]
+                draw_dot(image, pixel.tolist(), DOT_PX, color)
     wide = text_width(mark.name, LABEL_PX) + 14
     left = min(max(x + 10, 2), image.width - wide - 2)
     top = min(max(y - LABEL_PX - 22, 2), image.height - LABEL_PX - 12)
     draw_plate(image, (left, top, left + wide, top + LABEL_PX + 10), mark.name, LABEL_PX)
-
-
-def _dot(
-    draw: ImageDraw.ImageDraw,
-    place: Sequence[float],
-    camera: Camera,
-    color: tuple[int, int, int],
-) -> None:
-    if place:
-        x, y = camera.project(torch.tensor(place).double())[0].tolist()
-        draw.ellipse((x - 7, y - 7, x + 7, y + 7), fill=color, outline=WHITE, width=2)

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import INK, Box, draw_plate, fit_text, text_width
+from mrgs.pictures.drawing import INK, Box, draw_plate, draw_strokes, fit_text, text_width
 
 LABEL_PX = 24
 SMALL_PX = 420
 MARK, RIM = (200, 70, 0), (255, 255, 255)
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
-RING_PX = 13
+RING_PX, STROKE_PX = 13, 3
 MANY = 15
 """Names from which on they are written in smaller letters."""
 
@@ -25,18 +25,31 @@ MOST_STEPS = 6
 """Heights of a name that it may stand away from its place."""
 
 
-def draw_ring(image: Image.Image, x: float, y: float, radius: int = RING_PX) -> None:
-    """A ring about a place, white between two black lines."""
-    draw = ImageDraw.Draw(image)
-    for size, color, width in ((radius + 1, BLACK, 5), (radius, WHITE, 3)):
-        draw.ellipse([x - size, y - size, x + size, y + size], outline=color, width=width)
+def draw_marks(
+    image: Image.Image, marks: Mapping[str, Mark], places: Mapping[str, Float64[np.ndarray, "_ 2"]]
+) -> None:
+    """A ring about each spot and the outline of the other marks, then their names.
+
+    Args:
+        image: to draw on.
+        marks: by name.
+        places: pixels of the corners of those that are drawn.
+    """
+    for name, corners in places.items():
+        path = [*map(tuple, corners)]
+        if marks[name].kind == "spot":
+            _draw_ring(image, *corners[0])
+        else:
+            draw_strokes(image, [[*path, path[0]] if marks[name].is_area else path], STROKE_PX)
+    middles = {name: corners.mean(axis=0) for name, corners in places.items()}
+    draw_names(image, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
 
 
-def draw_outline(image: Image.Image, corners: Sequence[tuple[float, ...]]) -> None:
-    """A line through places, white between two black lines."""
+def _draw_ring(image: Image.Image, x: float, y: float) -> None:
+    """White between two black lines."""
     draw = ImageDraw.Draw(image)
-    for color, width in ((BLACK, 6), (WHITE, 3)):
-        draw.line([*corners], fill=color, width=width, joint="curve")
+    for radius, color, width in ((RING_PX + 1, BLACK, 5), (RING_PX, WHITE, 3)):
+        draw.ellipse([x - radius, y - radius, x + radius, y + radius], outline=color, width=width)
 
 
 def draw_place(

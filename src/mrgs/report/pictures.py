@@ -15,7 +15,7 @@ from mrgs.pictures.drawing import Scale, above_scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
-from mrgs.report.overlays import LABEL_PX, draw_names, draw_outline, draw_ring
+from mrgs.report.overlays import LABEL_PX, draw_marks
 from mrgs.report.spots import SAME_DEPTH, Renderer, Spot
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
 
@@ -147,19 +147,14 @@ def _enlarged(image: Image.Image, width: int) -> Image.Image:
 
 
 def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -> None:
-    """A ring around each spot and the outline of the other marks, then their names."""
-    middles = dict[str, tuple[float, float]]()
-    for name, mark in marks.items():
-        pixels = camera.project(torch.tensor(mark.points).double())[0].numpy()
-        if not np.isfinite(pixels).all():
-            continue
-        corners = [tuple(each) for each in pixels * (image.width / camera.width)]
-        if mark.kind == "spot":
-            draw_ring(image, *corners[0])
-        else:
-            draw_outline(image, [*corners, corners[0]] if mark.is_area else corners)
-        middles[name] = (float(np.mean(corners, axis=0)[0]), float(np.mean(corners, axis=0)[1]))
-    draw_names(image, middles)
+    """Draw the marks that do not reach behind the camera."""
+    zoom = image.width / camera.width
+    places = {
+        name: zoom * camera.project(torch.tensor(mark.points).double())[0].numpy()
+        for name, mark in marks.items()
+    }
+    shown = {name: corners for name, corners in places.items() if np.isfinite(corners).all()}
+    draw_marks(image, marks, shown)
 
 
 def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:

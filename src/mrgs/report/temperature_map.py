@@ -18,7 +18,7 @@ from mrgs.export.maps.picture import frame_map, map_body, map_scale
 from mrgs.export.ortho import map_from_above
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
-from mrgs.report.overlays import draw_names, draw_outline, draw_place, draw_ring, small_picture
+from mrgs.report.overlays import draw_marks, draw_place, small_picture
 from mrgs.report.plan import faces_one_side
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
@@ -70,14 +70,7 @@ class TemperatureMap:
         shown = {
             name: zoom * self._pixels(each) for name, each in marks.items() if self.shows(each)
         }
-        for name, corners in shown.items():
-            if marks[name].kind == "spot":
-                draw_ring(body, *corners[0])
-            else:
-                closed = marks[name].is_area
-                draw_outline(body, [*map(tuple, np.vstack([corners, corners[:closed]]))])
-        middles = {name: corners.mean(axis=0) for name, corners in shown.items()}
-        draw_names(body, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
+        draw_marks(body, marks, shown)
         return frame_map(body, metres_per_px, scale, 0.0 if self.north else None)
 
     def small(self, mark: Mark) -> Image.Image:

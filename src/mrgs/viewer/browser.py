@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import logging
 import math
-import struct
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
@@ -14,37 +12,14 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from mrgs.errors import ConfigError, MrgsError
-from mrgs.marks.mark import (
-    EMISSIVITY,
-    LONGEST_NAME,
-    LONGEST_NOTE,
-    LONGEST_SEVERITY,
-    REFLECTED_C,
-    Marks,
-)
-from mrgs.marks.measure import MarkReading
-from mrgs.marks.texts import mark_text
-from mrgs.pictures.drawing import Scale
-from mrgs.pictures.stage import (
-    PALETTE_CHOICES,
-    air_facts,
-    camera_facts,
-    modality_facts,
-    palette_facts,
-)
-from mrgs.pictures.values import range_of
-from mrgs.scene import Modality, WorldFrame
+from mrgs.marks.mark import Marks
 from mrgs.viewer import texts
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import fitted_size
-from mrgs.viewer.inspection import DrawnPicture, Inspection, VideoProgress
-from mrgs.viewer.layout import Pane
+from mrgs.viewer.facts import hello_facts, marks_facts, picture_message
+from mrgs.viewer.inspection import Inspection, VideoProgress
 from mrgs.viewer.messages import (
-    LONGEST_SIDE_PX,
-    VIDEO_SECONDS,
     Act,
     AddMark,
     AnyMessage,
@@ -62,8 +37,7 @@ from mrgs.viewer.messages import (
     decode,
     encode,
 )
-from mrgs.viewer.painting import pane_scale, seen_marks, seen_outlines
-from mrgs.viewer.settings import Mode, Settings, Start, Subject
+from mrgs.viewer.settings import Settings, Start, Subject
 from mrgs.viewer.worker import Worker
 
 MOVING_S = 0.05
@@ -71,18 +45,6 @@ MOVING_S = 0.05
 
 FEWEST_PIXELS = 240
 """Longest side of the coarsest picture."""
-
-MOVING_JPEG: dict[str, Any] = {"quality": 80}
-SHARP_JPEG: dict[str, Any] = {"quality": 93, "subsampling": 0}
-
-MARK_LIMITS = {
-    "name": LONGEST_NAME,
-    "note": LONGEST_NOTE,
-    "severity": LONGEST_SEVERITY,
-    "emissivity": EMISSIVITY,
-    "reflected_c": REFLECTED_C,
-}
-"""Greatest lengths of a mark's texts, and the limits of its numbers."""
 
 CHANGE = "change of marks"
 """First part of the names of jobs that change marks."""
@@ -118,7 +80,7 @@ class Browser:
         self._sending = False
         self._changes = itertools.count()
         self._moving_side_px = float(subject.source.most_pixels["moving"])
-        self._tell("hello", **self._hello(start), note=note)
+        self._tell("hello", **hello_facts(self.inspection, start), note=note)
         if subject.board is not None:
             subject.board.listen(self._marks_changed)
             self._do("marks", self._show_marks)
@@ -245,7 +207,8 @@ class Browser:
 
     def _fit(self) -> None:
         self.inspection.fit()
-        self._tell("limits", of=self._limits())
+        limits = self.inspection.settings.limits
+        self._tell("limits", of={modality.name: ends for modality, ends in limits.items()})
         self._redraw()
 
     # --- pictures ---
@@ -271,7 +234,7 @@ class Browser:
                 drawn = self.inspection.picture(camera, moving=True)
         else:
             drawn = self.inspection.picture(camera)
-        message = self._picture(drawn, look)
+        message = picture_message(self.inspection, drawn, look)
         if moving:
             self._adapt(time.thread_time() - started_s)
         source.charge()
@@ -292,43 +255,6 @@ class Browser:
     def _redraw(self) -> None:
         """Have the browser ask for a picture: it knows where its camera is."""
         self._tell("changed")
-
-    def _picture(self, drawn: DrawnPicture, look: Look) -> bytes:
-        """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG."""
-        inspection = self.inspection
-        buffer = io.BytesIO()
-        options = MOVING_JPEG if look.effort == "moving" else SHARP_JPEG
-        Image.fromarray(drawn.pixels).save(buffer, "JPEG", **options)
-        facts = {
-            "number": look.number,
-            "effort": look.effort,
-            "full": max(drawn.size) >= min(max(look.width, look.height), self._most_pixels),
-            "panes": [self._pane(drawn, index) for index in range(len(drawn.panes))],
-            "photo": inspection.view_index,
-        }
-        header = encode(facts).encode()
-        return struct.pack("<I", len(header)) + header + buffer.getvalue()
-
-    @property
-    def _most_pixels(self) -> int:
-        return self._subject.source.most_pixels["still"]
-
-    def _pane(self, drawn: DrawnPicture, index: int) -> dict[str, Any]:
-        """A pane for the page, which draws title, scale and marks over the picture; all places
-        from 0 to 1."""
-        pane, shown = drawn.panes[index], drawn.images[index]
-        scale = pane_scale(pane, drawn.scales)
-        return {
-            "place": _place(pane, drawn.size),
-            "free": pane.photo is None,
-            "title": pane.title,
-            "scale": None if scale is None else _scale(scale),
-            "marks": seen_marks(pane, shown, self.inspection.marks() + self.inspection.proposals()),
-            "outlines": [
-                outline._asdict()
-                for outline in seen_outlines(pane, shown, self.inspection.outlines())
-            ],
-        }
 
     # --- choices and actions ---
 
@@ -367,24 +293,8 @@ class Browser:
             self._marks_changed()
 
     def _marks_changed(self) -> None:
-        board = self._board
-        proposals = [self._mark(reading) for reading in board.proposals]
-        marks = [
-            {"id": number, **self._mark(reading)}
-            for number, reading in zip(board.numbers, board.readings, strict=True)
-        ]
-        self._tell(
-            "marks", of=marks, proposals=proposals, notes=board.notes, problems=board.problems
-        )
+        self._tell("marks", **marks_facts(self._board, self._subject))
         self._redraw()
-
-    def _mark(self, reading: MarkReading) -> dict[str, Any]:
-        """A mark for the panel; why it has no temperature stands apart from its other lines."""
-        scene = self._subject.scene
-        world = WorldFrame() if scene is None else scene.world
-        text = mark_text(reading, self._board.marks.reference, self._subject.temperature, world)
-        lines = text["lines"][1:] if reading.problem else text["lines"]
-        return {**text, "lines": lines, "problem": reading.problem}
 
     def _path_changed(self) -> None:
         self._tell("keyframes", text=texts.keyframes(len(self.inspection.keyframes)))
@@ -410,33 +320,6 @@ class Browser:
 
     # --- what it is told ---
 
-    def _hello(self, start: Start) -> dict[str, Any]:
-        subject = self._subject
-        return {
-            "name": subject.name,
-            "known": texts.header(subject),
-            "start": start._asdict(),
-            "modes": [_mode(mode) for mode in subject.modes],
-            "views": [{"name": view.name, **camera_facts(view.camera)} for view in subject.views],
-            "palettes": palette_facts([*PALETTE_CHOICES, "depth", "error"]),
-            "choices": PALETTE_CHOICES,
-            "modalities": [self._modality(each) for each in subject.modalities],
-            "marks": subject.board is not None,
-            "mark_limits": MARK_LIMITS,
-            "longest_side_px": LONGEST_SIDE_PX,
-            "video_seconds": VIDEO_SECONDS,
-            "air": {} if subject.board is None else air_facts(subject.board.survey),
-        }
-
-    def _modality(self, modality: Modality) -> Any:
-        temperature = self._subject.temperature
-        limits = self.inspection.settings.limits.get(modality, range_of(modality, temperature))
-        return modality_facts(modality, temperature, limits)
-
-    def _limits(self) -> dict[str, tuple[float, float]]:
-        limits = self.inspection.settings.limits
-        return {modality.name: ends for modality, ends in limits.items()}
-
     def _saved(self, path: Path) -> None:
         place = path.relative_to(self._subject.folder).as_posix()
         self._say(f"Saved in the run's folder: {place}")
@@ -452,34 +335,6 @@ class Browser:
 
     def _tell(self, kind: str, **facts: Any) -> None:
         self._send(encode({"type": kind, **facts}))
-
-
-def _mode(mode: Mode) -> dict[str, Any]:
-    """A mode for the page, with the controls that count in it."""
-    return {
-        "label": mode.label,
-        "slider": mode.has_slider,
-        "compares": mode.kind not in ("image", "depth", "uncertainty"),
-        "scaled": None if mode.scaled is None else mode.scaled.name,
-        "palette": mode.has_palette,
-    }
-
-
-def _scale(scale: Scale) -> dict[str, Any]:
-    """A scale for the page, which writes its numbers itself."""
-    facts = scale._asdict()
-    del facts["decimal"]
-    return facts
-
-
-def _place(pane: Pane, size: tuple[int, int]) -> list[float]:
-    """Left, top, width and height of a pane, from 0 to 1."""
-    width, height = size
-    return [
-        pane.left / width, pane.top / height,
-        pane.camera.width / width,
-        pane.camera.height / height,
-    ]  # fmt: skip
 
 
 def _rising(limits: tuple[float, float]) -> tuple[float, float]:

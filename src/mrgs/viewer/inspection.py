@@ -23,18 +23,12 @@ from mrgs.pictures.limits import rounded
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, Modality, View
 from mrgs.system.atomic import require_folder
+from mrgs.viewer.annotation import Outline, PointLabel, annotate
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
 from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
 from mrgs.viewer.layout import Pane, Place, panes_of, place_at
-from mrgs.viewer.painting import (
-    Outline,
-    PointLabel,
-    Scales,
-    annotate,
-    compose,
-    measure_scales,
-)
+from mrgs.viewer.painting import Scales, compose, measure_scales
 from mrgs.viewer.picking import Reading, read_point
 from mrgs.viewer.settings import Settings, Subject
 

@@ -401,7 +401,7 @@ class Page {
       }
       const lines = document.createElement("div");
       lines.className = "lines muted";
-      lines.textContent = [mark.severity && `Severity ${mark.severity}`, ...mark.lines, mark.note].filter(Boolean).join("\n");
+      lines.textContent = [mark.severity && `Severity ${mark.severity}`, mark.problem, ...mark.lines, mark.note].filter(Boolean).join("\n");
       row.append(summary, lines);
       if (mark.profile.length) row.append(profileChart(mark));
       return row;
