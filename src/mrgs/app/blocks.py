@@ -93,7 +93,8 @@ def _follow(title: str) -> Iterator[Mapping[str, Any]]:
 
 @contextmanager
 def _follow_silently(title: str) -> Iterator[Mapping[str, Any]]:
-    """The same in a process that is not torchrun's first."""
+    """Follow a training in a process that is not torchrun's first, without showing it; ends the
+    command if it was interrupted."""
     progress = FollowingProgress()
     with progress:
         yield {"on_start": progress.start, "on_step": progress.step}

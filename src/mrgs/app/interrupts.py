@@ -151,4 +151,4 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 
 interrupts = Interrupts()
-"""Those of this process."""
+"""The interruptions of this process."""

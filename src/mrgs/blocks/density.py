@@ -75,8 +75,8 @@ class LocalDensityControl(Strategy):
         return self.inner.initial_state(gaussians)
 
     def movable(self, gaussians: Gaussians) -> Bool[Tensor, " n"]:
-        """Those that the part holds. Others stay as all parts know them: what they do elsewhere no
-        pixel shows that counts here."""
+        """Which Gaussians the part holds. Others stay as all parts know them: no pixel that counts
+        here shows what they do elsewhere."""
         return self.part.holds(gaussians)
 
     def may_change_at(self, step: int) -> bool:  # noqa: D102

@@ -248,8 +248,8 @@ def _rows(model: Model, scene: Scene, part: Part, views: Sequence[int]) -> Int64
 def _without_wide(
     gaussians: Gaussians, scene: Scene, rows: Int64[Tensor, " k"], overlap: float
 ) -> Int64[Tensor, " m"]:
-    """Those that are not too wide for any block, and the background; with a narrow overlap, those
-    of usual width too."""
+    """The rows of Gaussians that are not too wide for any block, and of the background; with a
+    narrow overlap, of those of usual width too."""
     widths = gaussians.scales.detach().amax(dim=1)[rows]
     most = max(WIDEST * overlap, 2 * float(widths.median()))
     background = scene.reach.is_background(gaussians.means.detach()[rows])

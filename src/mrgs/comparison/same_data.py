@@ -22,12 +22,12 @@ class SceneData:
 
     @cached_property
     def facts(self) -> CheckpointFacts:
-        """Those of a run that began now."""
+        """The facts of a run that began now."""
         return CheckpointFacts.at_start(self.scene)
 
     @cached_property
     def scored(self) -> ScoredData:
-        """Those of scores that were computed now."""
+        """The data of scores that were computed now."""
         return ScoredData.of(self.scene, self.facts.images)
 
 

@@ -95,7 +95,7 @@ class WorkQueue:
                 time.sleep(_POLL_S)
 
     def new_messages(self) -> list[dict[str, Any]]:
-        """Those that have come since the last call, without waiting."""
+        """The messages that have come since the last call, without waiting."""
         found = []
         with self._processes.linked():
             while self._store.check([f"message/{self._read}"]):

@@ -206,11 +206,11 @@ class Marks:
         return [name for name in names if name not in taken][:count]
 
     def adding(self, mark: Mark) -> Marks:
-        """These and another one."""
+        """These marks and another one."""
         return replace(self, marks=(*self.marks, mark))
 
     def without(self, name: str) -> Marks:
-        """All but one; what referred to it refers to nothing.
+        """These marks without one; what referred to it refers to nothing.
 
         Raises:
             ConfigError: there is no such mark.
@@ -225,7 +225,7 @@ class Marks:
         return replace(self, marks=kept, reference=reference)
 
     def changing(self, name: str, /, **changes: Any) -> Marks:
-        """These with other fields of one; what refers to it follows a new name.
+        """These marks with other fields of one; what refers to it follows a new name.
 
         Raises:
             ConfigError: there is no such mark, or a value cannot be.
@@ -242,7 +242,7 @@ class Marks:
         )
 
     def accepting(self, name: str, /, **changes: Any) -> Marks:
-        """These with a proposal as a mark, with other fields where they are given.
+        """These marks and a proposal that becomes one, with other fields where they are given.
 
         Raises:
             ConfigError: there is no such proposal, or a value cannot be.
@@ -251,7 +251,7 @@ class Marks:
         return replace(self, marks=(*self.marks, accepted), proposals=self._proposals_without(name))
 
     def dropping(self, name: str) -> Marks:
-        """These with a proposal dropped for good.
+        """These marks with a proposal dropped for good.
 
         Raises:
             ConfigError: there is no such proposal.

@@ -102,7 +102,7 @@ class Adam:
         self._epsilon = epsilon
 
     def parameters(self) -> list[Tensor]:
-        """Those of all groups, in order."""
+        """The parameters of all groups, in order."""
         return [parameter for group in self.groups for parameter in group.parameters]
 
     def set_rates(self, factor: float) -> None:

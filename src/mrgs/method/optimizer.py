@@ -217,7 +217,7 @@ class GaussianOptimizer:
         self._adam.load_moments(self._parameters(), moments)
 
     def _parameters(self) -> dict[str, Tensor]:
-        """Those that move, by the prefix of their moments' names."""
+        """The parameters that move, by the prefix of their moments' names."""
         return {f"{_ADAM}{group.name}": group.parameters[0] for group in self._adam.groups}
 
     def _group(self, name: str) -> ParameterGroup:

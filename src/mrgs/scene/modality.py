@@ -136,14 +136,15 @@ def known_modalities() -> tuple[Modality, ...]:
 
 
 def in_order(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
-    """Each once: RGB first, thermal second, the others by name."""
+    """Each modality once: RGB first, thermal second, the others by name."""
     found = set(modalities)
     built_in = [modality for modality in BUILT_IN if modality in found]
     return (*built_in, *sorted(found - set(built_in)))
 
 
 def metric_first(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
-    """Those that measure a quantity in a unit, then plain intensities; each group in its order."""
+    """Modalities that measure a quantity in a unit, then plain intensities; each group in its
+    order."""
     return tuple(sorted(modalities, key=lambda modality: not modality.is_metric))
 
 

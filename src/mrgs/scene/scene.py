@@ -167,5 +167,5 @@ class Scene:
 
     @property
     def modalities(self) -> tuple[Modality, ...]:
-        """Those of the training images, RGB first, thermal second, others by name."""
+        """Modalities of the training images: RGB first, thermal second, others by name."""
         return in_order(modality for view in self.train for modality in view.images)

@@ -132,7 +132,7 @@ class Survey:
         return any(value is not None for value in asdict(self).values())
 
     def stating(self, assignments: Sequence[str], source: str) -> Survey:
-        """This with other values of some fields.
+        """This survey with other values of some fields.
 
         Args:
             assignments: ``NAME=VALUE`` each, the value as in YAML; an empty one takes it back.

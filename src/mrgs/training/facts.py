@@ -65,7 +65,7 @@ class CheckpointFacts(NamedTuple):
         )
 
     def photographed(self, modalities: Iterable[Modality]) -> tuple[Modality, ...]:
-        """Those of some modalities of which the scene has photos."""
+        """Some modalities, without those of which the scene has no photos."""
         return tuple(each for each in modalities if each in self.modalities)
 
     def moved_to(self, path: str | Path | None) -> CheckpointFacts:

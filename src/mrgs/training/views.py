@@ -41,8 +41,8 @@ class ViewSampler:
         return chosen.tolist()
 
     def peek(self) -> list[int]:
-        """Those of the step after that; none at the end of a round, since the next one is not drawn
-        yet."""
+        """The views that ``next`` will return; none at the end of a round, since the following one
+        is not drawn yet."""
         return self._waiting[: self._groups].tolist()
 
     def _round(self) -> Tensor:

@@ -214,8 +214,8 @@ class Budget:
     def _distance(
         self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
     ) -> Float64[np.ndarray, "..."]:
-        """The same of the distance: with another transmission τ of the air, what reaches the
-        camera, τ S + (1 − τ) S_air with S what left the surface, stays."""
+        """How far temperatures change with the distance: with another transmission τ of the air,
+        what reaches the camera, τ S + (1 − τ) S_air with S what left the surface, stays."""
         assert self.parameters is not None
         given, law = self.parameters, self.capture.law
         tau = _transmission(given, 1.0)

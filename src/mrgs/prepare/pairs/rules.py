@@ -176,7 +176,7 @@ def _with_whole_name(candidate: Candidate) -> Candidate:
 
 
 def _unique(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Those whose key no other photo of the same camera has."""
+    """The photos whose key no other photo of the same camera has."""
     counts = Counter((candidate.is_reference, candidate.key) for candidate in candidates)
     return [
         candidate for candidate in candidates if counts[candidate.is_reference, candidate.key] == 1

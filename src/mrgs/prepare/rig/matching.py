@@ -74,7 +74,7 @@ class Matches:
     scores: Float[np.ndarray, " m"]
 
     def sharpest(self, share: float) -> Matches:
-        """This share of the patches: those with the most certain positions."""
+        """The share of the patches whose positions are the most certain."""
         if not len(self.scores):
             return self
         sharpness = np.trace(self.information, axis1=1, axis2=2)
