@@ -50,4 +50,4 @@ def _mean(losses: list[float]) -> float | None:
     """Mean of those that are finite: of identical images, or images without a valid pixel, none
     is."""
     finite = [loss for loss in losses if math.isfinite(loss)]
-    return round(math.fsum(finite) / len(finite), 4) if finite else None
+    return round(math.fsum(finite) / len(finite), 4) + 0.0 if finite else None  # no -0.0
