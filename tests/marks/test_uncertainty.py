@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mrgs.data.radiometric.measurement import Measurement
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.texts import mark_text
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
-from mrgs.marks.uncertainty.budget import Budget
+from mrgs.marks.uncertainty.budget import USUAL_AIR, Budget
 from mrgs.marks.uncertainty.photo_parts import (
     OF_MARK,
     OF_POINT,
@@ -22,7 +23,7 @@ from mrgs.marks.uncertainty.photo_parts import (
 )
 from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
-from mrgs.scene.radiometry import ObjectParameters
+from mrgs.scene.radiometry import ObjectParameters, Planck
 from mrgs.survey import Survey
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
@@ -168,6 +169,19 @@ def test_settings_are_varied_by_their_uncertainties():
     assert (found.photos, found.model) == (0.1, 0.2)
 
 
+def test_the_distance_is_varied_as_the_measurement_formula_has_it():
+    law = Planck(21_106.77, 0.012545258, 1501.0, 1.0, -7340.0)
+    signal = np.array([law.signal(40.0)])
+    at_8_m, at_4_m, at_12_m = (
+        Measurement(law, SETTINGS, USUAL_AIR.transmission(distance_m, 10.0, 0.5)).celsius(signal)[0]
+        for distance_m in (8.0, 4.0, 12.0)
+    )
+    budget = Budget(replace(CAPTURE, law=law), SETTINGS, distance_percent=50.0)
+    found = budget.with_settings(Uncertainty(0.1, 0.2), at_8_m)
+    assert at_12_m > at_4_m + 0.1
+    assert found.distance == pytest.approx(at_12_m - at_4_m)
+
+
 def test_a_surface_with_a_small_emissivity_magnifies_what_photos_disagree_by():
     budget = Budget(CAPTURE, SETTINGS)
     dull, shiny = (
@@ -175,6 +189,8 @@ def test_a_surface_with_a_small_emissivity_magnifies_what_photos_disagree_by():
         for each in (0.95, 0.3)
     )
     assert shiny.photos > 2 * dull.photos
+    ends = CAPTURE.corrected(np.array([39.9, 40.1]), SurfaceSettings(0.3, 20.0))
+    assert shiny.photos == pytest.approx(0.1 * (ends[1] - ends[0]) / 0.2, rel=1e-3)
     assert shiny.emissivity > 5 * dull.emissivity
 
 
