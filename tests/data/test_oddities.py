@@ -10,8 +10,10 @@ import torch
 from PIL import Image
 
 from mrgs.data import load_scene
+from mrgs.data import oddities as oddities_module
+from mrgs.data.images import decode
 from mrgs.data.oddities import _thinned, oddities
-from mrgs.scene import Camera, PosedImage, View
+from mrgs.scene import RGB, Camera, PosedImage, View
 from tests.helpers.scenes import write_scene
 
 
@@ -156,3 +158,26 @@ def test_large_photos_are_thinned_before_they_are_kept():
     assert torch.equal(thinned, photo[::3, ::3])
     assert thinned.untyped_storage().nbytes() == thinned.nbytes
     assert torch.equal(_thinned(thinned), thinned)
+
+
+def test_a_large_jpeg_is_looked_at_without_reading_it_whole(folder, tmp_path, monkeypatch):
+    black = tmp_path / "black.jpg"
+    Image.new("RGB", (2560, 1280)).save(black)
+    scene = load_scene(folder)
+
+    def whole():
+        raise AssertionError("the whole photo is not needed")
+
+    def as_jpeg(view):
+        image = replace(view.images[RGB], load=whole, files=(black,))
+        return View(view.name, {**view.images, RGB: image})
+
+    decoded = []
+    monkeypatch.setattr(
+        oddities_module,
+        "decode",
+        lambda path, least: decoded.append(decode(path, least)) or decoded[-1],
+    )
+    found = oddities(replace(scene, train=tuple(map(as_jpeg, scene.train))))
+    assert any("are black" in text for text in found)
+    assert {tuple(each.values.shape) for each in decoded} == {(320, 640, 3)}

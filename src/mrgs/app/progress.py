@@ -107,7 +107,9 @@ def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..
 
 @contextmanager
 def _compiling(config: RunConfig, console: Console) -> Iterator[None]:
-    """Within this block, say how far the kernels of a training are compiled, if any are missing."""
+    """Within this block, say how far the kernels of a training are compiled, if any are missing,
+    and then how many photos have been read."""
+    from mrgs.data.posed import photos_read
     from mrgs.method.config import TrainConfig
     from mrgs.training.compilation import Countdown
 
@@ -117,14 +119,19 @@ def _compiling(config: RunConfig, console: Console) -> Iterator[None]:
     countdown, done = Countdown(config), Event()
 
     def show() -> None:
+        before = photos_read()
+        wait_s = REFRESH_EVERY_S if console.is_terminal else PLAIN_LINE_EVERY_S
         show_line: Callable[[str], object] = print
+        if countdown.text is None and done.wait(wait_s):
+            return
         with ExitStack() as stack:
-            if console.is_terminal and countdown.text is not None:
+            if console.is_terminal:
                 show_line = stack.enter_context(console.status("")).update
-            while (text := countdown.text) is not None:
-                show_line(text)
+            while True:
+                photos = f"reading photos for the start: {photos_read() - before}"
+                show_line(countdown.text or photos)
                 sys.stdout.flush()
-                if done.wait(REFRESH_EVERY_S if console.is_terminal else PLAIN_LINE_EVERY_S):
+                if done.wait(wait_s):
                     return
 
     thread = Thread(target=show, daemon=True)
@@ -302,6 +309,8 @@ class PrepareProgress:
             from mrgs.pipeline.expect import left_in_stage
 
             left_s = left_in_stage(self.forecast, step, done, total)
+        elif left_s is None and done and step == self._step:
+            left_s = (now - self._started) / done * (total - done)
         if left_s is not None:
             text += f" | {duration(left_s)} left"
         if step != self._step:

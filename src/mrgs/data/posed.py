@@ -48,6 +48,17 @@ def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
     return info
 
 
+class _Reading:
+    """How many photos this process has read."""
+
+    photos = 0
+
+
+def photos_read() -> int:
+    """How many photos this process has read so far, for whoever shows what it is doing."""
+    return _Reading.photos
+
+
 def posed_image(
     source: ImageSource,
     decoder: Decoder,
@@ -128,6 +139,7 @@ def _load(
     may_shrink: bool,
 ) -> Pixels:
     decoded, valid = decoder(source.path)
+    _Reading.photos += 1
     values = decoded
     share = _share(values, source.lens) if may_shrink else 1
     lens = source.lens.resized(source.lens.width // share, source.lens.height // share)
