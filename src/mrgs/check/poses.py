@@ -18,6 +18,7 @@ from mrgs.scene import Camera, Modality, Scene, View
 from mrgs.scene.modality import in_order
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV
 from mrgs.scene.view import evenly_spaced
+from mrgs.system.wording import listed
 
 NO_POINTS = "There are no start points"
 """Beginning of the reader's note if the start points are random."""
@@ -237,11 +238,9 @@ def _same_place(scene: Scene, cameras: dict[str, Camera], depth: float | None) -
         return []
     held_out = {view.name for view in scene.eval}
     leaking = sum((a in held_out) != (b in held_out) for a, b in pairs)
-    shown = ", ".join(f"{a} and {b}" for a, b in pairs[:3]) + (
-        f" and {len(pairs) - 3} more" if len(pairs) > 3 else ""
-    )
+    named = listed([f"{a} and {b}" for a, b in pairs])
     pairs_text = "1 pair of views has" if len(pairs) == 1 else f"{len(pairs)} pairs of views have"
-    text = f"{pairs_text} nearly the same pose ({shown})."
+    text = f"{pairs_text} nearly the same pose ({named})."
     if leaking:
         text += (
             f" In {leaking} of them one is held out and the other trained on: the scores will be "

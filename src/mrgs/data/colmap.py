@@ -18,8 +18,8 @@ from mrgs.data.points import point_cloud
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource
 from mrgs.data.thermal import BOUNDS_FILES
 from mrgs.scene import RGB, THERMAL, Modality
-from mrgs.system.limits import shown
 from mrgs.system.message import Message
+from mrgs.system.wording import shown
 
 FOLDERS = {RGB: ("rgb", "images"), THERMAL: ("thermal",)}
 """Possible folders of each modality's images; the first that exists is used."""

@@ -20,7 +20,7 @@ from mrgs.data.files import contained, is_file, read_bytes, scene_error
 from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.poses import viewmat_from_colmap
 from mrgs.errors import SceneError
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse", "colmap")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mrgs.errors import SceneError
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 MAX_FILE_BYTES = 4 * 2**30

@@ -41,7 +41,7 @@ from mrgs.data.transforms import RECORD
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
 from mrgs.scene.radiometry import PhotoRecord
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 MOST_MODALITIES = 16
 IMAGE_CHANNELS = (1, 3)

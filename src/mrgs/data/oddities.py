@@ -16,6 +16,7 @@ from mrgs.data.images import decode
 from mrgs.scene import THERMAL, Camera, Modality, PosedImage, Scene
 from mrgs.scene.view import evenly_spaced
 from mrgs.system.callers import warn
+from mrgs.system.wording import listed
 
 PHOTOS = 12
 """How many views' photos are looked at."""
@@ -44,7 +45,6 @@ _FEW = 0.05
 _FAR_OFF = 1e4
 """So many times its own size from the origin, a scene's coordinates have few digits left."""
 
-_NAMED = 3
 _VIEWS_AT_ONCE = 256
 _WHOLE = 1e-2
 
@@ -157,10 +157,9 @@ def _of_overlap(scene: Scene, cameras: Sequence[Camera]) -> Iterator[str]:
         return
     names = [scene.train[place].name for place in alone.nonzero().flatten().tolist()]
     if names:
-        listed = ", ".join(names[:_NAMED]) + (" and others" if len(names) > _NAMED else "")
         yield (
             f"{len(names)} of {len(cameras)} training views show nothing that another one shows "
-            f"({listed}): check their poses, or leave them out"
+            f"({listed(names)}): check their poses, or leave them out"
         )
 
 

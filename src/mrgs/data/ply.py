@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.errors import SceneError
 from mrgs.system.atomic import replacing
-from mrgs.system.limits import shown
 from mrgs.system.pieces import pieces
+from mrgs.system.wording import shown
 
 MAX_HEADER_BYTES = 64 * 1024
 

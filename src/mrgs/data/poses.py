@@ -19,7 +19,7 @@ from mrgs.scene.camera_matrices import (
     nearest_rotations,
 )
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV, matrix_from_quaternion, rigid_transform
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 
 def matrix_from_json(

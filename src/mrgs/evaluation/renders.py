@@ -45,6 +45,7 @@ from mrgs.scene import (
     in_order,
 )
 from mrgs.system.callers import warn
+from mrgs.system.wording import listed
 
 GREY_TOLERANCE = 2.5 / 255
 """Largest difference between the channels of a grey image that was saved in colour."""
@@ -185,7 +186,7 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
         names = [view.name for view in scene.eval]
         raise RunError(
             f"{folder} holds no renderings: put {' and '.join(wanted)}, named like the eval views "
-            f"({_listed(names)})"
+            f"({listed(names)})"
         )
     depths = None
     if THERMAL in images:
@@ -205,28 +206,22 @@ def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str
     if missing:
         raise RunError(
             f"{folder} has no image of {len(missing)} of {len(names)} eval views "
-            f"({_listed(missing)}): "
+            f"({listed(missing)}): "
             "add them, named like the views"
         )
     for name in names:
         if len(found[name]) > 1:
             raise RunError(
                 f"{folder} has several images of the view {name}: keep one of "
-                f"{_listed(found[name])}"
+                f"{listed([path.name for path in found[name]])}"
             )
     extra = sorted(found.keys() - set(names))
     if extra:
         warn(
-            f"{folder} holds {len(extra)} images that belong to no eval view ({_listed(extra)}); "
+            f"{folder} holds {len(extra)} images that belong to no eval view ({listed(extra)}); "
             f"they are left out"
         )
     return {name: found[name][0] for name in names}
-
-
-def _listed(names: list[str] | list[Path], most: int = 3) -> str:
-    """The first few names; dots stand for the others."""
-    shown = [name.name if isinstance(name, Path) else name for name in names[:most]]
-    return ", ".join(shown) + (", ..." if len(names) > most else "")
 
 
 def _read(

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, TypeAlias, get_args
 
 from mrgs.errors import ConfigError
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 MarkKind = Literal["spot", "line", "box", "polygon"]
 KINDS: tuple[MarkKind, ...] = get_args(MarkKind)

@@ -20,7 +20,7 @@ from mrgs.runs.open import TrainedRun
 from mrgs.scene import Camera, Scene
 from mrgs.system.atomic import require_folder, write_error, write_text
 from mrgs.system.callers import warn
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
 VERSION = 2

@@ -22,6 +22,7 @@ from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Progress
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.system.wording import counted
 
 Size = tuple[int, int]
 
@@ -132,7 +133,7 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
     if count < MIN_VIEWS:
         raise scene_error(
             source,
-            f"holds {count} pair{'' if count == 1 else 's'} of photos, and a model needs at least "
+            f"holds {counted(count, 'pair')} of photos, and a model needs at least "
             f"{MIN_VIEWS}, better 20 or more; add photos of the same object from other places",
         )
     thermal = _first_readable(pairing.pairs, options)

@@ -26,6 +26,7 @@ from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
 from mrgs.survey import SURVEY_FILE
 from mrgs.system.gpu import DeviceName
+from mrgs.system.wording import counted
 from mrgs.training.driver import Statistics
 from mrgs.training.run_folder import RunFolder
 
@@ -187,7 +188,7 @@ class Job:
             SceneError: they are not.
         """
         if warnings and not self.monitor.accepts(warnings, page):
-            count = f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'}"
+            count = counted(len(warnings), "warning")
             raise SceneError(
                 f"stopped at {count} about the scene: check {page}; then run again and accept them",
                 options=("yes",),

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, StageSummary
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.scene import THERMAL, Modality
+from mrgs.system.wording import counted
 
 SCALE_TOLERANCE = 0.03
 """Two sources of the scene's scale may differ by this share."""
@@ -15,9 +16,9 @@ SCALE_TOLERANCE = 0.03
 
 def summarize_pairs(pairing: Pairing) -> StageSummary:
     """Number of pairs, and the rule that found them."""
-    lines = [f"{_count(len(pairing.pairs), 'pair')}. {pairing.rule}"]
+    lines = [f"{counted(len(pairing.pairs), 'pair')}. {pairing.rule}"]
     if pairing.skipped:
-        lines.append(f"{_count(len(pairing.skipped), 'file')} skipped.")
+        lines.append(f"{counted(len(pairing.skipped), 'file')} skipped.")
     return StageSummary(tuple(lines), pairing.warnings)
 
 
@@ -26,7 +27,7 @@ def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
     views = photos.views
     ranges = [view.range_c for view in views if view.range_c is not None]
     cameras = sorted({view.facts.camera for view in views if view.facts.camera is not None})
-    facts = [_count(len(views), "view"), *cameras[:3]]
+    facts = [counted(len(views), "view"), *cameras[:3]]
     if ranges:
         facts.append(
             f"{min(low for low, _ in ranges):.1f} °C to {max(high for _, high in ranges):.1f} °C"
@@ -37,7 +38,7 @@ def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
         )
     lines = [", ".join(facts) + "."]
     if photos.skipped:
-        lines.append(f"{_count(len(photos.skipped), 'pair')} skipped.")
+        lines.append(f"{counted(len(photos.skipped), 'pair')} skipped.")
     by_text: dict[str, list[str]] = {}
     for view in views:
         for text in view.facts.warnings:
@@ -54,7 +55,7 @@ def summarize_poses(reconstruction: Reconstruction) -> StageSummary:
     if reconstruction.reprojection_px is not None:
         lines[0] += f" Reprojection error {reconstruction.reprojection_px:.2f} px."
     if reconstruction.failed:
-        lines.append(f"{_count(len(reconstruction.failed), 'image')} without a pose.")
+        lines.append(f"{counted(len(reconstruction.failed), 'image')} without a pose.")
     return StageSummary(tuple(lines), reconstruction.warnings)
 
 
@@ -91,7 +92,7 @@ def summarize_thermal_camera(
             f"offset includes this turn."
         )
     if rig.target is not None:
-        pairs, residual_px = _count(rig.target.pairs, "pair"), rig.target.residual_px[0]
+        pairs, residual_px = counted(rig.target.pairs, "pair"), rig.target.residual_px[0]
         lines.append(f"The target is in {pairs}; residual {residual_px:.2f} px.")
     if scale:
         lines.append("The target gives the scale: the scene is in metres.")
@@ -116,8 +117,4 @@ def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:
 
 
 def _with_photos(text: str, names: Sequence[str]) -> str:
-    return f"{names[0]}: {text}" if len(names) == 1 else f"{_count(len(names), 'photo')}: {text}"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+    return f"{names[0]}: {text}" if len(names) == 1 else f"{counted(len(names), 'photo')}: {text}"

@@ -26,7 +26,7 @@ from mrgs.prepare.rig.images import PHOTO_WIDTH_PX
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Pixels
 from mrgs.scene.rotations import rigid_transform
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 EXTRINSICS = "thermal_from_rgb_m"
 """Key of the rigid motion [4, 4] from RGB camera to thermal camera axes, metres, in

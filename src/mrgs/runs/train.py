@@ -21,8 +21,8 @@ from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
 from mrgs.system.callers import warn
 from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import DeviceName
-from mrgs.system.limits import shown
 from mrgs.system.torch_modes import own_modes
+from mrgs.system.wording import shown
 from mrgs.training import opening
 from mrgs.training.asked_cameras import asked_cameras
 from mrgs.training.opening import OnStep

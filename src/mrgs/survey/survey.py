@@ -14,8 +14,8 @@ import yaml
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.system.atomic import write_text
-from mrgs.system.limits import shown
 from mrgs.system.strict_yaml import parse_yaml, read_yaml
+from mrgs.system.wording import shown
 
 SURVEY_FILE = "survey.yaml"
 LONGEST_TEXT = 2_000

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import operator
-import reprlib
 from collections.abc import Iterable
 from typing import Any, SupportsIndex, cast
 
 from mrgs.errors import ConfigError
+from mrgs.system.wording import shown
 
 MOST_STEPS = 10**9
 MOST_WIDTH = 4_096
@@ -60,11 +60,3 @@ def whole_number(value: object, name: str) -> int:
         raise ConfigError(
             f"{name} must be a whole number, not {shown(value)}", options=(name,)
         ) from None
-
-
-def shown(value: Any) -> str:
-    """A value from a file or a caller for a message: shortened, on one line."""
-    try:
-        return reprlib.repr(value)
-    except ValueError:  # an integer of thousands of digits
-        return "a number of too many digits"

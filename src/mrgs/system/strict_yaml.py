@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar, get_args
 import yaml
 
 from mrgs.errors import ConfigError
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 Config = TypeVar("Config")
 

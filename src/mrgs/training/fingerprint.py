@@ -13,15 +13,13 @@ import numpy as np
 
 from mrgs.errors import SceneError
 from mrgs.scene import Camera, PosedImage, Scene
+from mrgs.system.wording import listed
 
 SAME = 1e-6
 """Relative difference up to which cameras are the same: other machines round differently."""
 
 ROUNDING = 1e-9
 """The same for numbers that vanish next to the largest one beside them."""
-
-NAMED = 3
-"""Images that a message names."""
 
 _READERS = 4
 """Photos whose files are read at the same time."""
@@ -89,8 +87,7 @@ def changes(
     for what, differs in found.items():
         where = [name for name, is_other in zip(names, differs, strict=True) if is_other]
         if where:
-            more = f" and {len(where) - NAMED} more" if len(where) > NAMED else ""
-            parts.append(f"{what} of {', '.join(where[:NAMED])}{more}")
+            parts.append(f"{what} of {listed(where)}")
     return "; ".join(parts)
 
 

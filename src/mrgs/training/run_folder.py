@@ -20,11 +20,9 @@ from mrgs.errors import ConfigError, FolderInUseError, RunError, SceneError
 from mrgs.system.atomic import remove_abandoned, write_error, write_text
 from mrgs.system.callers import warn
 from mrgs.system.strict_yaml import parse_yaml, write_yaml
+from mrgs.system.wording import listed
 
 CHECKPOINTS_KEPT = 2
-
-_NAMED = 3
-"""Missing settings that a message names."""
 
 
 @runtime_checkable
@@ -205,10 +203,9 @@ class RunFolder:
         have = set(_names_in(self._config_values()))
         missing = [name for name in _names_in(whole) if name not in have]
         if missing:
-            more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
             warn(
-                f"{self.config_file} lacks {', '.join(missing[:_NAMED])}{more}, for which the "
-                f"defaults are used: restore it if it was cut off"
+                f"{self.config_file} lacks {listed(missing)}, for which the defaults are used: "
+                f"restore it if it was cut off"
             )
 
     def _require_config(self) -> None:

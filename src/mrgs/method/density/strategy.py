@@ -16,7 +16,7 @@ from mrgs.errors import ConfigError
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 MOST_GAUSSIANS = 10**9
 """Kernels number them with 32 bits."""

@@ -13,6 +13,7 @@ from torch import Tensor
 from mrgs.data.lens import Lens
 from mrgs.prepare.contract import Georeference
 from mrgs.prepare.rig.contract import RigCalibration
+from mrgs.system.wording import counted
 
 
 class RigFacts(NamedTuple):
@@ -33,8 +34,7 @@ def lens_rows(lenses: Mapping[str, Lens], what: str) -> list[tuple[str, str]]:
     for lens in lenses.values():
         distinct[lens] = distinct.get(lens, 0) + 1
     return [
-        (f"{what}, {count} view{'' if count == 1 else 's'}", lens_text(lens))
-        for lens, count in distinct.items()
+        (f"{what}, {counted(count, 'view')}", lens_text(lens)) for lens, count in distinct.items()
     ]
 
 

@@ -18,6 +18,7 @@ from mrgs.errors import SceneError
 from mrgs.pictures.files import to_rgb8
 from mrgs.prepare.contract import ConvertedView
 from mrgs.scene import THERMAL, Camera, Modality, Pixels, TemperatureRange, View
+from mrgs.system.wording import counted, listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +100,7 @@ def preview_of_files(
 
 def views_text(names: Sequence[str], most: int = 5) -> str:
     """Number of views and the names of the first ones, for a sentence."""
-    shown = ", ".join(names[:most])
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{len(names)} view{'' if len(names) == 1 else 's'} ({shown}{more})"
+    return f"{counted(len(names), 'view')} ({listed(names, most)})"
 
 
 def _camera(camera: Camera, width: int) -> Camera:

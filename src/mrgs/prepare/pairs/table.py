@@ -13,7 +13,7 @@ from mrgs.prepare.pairs.names import HEADINGS, PARTNER, REFERENCE, composed, pri
 from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import Match, Pair, in_order
 from mrgs.scene import Modality
-from mrgs.system.limits import shown
+from mrgs.system.wording import shown
 
 _MAX_BYTES = 16 * 2**20
 _COLUMNS = (PARTNER, REFERENCE)

@@ -14,6 +14,7 @@ from mrgs.data.colmap_model import ColmapModel, read_images
 from mrgs.prepare.colmap.job import JOB_FILE, MODEL_FOLDER, POINTS_FILE, REPORT_FILE
 from mrgs.prepare.contract import MIN_VIEWS, Reconstruction, Skipped, TooFewPosesError
 from mrgs.scene import Modality, PointCloud
+from mrgs.system.wording import listed
 
 FEW_FEATURES = 100
 FEW_MATCHES = 30
@@ -99,16 +100,11 @@ def _too_few(count: int, failed: Sequence[Skipped]) -> str:
     kinds: dict[str, list[str]] = {}
     for image in failed:
         kinds.setdefault(image.reason.partition(" (")[0], []).append(image.name)
-    some = [f"{_listed(names)}: {reason}" for reason, names in kinds.items()]
+    some = [f"{listed(names, _NAMED)}: {reason}" for reason, names in kinds.items()]
     return (
         f"only {count - len(failed)} of {count} photos could be placed, and {MIN_VIEWS} are needed "
         f"({'; '.join(some)}); take photos that overlap by two thirds, sharp and with texture"
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _warnings(groups: Sequence[int], reprojection_px: float) -> tuple[str, ...]:
