@@ -44,7 +44,7 @@ class ExportJob:
         regions: marked surfaces with an emissivity of their own; None without.
         loss: PSNR lost by baking, dB; None without a run.
         palette: of the temperatures.
-        limits_c: °C of the palette's first and last colour, as the caller gave them.
+        range_c: °C of the palette's first and last colour, as the caller gave them.
         maps: choices for the maps.
     """
 
@@ -58,7 +58,7 @@ class ExportJob:
     regions: Regions | None
     loss: BakingLoss | None
     palette: PaletteName
-    limits_c: tuple[float, float] | None
+    range_c: tuple[float, float] | None
     maps: MapOptions
 
     @property

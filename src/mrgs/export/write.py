@@ -35,7 +35,7 @@ def export_run(
     folder: str | Path | None = None,
     format: str = "all",
     palette: PaletteName = "inferno",
-    limits_c: tuple[float, float] | None = None,
+    range_c: tuple[float, float] | None = None,
     maps: MapOptions = DEFAULT_MAPS,
 ) -> list[Path]:
     """Write a run in one format, or in all that can be written here, for other programs; returns
@@ -47,19 +47,19 @@ def export_run(
             ``export`` if None.
         format: the name of one of ``mrgs.export.FORMATS``, or ``all``.
         palette: colours of the colour-mapped files.
-        limits_c: °C of the palette's first and last colour; None takes the scene's whole range
+        range_c: °C of the palette's first and last colour; None takes the scene's whole range
             for splats, a map's own for a map; the page then begins with the viewer's range, or
             with what the model shows to the photos' cameras where areas are corrected.
         maps: choices for ``ortho`` and ``elevation``.
 
     Raises:
-        ConfigError: an unknown format, limits that cannot be used, an extra that is not installed,
+        ConfigError: an unknown format, a range that cannot be used, an extra that is not installed,
             or a map that the scene does not allow.
         RunError: the model cannot be exported, or a file cannot be written.
         SceneError: the scene or a photo cannot be read.
     """
     target = run.folder.path / "export" if folder is None else Path(folder)
-    return export(run, run.load_scene(), format, target, palette, limits_c, maps)
+    return export(run, run.load_scene(), format, target, palette, range_c, maps)
 
 
 def export(
@@ -68,7 +68,7 @@ def export(
     format: str | Sequence[str],
     folder: Path,
     palette: PaletteName = "inferno",
-    limits_c: tuple[float, float] | None = None,
+    range_c: tuple[float, float] | None = None,
     maps: MapOptions = DEFAULT_MAPS,
     on_baked: Callable[[BakingLoss], None] | None = None,
     progress: Progress | None = None,
@@ -91,7 +91,7 @@ def export(
             written here.
         folder: made if it does not exist; files of these names are replaced.
         palette: colours of the colour-mapped files.
-        limits_c: °C of the palette's first and last colour; None takes the scene's whole range
+        range_c: °C of the palette's first and last colour; None takes the scene's whole range
             for splats, a map's own for a map; the page then begins with the viewer's range, or
             with what the model shows to the photos' cameras where areas are corrected.
         maps: choices for ``ortho`` and ``elevation``.
@@ -103,7 +103,7 @@ def export(
         MrgsWarning: a format is left out; the message says why.
 
     Raises:
-        ConfigError: an unknown format, limits that cannot be used, or an extra that is not
+        ConfigError: an unknown format, a range that cannot be used, or an extra that is not
             installed.
         RunError: the model cannot be exported, or a file cannot be written.
         SceneError: a photo cannot be read.
@@ -119,7 +119,7 @@ def export(
     parts = [BAKING, *(each.name for each in chosen)]
     report = progress or (lambda number, count, name: None)
     report(1, len(parts), BAKING)
-    job = _job(model, scene, folder, palette, limits_c, maps)
+    job = _job(model, scene, folder, palette, range_c, maps)
     if job.loss is not None and on_baked is not None:
         on_baked(job.loss)
     paths = []
@@ -177,7 +177,7 @@ def _job(
     scene: Scene,
     folder: Path,
     palette: PaletteName,
-    limits_c: tuple[float, float] | None,
+    range_c: tuple[float, float] | None,
     maps: MapOptions,
 ) -> ExportJob:
     run = model if isinstance(model, Run) else None
@@ -188,7 +188,7 @@ def _job(
     )
     baked = _of_photos(baked, scene)
     require_exportable(baked)
-    scale, up = thermal_scale(baked, palette, limits_c), up_direction(scene)
+    scale, up = thermal_scale(baked, palette, range_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
     facts = facts_of(baked, scene, up, loss, maps.crs)
     marks = None if run is None else open_marks(run, scene)
@@ -196,5 +196,5 @@ def _job(
     if marks is not None and scene.train_photos(THERMAL):
         regions = marks.meter.regions(marks.marks) or None
     return ExportJob(
-        baked, scene, folder, scale, up, facts, marks, regions, loss, palette, limits_c, maps
+        baked, scene, folder, scale, up, facts, marks, regions, loss, palette, range_c, maps
     )

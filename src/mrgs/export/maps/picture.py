@@ -45,16 +45,16 @@ class Caption(NamedTuple):
 
 
 def map_scale(
-    drawn: OrthographicMap, palette: PaletteName, limits_c: tuple[float, float] | None = None
+    drawn: OrthographicMap, palette: PaletteName, range_c: tuple[float, float] | None = None
 ) -> Scale:
     """The colours of a map's temperatures.
 
     Args:
         drawn: the map.
         palette: the colours.
-        limits_c: °C of the first and last colour; None takes those of the map.
+        range_c: °C of the first and last colour; None takes those of the map.
     """
-    return Scale(palette, *(limits_c or display_range(drawn.celsius)), "°C")
+    return Scale(palette, *(range_c or display_range(drawn.celsius)), "°C")
 
 
 def map_picture(drawn: OrthographicMap, caption: Caption, scale: Scale) -> Image.Image:

@@ -103,7 +103,7 @@ def write_map(
     }
     tags = dict(line.split(": ", 1) for line in comment_lines(facts))
     paths = described(write_geotiff(job.folder / f"{name}.tif", drawn, wkt, tags), facts)
-    scale = map_scale(drawn, job.palette, job.limits_c)
+    scale = map_scale(drawn, job.palette, job.range_c)
     style = write_style(job.folder / f"{name}.qml", scale)
     picture = map_picture(drawn, caption, scale)
     return [*paths, style, write_png(job.folder / f"{name}.png", picture)]

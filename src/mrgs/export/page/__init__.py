@@ -42,6 +42,6 @@ def export(job: ExportJob) -> list[Path]:
 def _range_c(job: ExportJob) -> tuple[float, float] | None:
     """The ends of the palette: those that the viewer begins with, unless the job has others; None
     where areas are corrected, which photos are not."""
-    if job.limits_c is not None or job.regions or THERMAL not in job.modalities:
-        return job.limits_c
+    if job.range_c is not None or job.regions or THERMAL not in job.modalities:
+        return job.range_c
     return starting_limits((THERMAL,), job.scene, job.scene.temperature)[THERMAL]
