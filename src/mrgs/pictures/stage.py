@@ -20,7 +20,12 @@ STAGE_STYLE = "pictures/web/stage.css"
 MARKS_STYLE = "pictures/web/marks.css"
 """Style sheet of the marks on them."""
 
+BASE64_SCRIPT = "pictures/web/base64.js"
+"""Script for bytes in a page, which the exported page's worker runs too."""
+
 STAGE_SCRIPTS = (
+    BASE64_SCRIPT,
+    "pictures/web/facts.js",
     "pictures/web/navigation.js",
     "pictures/web/numbers.js",
     "pictures/web/scale.js",
@@ -28,7 +33,8 @@ STAGE_SCRIPTS = (
     "pictures/web/isotherm.js",
     "pictures/web/marks.js",
 )
-"""Scripts of the same: where the camera is, the scale beside it, and the marks."""
+"""Scripts of the same: what they read of their facts, where the camera is, the scale beside it, and
+the marks."""
 
 PALETTE_CHOICES: tuple[PaletteName, ...] = (
     "inferno",

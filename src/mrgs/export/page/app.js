@@ -9,21 +9,19 @@ const SURFACE_ALPHA = 0.5;
 const FIT_WIDTH_PX = 240;
 const HIDDEN_BEHIND = 1.05; // a mark that lies this much deeper than what is seen there is hidden by it
 
-const element = (id) => document.getElementById(id);
 const modalityButtons = () => document.querySelectorAll("button[data-modality]");
 const json = (id) => JSON.parse(element(id).textContent);
 
 class Page {
   constructor(facts) {
     this.facts = facts;
-    this.modalities = Object.fromEntries(facts.modalities.map((each) => [each.name, { ...each, scale: new Scale(each.scale) }]));
+    this.modalities = modalitiesOf(facts);
     this.shown = this.modalities[facts.modalities[0].name];
     this.range = [0, 1];
     this.isotherm = [1, 0];
     this.canvas = element("view");
-    const palettes = Object.fromEntries(Object.entries(facts.palettes).map(([name, text]) => [name, fromBase64(text)]));
-    this.palettes = palettes;
-    this.renderer = new Renderer(this.canvas, facts, palettes);
+    this.palettes = palettesOf(facts);
+    this.renderer = new Renderer(this.canvas, facts, this.palettes);
     this.startWorker();
     this.viewpoint = new Viewpoint(facts.world, () => this.viewChanged());
     this.version = 0;
@@ -164,8 +162,7 @@ class Page {
   // The modality that the palette's range and the isotherm apply to.
   setScaled(modality) {
     this.scaled = modality;
-    const { unit } = modality.scale;
-    element("scale-title").textContent = `${modality.label} scale${unit ? `, ${unit}` : ""}`;
+    element("scale-title").textContent = scaleTitle(modality);
     this.isothermControl.reset(modality.range, modality.scale);
     this.setRange(...modality.range);
   }
@@ -368,7 +365,7 @@ class Page {
     const tip = element("tip");
     tip.hidden = this.hover === null;
     tip.textContent = reading.alpha < SURFACE_ALPHA ? "no surface" : this.textOf(reading);
-    tip.style.transform = `translate(${x + 14}px, ${y + 14}px)`;
+    placeTip(tip, x, y, this.canvas.clientWidth);
     this.showReading(reading);
   }
 

@@ -19,6 +19,7 @@ from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.stage import (
+    BASE64_SCRIPT,
     MARKS_STYLE,
     PALETTE_CHOICES,
     STAGE_SCRIPTS,
@@ -40,14 +41,11 @@ from mrgs.scene import (
     metric_first,
 )
 
-SCRIPTS = (
-    "base64.js", "dilation.js", "areas.js", "shaders.js", "surface.js", "renderer.js", "stream.js",
-    "app.js",
-)  # fmt: skip
-WORKER_SCRIPTS = ("base64.js", "dilation.js", "decode.js", "worker.js")
+OWN_SCRIPTS = ("dilation", "areas", "shaders", "surface", "renderer", "stream", "app")
+WORKER_SCRIPTS = ("dilation", "decode", "worker")
 ASSETS: dict[str, Any] = {
     "styles": [STAGE_STYLE, MARKS_STYLE],
-    "scripts": [*STAGE_SCRIPTS, *(f"export/page/{name}" for name in SCRIPTS)],
+    "scripts": [*STAGE_SCRIPTS, *(f"export/page/{name}.js" for name in OWN_SCRIPTS)],
     "sources": ["worker-src blob:"],
 }
 """Style sheet, scripts and their policy, see ``write_html``."""
@@ -140,9 +138,15 @@ def write_page(
         left_out=len(baked) - model.count,
         length_unit=length_unit,
         facts=script_json(facts),
-        worker=Markup("\n").join(asset(f"export/page/{name}") for name in WORKER_SCRIPTS),
+        worker=_worker(),
         parts=(Markup(part.to_json()) for part in model.parts()),
     )
+
+
+def _worker() -> Markup:
+    """What the page's script runs beside itself."""
+    names = [BASE64_SCRIPT, *(f"export/page/{name}.js" for name in WORKER_SCRIPTS)]
+    return Markup("\n").join(map(asset, names))
 
 
 def visible_range(

@@ -39,9 +39,9 @@ class IsothermControl {
   constructor(onChange, air = {}) {
     this.onChange = onChange;
     this.fields = isothermFields(air);
-    this.select = document.getElementById("isotherm");
-    this.row = document.getElementById("isotherm-values");
-    this.said = document.getElementById("isotherm-said");
+    this.select = element("isotherm");
+    this.row = element("isotherm-values");
+    this.said = element("isotherm-said");
     this.kept = {};
     this.band = null;
     this.select.addEventListener("change", () => this.show());

@@ -1,6 +1,6 @@
 // Marks over a picture, and the profiles of lines; for every page that shows them.
 
-const SVG = document.getElementById("marks").namespaceURI;
+const SVG = element("marks").namespaceURI;
 
 function shape(name, attributes, parent, text) {
   const made = document.createElementNS(SVG, name);

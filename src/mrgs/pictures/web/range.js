@@ -13,8 +13,8 @@ function scaleLimits({ min, max, span, unit }) {
 class RangeControl {
   constructor(onChange) {
     this.onChange = onChange;
-    this.inputs = ["low", "high"].map((id) => document.getElementById(id));
-    this.said = document.getElementById("range-said");
+    this.inputs = ["low", "high"].map(element);
+    this.said = element("range-said");
     for (const input of this.inputs) input.addEventListener("change", () => this.read());
   }
 

@@ -5,9 +5,6 @@ const STILL_MS = 500;
 const MAX_PIXEL_RATIO = 3;
 const FRUSTUM_DEPTH = 0.06; // of the distance between the camera and what it turns about
 
-const element = (id) => document.getElementById(id);
-const fromBase64 = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-
 class Connection {
   constructor(handlers, onPicture, onClose) {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
@@ -128,10 +125,9 @@ class Page {
 
   begin(facts) {
     this.facts = facts;
-    this.modalities = Object.fromEntries(
-      facts.modalities.map((each) => [each.name, { ...each, scale: new Scale(each.scale), follow: false }]),
-    );
-    this.palettes = Object.fromEntries(Object.entries(facts.palettes).map(([name, text]) => [name, fromBase64(text)]));
+    this.modalities = modalitiesOf(facts);
+    for (const modality of Object.values(this.modalities)) modality.follow = false;
+    this.palettes = palettesOf(facts);
     element("known").textContent = facts.known;
     element("note").textContent = facts.note;
     this.viewpoint = new Viewpoint(facts.start.world, () => this.moved());
@@ -256,12 +252,7 @@ class Page {
     this.setScaled(mode.scaled ?? this.scaled?.name ?? first?.name);
     element("scale-section").hidden = !mode.palette;
     element("range-controls").hidden = element("isotherm-controls").hidden = !mode.scaled;
-    element("scale-title").textContent = mode.scaled ? this.scaleTitle : "Colours";
-  }
-
-  get scaleTitle() {
-    const { label, scale } = this.scaled;
-    return `${label} scale${scale.unit ? `, ${scale.unit}` : ""}`;
+    element("scale-title").textContent = mode.scaled ? scaleTitle(this.scaled) : "Colours";
   }
 
   // The modality that the limits and the isotherm apply to.
@@ -447,9 +438,7 @@ class Page {
     tip.hidden = !text || !this.hovered;
     if (tip.hidden) return;
     tip.textContent = text;
-    const [x, y] = this.hovered;
-    const flip = x + 24 + tip.offsetWidth > this.canvas.clientWidth;
-    tip.style.transform = `translate(${flip ? x - 14 - tip.offsetWidth : x + 14}px, ${y + 14}px)`;
+    placeTip(tip, ...this.hovered, this.canvas.clientWidth);
   }
 
   showPoint(point) {
