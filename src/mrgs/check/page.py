@@ -71,7 +71,9 @@ def _shown(scene: Scene, statistics: Sequence[ViewStatistics]) -> dict[str, Any]
     unit = "" if scene.temperature is None else "°C"
     return {
         "pairs": pairs(previews, overlays, unit, len(statistics)),
-        "temperatures": temperatures([one.preview for one in statistics], unit, [], {}),
+        "temperatures": temperatures(
+            [one.preview for one in statistics], unit, [], {}, len(statistics)
+        ),
         "lenses": _lenses(scene),
     }
 

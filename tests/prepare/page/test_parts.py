@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from mrgs.prepare.page.overlay import EDGE_COLOR, edge_layer, thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
 from mrgs.prepare.page.previews import Preview, PreviewImage, views_text
 from mrgs.prepare.page.temperatures import histogram, spread_chart, temperature_spread
-from mrgs.prepare.page.world import orbit_facts, plans, world_of
+from mrgs.prepare.page.world import frustum_size, orbit_facts, plans, world_of
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
 
 
@@ -201,3 +202,21 @@ def test_a_hundred_pairs_stay_under_six_megabytes():
     assert len(pictures) == 4 * len(cards)
     assert 10 * sum(len(picture.source) for picture in pictures) < 6e6
     assert MOST_SHOWN <= 120
+
+
+def test_cameras_are_drawn_by_the_distance_to_the_nearest_other():
+    """With as many cameras as a plant has, a table of all distances would take gigabytes."""
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(0, 10, (40, 3))
+    distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    nearest = np.median(distances.min(axis=1))
+    size = nearest / 0.05
+    assert frustum_size(positions, size) == pytest.approx(0.8 * nearest)
+    assert frustum_size(positions[:1], size) == pytest.approx(0.06 * size)
+    assert frustum_size(np.zeros((5, 3)), size) == pytest.approx(0.02 * size)
+    tracemalloc.start()
+    frustum_size(rng.uniform(0, 10, (3000, 3)), size)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2_000_000

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from mrgs.errors import RunError
+from mrgs.prepare.page import write
 from mrgs.prepare.page.write import write_page
 from mrgs.prepare.work import Work
 
@@ -92,6 +94,18 @@ def test_each_view_is_shown_with_its_thermal_image_on_its_photo(page):
     assert page.source.count('class="card"') == 5
     assert page.source.count('class="card failed"') == 1
     assert page.source.count('class="warped"') == page.source.count('class="edges"') == 5
+
+
+def test_some_of_many_views_are_shown_and_the_charts_say_so(prepared, tmp_path, monkeypatch):
+    shutil.copytree(prepared.scene, tmp_path / "scene")
+    monkeypatch.setattr(write, "MOST_SHOWN", 3)
+    steps: list[tuple[str, int, int]] = []
+    work = replace(prepared, scene=tmp_path / "scene", on_progress=lambda *step: steps.append(step))
+    page = Page(write_page(work))
+    assert "3 of 6 photos: number of pixels by temperature." in page.text
+    assert steps == [
+        (f": {step}", done, 3) for step in ("reading images", "drawing") for done in range(3)
+    ]
 
 
 def test_a_set_without_poses_is_shown_too(prepared, tmp_path):

@@ -59,6 +59,7 @@ class Temperatures(NamedTuple):
         histogram: SVG of all pixels.
         spreads: SVG with a column per photo.
         notes: sentences from the thermal files.
+        counted: which photos' pixels are counted.
     """
 
     has_celsius: bool
@@ -66,6 +67,7 @@ class Temperatures(NamedTuple):
     histogram: Markup
     spreads: Markup
     notes: list[str]
+    counted: str
 
 
 def temperatures(
@@ -73,6 +75,7 @@ def temperatures(
     unit: str,
     facts: Sequence[tuple[str, str]],
     notes: Mapping[str, int],
+    total: int,
 ) -> Temperatures | None:
     """Charts of the thermal images; None without any.
 
@@ -81,6 +84,7 @@ def temperatures(
         unit: °C, or empty for relative values.
         facts: rows of the table.
         notes: sentences from the thermal files, with the number of photos that have each.
+        total: number of views, of which ``previews`` may be a part.
     """
     images = {view.name: view.images[THERMAL].pixels for view in previews if THERMAL in view.images}
     found = [temperature_spread(name, image) for name, image in images.items()]
@@ -97,6 +101,7 @@ def temperatures(
         histogram(counts.astype(np.float64), low, high, unit),
         spread_chart(spreads, low, high, unit),
         [text if count == 1 else f"{text} ({count} photos)" for text, count in notes.items()],
+        "All photos" if total == len(previews) else f"{len(previews)} of {total} photos",
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32
 from markupsafe import Markup
+from scipy.spatial import cKDTree
 
 from mrgs.pictures.html import render
 from mrgs.pictures.palette import round_down
@@ -119,9 +120,9 @@ def _slopes(camera: Camera) -> Float[np.ndarray, "2"]:
 
 def frustum_size(positions: Float[np.ndarray, "n 3"], size: float) -> float:
     """Drawn depth of the cameras' pyramids: large enough to see, and hardly touching each other."""
-    distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-    np.fill_diagonal(distances, np.inf)
-    nearest = np.median(distances.min(axis=1)) if len(positions) > 1 else np.inf
+    nearest = np.inf
+    if len(positions) > 1:
+        nearest = np.median(cKDTree(positions).query(positions, k=2)[0][:, 1])
     return float(np.clip(0.8 * nearest, 0.02 * size, 0.06 * size))
 
 

@@ -76,7 +76,7 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
         warnings=_warnings(content, work.reports),
         stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
         north=world is not None and world.north,
-        pairs=pairs(content.previews, _overlays(content), content.unit, content.total),
+        pairs=pairs(content.previews, _overlays(content, work), content.unit, content.total),
         temperatures=_temperatures(content, work.images),
         lenses=_lenses(posed, work.georeference),
         rig=None if work.rig is None else rig_facts(work.rig, work.georeference),
@@ -168,7 +168,6 @@ def _content(work: Work) -> _Content:
                 else "in no scene yet"
             )
             previews.append(preview_of_files(scene, view, reason, temperature, width))
-    work.progress("drawing", 0, 0)
     found: list[Agreement | None] = [None] * len(previews)
     if posed is not None and written:
         images = [view.images.get(THERMAL) if view.registered else None for view in previews]
@@ -201,15 +200,15 @@ def _world(content: _Content, work: Work) -> World | None:
     return world_of(cameras, held_out, content.scene.points, work.metric, north)
 
 
-def _overlays(content: _Content) -> dict[str, Float32[np.ndarray, "h w"]]:
+def _overlays(content: _Content, work: Work) -> dict[str, Float32[np.ndarray, "h w"]]:
     """By the view's name, the thermal image warped onto the photo."""
     if content.posed is None or content.scene is None:
         return {}
     visible = content.posed.visible or {}
-    found = {
-        view.name: thermal_overlay(view, content.posed.points, visible.get(view.name))
-        for view in content.previews
-    }
+    found = {}
+    for done, view in enumerate(content.previews):
+        work.progress("drawing", done, len(content.previews))
+        found[view.name] = thermal_overlay(view, content.posed.points, visible.get(view.name))
     return {name: image for name, image in found.items() if image is not None}
 
 
@@ -247,7 +246,7 @@ def _temperatures(content: _Content, photos: ConvertedPhotos) -> Temperatures | 
         temperature = content.scene.temperature
         facts.append(("Range of the scene", f"{temperature.min_c:g} to {temperature.max_c:g} °C"))
     notes = Counter(note for view in photos.views for note in view.facts.notes)
-    return temperatures(content.previews, content.unit, facts, notes)
+    return temperatures(content.previews, content.unit, facts, notes, content.total)
 
 
 def _lenses(
