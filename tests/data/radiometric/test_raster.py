@@ -129,6 +129,24 @@ def test_grey_with_bounds(save, dtype, white):
     assert photo.facts.warnings == ()
 
 
+def with_alpha() -> Image.Image:
+    return Image.fromarray(np.array([[0, 255], [51, 85]], dtype=np.uint8)).convert("LA")
+
+
+def numbered() -> Image.Image:
+    image = Image.new("P", (2, 2))
+    image.putpalette([shade for grey in (85, 51, 255, 0) for shade in (grey, grey, grey)])
+    image.putdata([3, 2, 1, 0])
+    return image
+
+
+@pytest.mark.parametrize("image", [with_alpha(), numbered()], ids=["with alpha", "numbered"])
+def test_grey_is_that_which_one_sees_however_it_is_stored(tmp_path, image):
+    image.save(tmp_path / "a.png")
+    photo = read_thermal_photo(tmp_path / "a.png", Overrides(bounds_c=(-10, 40)))
+    np.testing.assert_allclose(photo.temperature_c, [[-10, 40], [0, 20 / 3]], atol=1e-3)
+
+
 def test_grey_without_bounds_is_relative(save):
     photo = read_thermal_photo(save("a.png", np.array([[0, 51], [102, 255]], dtype=np.uint8)))
     np.testing.assert_allclose(photo.relative, [[0, 0.2], [0.4, 1]], atol=1e-6)

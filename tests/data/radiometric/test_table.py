@@ -52,6 +52,11 @@ def test_locales_and_headers(tmp_path, text, encoding):
     assert photo.valid.all()
 
 
+def test_whole_degrees_of_which_two_follow_each_other_are_no_count(tmp_path):
+    photo = read(tmp_path, "20;21;23\n21;24;20\n25;19;18\n")
+    assert photo.temperature_c.tolist() == [[20, 21, 23], [21, 24, 20], [25, 19, 18]]
+
+
 def test_units(tmp_path):
     assert read(tmp_path, "Temperatur °F\n68;50;32\n14;50;77\n", "latin-1").temperature_c[
         0
