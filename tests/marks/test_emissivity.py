@@ -87,6 +87,15 @@ def test_a_region_is_corrected_from_every_side_and_nothing_else():
     assert (after[inside] - before[inside]).min() > 5
 
 
+def test_the_settings_for_most_points_come_first_with_their_shares():
+    regions = Regions(Marks((BOX,)), render_wall, RANGE, CaptureSettings())
+    inside, outside = [[0.5, 0.0, 0.5], [0.2, 0.0, 0.8]], [[1.5, 0.0, 0.5], [-1.0, 0.0, 0.5]]
+    own = SurfaceSettings(0.6, -10.0)
+    mostly_outside = regions.shares_at(np.array([*inside, *outside, [0.5, 0.0, 1.5]]))
+    assert mostly_outside == [(None, pytest.approx(0.6)), (own, pytest.approx(0.4))]
+    assert regions.shares_at(np.array(inside)) == [(own, 1.0), (None, 0.0)]
+
+
 def test_the_edge_of_a_flat_region_is_straight_where_depths_are_uneven():
     """From the side, a depth that is off shifts a pixel along the wall."""
     generator = torch.Generator().manual_seed(0)
