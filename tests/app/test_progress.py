@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 
 import pytest
+import torch
 from rich.console import Console
 
 from mrgs.app import progress
 from mrgs.app.progress import PrepareProgress
 from mrgs.data import posed
 from mrgs.method.config import make_config
+from mrgs.scene import RGB, Camera, Pixels, PointCloud, PosedImage, Scene, View
 from mrgs.training import compilation
 
 
@@ -50,3 +52,22 @@ def test_a_step_without_a_forecast_tells_the_time_left_by_its_own_pace(monkeypat
         now[0] = seconds
         shown.step("reading images", done, 40)
     assert capsys.readouterr().out == "reading images 10/40 | 1:00 left | 0:20\n"
+
+
+@pytest.mark.parametrize(("width", "words"), [(640, None), (4000, "with --resolution 1600 a step")])
+def test_large_photos_are_told_with_what_a_smaller_resolution_saves(width, words):
+    scene = scene_of_views(width, 3 * width // 4)
+    hint = progress._hint_at_resolution(scene, make_config("mrgs-plus", "default"))
+    assert (hint is None) if words is None else (words in hint)
+
+
+def scene_of_views(width: int, height: int) -> Scene:
+    """A scene whose photos are never read."""
+    K = torch.tensor([[500.0, 0, 0], [0, 500.0, 0], [0, 0, 1]], dtype=torch.float64)
+    camera = Camera(K, torch.eye(4, dtype=torch.float64), width, height)
+
+    def load() -> Pixels:
+        raise AssertionError("no photo is needed")
+
+    points = PointCloud(torch.zeros(1, 3), torch.zeros(1, 3))
+    return Scene("large", (View("a", {RGB: PosedImage(camera, load)}),), (), points, None)
