@@ -56,6 +56,19 @@ def test_the_sky_above_a_wall_gets_points_far_away():
     )
 
 
+def test_where_the_world_has_its_origin_does_not_matter():
+    camera = camera_towards(0.3)
+    shift = torch.tensor([2.0, -1.0, 0.5])
+    viewmat = camera.viewmat.clone()
+    viewmat[:3, 3] -= viewmat[:3, :3] @ shift.double()
+    points = wall_of(camera, range(9, 18))
+    sky = distant_points(points, [camera])
+    moved = distant_points(points + shift, [Camera(camera.K, viewmat, 96, 72)])
+    apart = torch.cdist(moved.positions - shift, sky.positions)
+    assert moved.spacing == pytest.approx(sky.spacing, rel=1e-4)
+    assert max(apart.amin(dim=0).max(), apart.amin(dim=1).max()) < sky.spacing
+
+
 def test_a_small_gap_in_a_wall_stays_as_it_is():
     camera = camera_towards(0.3)
     points = wall_of(camera, range(18))
