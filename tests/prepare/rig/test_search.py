@@ -82,3 +82,14 @@ def test_pairs_that_do_not_belong_together_stand_out_no_more_than_chance():
 
 def test_focal_widths():
     assert focal_widths(90.0) == pytest.approx(0.5)
+
+
+def test_each_camera_that_is_tried_is_reported():
+    upright, turned = [], []
+    first_guess(pairs(1.1, 0.0, (0.05, -0.04)), 48.0, lambda *tried: upright.append(tried))
+    assert upright == [(done, len(upright)) for done in range(len(upright))]
+    first_guess(pairs(1.1, 90.0, (0.05, -0.04)), 48.0, lambda *tried: turned.append(tried))
+    assert turned[: len(upright)] == upright
+    assert turned[len(upright) :] == [
+        (done, 4 * len(upright)) for done in range(len(upright), 4 * len(upright))
+    ]

@@ -136,14 +136,17 @@ def _guess(
         return None
     if target is not None:
         return target.guess(*size)
-    report("searching the thermal camera", 0, 1)
     field_of_view_deg = options.field_of_view_deg
     if options.thermal_lens is not None:
         field_of_view_deg = float(
             np.degrees(2 * np.arctan(0.5 * size[0] / options.thermal_lens.fx))
         )
     chosen = [pairs[index] for index in evenly_spaced(len(pairs), _SEARCH_PAIRS)]
-    found = first_guess(chosen, field_of_view_deg)
+    found = first_guess(
+        chosen,
+        field_of_view_deg,
+        lambda done, total: report("searching the thermal camera", done, total),
+    )
     if not found.stands_out:
         raise SceneError(
             "the thermal camera cannot be placed: the edges in the thermal images agree with "

@@ -8,8 +8,9 @@ correlations are averaged over the pairs, because a single pair may be ambiguous
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,7 +78,11 @@ class Found:
         )
 
 
-def first_guess(pairs: Sequence[ReducedPair], field_of_view_deg: float | None) -> Found:
+def first_guess(
+    pairs: Sequence[ReducedPair],
+    field_of_view_deg: float | None,
+    report: Callable[[int, int], None] | None = None,
+) -> Found:
     """Search fields of view from 15° to 100° (or around a given one), rotations up to 6°, and
     shifts up to 0.4 widths. If nothing stands out, the same about each quarter turn: one of the
     cameras may be mounted on its side, or only one may note how it was held.
@@ -85,13 +90,24 @@ def first_guess(pairs: Sequence[ReducedPair], field_of_view_deg: float | None) -
     Args:
         pairs: at working size.
         field_of_view_deg: horizontal, of the thermal camera; None if not known.
+        report: called with the number of cameras that were tried, and of all: of those that are
+            nearly upright, and where none of them stands out, of those at all quarter turns.
     """
     thermal = [_structure(pair.thermal) for pair in pairs]
     focals = _focals(field_of_view_deg)
-    upright = _about(pairs, thermal, focals, 0.0)
+    each = len(focals) + len(_FINE_STEPS) * len(_TURNS_DEG)
+
+    def tried(rounds: int, of: int) -> Callable[[], None]:
+        counts = itertools.count(rounds * each)
+        return lambda: None if report is None else report(next(counts), of * each)
+
+    upright = _about(pairs, thermal, focals, 0.0, tried(0, 1))
     if upright.stands_out:
         return upright
-    found = [upright, *(_about(pairs, thermal, focals, turn) for turn in _QUARTERS_DEG)]
+    found = [upright]
+    for turn in _QUARTERS_DEG:
+        at = tried(len(found), 1 + len(_QUARTERS_DEG))
+        found.append(_about(pairs, thermal, focals, turn, at))
     found.sort(key=lambda one: -one.best.score)
     return Found(found[0].best, max(found[0].chance, found[1].best.score), len(pairs))
 
@@ -101,12 +117,18 @@ def _about(
     thermal: Sequence[Float32[np.ndarray, "c h w"]],
     focals: Sequence[float],
     about_deg: float,
+    tried: Callable[[], None],
 ) -> Found:
-    """The best guess near a rotation."""
-    coarse = [_correlated(pairs, thermal, focal, about_deg) for focal in focals]
+    """The best guess near a rotation; ``tried`` is called for each camera."""
+
+    def correlated(focal: float, turn: float) -> Found:
+        tried()
+        return _correlated(pairs, thermal, focal, about_deg + turn)
+
+    coarse = [correlated(focal, 0.0) for focal in focals]
     best, second = max(coarse, key=lambda found: found.best.score), 0.0
     fine = [
-        _correlated(pairs, thermal, best.best.focal_widths * step, about_deg + turn)
+        correlated(best.best.focal_widths * step, turn)
         for step in _FINE_STEPS
         for turn in _TURNS_DEG
     ]
