@@ -54,10 +54,11 @@ def test_known_errors() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["warm", "cold"])
-def test_the_foreground_is_the_square_in_the_middle_warm_or_cold(sign: float) -> None:
+@pytest.mark.parametrize("away_px", [6, 2], ids=["small", "most of the photo"])
+def test_the_foreground_is_the_square_in_the_middle_warm_or_cold(sign: float, away_px: int) -> None:
     pixels = torch.full((20, 30, 1), 0.5)
     square = torch.zeros(20, 30, dtype=torch.bool)
-    square[6:14, 8:22] = True
+    square[away_px:-away_px, away_px:-away_px] = True
     pixels[square] += 0.4 * sign
     photo = PosedImage(ramp_view().images[THERMAL].camera, lambda: Pixels(pixels))
     view = View("cup", {THERMAL: photo})
@@ -87,6 +88,17 @@ def test_the_threshold_is_averaged_over_the_photos() -> None:
     foreground = Foreground.find(views)
     assert foreground is not None
     assert foreground.threshold == pytest.approx(sum(each) / 2)
+
+
+def test_masked_pixels_do_not_move_the_threshold() -> None:
+    pixels, valid = torch.full((20, 30, 1), 0.5), torch.ones(20, 30, dtype=torch.bool)
+    pixels[6:14, 8:22] = 0.9
+    pixels[:3], valid[:3] = 30.0, False
+    photo = PosedImage(ramp_view().images[THERMAL].camera, lambda: Pixels(pixels, valid))
+    foreground = Foreground.find([View("cup", {THERMAL: photo})])
+    assert foreground is not None
+    assert 0.5 <= foreground.threshold < 0.9
+    assert foreground.is_warm
 
 
 def test_masked_pixels_do_not_count() -> None:
