@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,9 +8,10 @@ import pytest
 import torch
 
 from mrgs.data import load_scene
+from mrgs.errors import MrgsWarning
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.runs.open import Run, load_run
-from mrgs.training import train
+from mrgs.training import pose_check, train
 
 STEPS = 12
 
@@ -20,10 +22,19 @@ def config(poses: bool = True) -> TrainConfig:
     return replace(made, image_model=image_model)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def every_pose_is_wrong() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pose_check, "EARLIEST_STEP", STEPS // 3)
+        patch.setattr(pose_check, "WRONG_PX", -1.0)
+        yield
+
+
 @pytest.fixture(scope="module")
 def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("refined") / "run"
-    train(small_scene, folder, config())
+    with pytest.warns(MrgsWarning, match="poses of the training photos are off by some"):
+        train(small_scene, folder, config())
     return load_run(folder)
 
 
@@ -58,8 +69,10 @@ def test_the_scene_says_how_far_they_were_moved(run, small_scene):
     )
 
 
-def test_a_resumed_run_is_the_uninterrupted_run(run, small_scene, tmp_path):
-    train(small_scene, tmp_path / "run", config(), stop_at=STEPS // 2)
+@pytest.mark.filterwarnings("ignore:.*so they are refined with the model")
+@pytest.mark.parametrize("stop", [STEPS // 3 - 1, STEPS // 3, STEPS // 2])
+def test_a_resumed_run_is_the_uninterrupted_run(run, small_scene, tmp_path, stop):
+    train(small_scene, tmp_path / "run", config(), stop_at=stop)
     train(small_scene, tmp_path / "run", config(), resume=True)
     resumed = load_run(tmp_path / "run").image_model.poses
     for name, tensor in run.image_model.poses.state_dict().items():
@@ -67,6 +80,6 @@ def test_a_resumed_run_is_the_uninterrupted_run(run, small_scene, tmp_path):
 
 
 def test_nothing_is_refined_unless_it_is_asked_for(small_scene, tmp_path):
-    train(small_scene, tmp_path / "run", config(poses=False), stop_at=1)
+    train(small_scene, tmp_path / "run", config(poses=False), stop_at=STEPS // 2)
     scene = load_run(tmp_path / "run").load_scene()
     assert scene.notes == load_scene(small_scene).notes

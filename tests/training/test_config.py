@@ -297,3 +297,13 @@ def test_what_must_be_whole_numbers_is_named(name, value):
 def test_whole_numbers_may_be_of_any_type():
     config = make_config("mrgs", max_steps=np.int64(7), seed=np.uint8(3))
     assert from_yaml(to_yaml(config), "config.yaml") == config
+
+
+def test_steps_of_several_views_are_fewer_and_longer():
+    one, four = make_config("mrgs-plus"), make_config("mrgs-plus", batch=4)
+    assert four.max_steps == one.max_steps / 4
+    assert four.optimizer.means == pytest.approx(2 * one.optimizer.means)
+    assert four.optimizer.means_final == pytest.approx(2 * one.optimizer.means_final)
+    assert four.optimizer.heads == pytest.approx(2 * one.optimizer.heads)
+    assert four.optimizer.slowdown_at(1) == one.optimizer.slowdown_at(1)
+    assert four.image_model.poses_rate == pytest.approx(2 * one.image_model.poses_rate)

@@ -69,6 +69,7 @@ class Numbers:
 
     def __init__(self) -> None:
         self.model = SimpleNamespace(neighbours=None, sh_degree=0)
+        self.image_model = SimpleNamespace(moves_poses=False)
         self.parameter = torch.zeros(2, requires_grad=True)
         self.passes = 0
 
@@ -150,6 +151,13 @@ def test_each_kind_of_view_has_a_recording_and_there_are_not_many(kept, monkeypa
     for degree in (0, 1, 2, 0, 1, 2, 2):
         state.model.sh_degree = degree
         step(recorder, state, inputs_of(3))
+    assert kept.made == 2
+
+
+def test_a_pass_that_moves_poses_is_another_one(kept):
+    recorder, state = Recorder(CPU), Numbers()
+    for state.image_model.moves_poses in (False, False, True, True):
+        assert step(recorder, state, inputs_of(4)) == expected(4)
     assert kept.made == 2
 
 

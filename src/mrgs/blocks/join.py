@@ -145,6 +145,9 @@ def mean_image_model(
     """
     found = {}
     for name, start in coarse.items():
+        if start.dtype == torch.bool:  # blocks decide nothing of their own
+            found[name] = start
+            continue
         values = torch.stack([block[name] for block in blocks])
         weights = values.new_tensor(photos).view(-1, *[1] * start.dim())
         if name.startswith(DRIFT):

@@ -27,7 +27,9 @@ PRESETS: tuple[Preset, ...] = get_args(Preset)
 DEFAULT_METHOD = "mrgs-plus"
 """Configured and trained where none is named."""
 
-PLUS_IMAGE_MODEL = ImageModelConfig(point_spread=True, thermal_gain=True, thermal_drift=True)
+PLUS_IMAGE_MODEL = ImageModelConfig(
+    point_spread=True, thermal_gain=True, thermal_drift=True, poses=True
+)
 """What ``mrgs-plus`` has and no published method."""
 
 FITTED_RESIDUALS = 300

@@ -112,7 +112,9 @@ class Run(TrainedRun):
                 trained with.
         """
         scene, poses = super().load_scene(), self.image_model.poses
-        return scene if poses is None else with_refined_poses(scene, poses)
+        if poses is None or not poses.moves:
+            return scene
+        return with_refined_poses(scene, poses)
 
     @property
     def gaussian_count(self) -> int:

@@ -266,6 +266,7 @@ def _kind_of(state: TrainingState, inputs: ViewInputs) -> Hashable:
     """Equal for views whose passes differ in the numbers of tensors alone."""
     cameras = inputs.cameras
     return (
+        state.image_model.moves_poses,
         state.model.sh_degree,
         inputs.temperature_degree,
         tuple(term.name for term in inputs.terms),

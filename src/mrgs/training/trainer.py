@@ -25,6 +25,7 @@ from mrgs.training.gradient_exchange import GradientExchange
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import retried_when_full
 from mrgs.training.photos import HostPhotos, PhotoSource, kept_limit
+from mrgs.training.pose_check import PoseCheck, are_wrong, checks_poses_now
 from mrgs.training.recorder import Recorder
 from mrgs.training.replicas import align_replicas
 from mrgs.training.start import TrainingStart
@@ -93,6 +94,8 @@ class Trainer(Driver[StepStatistics]):
 
     def _take_step(self) -> StepStatistics:
         result = self._with_enough_memory(self._step_on_next_views)
+        if checks_poses_now(self.state, self.config):
+            self._check_poses()
         self._align_replicas()
         self._with_enough_memory(lambda: self._control_density(result))
         return result.statistics
@@ -103,6 +106,27 @@ class Trainer(Driver[StepStatistics]):
         return training_step(
             self.state, views, self.config, self._scale, self._exchange, self._recorder
         )
+
+    def _check_poses(self) -> None:
+        """Refine the poses of the training photos from here on, if they turn out to be wrong."""
+        poses, processes = self.state.image_model.poses, self._processes
+        assert poses is not None
+        check = PoseCheck(self.state, self._with_photos, self.config)
+        typical_px = self._with_enough_memory(check.typical_px)
+        if processes is not None:
+            typical_px = processes.share_json(typical_px)
+        photo_px = self._with_enough_memory(check.pixel_size) * typical_px
+        self.folder.append_log({"step": self.state.step, "pose_error_px": photo_px})
+        if are_wrong(typical_px):
+            warn(
+                f"{self.scene.name}: the poses of the training photos are off by some "
+                f"{photo_px:.1f} pixels, so they are refined with the model"
+            )
+            motions = self._with_enough_memory(check.motions)
+            poses.begin(motions if processes is None else processes.share_tensor(motions))
+            if self._recorder is not None:
+                self._recorder.forget()
+        poses.note_checked()
 
     def _with_photos(self, number: int) -> PhotographedView:
         view = self.scene.train[number]

@@ -79,7 +79,6 @@ def view_inputs(state: TrainingState, each: PhotographedView, config: TrainConfi
     """What the pass of a view reads at the step of the state."""
     cameras, photos = coarser(each.view.cameras, each.photos, config.pixel_size_at(state.step))
     terms = [term for term in state.terms if term.is_due(state.step)]
-    depends = state.model.gaussians.depends_on_view(THERMAL)
     return ViewInputs(
         torch.full((1,), each.number, device=state.device),
         cameras,
@@ -87,8 +86,15 @@ def view_inputs(state: TrainingState, each: PhotographedView, config: TrainConfi
         pixel_sizes(each.view.cameras, cameras),
         terms,
         {term.name: term.weight(state.step) for term in terms},
-        config.temperature_sh_degree_at(state.step) if depends else 0,
+        temperature_degree(state, config),
     )
+
+
+def temperature_degree(state: TrainingState, config: TrainConfig) -> int:
+    """Highest degree of the temperature's harmonics that counts at the step of the state; 0 where
+    it has none."""
+    depends = state.model.gaussians.depends_on_view(THERMAL)
+    return config.temperature_sh_degree_at(state.step) if depends else 0
 
 
 def forward_backward(state: TrainingState, inputs: ViewInputs, scale: SceneScale) -> ViewMeasures:

@@ -42,7 +42,8 @@ class ImageModelConfig:
         thermal_gain: a learned gain and offset per thermal photo, in scenes without °C, whose
             cameras may have automatic gain.
         thermal_drift: an offset per thermal photo, in scenes with °C, see ``PhotoDrift``.
-        poses: refine the poses of the training views, see ``PoseRefinement``.
+        poses: refine the poses of the training views if they turn out to be wrong, see
+            ``PoseRefinement``.
         point_spread_rate: learning rate of the logarithm of the blur's width.
         thermal_gain_rate: learning rate of gains and offsets.
         poses_rate: learning rate of the poses, in focal lengths.
@@ -54,7 +55,7 @@ class ImageModelConfig:
     poses: bool = False
     point_spread_rate: float = 5e-3
     thermal_gain_rate: float = 1e-3
-    poses_rate: float = 3e-4
+    poses_rate: float = 1e-4
 
     def __post_init__(self) -> None:
         names = ("point_spread_rate", "thermal_gain_rate", "poses_rate")
@@ -193,7 +194,14 @@ class ImageModel(nn.Module):
             cameras: of the view.
             view: its place among the training views, on the model's device.
         """
-        return cameras if self.poses is None else self.poses.refined(cameras, view)
+        if self.poses is None or not self.poses.moves:
+            return cameras
+        return self.poses.refined(cameras, view)
+
+    @property
+    def moves_poses(self) -> bool:
+        """Whether the poses of the training views are refined by now; a GPU is not asked."""
+        return self.poses is not None and self.poses.moves
 
     def forward(
         self,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor, nn
 
+from mrgs.method.camera_model.pose_error import shift_per_motion
 from mrgs.rasterizer.reference import rotation_matrices
 from mrgs.scene import Camera, Modality
 from mrgs.scene.rotations import cross_matrix
@@ -16,6 +18,7 @@ FEWEST_POINTS = 16
 """Where fewer lie in a photo, points before the camera tell what a motion does to the image."""
 
 MOST_POINTS = 1000
+"""Of those that lie in a photo; of the scene, twenty times as many are looked through."""
 
 LEAST_EFFECT = 0.03
 """Motions that shift what a view shows by less than this share of what the most effective one does
@@ -34,6 +37,8 @@ class PoseRefinement(nn.Module):
     whole is taken out, so that poses that are not refined, those of held-out views for instance,
     stay right as far as the given poses are right on average.
 
+    Nothing is moved before ``begin``: poses that are right would get worse.
+
     Args:
         views: number of training views.
     """
@@ -41,13 +46,48 @@ class PoseRefinement(nn.Module):
     centres: Float64[Tensor, "v 3"]
     axes: Float64[Tensor, "v 6 6"]
     whole: Float64[Tensor, "v6 7"]
+    checked: Bool[Tensor, ""]
+    begun: Bool[Tensor, ""]
 
     def __init__(self, views: int) -> None:
         super().__init__()
         self.register_buffer("centres", torch.zeros(views, 3, dtype=torch.float64))
         self.register_buffer("axes", torch.eye(6, dtype=torch.float64).repeat(views, 1, 1))
         self.register_buffer("whole", torch.zeros(6 * views, 7, dtype=torch.float64))
+        self.register_buffer("checked", torch.zeros((), dtype=torch.bool))
+        self.register_buffer("begun", torch.zeros((), dtype=torch.bool))
         self.motions = nn.Parameter(torch.zeros(views, 6))
+        self._is_checked = self._moves = False
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether it is known whether the poses are wrong; a GPU is not asked."""
+        return self._is_checked
+
+    @property
+    def moves(self) -> bool:
+        """Whether poses are refined by now; a GPU is not asked."""
+        return self._moves
+
+    def note_checked(self) -> None:
+        """It is known from here on whether the poses are wrong."""
+        self.checked.fill_(True)
+        self._is_checked = True
+
+    @torch.no_grad()
+    def begin(self, motions: Float64[Tensor, "v 6"]) -> None:
+        """Refine the poses from here on.
+
+        Args:
+            motions: of the views, to begin with, along ``axes``.
+        """
+        self.motions.copy_(motions)
+        self.begun.fill_(True)
+        self._moves = True
+
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        super()._load_from_state_dict(*args, **kwargs)
+        self._is_checked, self._moves = bool(self.checked), bool(self.begun)
 
     def set_frame(self, cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> None:
         """Find what motions do to the images; before the training.
@@ -56,17 +96,17 @@ class PoseRefinement(nn.Module):
             cameras: the first one of each training view.
             points: of the scene, in scene units.
         """
-        positions = points.double()
+        positions = points[:: -(-len(points) // (20 * MOST_POINTS)) or 1].double()
         centres = torch.stack([camera.position for camera in cameras])
         effects = torch.stack([_effect(camera, _seen(camera, positions)) for camera in cameras])
         squares, directions = torch.linalg.eigh(effects)
         least = LEAST_EFFECT**2 * squares[:, -1:]
         axes = directions / squares.clamp_min(least).sqrt()[:, None, :]
         whole = torch.linalg.solve(axes, _motions_of_the_whole(centres)).flatten(0, 1)
-        basis, sizes, _ = torch.linalg.svd(whole, full_matrices=False)
+        basis = _basis(whole)
         self.centres.copy_(centres)
         self.axes.copy_(axes)
-        self.whole[:, : len(sizes)] = basis * (sizes > NO_FREEDOM * sizes[0])
+        self.whole[:, : basis.shape[1]] = basis
 
     def refined(
         self, cameras: Mapping[Modality, Camera], view: Int64[Tensor, "1"]
@@ -89,6 +129,19 @@ class PoseRefinement(nn.Module):
         centre = self.centres.index_select(0, view)[0]
         moved = torch.cat([rotation, (centre + shift - rotation @ centre)[:, None]], dim=1)
         return torch.cat([moved, torch.eye(4, dtype=moved.dtype, device=moved.device)[3:]])
+
+    def apart_from_the_whole(
+        self, motions: Float64[Tensor, "k 6"], views: Sequence[int]
+    ) -> Float64[Tensor, "k 6"]:
+        """Motions of some views, without what is a motion of the scene as a whole.
+
+        Args:
+            motions: along ``axes``.
+            views: whose they are.
+        """
+        basis = _basis(self.whole.unflatten(0, (-1, 6))[list(views)].flatten(0, 1))
+        flat = motions.flatten()
+        return (flat - basis @ (basis.T @ flat)).view(-1, 6)
 
     def shifts(self) -> Float64[Tensor, " v"]:
         """How far the motion of each training view shifts what its first camera sees, as a root
@@ -115,14 +168,15 @@ def _seen(camera: Camera, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, "k 
 def _effect(camera: Camera, points: Float64[Tensor, "k 3"]) -> Float64[Tensor, "6 6"]:
     """M, where mᵀ M m is the mean square of the shifts of points in the image, in focal lengths, by
     a small motion m of the world about the camera's centre: a rotation vector and a translation."""
-    rotation = camera.viewmat[:3, :3]
-    turned = -rotation @ cross_matrix(points - camera.position)
-    moved = torch.cat([turned, rotation.expand(len(points), 3, 3)], dim=2)
-    x, y, z = (points @ rotation.T + camera.viewmat[:3, 3]).unbind(-1)
-    zero = torch.zeros_like(z)
-    project = torch.stack([1 / z, zero, -x / z**2, zero, 1 / z, -y / z**2], dim=-1)
-    shifts = (project.unflatten(-1, (2, 3)) @ moved).flatten(0, 1)
+    shifts = shift_per_motion(camera, points, camera.position).flatten(0, 1)
     return shifts.T @ shifts / len(points)
+
+
+def _basis(columns: Float64[Tensor, "n k"]) -> Float64[Tensor, "n m"]:
+    """Unit vectors that are normal to each other and span what the columns span; zeros in the place
+    of those that are missing."""
+    basis, sizes, _ = torch.linalg.svd(columns, full_matrices=False)
+    return basis * (sizes > NO_FREEDOM * sizes[0])
 
 
 def _motions_of_the_whole(centres: Float64[Tensor, "v 3"]) -> Float64[Tensor, "v 6 7"]:

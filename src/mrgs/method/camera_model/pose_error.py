@@ -1,0 +1,199 @@
+"""How far the pose of a view is off: the motion that lays its photos on the model's renderings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Float64
+from torch import Tensor
+
+from mrgs.method.camera_model.point_spread import blur
+from mrgs.scene import Camera
+from mrgs.scene.rotations import cross_matrix
+
+COARSEST = 1 / 80
+"""Both images are first smoothed by Gaussians of this share of the width, then by half of that, and
+so on down to a pixel: errors that are larger than the details of an image are found in the coarser
+ones. Motions are expected to be about so long, and where photos do not tell, shorter."""
+
+ROUNDS = 3
+"""Steps of Gauss–Newton with each width."""
+
+OUTLYING = 2.0
+"""Differences of more than so many standard deviations hardly count: they are no motion of the
+camera's."""
+
+LEAST_DEVIATION = 2e-3
+"""Standard deviation of what differs where the images are even, as a share of their range."""
+
+MOST_PIXELS = 10_000
+"""Of one image; of a larger one every second, third, ... pixel is taken in each direction."""
+
+
+class Alignable(NamedTuple):
+    """A photo and the rendering that should look like it.
+
+    Attributes:
+        camera: of both.
+        photo: from 0 to 1, [h, w, C].
+        valid: which pixels of the photo count; None for all.
+        rendering: as the camera writes it, [h, w, C].
+        depth: z-depth of what is rendered in scene units, NaN where there is no surface.
+    """
+
+    camera: Camera
+    photo: Float[Tensor, "h w c"]
+    valid: Bool[Tensor, "h w"] | None
+    rendering: Float[Tensor, "h w c"]
+    depth: Float[Tensor, "h w"]
+
+
+@torch.no_grad()
+def pose_error(
+    images: Sequence[Alignable],
+    centre: Float64[Tensor, "3"],
+    axes_px: Float64[Tensor, "6 6"],
+) -> Float64[Tensor, "6"]:
+    """The small motion of the world that a view's cameras seem to have seen.
+
+    The photos are laid on the renderings by Gauss–Newton on the differences of their values, as in
+    direct visual odometry (Lucas and Kanade 1981; Engel et al. 2018): a point that is rendered at
+    the pixel u, at the depth z, is shown by the photo at u + J m. Each channel may be brighter or
+    darker as a whole, and what differs much is left to other causes.
+
+    Args:
+        images: of the view's modalities.
+        centre: of its first camera, about which the world is turned, in world coordinates.
+        axes_px: columns of rotation vectors and translations, each of which shifts the images by
+            about a pixel.
+
+    Returns:
+        m, along the axes, in pixels: its norm is about the root mean square of the shifts.
+    """
+    motion = axes_px.new_zeros(6)
+    expected_px = max(2.0, COARSEST * images[0].camera.width)
+    sigma_px = expected_px
+    while sigma_px >= 1:
+        samples = [_sampled(image, centre, axes_px, sigma_px) for image in images]
+        for _ in range(ROUNDS):
+            motion = motion + _correction(samples, motion, expected_px)
+        sigma_px /= 2
+    return motion
+
+
+def shift_per_motion(
+    camera: Camera, points: Float64[Tensor, "k 3"], centre: Float64[Tensor, "3"]
+) -> Float64[Tensor, "k 2 6"]:
+    """J: how points move in the image, in focal lengths, with a small motion of the world.
+
+    Args:
+        camera: that sees the points.
+        points: in world coordinates.
+        centre: about which the world is turned.
+
+    Returns:
+        Derivatives of (x/z, y/z) to a rotation vector and a translation.
+    """
+    viewmat = camera.viewmat.to(points)
+    rotation = viewmat[:3, :3]
+    turned = -rotation @ cross_matrix(points - centre)
+    moved = torch.cat([turned, rotation.expand(len(points), 3, 3)], dim=2)
+    x, y, z = (points @ rotation.T + viewmat[:3, 3]).unbind(-1)
+    zero = torch.zeros_like(z)
+    project = torch.stack([1 / z, zero, -x / z**2, zero, 1 / z, -y / z**2], dim=-1)
+    return project.unflatten(-1, (2, 3)) @ moved
+
+
+class _Samples(NamedTuple):
+    """Some pixels of an image, smoothed.
+
+    Attributes:
+        pixels: their centres, [k, 2].
+        shifts: J, in pixels along the axes of the motion, [k, 2, 6].
+        rendered: values and their slopes to the right and downwards, [k, C, 3].
+        photo: the same of the whole photo, [C · 3, h, w].
+        share: of independent ones among them: neighbours are smoothed together.
+    """
+
+    pixels: Float64[Tensor, "k 2"]
+    shifts: Float64[Tensor, "k 2 6"]
+    rendered: Float64[Tensor, "k c 3"]
+    photo: Float64[Tensor, "c3 h w"]
+    share: float
+
+
+def _sampled(
+    image: Alignable,
+    centre: Float64[Tensor, "3"],
+    axes_px: Float64[Tensor, "6 6"],
+    sigma_px: float,
+) -> _Samples:
+    """What Gauss–Newton needs of an image, at pixels that show a surface and that the photo
+    knows."""
+    height, width, _ = image.photo.shape
+    step = 1
+    while height * width > MOST_PIXELS * step**2:
+        step += 1
+    photo, counts = image.photo, image.depth.isfinite()
+    if image.valid is not None:
+        photo = torch.where(image.valid[:, :, None], photo, image.rendering)
+        counts = counts & image.valid
+    row, column = counts[::step, ::step].nonzero().mul(step).unbind(1)
+    pixels = torch.stack([column, row], dim=1).double() + 0.5
+    points = image.camera.unproject(pixels, image.depth[row, column].double())
+    shifts = shift_per_motion(image.camera, points, centre) @ axes_px
+    focal = image.camera.K.diagonal()[:2].to(shifts)
+    rendered = _with_slopes(image.rendering, sigma_px)
+    independent = 4 * torch.pi * sigma_px**2 / step**2
+    return _Samples(
+        pixels,
+        shifts * focal[:, None],
+        rendered[:, :, row, column].movedim(2, 0),
+        _with_slopes(photo, sigma_px).flatten(0, 1),
+        1 / max(1.0, independent),
+    )
+
+
+def _with_slopes(image: Float[Tensor, "h w c"], sigma_px: float) -> Float64[Tensor, "c 3 h w"]:
+    """A smoothed image and its slopes to the right and downwards."""
+    sigma = torch.tensor(sigma_px, device=image.device)
+    smooth = torch.stack([blur(channel, sigma) for channel in image.unbind(-1)]).double()
+    down, right = torch.gradient(smooth, dim=(1, 2))
+    return torch.stack([smooth, right, down], dim=1)
+
+
+def _correction(
+    samples: Sequence[_Samples], motion: Float64[Tensor, "6"], expected_px: float
+) -> Float64[Tensor, "6"]:
+    """A step of Gauss–Newton from a motion."""
+    precision = torch.eye(6).to(motion) / expected_px**2
+    force = -motion / expected_px**2
+    for own in samples:
+        if len(own.pixels) == 0:
+            continue
+        seen = _read(own.photo, own.pixels + own.shifts @ motion).unflatten(1, (-1, 3))
+        for rendered, shown in zip(own.rendered.unbind(1), seen.unbind(1), strict=True):
+            slopes = (rendered[:, 1:] + shown[:, 1:]) / 2
+            difference = rendered[:, 0] - shown[:, 0]
+            difference = difference - difference.median()
+            deviation = (1.4826 * difference.abs().median()).clamp_min(LEAST_DEVIATION)
+            relative = difference / deviation
+            weight = own.share / (1 + (relative / OUTLYING) ** 2) ** 2
+            jacobian = torch.einsum("ks,ksm->km", slopes, own.shifts) / deviation
+            precision = precision + jacobian.T @ (weight[:, None] * jacobian)
+            force = force + jacobian.T @ (weight * relative)
+    return torch.linalg.solve(precision, force)
+
+
+def _read(
+    planes: Float64[Tensor, "p h w"], pixels: Float64[Tensor, "k 2"]
+) -> Float64[Tensor, "k p"]:
+    """Planes at pixel coordinates, between four pixels; beyond the frame as at its edge."""
+    height, width = planes.shape[1:]
+    places = 2 * pixels / pixels.new_tensor([width, height]) - 1
+    read = torch.nn.functional.grid_sample(
+        planes[None], places[None, None], padding_mode="border", align_corners=False
+    )
+    return read[0, :, 0].T

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from mrgs.field import FieldConfig, RadianceField
+from mrgs.method.camera_model.pose_error import Alignable, pose_error, shift_per_motion
+from mrgs.rasterizer.dilation import Dilation
+from mrgs.render import Model, render
+from mrgs.scene import RGB, Camera
+from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform
+from tests.helpers.gaussians import random_gaussians
+
+SIZE = 96, 72
+CAMERA = Camera.from_fov(*SIZE, 60).look_at((0.5, -4.5, 1.0), (0, 0, 0))
+MOTION = torch.tensor([0.5, -0.8, 0.4, 0.7, -0.5, 0.6], dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    gaussians = random_gaussians(300, bands=15)
+    gaussians = replace(gaussians, log_scales=0.2 * gaussians.log_scales - 1.6)
+    field = RadianceField(FieldConfig(residuals=False))
+    return Model(gaussians, field, None, dilation=Dilation(0.3))
+
+
+def axes_px(camera: Camera = CAMERA) -> Tensor:
+    """Turns and translations of a pixel each, at the distance of the model."""
+    distance = camera.position.norm()
+    scales = torch.tensor([1.0, 1, 1, distance, distance, distance], dtype=torch.float64)
+    return torch.diag(scales) / camera.focal_px
+
+
+def moved(camera: Camera, motion: Tensor) -> Camera:
+    """The camera that sees the world after a motion about the first camera's centre."""
+    turn, shift = (axes_px() @ motion).split(3)
+    rotation = matrix_from_rotvec(turn.numpy())
+    about = rigid_transform(rotation, shift.numpy()).clone()
+    centre = CAMERA.position
+    about[:3, 3] += centre - about[:3, :3] @ centre
+    return Camera(camera.K, camera.viewmat @ about, camera.width, camera.height)
+
+
+def seen(model: Model, camera: Camera, motion: Tensor = MOTION) -> Alignable:
+    """What a camera renders, and a photo that was taken after a motion of the world."""
+    with torch.no_grad():
+        rendering = render(model, {RGB: camera})[0]
+        photo = render(model, {RGB: moved(camera, motion)})[0][RGB].image
+    return Alignable(camera, photo, None, rendering[RGB].image, rendering.surface_depth(RGB))
+
+
+def found(*images: Alignable) -> Tensor:
+    return pose_error(images, CAMERA.position, axes_px())
+
+
+def assert_found(motion: Tensor, within_px: float) -> None:
+    """Of the six numbers, what shifts the image is compared: turns and translations may stand in
+    for each other."""
+    points = torch.randn(200, 3, generator=torch.Generator().manual_seed(1)).double()
+    shifts = shift_per_motion(CAMERA, points, CAMERA.position) * CAMERA.focal_px
+    apart = shifts @ (axes_px() @ (motion - MOTION))
+    before = shifts @ (axes_px() @ MOTION)
+    assert before.norm(dim=1).mean() > 1
+    assert apart.norm(dim=1).mean() < within_px
+
+
+def test_the_motion_between_photo_and_rendering_is_found(model):
+    assert_found(found(seen(model, CAMERA)), within_px=0.1)
+
+
+def test_a_pose_that_is_right_is_found_to_be(model):
+    assert found(seen(model, CAMERA, torch.zeros(6).double())).norm() < 1e-6
+
+
+def test_a_photo_may_be_brighter(model):
+    image = seen(model, CAMERA)
+    assert_found(found(image._replace(photo=image.photo + 0.2)), within_px=0.1)
+
+
+def test_what_the_model_lacks_does_not_count(model):
+    image = seen(model, CAMERA)
+    photo = image.photo.clone()
+    photo[20:50, 30:60] = torch.rand(30, 30, 3, generator=torch.Generator().manual_seed(2))
+    assert_found(found(image._replace(photo=photo)), within_px=0.2)
+
+
+def test_pixels_that_are_not_valid_do_not_count_whatever_they_hold(model):
+    image = seen(model, CAMERA)
+    valid = torch.ones(72, 96, dtype=torch.bool)
+    valid[:, 60:] = False
+    photo = torch.where(valid[:, :, None], image.photo, torch.nan)
+    assert_found(found(image._replace(photo=photo, valid=valid)), within_px=0.2)
+
+
+def test_of_what_shows_no_texture_or_no_surface_nothing_is_claimed(model):
+    image = seen(model, CAMERA)
+    even = torch.full_like(image.photo, 0.5)
+    assert found(image._replace(photo=even + 0.01, rendering=even)).norm() < 1e-6
+    nowhere = torch.full_like(image.depth, torch.nan)
+    assert found(image._replace(depth=nowhere)).norm() == 0
+
+
+def test_all_cameras_of_a_view_tell_of_one_motion(model):
+    other = Camera.from_fov(48, 36, 50).look_at((0.9, -4.4, 1.1), (0, 0, 0))
+    first, second = seen(model, CAMERA), seen(model, other)
+    thermal = second._replace(photo=second.photo[:, :, :1], rendering=second.rendering[:, :, :1])
+    assert_found(found(thermal), within_px=0.5)
+    assert_found(found(first, thermal), within_px=0.1)
+
+
+def test_large_photos_are_sampled(model, monkeypatch):
+    monkeypatch.setattr("mrgs.method.camera_model.pose_error.MOST_PIXELS", 1000)
+    assert_found(found(seen(model, CAMERA)), within_px=0.3)
