@@ -89,6 +89,25 @@ def test_a_rotation_of_the_world_is_one_of_the_whole():
     assert poses.shifts().max() < 1e-6
 
 
+def test_the_frame_has_the_same_bits_with_any_number_of_threads():
+    before = torch.get_num_threads()
+    try:
+        frames = []
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            frames.append(refinement(orbit(40)).state_dict())
+    finally:
+        torch.set_num_threads(before)
+    for name, tensor in frames[0].items():
+        assert torch.equal(tensor, frames[1][name]), name
+
+
+def test_motions_of_the_whole_are_unit_vectors_normal_to_each_other():
+    poses = refinement(orbit(9))
+    eye = torch.eye(7, dtype=torch.float64)
+    torch.testing.assert_close(poses.whole.T @ poses.whole, eye, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_few_cameras_or_no_points_are_no_error(count):
     cameras = orbit(count)

@@ -25,8 +25,8 @@ LEAST_EFFECT = 0.03
 count as if they did so much: the photo hardly tells how long they are."""
 
 NO_FREEDOM = 1e-6
-"""Singular values below this share of the largest are none: with one camera, or cameras in a row,
-some motions of the scene as a whole are no motions of these."""
+"""A motion of which the others leave less than this share is none of its own: with one camera, or
+cameras in a row, some motions of the scene as a whole are no motions of these."""
 
 
 class PoseRefinement(nn.Module):
@@ -103,10 +103,9 @@ class PoseRefinement(nn.Module):
         least = LEAST_EFFECT**2 * squares[:, -1:]
         axes = directions / squares.clamp_min(least).sqrt()[:, None, :]
         whole = torch.linalg.solve(axes, _motions_of_the_whole(centres)).flatten(0, 1)
-        basis = _basis(whole)
         self.centres.copy_(centres)
         self.axes.copy_(axes)
-        self.whole[:, : basis.shape[1]] = basis
+        self.whole.copy_(_basis(whole))
 
     def refined(
         self, cameras: Mapping[Modality, Camera], view: Int64[Tensor, "1"]
@@ -172,11 +171,19 @@ def _effect(camera: Camera, points: Float64[Tensor, "k 3"]) -> Float64[Tensor, "
     return shifts.T @ shifts / len(points)
 
 
-def _basis(columns: Float64[Tensor, "n k"]) -> Float64[Tensor, "n m"]:
-    """Unit vectors that are normal to each other and span what the columns span; zeros in the place
-    of those that are missing."""
-    basis, sizes, _ = torch.linalg.svd(columns, full_matrices=False)
-    return basis * (sizes > NO_FREEDOM * sizes[0])
+def _basis(columns: Float64[Tensor, "n k"]) -> Float64[Tensor, "n k"]:
+    """Unit vectors that are normal to each other and span what the columns span, by Gram–Schmidt;
+    zeros in the place of those that are missing. Unlike LAPACK's, its bits are the same with any
+    number of threads."""
+    found = torch.zeros_like(columns)
+    for place, column in enumerate(columns.unbind(1)):
+        rest = column
+        for _ in range(2):  # the second time for what rounding has left
+            along = (found * rest[:, None]).sum(dim=0)
+            rest = rest - (found * along).sum(dim=1)
+        if rest.norm() > NO_FREEDOM * column.norm():
+            found[:, place] = rest / rest.norm()
+    return found
 
 
 def _motions_of_the_whole(centres: Float64[Tensor, "v 3"]) -> Float64[Tensor, "v 6 7"]:
