@@ -4,7 +4,7 @@ refined from there on."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from jaxtyping import Float, Float64
@@ -13,7 +13,7 @@ from torch import Tensor
 from mrgs.method.camera_model.pose_error import Alignable, pose_error
 from mrgs.method.config import TrainConfig
 from mrgs.render import render
-from mrgs.scene import THERMAL
+from mrgs.scene import THERMAL, Camera, Modality, Pixels
 from mrgs.training.resolution import coarser, pixel_sizes
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import PhotographedView, temperature_degree
@@ -104,9 +104,9 @@ class PoseCheck:
 
     def pixel_size(self) -> float:
         """Side of the pixels that are looked at, in pixels of the first photo."""
-        view = self._load(0).view
-        first = next(iter(view.cameras))
-        return view.cameras[first].width / self._seen(0)[0].camera.width
+        first = self._load(0)
+        cameras, _ = self._looked_at(first)
+        return next(iter(pixel_sizes(first.view.cameras, cameras).values()))
 
     def motions(self) -> Float64[Tensor, "v 6"]:
         """What each photo is off, along the axes of its view, for ``PoseRefinement.begin``."""
@@ -130,10 +130,7 @@ class PoseCheck:
     def _seen(self, number: int) -> list[Alignable]:
         """The photos of a training view, with what the model shows."""
         state, each = self._state, self._load(number)
-        size = self._config.pixel_size_at(state.step)
-        while max(c.width * c.height for c in each.view.cameras.values()) > MOST_PIXELS * size**2:
-            size *= 2
-        cameras, photos = coarser(each.view.cameras, each.photos, size)
+        cameras, photos = self._looked_at(each)
         degrees = {THERMAL: temperature_degree(state, self._config)}
         rendering, _ = render(state.model, cameras, degrees)
         there = torch.full((1,), number, device=state.device)
@@ -148,6 +145,15 @@ class PoseCheck:
             )
             for modality, camera in cameras.items()
         ]
+
+    def _looked_at(
+        self, each: PhotographedView
+    ) -> tuple[Mapping[Modality, Camera], Mapping[Modality, Pixels]]:
+        """A view's cameras and photos with the pixels that are trained with, or larger ones."""
+        size = self._config.pixel_size_at(self._state.step)
+        while max(c.width * c.height for c in each.view.cameras.values()) > MOST_PIXELS * size**2:
+            size *= 2
+        return coarser(each.view.cameras, each.photos, size)
 
     def _error_px(self, number: int, images: Sequence[Alignable]) -> Float64[Tensor, "6"]:
         """How far a view is off, along its axes; nothing where it cannot be told."""

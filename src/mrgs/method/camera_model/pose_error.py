@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from mrgs.method.camera_model.point_spread import blur
@@ -73,10 +73,13 @@ def pose_error(
         m, along the axes, in pixels: its norm is about the root mean square of the shifts.
     """
     motion = axes_px.new_zeros(6)
+    places = [_places(image, centre, axes_px) for image in images]
     expected_px = max(2.0, COARSEST * images[0].camera.width)
     sigma_px = expected_px
     while sigma_px >= 1:
-        samples = [_sampled(image, centre, axes_px, sigma_px) for image in images]
+        samples = [
+            _sampled(image, own, sigma_px) for image, own in zip(images, places, strict=True)
+        ]
         for _ in range(ROUNDS):
             motion = motion + _correction(samples, motion, expected_px)
         sigma_px /= 2
@@ -106,51 +109,67 @@ def shift_per_motion(
     return project.unflatten(-1, (2, 3)) @ moved
 
 
+class _Places(NamedTuple):
+    """Pixels of an image that show a surface and that the photo knows.
+
+    Attributes:
+        row, column: of the pixels.
+        centres: of the pixels, in the image.
+        shifts: J, in pixels along the axes of the motion.
+        step: from one pixel to the next that is taken, in each direction.
+    """
+
+    row: Int64[Tensor, " k"]
+    column: Int64[Tensor, " k"]
+    centres: Float64[Tensor, "k 2"]
+    shifts: Float64[Tensor, "k 2 6"]
+    step: int
+
+
 class _Samples(NamedTuple):
     """Some pixels of an image, smoothed.
 
     Attributes:
-        pixels: their centres, [k, 2].
-        shifts: J, in pixels along the axes of the motion, [k, 2, 6].
+        places: the pixels.
         rendered: values and their slopes to the right and downwards, [k, C, 3].
         photo: the same of the whole photo, [C · 3, h, w].
         share: of independent ones among them: neighbours are smoothed together.
     """
 
-    pixels: Float64[Tensor, "k 2"]
-    shifts: Float64[Tensor, "k 2 6"]
+    places: _Places
     rendered: Float64[Tensor, "k c 3"]
     photo: Float64[Tensor, "c3 h w"]
     share: float
 
 
-def _sampled(
-    image: Alignable,
-    centre: Float64[Tensor, "3"],
-    axes_px: Float64[Tensor, "6 6"],
-    sigma_px: float,
-) -> _Samples:
-    """What Gauss–Newton needs of an image, at pixels that show a surface and that the photo
-    knows."""
+def _places(
+    image: Alignable, centre: Float64[Tensor, "3"], axes_px: Float64[Tensor, "6 6"]
+) -> _Places:
     height, width, _ = image.photo.shape
     step = 1
     while height * width > MOST_PIXELS * step**2:
         step += 1
-    photo, counts = image.photo, image.depth.isfinite()
+    counts = image.depth.isfinite()
     if image.valid is not None:
-        photo = torch.where(image.valid[:, :, None], photo, image.rendering)
         counts = counts & image.valid
     row, column = counts[::step, ::step].nonzero().mul(step).unbind(1)
-    pixels = torch.stack([column, row], dim=1).double() + 0.5
-    points = image.camera.unproject(pixels, image.depth[row, column].double())
+    centres = torch.stack([column, row], dim=1).double() + 0.5
+    points = image.camera.unproject(centres, image.depth[row, column].double())
     shifts = shift_per_motion(image.camera, points, centre) @ axes_px
     focal = image.camera.K.diagonal()[:2].to(shifts)
+    return _Places(row, column, centres, shifts * focal[:, None], step)
+
+
+def _sampled(image: Alignable, places: _Places, sigma_px: float) -> _Samples:
+    """What Gauss–Newton needs of an image."""
+    photo = image.photo
+    if image.valid is not None:
+        photo = torch.where(image.valid[:, :, None], photo, image.rendering)
     rendered = _with_slopes(image.rendering, sigma_px)
-    independent = 4 * torch.pi * sigma_px**2 / step**2
+    independent = 4 * torch.pi * sigma_px**2 / places.step**2
     return _Samples(
-        pixels,
-        shifts * focal[:, None],
-        rendered[:, :, row, column].movedim(2, 0),
+        places,
+        rendered[:, :, places.row, places.column].movedim(2, 0),
         _with_slopes(photo, sigma_px).flatten(0, 1),
         1 / max(1.0, independent),
     )
@@ -171,9 +190,10 @@ def _correction(
     precision = torch.eye(6).to(motion) / expected_px**2
     force = -motion / expected_px**2
     for own in samples:
-        if len(own.pixels) == 0:
+        centres, shifts = own.places.centres, own.places.shifts
+        if len(centres) == 0:
             continue
-        seen = _read(own.photo, own.pixels + own.shifts @ motion).unflatten(1, (-1, 3))
+        seen = _read(own.photo, centres + shifts @ motion).unflatten(1, (-1, 3))
         for rendered, shown in zip(own.rendered.unbind(1), seen.unbind(1), strict=True):
             slopes = (rendered[:, 1:] + shown[:, 1:]) / 2
             difference = rendered[:, 0] - shown[:, 0]
@@ -181,7 +201,7 @@ def _correction(
             deviation = (1.4826 * difference.abs().median()).clamp_min(LEAST_DEVIATION)
             relative = difference / deviation
             weight = own.share / (1 + (relative / OUTLYING) ** 2) ** 2
-            jacobian = torch.einsum("ks,ksm->km", slopes, own.shifts) / deviation
+            jacobian = torch.einsum("ks,ksm->km", slopes, shifts) / deviation
             precision = precision + jacobian.T @ (weight[:, None] * jacobian)
             force = force + jacobian.T @ (weight * relative)
     return torch.linalg.solve(precision, force)
