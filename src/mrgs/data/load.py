@@ -43,7 +43,7 @@ def load_preview(path: str | Path, resolution: int) -> Scene:
     Warns:
         MrgsWarning: as ``load_scene``.
     """
-    return _load(path, resolution, seed=0, preview=True)
+    return _load(path, resolution, seed=0, least_width=PREVIEW_MARGIN * resolution)
 
 
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
@@ -69,10 +69,11 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
     Warns:
         MrgsWarning: an error in the files was repaired. Decisions are in ``Scene.notes`` only.
     """
-    return _load(path, resolution, seed, preview=False)
+    return _load(path, resolution, seed, least_width=None)
 
 
-def _load(path: str | Path, resolution: int | None, seed: int, *, preview: bool) -> Scene:
+def _load(path: str | Path, resolution: int | None, seed: int, *, least_width: int | None) -> Scene:
+    """``load_scene``, of JPEG photos that are decoded at least so wide: see ``decode``."""
     if resolution is not None and resolution < 1:
         raise ConfigError(
             f"resolution is {resolution}; it is a width in pixels and must be at least 1"
@@ -80,7 +81,7 @@ def _load(path: str | Path, resolution: int | None, seed: int, *, preview: bool)
     try:
         with collector_paused():
             source = _recognise(Path(path))
-            scene = _assemble(source, Path(path), resolution, seed, preview)
+            scene = _assemble(source, Path(path), resolution, seed, least_width)
     except OSError as error:  # a folder that may not be listed, a disk that failed
         raise scene_error(
             error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
@@ -110,7 +111,7 @@ def _recognise(path: Path) -> SceneSource:
 
 
 def _assemble(
-    source: SceneSource, path: Path, resolution: int | None, seed: int, preview: bool
+    source: SceneSource, path: Path, resolution: int | None, seed: int, least_width: int | None
 ) -> Scene:
     thermal_kinds = []
     probed = cache(probe)
@@ -132,7 +133,7 @@ def _assemble(
             temperature = _measured_range(source, splits)
     names = _unique_names([view.key for view in source.views])
     views = [
-        _view(name, view, temperature, resolution, preview)
+        _view(name, view, temperature, resolution, least_width)
         for name, view in zip(names, source.views, strict=True)
     ]
     train = tuple(view for view, split in zip(views, splits, strict=True) if split == "train")
@@ -185,9 +186,8 @@ def _view(
     view: ViewSource,
     temperature: TemperatureRange | None,
     resolution: int | None,
-    preview: bool,
+    least_width: int | None,
 ) -> View:
-    least_width = PREVIEW_MARGIN * resolution if preview and resolution is not None else None
     return View(
         name,
         {
@@ -196,7 +196,7 @@ def _view(
                 _decoder(modality, temperature, least_width),
                 resolution,
                 modality != THERMAL,
-                preview,
+                least_width is not None,
             )
             for modality, image in view.images.items()
         },
