@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mrgs.data.radiometric import Overrides
-from mrgs.errors import SceneError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.pipeline.intake import is_scene, take_in
 from mrgs.prepare import PrepareOptions
 from mrgs.scene import RGB, THERMAL
@@ -69,6 +69,14 @@ def test_a_scene(small_scene):
     assert (found.kind, found.views, found.held_out, found.points) == ("scene", 8, 2, 25)
     assert found.summary == "8 views, RGB 40×30 px, thermal 40×30 px, temperatures in °C"
     assert take_in(small_scene / "transforms.json", PrepareOptions()).views == 8
+
+
+def test_options_for_photos_are_not_ignored_in_a_scene(small_scene):
+    """Nobody should read temperatures that they believe to be corrected for an emissivity."""
+    options = PrepareOptions(overrides=Overrides(emissivity=0.9), eval_every=0)
+    with pytest.raises(ConfigError, match="is a scene, in which options for photos") as caught:
+        take_in(small_scene, options)
+    assert caught.value.options == ("emissivity", "eval_every")
 
 
 def test_one_photo_that_cannot_be_read_is_passed_over(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
@@ -16,8 +16,8 @@ from mrgs.data.colmap_model import find_model
 from mrgs.data.files import scene_error
 from mrgs.data.images import probe
 from mrgs.data.nerfstudio import find_transforms
-from mrgs.data.radiometric import ThermalPhoto, read_thermal_photo
-from mrgs.errors import MrgsError
+from mrgs.data.radiometric import Overrides, ThermalPhoto, read_thermal_photo
+from mrgs.errors import ConfigError, MrgsError
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Progress
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.pairs.find import find_pairs
@@ -94,13 +94,36 @@ def take_in(source: Path, options: PrepareOptions, progress: Progress | None = N
     Raises:
         SceneError: the folder cannot be used: not there, no photos, too few pairs, or a thermal
             photo that cannot be read.
-        ConfigError: an option that does not fit the photos.
+        ConfigError: an option that does not fit the photos; or one for photos, and this is a scene.
     """
     if is_scene(source):
+        _refuse_photo_options(source, options)
         return _scene(source)
     if not source.is_dir():
         raise scene_error(source, "not a folder; give the folder of the photos, or a scene")
     return _photos(source, options, progress)
+
+
+def _refuse_photo_options(source: Path, options: PrepareOptions) -> None:
+    """A scene's temperatures and cameras are fixed: what would change them must not be ignored.
+
+    Raises:
+        ConfigError: an option differs from its default.
+    """
+    given = [*_changed(options.overrides, Overrides()), *_changed(options, PrepareOptions())]
+    names = tuple(name for name in given if name != "overrides")
+    if names:
+        raise ConfigError(
+            f"{source} is a scene, in which options for photos change nothing: give the folder of "
+            f"the photos, or leave them out",
+            options=names,
+        )
+
+
+def _changed(chosen: Overrides | PrepareOptions, default: Overrides | PrepareOptions) -> list[str]:
+    """Names of the fields that differ from their defaults."""
+    names = [field.name for field in fields(default)]
+    return [name for name in names if getattr(chosen, name) != getattr(default, name)]
 
 
 def _scene(source: Path) -> Intake:
