@@ -23,12 +23,15 @@ class Compiled:
         pass
 
 
-def test_photos_that_are_read_before_the_first_step_are_counted(monkeypatch, capsys):
+@pytest.mark.parametrize("compiles", [True, False])
+def test_photos_that_are_read_before_the_first_step_are_counted(compiles, monkeypatch, capsys):
     monkeypatch.setattr(compilation, "Countdown", Compiled)
     monkeypatch.setattr(progress, "PLAIN_LINE_EVERY_S", 0.01)
     lines = ""
-    with progress._compiling(make_config("mrgs-plus", "fast"), Console(force_terminal=False)):
-        posed._Reading.photos += 3
+    config, console = make_config("mrgs-plus", "fast"), Console(force_terminal=False)
+    with progress._starting(config, compiles, console):
+        for _ in range(3):
+            posed.count_photo()
         for _ in range(500):
             lines += capsys.readouterr().out
             if "reading photos for the start: 3" in lines:
@@ -39,7 +42,8 @@ def test_photos_that_are_read_before_the_first_step_are_counted(monkeypatch, cap
 
 def test_a_start_that_takes_no_time_says_nothing(monkeypatch, capsys):
     monkeypatch.setattr(compilation, "Countdown", Compiled)
-    with progress._compiling(make_config("mrgs-plus", "fast"), Console(force_terminal=False)):
+    config, console = make_config("mrgs-plus", "fast"), Console(force_terminal=False)
+    with progress._starting(config, True, console):
         pass
     assert capsys.readouterr().out == ""
 

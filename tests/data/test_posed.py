@@ -98,19 +98,48 @@ def test_a_large_photo_is_read_at_a_fraction_of_its_size_where_that_is_enough(tm
     Image.fromarray(pixels).save(tmp_path / "a.jpg", quality=95)
     sizes = []
 
-    def decoder(path):
-        values, valid = decode_rgb(path, least_width=40)
+    def decoder(path, least_width):
+        values, valid = decode_rgb(path, least_width)
         sizes.append(values.shape[:2])
         return values, valid
 
-    small = posed_image(source(tmp_path / "a.jpg", lens), decoder, 20, may_shrink=True)
-    whole = posed_image(source(tmp_path / "a.jpg", lens), decode_rgb, 20)
-    assert small.camera == whole.camera or small.camera.coincides_with(whole.camera)
+    small = posed_image(source(tmp_path / "a.jpg", lens), decoder, 20)
+    whole = posed_image(
+        source(tmp_path / "a.jpg", lens), lambda path, least_width: decode_rgb(path), 20
+    )
+    assert small.camera.coincides_with(whole.camera)
     torch.testing.assert_close(small.load().values, whole.load().values, atol=0.02, rtol=0)
-    assert sizes == [(24, 40)]
-    exact = posed_image(source(tmp_path / "a.jpg", lens), decoder, 20)
+    assert posed_image(source(tmp_path / "a.jpg", lens), decoder, 21).load().values.shape[1] == 21
+    assert (
+        posed_image(source(tmp_path / "a.jpg", lens), decoder, None).load().values.shape[1] == 160
+    )
+    assert sizes == [(24, 40), (48, 80), (96, 160)]
+
+
+def test_a_look_at_a_large_photo_shows_the_same_in_fewer_pixels(tmp_path):
+    lens = Lens(160, 96, 120.0, 120.0, 80.0, 48.0, radial=(-0.1, 0.0, 0.0, 0.0))
+    x, y = np.meshgrid(np.arange(160), np.arange(96))
+    pixels = np.stack([x, 2 * y, 128 + 0 * x], axis=-1).astype(np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "a.jpg", quality=95)
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    image = posed_image(source(tmp_path / "a.jpg", lens), decode_rgb, None)
+    look, whole = image.look(30).values, image.load().values
+    assert look.shape == (24, 40, 3)
+    averaged = whole.reshape(24, 4, 40, 4, 3).mean(dim=(1, 3))
+    torch.testing.assert_close(look, averaged, atol=0.02, rtol=0)
+    assert torch.equal(image.look(81).values, whole)
+    narrow = posed_image(source(tmp_path / "a.jpg", lens), decode_rgb, 20)
+    assert narrow.look(30).values.shape == (12, 20, 3)  # no more pixels than its camera has
+    png = posed_image(source(tmp_path / "a.png", lens), decode_rgb, None)
+    assert torch.equal(png.look(30).values, png.load().values)
+
+
+def test_a_photo_that_became_as_small_as_it_may_be_decoded_is_still_refused(tmp_path):
+    lens = Lens(160, 96, 120.0, 120.0, 80.0, 48.0)
+    Image.new("RGB", (40, 24)).save(tmp_path / "a.jpg")
+    image = posed_image(source(tmp_path / "a.jpg", lens), decode_rgb, None)
     with pytest.raises(SceneError, match="is 40×24 px, but its intrinsics are for 160×96 px"):
-        exact.load()
+        image.load()
 
 
 def test_a_mask_of_a_photo_that_is_read_small_keeps_out_all_that_it_touches(tmp_path):
@@ -119,12 +148,7 @@ def test_a_mask_of_a_photo_that_is_read_small_keeps_out_all_that_it_touches(tmp_
     mask = np.full((96, 160), 255, np.uint8)
     mask[5, 9] = 0
     Image.fromarray(mask).save(tmp_path / "mask.png")
-    image = posed_image(
-        source(tmp_path / "a.jpg", lens, tmp_path / "mask.png"),
-        lambda path: decode_rgb(path, least_width=40),
-        40,
-        may_shrink=True,
-    )
-    valid = image.load().valid
+    image = posed_image(source(tmp_path / "a.jpg", lens, tmp_path / "mask.png"), decode_rgb, None)
+    valid = image.look(40).valid
     assert valid.shape == (24, 40)
     assert (~valid).nonzero().tolist() == [[1, 2]]

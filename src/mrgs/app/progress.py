@@ -111,30 +111,31 @@ def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..
 
 
 @contextmanager
-def _compiling(config: RunConfig, console: Console) -> Iterator[None]:
-    """Within this block, say how far the kernels of a training are compiled, if any are missing,
-    and then how many photos have been read."""
+def _starting(config: RunConfig, compiles: bool, console: Console) -> Iterator[None]:
+    """Within this block, say how far the kernels of a training are compiled, if it ``compiles`` any
+    that are missing, and then how many photos have been read."""
     from mrgs.data.posed import photos_read
     from mrgs.method.config import TrainConfig
     from mrgs.training.compilation import Countdown
 
-    if not isinstance(config, TrainConfig):
-        yield
-        return
-    countdown, done = Countdown(config), Event()
+    countdown = Countdown(config) if compiles and isinstance(config, TrainConfig) else None
+    done = Event()
+
+    def compiling() -> str | None:
+        return None if countdown is None else countdown.text
 
     def show() -> None:
         before = photos_read()
         wait_s = REFRESH_EVERY_S if console.is_terminal else PLAIN_LINE_EVERY_S
         show_line: Callable[[str], object] = print
-        if countdown.text is None and done.wait(wait_s):
+        if compiling() is None and done.wait(wait_s):
             return
         with ExitStack() as stack:
             if console.is_terminal:
                 show_line = stack.enter_context(console.status("")).update
             while True:
                 photos = f"reading photos for the start: {photos_read() - before}"
-                show_line(countdown.text or photos)
+                show_line(compiling() or photos)
                 sys.stdout.flush()
                 if done.wait(wait_s):
                     return
@@ -171,13 +172,13 @@ class TrainingProgress:
         self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
         self._bar = _progress_bar(BarColumn(BAR_WIDTH), _text_column(), auto_refresh=False)
         self._task = self._bar.add_task("")
-        self._postponed, self._compiling = ExitStack(), ExitStack()
+        self._postponed, self._starting = ExitStack(), ExitStack()
 
     def __enter__(self) -> None:
         self._postponed.__enter__()
 
     def __exit__(self, *_: object) -> None:
-        self._compiling.close()
+        self._starting.close()
         self._postponed.close()
         if self._first_step is not None:
             self._bar.stop()
@@ -212,15 +213,14 @@ class TrainingProgress:
         if (hint := _hint_at_resolution(scene, config)) is not None:
             say_note(hint)
         sys.stdout.flush()
-        if self._compiles:
-            self._compiling.enter_context(_compiling(config, self._bar.console))
+        self._starting.enter_context(_starting(config, self._compiles, self._bar.console))
 
     def step(self, statistics: Statistics) -> bool:
         """Show a step; returns True to stop the training."""
         now = time.perf_counter()
         if self._first_step is None:
             # Not counted in the speed: the first step compiles kernels and reads photos.
-            self._compiling.close()
+            self._starting.close()
             self._first_step, self._started = statistics.step, now
             self._bar.update(self._task, total=self._max_steps)
             self._bar.start()

@@ -31,6 +31,10 @@ DRAFT_SHARES = (8, 4, 2)
 """A JPEG decoder gives one pixel for so many in each direction, by transforming fewer frequencies
 back."""
 
+DRAFT_MARGIN = 2
+"""A photo that is to be made smaller is decoded with at least so many times its pixels across: made
+smaller from there or from all of its pixels, it differs by less than a level of 8 bits (RMS)."""
+
 Kind = Literal["grey", "colour", "float"]
 """One channel of integers, three channels of integers, or one channel of floats (a TIFF in °C)."""
 

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from functools import cache, partial
 from pathlib import Path
 
+from jaxtyping import Bool, Float32
+from torch import Tensor
+
 from mrgs.data.colmap import read_colmap
 from mrgs.data.colmap_model import MODEL_FOLDERS, find_model
 from mrgs.data.files import scene_error
@@ -22,28 +25,6 @@ from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 from mrgs.system.callers import warn
 from mrgs.system.collector import collector_paused
 from mrgs.system.message import Message
-
-PREVIEW_MARGIN = 2
-"""A preview is made of a photo with at least so many times its pixels across."""
-
-
-def load_preview(path: str | Path, resolution: int) -> Scene:
-    """Read a scene folder for looking at it: as ``load_scene``, but large JPEG photos are read at a
-    fraction of their size, which takes a fraction of the time and memory. Their pixels differ a
-    little from those of ``load_scene``.
-
-    Args:
-        path: as for ``load_scene``.
-        resolution: as for ``load_scene``.
-
-    Raises:
-        SceneError: as ``load_scene``.
-        ConfigError: as ``load_scene``.
-
-    Warns:
-        MrgsWarning: as ``load_scene``.
-    """
-    return _load(path, resolution, seed=0, least_width=PREVIEW_MARGIN * resolution)
 
 
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
@@ -69,11 +50,6 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
     Warns:
         MrgsWarning: an error in the files was repaired. Decisions are in ``Scene.notes`` only.
     """
-    return _load(path, resolution, seed, least_width=None)
-
-
-def _load(path: str | Path, resolution: int | None, seed: int, *, least_width: int | None) -> Scene:
-    """``load_scene``, of JPEG photos that are decoded at least so wide: see ``decode``."""
     if resolution is not None and resolution < 1:
         raise ConfigError(
             f"resolution is {resolution}; it is a width in pixels and must be at least 1"
@@ -81,7 +57,7 @@ def _load(path: str | Path, resolution: int | None, seed: int, *, least_width: i
     try:
         with collector_paused():
             source = _recognise(Path(path))
-            scene = _assemble(source, Path(path), resolution, seed, least_width)
+            scene = _assemble(source, Path(path), resolution, seed)
     except OSError as error:  # a folder that may not be listed, a disk that failed
         raise scene_error(
             error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
@@ -110,9 +86,7 @@ def _recognise(path: Path) -> SceneSource:
     )
 
 
-def _assemble(
-    source: SceneSource, path: Path, resolution: int | None, seed: int, least_width: int | None
-) -> Scene:
+def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int) -> Scene:
     thermal_kinds = []
     probed = cache(probe)
     for view in source.views:
@@ -133,7 +107,7 @@ def _assemble(
             temperature = _measured_range(source, splits)
     names = _unique_names([view.key for view in source.views])
     views = [
-        _view(name, view, temperature, resolution, least_width)
+        _view(name, view, temperature, resolution)
         for name, view in zip(names, source.views, strict=True)
     ]
     train = tuple(view for view, split in zip(views, splits, strict=True) if split == "train")
@@ -182,34 +156,31 @@ def _measured_range(source: SceneSource, splits: Sequence[Split]) -> Temperature
 
 
 def _view(
-    name: str,
-    view: ViewSource,
-    temperature: TemperatureRange | None,
-    resolution: int | None,
-    least_width: int | None,
+    name: str, view: ViewSource, temperature: TemperatureRange | None, resolution: int | None
 ) -> View:
     return View(
         name,
         {
             modality: posed_image(
-                image,
-                _decoder(modality, temperature, least_width),
-                resolution,
-                modality != THERMAL,
-                least_width is not None,
+                image, _decoder(modality, temperature), resolution, modality != THERMAL
             )
             for modality, image in view.images.items()
         },
     )
 
 
-def _decoder(
-    modality: Modality, temperature: TemperatureRange | None, least_width: int | None
-) -> Decoder:
+def _decoder(modality: Modality, temperature: TemperatureRange | None) -> Decoder:
     """Temperatures are decoded with their range, all other modalities as intensities."""
     if modality == THERMAL:
-        return partial(decode_thermal, temperature=temperature)
-    return partial(decode_intensities, channels=modality.channels, least_width=least_width)
+        return partial(_temperatures, temperature=temperature)
+    return partial(decode_intensities, channels=modality.channels)
+
+
+def _temperatures(
+    path: Path, least_width: int | None, temperature: TemperatureRange | None
+) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
+    """Temperatures are measured, and so decoded whole."""
+    return decode_thermal(path, temperature)
 
 
 def _unique_names(keys: Sequence[str]) -> list[str]:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mrgs.data.files import scene_error
 from mrgs.data.images import (
+    DRAFT_MARGIN,
     DRAFT_SHARES,
     ImageInfo,
     decode,
@@ -25,7 +26,9 @@ from mrgs.data.sources import ImageSource
 from mrgs.data.undistort import pinhole_of, resize, undistort
 from mrgs.scene import RGB, Camera, Pixels, PosedImage
 
-Decoder = Callable[[Path], tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]]
+Decoder = Callable[[Path, int | None], tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]]
+"""The values and the mask of usable pixels of a file, which may be decoded at one of
+``DRAFT_SHARES`` of its size that is at least so many pixels wide; whole if None."""
 
 Prober = Callable[[Path], ImageInfo]
 
@@ -59,23 +62,26 @@ def photos_read() -> int:
     return _Reading.photos
 
 
+def count_photo() -> None:
+    """Count one more photo as read."""
+    _Reading.photos += 1
+
+
 def posed_image(
     source: ImageSource,
     decoder: Decoder,
     resolution: int | None,
     keeps_levels: bool = False,
-    may_shrink: bool = False,
 ) -> PosedImage:
     """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is
     called.
 
     Args:
         source: the file, its lens and its pose.
-        decoder: gives the values and the mask of usable pixels of a file.
+        decoder: of the file.
         resolution: largest width in pixels; None keeps the file's.
         keeps_levels: whether an image of 8 bits has no more levels after it was undistorted or made
             smaller, so that it takes as little memory as before.
-        may_shrink: whether the decoder may give the file's pixels at one of ``DRAFT_SHARES``.
 
     Raises:
         SceneError: the distortion leaves nothing of the image.
@@ -85,12 +91,19 @@ def posed_image(
     except ValueError as error:
         raise scene_error(source.path, f"{error}; correct its distortion coefficients") from None
     camera = Camera(_matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
+    least_width = None
     if resolution is not None and resolution < camera.width:
         camera = camera.with_width(resolution)
+        least_width = DRAFT_MARGIN * resolution
     size = camera.width, camera.height
-    load = partial(_load, source, decoder, size, keeps_levels, may_shrink)
     files = (source.path,) if source.mask is None else (source.path, source.mask)
-    return PosedImage(camera, load, files, source.record)
+    return PosedImage(
+        camera,
+        partial(_load, source, decoder, keeps_levels, size, least_width),
+        files,
+        source.record,
+        partial(_load, source, decoder, keeps_levels, size),
+    )
 
 
 @lru_cache(maxsize=1024)
@@ -103,7 +116,7 @@ def _matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
 
 
 def decode_intensities(
-    path: Path, channels: int, least_width: int | None = None
+    path: Path, least_width: int | None, channels: int
 ) -> tuple[Float32[Tensor, "h w {channels}"], Bool[Tensor, "h w"] | None]:
     """Values in [0, 1] and the mask of usable pixels (None if all are).
 
@@ -128,20 +141,21 @@ def decode_rgb(
     path: Path, least_width: int | None = None
 ) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"] | None]:
     """Colours in [0, 1] and the mask of usable pixels; see ``decode_intensities``."""
-    return decode_intensities(path, RGB.channels, least_width)
+    return decode_intensities(path, least_width, RGB.channels)
 
 
 def _load(
     source: ImageSource,
     decoder: Decoder,
-    size: tuple[int, int],
     keeps_levels: bool,
-    may_shrink: bool,
+    size: tuple[int, int],
+    least_width: int | None,
 ) -> Pixels:
-    decoded, valid = decoder(source.path)
-    _Reading.photos += 1
+    """The image, decoded at least so wide, and made smaller where that is wider than ``size``."""
+    decoded, valid = decoder(source.path, least_width)
+    count_photo()
     values = decoded
-    share = _share(values, source.lens) if may_shrink else 1
+    share = 1 if least_width is None else _share(values, source.lens)
     lens = source.lens.resized(source.lens.width // share, source.lens.height // share)
     _check_size((values.shape[1], values.shape[0]), lens, source.path)
     if source.mask is not None:
@@ -150,7 +164,8 @@ def _load(
         mask = _shrunk(mask, share)
         valid = mask if valid is None else valid & mask
     values, valid = undistort(values, valid, lens)
-    values, valid = resize(values, valid, *size)
+    if values.shape[1] > size[0]:
+        values, valid = resize(values, valid, *size)
     if keeps_levels and values is not decoded and has_eight_bit_levels(decoded):
         values = (values * 255).round_() / 255
     return Pixels(values.contiguous(), valid)

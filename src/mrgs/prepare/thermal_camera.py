@@ -13,7 +13,6 @@ from torch import Tensor
 from mrgs.data.files import read_json_object, scene_error
 from mrgs.data.images import decode, probe
 from mrgs.data.lens import Lens
-from mrgs.data.load import PREVIEW_MARGIN
 from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.posed import decode_rgb, posed_image
 from mrgs.data.poses import matrix_from_json, nearest_rotation
@@ -22,7 +21,6 @@ from mrgs.errors import ConfigError
 from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair
-from mrgs.prepare.rig.images import PHOTO_WIDTH_PX
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Pixels
 from mrgs.scene.rotations import rigid_transform
@@ -171,11 +169,7 @@ def _rig_pair(view: ConvertedView, scene: Path, reconstruction: Reconstruction) 
         posed_image(source, decode_rgb, None),
         partial(_load, scene / view.images[THERMAL].file),
         visible,
-        posed_image(source, _decode_small, PHOTO_WIDTH_PX, may_shrink=True),
     )
-
-
-_decode_small = partial(decode_rgb, least_width=PREVIEW_MARGIN * PHOTO_WIDTH_PX)
 
 
 def _load(path: Path) -> Pixels:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mrgs.data.posed import count_photo
 from mrgs.errors import SceneError
 from mrgs.scene import Camera, PosedImage, Scene
 from mrgs.system.wording import listed
@@ -103,6 +104,7 @@ def _digest_of(image: PosedImage) -> str:
     digest = hashlib.sha256()
     for content in _contents(image):
         digest.update(hashlib.sha256(content).digest())
+    count_photo()
     return digest.hexdigest()
 
 

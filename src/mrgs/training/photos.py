@@ -19,6 +19,9 @@ SHARE_OF_FREE_MEMORY = 0.4
 
 LIMIT_IF_UNKNOWN = 2 * 2**30
 
+LOOKED_AT_PX = 600
+"""A photo that is so wide tells how its pixels are stored."""
+
 _BLOCK_BYTES = 64 * 2**20
 """The C library gets a block of this size from the system, not from its heap."""
 
@@ -188,8 +191,8 @@ def kept_limit(processes: int = 1) -> int:
 
 
 def kept_bytes(scene: Scene) -> int:
-    """Bytes that the training photos of a scene take if all of them are kept, by how the first of
-    each modality is.
+    """Bytes that the training photos of a scene take if all of them are kept, by what a pixel of
+    the first of each modality takes.
 
     Raises:
         SceneError: that photo cannot be read.
@@ -197,8 +200,8 @@ def kept_bytes(scene: Scene) -> int:
     total = 0.0
     for modality in scene.modalities:
         photos = scene.train_photos(modality)
-        first = photos[0].camera
-        size = _Stored.of(photos[0].load(), exact=False).nbytes / (first.width * first.height)
+        pixels = photos[0].look(LOOKED_AT_PX)
+        size = _Stored.of(pixels, exact=False).nbytes / pixels.values[..., 0].numel()
         total += size * sum(each.camera.width * each.camera.height for each in photos)
     return round(total)
 

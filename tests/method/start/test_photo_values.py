@@ -110,6 +110,19 @@ def test_of_many_photos_some_are_read_evenly_spread():
     assert found.item() == pytest.approx(0.1, abs=0.005)
 
 
+def test_a_large_photo_is_looked_at_in_fewer_pixels():
+    values = torch.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) / 100
+    small = values[::2, ::2] + 1
+    whole = photo(values)
+    looked_at = PosedImage(
+        whole.camera, whole.load, load_at_least=lambda width: Pixels(small[..., None])
+    )
+    places = [(0, 0), (1, 11), (7, 0), (5, 3)]
+    points = torch.tensor([in_pixel(row, column, 2.0) for row, column in places])
+    expected = torch.tensor([small[row // 2, column // 2] for row, column in places])
+    torch.testing.assert_close(temperatures(points, [looked_at]), expected)
+
+
 def test_a_point_without_a_value_takes_its_neighbours():
     positions = torch.tensor([[0.0, 0, 0], [3.0, 0, 0], [1.0, 0, 0], [0.0, 0, 0]])
     values = torch.tensor([[0.2, 0.4], [0.7, 0.9], [torch.nan, torch.nan], [torch.nan, torch.nan]])

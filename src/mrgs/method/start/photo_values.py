@@ -18,6 +18,9 @@ from mrgs.scene.crowds import crowds, spare_points
 PHOTOS = 64
 """At most so many photos are read, evenly spread."""
 
+LOOKED_AT_PX = 600
+"""A large photo may be read at a fraction of its size that is at least so wide."""
+
 CELLS_ACROSS = 48
 """A photo is divided into so many cells across, which are about square. A point is hidden where
 another in its cell, or in one of those around it, is much nearer."""
@@ -97,8 +100,10 @@ def _shown(positions: Float64[Tensor, "n 3"], photo: PosedImage) -> _Shown:
     in_frame = photo.camera.contains(pixels)
     pixels = torch.where(in_frame[:, None], pixels, 0)
     hidden = _hidden(photo.camera, pixels, torch.where(in_frame, depth, torch.inf))
-    image = photo.load()
-    column, row = pixels.long().T
+    image = photo.look(LOOKED_AT_PX)
+    height, width, _ = image.values.shape
+    per_pixel = pixels.new_tensor([width / photo.camera.width, height / photo.camera.height])
+    column, row = (pixels * per_pixel).long().T
     if image.valid is not None:
         in_frame = in_frame & image.valid[row, column]
     values = torch.where(in_frame[:, None], image.values[row, column], torch.nan)

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from PIL import Image
 
-from mrgs.data.images import probe
-from mrgs.data.load import PREVIEW_MARGIN
+from mrgs.data.images import DRAFT_MARGIN, probe
 from mrgs.data.posed import decode_rgb
 from mrgs.pictures.files import to_rgb8
 from mrgs.pictures.html import InlineImage, inline_image
@@ -53,7 +52,7 @@ def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[Measure
 
 def _photo(scene: Path, view: ConvertedView) -> MeasuredPhoto:
     file = scene / view.images[RGB].file
-    values, _ = decode_rgb(file, PREVIEW_MARGIN * WIDTH_PX)
+    values, _ = decode_rgb(file, DRAFT_MARGIN * WIDTH_PX)
     info = probe(file)
     image = Image.fromarray(to_rgb8(reduced(values, None, WIDTH_PX)[0]))
     return MeasuredPhoto(

@@ -11,8 +11,7 @@ import torch
 from jaxtyping import Bool, Float32, UInt8
 from torch import Tensor
 
-from mrgs.data.images import decode, with_channels
-from mrgs.data.load import PREVIEW_MARGIN
+from mrgs.data.images import DRAFT_MARGIN, decode, with_channels
 from mrgs.data.undistort import resize
 from mrgs.errors import SceneError
 from mrgs.pictures.files import to_rgb8
@@ -89,7 +88,7 @@ def preview_of_files(
     images = {}
     try:
         for modality, image in view.images.items():
-            values, valid, kind = decode(scene / image.file, PREVIEW_MARGIN * width)
+            values, valid, kind = decode(scene / image.file, DRAFT_MARGIN * width)
             own = None if kind == "float" else temperature
             values = with_channels(values, modality.channels)
             images[modality] = PreviewImage(_shown(modality, values, valid, own, width), None)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from mrgs.data.load import load_preview
+from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.pictures.values import capitalised
@@ -152,7 +152,7 @@ def _content(work: Work) -> _Content:
     shown = [photos.views[index] for index in evenly_spaced(len(photos.views), MOST_SHOWN)]
     width = thumbnail_width(len(shown))
     written = posed is not None and (scene / TRANSFORMS).is_file()
-    loaded = load_preview(scene, width) if written else None
+    loaded = load_scene(scene, resolution=width) if written else None
     temperature = None if loaded is None else loaded.temperature
     views = {} if loaded is None else _with_status(loaded)
     failed = {} if posed is None else {item.name: item.reason for item in posed.failed}

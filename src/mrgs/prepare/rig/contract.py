@@ -27,15 +27,12 @@ class RigPair:
         load_thermal: reads the thermal photo with its lens distortion; one channel in any unit.
         visible: indices of the points that this photo observes (tracks of structure from motion);
             None if not known: hidden points are then found by their depth.
-        small: the photo at about the width at which it is compared, which is read faster; None if
-            there is none.
     """
 
     name: str
     photo: PosedImage
     load_thermal: Callable[[], Pixels]
     visible: Int64[Tensor, " k"] | None = None
-    small: PosedImage | None = None
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Float32
 from scipy.ndimage import map_coordinates
 from torch import Tensor
 
-from mrgs.data.images import LUMINANCE
+from mrgs.data.images import DRAFT_MARGIN, LUMINANCE
 from mrgs.data.undistort import resize
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.contract import RigPair
@@ -72,8 +72,7 @@ def reduced_pair(
     """
     thermal = pair.load_thermal()
     height, width = thermal.values.shape[:2]
-    photo = pair.small or pair.photo
-    camera = photo.camera
+    camera = pair.photo.camera
     camera = camera.with_width(min(PHOTO_WIDTH_PX, camera.width))
     visible = (
         None
@@ -84,9 +83,10 @@ def reduced_pair(
     if depth is None:
         return None, (width, height)
     reduced = min(THERMAL_WIDTH_PX, width)
+    photo = grey_plane(pair.photo.look(DRAFT_MARGIN * PHOTO_WIDTH_PX), pair.name)
     return ReducedPair(
         name=pair.name,
-        photo=grey_plane(photo.load(), pair.name).resized(camera.width, camera.height),
+        photo=photo.resized(camera.width, camera.height),
         camera=camera,
         depth=depth,
         thermal=grey_plane(thermal, pair.name).resized(
