@@ -10,9 +10,9 @@ import torch
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from mrgs.check.images import image_problems
-from mrgs.check.statistics import sharpness
+from mrgs.check.statistics import LOOKED_AT_PX, measure_view, sharpness
 from mrgs.data.files import scene_error
-from mrgs.scene import RGB, THERMAL, Pixels, View
+from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
 from tests.helpers.changed_views import repainted, with_image, without
 
 
@@ -31,7 +31,10 @@ def test_an_image_that_cannot_be_decoded_is_told(tabletop):
         )
 
     broken = tabletop.changed(
-        lambda view: with_image(view, RGB, lambda image: replace(image, load=fail)), every=100
+        lambda view: with_image(
+            view, RGB, lambda image: replace(image, load=fail, load_at_least=None)
+        ),
+        every=100,
     )
     (problem,) = image_problems(broken.scene, list(broken.statistics.values()))
     assert problem.severity == "error"
@@ -154,6 +157,22 @@ def test_blurred_photos_are_told(tabletop, blur):
         first=9,
     )
     assert f"1 view ({tabletop.scene.train[9].name}) is much less sharp" in only_problem(changed)
+
+
+def test_large_photos_are_measured_in_fewer_pixels(tabletop):
+    asked = []
+
+    def fewer(image: PosedImage) -> PosedImage:
+        def look(width: int) -> Pixels:
+            asked.append(width)
+            return Pixels(image.load().values[::2, ::2])
+
+        return replace(image, load_at_least=look)
+
+    view = with_image(tabletop.scene.train[0], RGB, fewer)
+    found = measure_view(view, "training", None, 240)
+    assert asked == [LOOKED_AT_PX]
+    assert found.preview.images[RGB].pixels.shape == (120, 160, 3)
 
 
 def test_sharpness_does_not_depend_on_contrast_and_falls_with_blur():

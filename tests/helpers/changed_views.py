@@ -30,4 +30,4 @@ def with_cameras(view: View, change: Callable[[Camera], Camera]) -> View:
 
 def repainted(image: PosedImage, change: Callable[[Pixels], Pixels]) -> PosedImage:
     """The image with other pixels."""
-    return replace(image, load=lambda: change(image.load()))
+    return replace(image, load=lambda: change(image.load()), load_at_least=None)

@@ -122,13 +122,17 @@ def _masked(view: View, region: Region | Ring, surveyor: Surveyor) -> View:
         shared = next((mask for other, mask in known if other.coincides_with(camera)), None)
         mask = surveyor.places(camera, modality).counted(region) if shared is None else shared
         known.append((camera, mask))
-        images[modality] = replace(image, load=partial(_load, image.load, mask))
+        images[modality] = replace(
+            image,
+            load=partial(_load, image.load, mask),
+            load_at_least=partial(_load, image.look, mask),
+        )
     return View(view.name, images)
 
 
-def _load(load: Callable[[], Pixels], mask: Bool[np.ndarray, "h w"]) -> Pixels:
-    """An image of which only the pixels of a smaller mask count."""
-    pixels = load()
+def _load(load: Callable[..., Pixels], mask: Bool[np.ndarray, "h w"], *least_width: int) -> Pixels:
+    """An image, or a look at it, of which only the pixels of a smaller mask count."""
+    pixels = load(*least_width)
     height, width = pixels.values.shape[:2]
     row, column = (
         torch.arange(size) * small // size

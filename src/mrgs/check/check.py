@@ -24,8 +24,9 @@ def check_scene(
 ) -> SceneCheck:
     """Check a scene in any layout that ``load_scene`` reads; nothing in it is changed.
 
-    Every image is read once. The page ``check.html`` in the scene's folder shows cameras and
-    points, each view with its thermal image over its photo, temperatures and lenses.
+    Every image is read once, large photos at a fraction of their size. The page ``check.html`` in
+    the scene's folder shows cameras and points, each view with its thermal image over its photo,
+    temperatures and lenses.
 
     Args:
         scene: the folder, or its transforms file.

@@ -13,6 +13,10 @@ from mrgs.errors import SceneError
 from mrgs.prepare.page.previews import Preview, preview_of_pixels
 from mrgs.scene import Modality, Pixels, PosedImage, TemperatureRange, View
 
+LOOKED_AT_PX = 1600
+"""A large photo may be read at a fraction of its size that is at least so wide: blur that does not
+show there blurs hardly any model."""
+
 _AT_END = 1e-3
 """Normalised; nearer than this to 0 or 1 (a quarter of an 8-bit step) a value lies at the end of
 the scale."""
@@ -72,7 +76,7 @@ def measure_view(
 def _load(image: PosedImage) -> Pixels | str:
     """The image, or why it cannot be read."""
     try:
-        return image.load()
+        return image.look(LOOKED_AT_PX)
     except SceneError as error:
         return str(error)
 
