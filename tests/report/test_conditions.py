@@ -23,6 +23,34 @@ def test_a_building_needs_ten_kelvin_little_wind_and_no_sun():
     assert met(standard="EN 13187") == [None] * 5
 
 
+@pytest.mark.parametrize(
+    ("inside", "low", "high", "stated", "is_met"),
+    [
+        (21.0, -2.0, 8.0, "13.0 K", True),
+        (21.0, -2.0, 11.0, "10.0 K", True),
+        (18.0, 30.0, 40.0, "−12.0 K", True),
+        (18.0, 20.0, 40.0, "−2.0 K", False),
+        (21.0, 5.0, 40.0, "0.0 K", False),
+    ],
+)
+def test_a_day_is_judged_by_its_least_difference(inside, low, high, stated, is_met):
+    """0 where it was as warm outside as inside at some hour."""
+    survey = Survey(standard="EN 13187", inside_c=inside, outside_low_c=low, outside_high_c=high)
+    row = conditions_of(survey)[1]
+    assert (row.stated, row.met) == (stated, is_met)
+
+
+def test_a_cooled_building_may_be_colder_than_the_air_outside():
+    (row, *_) = conditions_of(Survey(standard="EN 13187", inside_c=18.0, outside_c=33.0))
+    assert (row.stated, row.met) == ("−15.0 K", True)
+
+
+def test_what_is_just_enough_is_enough():
+    plant = {"irradiance_w_m2": 600.0, "wind_m_s": 7.8, "cloud_eighths": 2.0}
+    assert met(standard="IEC TS 62446-3", **plant) == [True, True, True, None]
+    assert met(standard="EN 13187", hours_without_sun=2.0)[3] is True
+
+
 def test_a_plant_needs_sun():
     plant = {"standard": "IEC TS 62446-3", "irradiance_w_m2": 700.0, "wind_m_s": 4.0}
     assert met(**plant, cloud_eighths=1.0) == [True, True, True, None]
