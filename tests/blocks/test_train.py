@@ -259,14 +259,14 @@ def test_another_density_control_is_refused(scene, tmp_path, monkeypatch):
 def test_blocks_of_something_else_are_refused(joined, scene, tmp_path):
     start = training(joined, scene)
     for changed, message in (
-        ({"config": replace(start.config, max_steps=9)}, r"another max steps \(8, not 9\)"),
-        ({"options": BlockOptions("2x2", 0.2)}, r"another blocks \(1x2, not 2x2\)"),
-        ({"options": BlockOptions("1x2", 0.3)}, r"another overlap \(0.2, not 0.3\)"),
+        ({"config": replace(start.config, max_steps=9)}, r"other options \(max steps 8, not 9\)"),
+        ({"options": BlockOptions("2x2", 0.2)}, r"other options \(blocks 1x2, not 2x2\)"),
+        ({"options": BlockOptions("1x2", 0.3)}, r"other options \(overlap 0.2, not 0.3\)"),
     ):
         with pytest.raises(RunError, match=message):
             replace(start, **changed).train_all()
     other = load_scene(write_scene(tmp_path / "other"))
-    with pytest.raises(RunError, match="holds blocks made with another scene"):
+    with pytest.raises(RunError, match=r"holds blocks made with other options \(scene "):
         replace(start, scene=other).train_all()
 
 
@@ -278,7 +278,10 @@ def test_a_block_without_a_photo_is_left_to_its_neighbour(scene, tmp_path):
     said: list[str] = []
     start = replace(start, scene=replace(start.scene, points=both), say=said.append)
     assert start.train_all()
-    assert "1 of 2 blocks have no photo and are left to others" in said
+    assert said[-2:] == [
+        "1 of 2 blocks have no photo and are merged with their neighbours",
+        "1 block of 6 photos",
+    ]
     assert [len(cell.views) for cell in start.plan.cells] == [6]
 
 

@@ -25,6 +25,7 @@ from mrgs.render import Model
 from mrgs.scene import Scene
 from mrgs.system.atomic import write_text
 from mrgs.system.strict_yaml import flat
+from mrgs.system.wording import counted
 
 FORMAT = 1
 
@@ -120,8 +121,8 @@ class BlockPlan:
         if other:
             name = other[0]
             raise RunError(
-                f"{path.parent} holds blocks made with another {name.replace('_', ' ')} "
-                f"({found.get(name)}, not {wanted[name]}): use the same options again, or choose "
+                f"{path.parent} holds blocks made with other options ({name.replace('_', ' ')} "
+                f"{found.get(name)}, not {wanted[name]}): use the same options again, or choose "
                 f"another folder",
                 options=("output",),
             )
@@ -157,7 +158,10 @@ def make_plan(
         cells(points, rows, columns), lambda region: not views_of(region, places)
     )
     if len(regions) < wanted:
-        say(f"{wanted - len(regions)} of {wanted} blocks have no photo and are left to others")
+        say(
+            f"{wanted - len(regions)} of {wanted} blocks have no photo and are merged with their "
+            f"neighbours"
+        )
     narrowest = min(min(plane.clipped(region)) for region in regions)
     overlap = OVERLAP * narrowest if options.overlap is None else options.overlap
     unit = scene.world.length_unit
@@ -169,10 +173,13 @@ def make_plan(
         )
     found = tuple(PlannedBlock(each, views_of(each.grown(overlap), places)) for each in regions)
     photos = sorted(len(cell.views) for cell in found)
-    say(
-        f"{len(found)} blocks of {photos[0]} to {photos[-1]} photos, {narrowest:.3g} {unit} wide "
-        f"or more, that overlap by {overlap:.3g} {unit}"
-    )
+    if len(found) == 1:
+        say(f"1 block of {counted(photos[0], 'photo')}")
+    else:
+        say(
+            f"{len(found)} blocks of {photos[0]} to {photos[-1]} photos, at least {narrowest:.3g} "
+            f"{unit} wide, with a margin of {overlap:.3g} {unit}"
+        )
     return BlockPlan(scene.path, config, options, plane, overlap, found)
 
 
