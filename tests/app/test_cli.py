@@ -878,7 +878,7 @@ def test_minutes_choose_the_number_of_steps(small_scene, tmp_path, capsys, monke
     output = tmp_path / "run"
     options = ("--max-gaussians", 60, "--output", output, "--minutes", 2)
     assert run("train", small_scene, *options) == 0
-    assert "4 steps fit into 2 minutes" in capsys.readouterr().out
+    assert "4 steps fit into 2 min\n" in capsys.readouterr().out
     assert "\nmax_steps: 4\n" in (output / "config.yaml").read_text()
 
 

@@ -115,7 +115,7 @@ def _steps_in_time(command: Train, method: Method, config: Any, device: str) -> 
     left_s = command.minutes * 60 - (time.monotonic() - started)
     most = config.densification.max_gaussians if method.has_gaussians else None
     steps = steps_within(left_s, pace, most)
-    print(f"{steps:,} steps fit into {command.minutes:g} minutes", flush=True)
+    print(f"{steps:,} steps fit into {command.minutes:g} min", flush=True)
     return steps
 
 
