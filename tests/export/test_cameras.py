@@ -10,7 +10,16 @@ import torch
 
 from mrgs.data import load_scene
 from mrgs.export.cameras import write_cameras
-from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Camera,
+    EarthPosition,
+    Pixels,
+    PosedImage,
+    View,
+    WorldFrame,
+)
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord, Planck
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.scenes import write_scene
@@ -54,6 +63,55 @@ def test_the_colmap_model_reads_back(tmp_path, original):
     same_views(found.train, original.train)
     torch.testing.assert_close(found.points.positions, original.points.positions)
     torch.testing.assert_close(found.points.colors, original.points.colors, atol=1e-6, rtol=0)
+
+
+def test_the_place_on_earth_reads_back(tmp_path, original):
+    world = WorldFrame(True, True, EarthPosition(48.137, 11.575, 520.0), 0.8, 0.002)
+    write_cameras(tmp_path / "out", replace(original, world=world))
+    assert load_scene(tmp_path / "out").world == world
+
+
+def test_every_camera_of_the_colmap_model_has_its_own_intrinsics(tmp_path, original):
+    def finer(number: int, view: View) -> View:
+        images = {
+            each: replace(
+                image,
+                camera=Camera(
+                    image.camera.K
+                    + number * torch.diag(torch.tensor([1.0, 2.0, 0.0], dtype=torch.float64)),
+                    image.camera.viewmat,
+                    image.camera.width,
+                    image.camera.height,
+                ),
+            )
+            for each, image in view.images.items()
+        }
+        return replace(view, images=images)
+
+    train = tuple(finer(number % 3, view) for number, view in enumerate(original.train))
+    write_cameras(tmp_path / "out", replace(original, train=train))
+    (tmp_path / "out" / "transforms.json").unlink()
+    found = {view.name: view for view in load_scene(tmp_path / "out").views}
+    for view in train:
+        same_cameras(found[view.name].images[RGB].camera, view.images[RGB].camera)
+
+
+def test_where_one_view_has_two_cameras_colmap_s_names_tell_them_apart(tmp_path):
+    """The other views, whose images share a camera, are named alike."""
+    original = load_scene(write_scene(tmp_path / "scene"))
+    view = original.train[0]
+    camera = view.images[THERMAL].camera
+    moved = camera.viewmat.clone()
+    moved[0, 3] += 0.1
+    thermal = replace(
+        view.images[THERMAL], camera=Camera(camera.K, moved, camera.width, camera.height)
+    )
+    apart = replace(view, images=view.images | {THERMAL: thermal})
+    write_cameras(tmp_path / "out", replace(original, train=(apart, *original.train[1:])))
+    lines = (tmp_path / "out" / "sparse" / "0" / "images.txt").read_text().splitlines()[1::2]
+    names = [line.split()[9] for line in lines]
+    assert len(set(names)) == 2 * len(original.views)
+    assert all(name.startswith(("images/", "thermal/")) for name in names)
 
 
 def test_transforms_json_is_camera_to_world_with_opengl_axes(tmp_path, original):

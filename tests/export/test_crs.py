@@ -7,7 +7,7 @@ import pyproj
 import pytest
 
 from mrgs.errors import ConfigError
-from mrgs.export.crs import coordinate_system
+from mrgs.export.crs import coordinate_system, local_wkt
 from mrgs.scene import EarthPosition, Scene, WorldFrame
 
 PRAGUE, CAPE_TOWN, MUNICH = (50.08, 14.42), (-33.9, 18.4), (48.137, 11.575)
@@ -50,6 +50,9 @@ def test_coordinates_are_those_that_gis_expect(scene, crs, place):
         ("EPSG:3857", PRAGUE, r"not true to scale .* where a metre on the ground is 1\.56 m"),
         ("EPSG:6933", PRAGUE, r"distorts the scene's place by \d\d%; choose another CRS"),
         ("EPSG:32633", (50.08, 104.42), "does not cover the scene|no coordinates"),
+        ("EPSG:25832", (-30.0, 9.0), "does not cover the scene at -30"),
+        ("EPSG:3832", (0.0, -30.0), "does not cover the scene at 0"),
+        ("EPSG:3994", (-26.0, 170.0), r"where a metre on the ground is 0\.84 m"),
     ],
 )
 def test_a_crs_in_which_the_scene_would_be_another_is_refused(scene, crs, place, message):
@@ -82,3 +85,29 @@ def test_a_scene_without_a_place_has_no_north(scene):
     system = coordinate_system(replace(scene, world=WorldFrame(metric=True)))
     assert system.north_deg is None
     assert not system.north
+
+
+@pytest.mark.parametrize(
+    ("place", "code"),
+    [
+        ((0.5, 9.0), 32632),
+        ((-0.5, 9.0), 32732),
+        ((48.0, 180.0), 32660),
+        ((48.0, -180.0), 32601),
+        ((48.0, 5.99), 32631),
+        ((48.0, 6.0), 32632),
+    ],
+)
+def test_the_zone_is_that_of_the_place(scene, place, code):
+    assert coordinate_system(at(scene, *place)).name.startswith(f"EPSG:{code}, WGS 84 / UTM zone")
+
+
+@pytest.mark.parametrize("longitude", [179.0, -179.0])
+def test_a_crs_may_cover_both_sides_of_the_date_line(scene, longitude):
+    """The area of NZGD2000's continental shelf reaches from 160.6° east to 171.2° west."""
+    assert coordinate_system(at(scene, -44.0, longitude), "EPSG:3851").on_earth
+
+
+def test_the_name_of_a_local_crs_is_plain_text():
+    wkt = local_wkt('Großes "Haus" [Süd], Łódź\n')
+    assert wkt.startswith('LOCAL_CS["Grosses Haus Sud, odz",LOCAL_DATUM[')

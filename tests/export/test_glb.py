@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mrgs.export.glb import EXTENSION, rotation_to_y, write_glb
 from mrgs.export.splats import shaded_splats, shown_temperatures, thermal_scale, thermal_splats
+from mrgs.field.spherical_harmonics import C0
 from mrgs.scene import RGB
 from tests.helpers.exports import make_baked, read_glb, splats_of
 
@@ -66,6 +68,32 @@ def test_the_extension_is_declared_as_its_specification_wants(tmp_path):
     degrees = [name for name in primitive["attributes"] if "SH_DEGREE" in name]
     assert degrees[:2] == [f"{EXTENSION}:SH_DEGREE_0_COEF_0", f"{EXTENSION}:SH_DEGREE_1_COEF_0"]
     assert len(degrees) == 16
+
+
+@pytest.mark.parametrize("name", ["k", "ke", "ket", "kett"])
+def test_both_chunks_begin_and_end_at_multiples_of_four_bytes(tmp_path, name):
+    data = write_glb(
+        tmp_path / "a.glb", shaded_splats(make_baked(7), RGB), extras={"scene": name}
+    ).read_bytes()
+    (size,) = struct.unpack_from("<I", data, 12)
+    assert size % 4 == 0
+    binary, kind = struct.unpack_from("<II", data, 20 + size)
+    assert (binary % 4, kind) == (0, 0x004E4942)
+    assert 28 + size + binary == len(data)
+
+
+def test_readers_without_the_extension_get_linear_colours(tmp_path):
+    """0.5 in sRGB is 0.214 in linear light, and 0.03 is 0.0023."""
+    splats = shaded_splats(make_baked(2), RGB)
+    sh = np.zeros_like(splats.sh)
+    sh[:, 0] = (np.array([[0.5] * 3, [0.03] * 3]) - 0.5) / C0
+    path = write_glb(tmp_path / "a.glb", replace(splats, sh=sh))
+    content = document(path)
+    attributes = content["meshes"][0]["primitives"][0]["attributes"]
+    view = content["bufferViews"][attributes["COLOR_0"]]
+    colors = np.frombuffer(path.read_bytes()[-content["buffers"][0]["byteLength"] :], np.uint8)
+    colors = colors[view["byteOffset"] :][: view["byteLength"]].reshape(2, 4)
+    np.testing.assert_allclose(colors[:, :3] / 255, [[0.2140] * 3, [0.0023] * 3], atol=0.003)
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (0.6, -0.64, 0.48)])
