@@ -8,14 +8,19 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
+from torch import Tensor
 
 from mrgs.export import export
+from mrgs.export.correction import correction_note
 from mrgs.marks import open_marks
 from mrgs.marks.regions import Regions
+from mrgs.runs.baked import BakedModel
 from mrgs.runs.open import load_run
-from mrgs.scene import THERMAL
+from mrgs.scene import THERMAL, Camera, Rendering
+from mrgs.scene.rendering import Blend
 from mrgs.survey import SURVEY_FILE
-from tests.helpers.exports import read_ply
+from tests.helpers.exports import make_baked, read_ply
 
 FORMATS = ("points", "mesh", "ply", "page")
 
@@ -52,6 +57,10 @@ def test_what_cameras_see_of_it_is_corrected_and_nothing_else(exported, name):
     if "uncertainty_c" in found.dtype.names:
         larger = found["uncertainty_c"] > plain["uncertainty_c"]
         np.testing.assert_array_equal(larger, changed & ~np.isnan(found["uncertainty_c"]))
+        at = np.stack([found[axis] for axis in "xyz"], axis=1)
+        regions = marks.meter.regions(marks.marks)
+        of_photos = marks.meter.uncertainty.of_points(at, before, regions)
+        np.testing.assert_allclose(found["uncertainty_c"], of_photos, rtol=1e-5)
 
 
 def test_files_say_how_exact_the_correction_is(exported):
@@ -90,3 +99,29 @@ def test_splats_are_corrected_only_for_files_of_splats(exported, scene, tmp_path
     marks, _, _ = exported
     monkeypatch.setattr(Regions, "of_splats", None)
     export(marks.run, scene, ("points", "cameras"), tmp_path)
+
+
+def test_the_error_of_the_correction_is_that_of_the_regions_pixels_in_kelvin(monkeypatch):
+    """Twenty pixels of a region are off by 0, 1, ... 19 hundredths of 20 K, in two views."""
+    plain = torch.full((10, 40, 1), 0.5)
+    exact = plain.clone()
+    exact[0, :20] = 0.6
+    blended = exact.clone()
+    blended[0, :20, 0] += torch.arange(20) / 100 * torch.tensor([1, -1]).repeat(10)
+    blended[5] = 0.0  # beside the region: of no interest
+    uncorrected, corrected = make_baked(), make_baked()
+
+    def rendered(image: Tensor) -> Rendering:
+        alpha = torch.ones(10, 40)
+        return Rendering({THERMAL: Blend(image, alpha, alpha)})
+
+    monkeypatch.setattr(
+        BakedModel, "render", lambda self, _: rendered(plain if self is uncorrected else blended)
+    )
+    monkeypatch.setattr(Regions, "applied_to", lambda *_: rendered(exact))
+    regions, camera = object.__new__(Regions), Camera.from_fov(40, 10, 50)
+    note = correction_note(uncorrected, corrected, regions, [camera, camera])
+    assert note.endswith("half of their pixels are off by up to 1.9 °C, 95 % by up to 3.6.")
+    monkeypatch.setattr(Regions, "applied_to", lambda self, rendering, camera: rendering)
+    note = correction_note(uncorrected, corrected, regions, [camera])
+    assert note.endswith("right beside them.")

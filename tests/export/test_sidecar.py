@@ -72,7 +72,12 @@ def turned(scene, roll):
     return replace(scene, train=tuple(views))
 
 
-@pytest.mark.parametrize("roll", [lambda i: 1.0 * i, lambda i: 0.0])
+def test_cameras_that_are_held_almost_level_tell_which_way_is_up(scene):
+    tilted = turned(scene, lambda i: 0.1 * (-1) ** i)
+    assert up_direction(tilted) @ [0, 0, 1] > 0.99
+
+
+@pytest.mark.parametrize("roll", [lambda i: 1.0 * i, lambda i: 0.3 * (-1) ** i, lambda i: 0.0])
 def test_up_is_not_guessed(scene, roll):
     case = turned(scene, roll)
     if roll(1) == 0:  # one camera's horizontal axis fits any up

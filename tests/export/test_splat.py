@@ -46,3 +46,13 @@ def test_thirty_two_bytes_per_splat_the_largest_first(tmp_path):
     np.testing.assert_allclose(
         (packed[:, 4:].astype(float) - 128) / 128, splats.quats[order], atol=1 / 128
     )
+
+
+def test_a_component_of_one_is_the_largest_byte(tmp_path):
+    splats = shaded_splats(make_baked(4), RGB)
+    splats.quats[:] = np.concatenate([np.eye(4)[:2], -np.eye(4)[:2]])
+    data = np.frombuffer(write_splat(tmp_path / "a.splat", splats).read_bytes(), np.uint8)
+    found = {tuple(row) for row in data.reshape(4, 32)[:, 28:].tolist()}
+    assert found == {
+        (255, 128, 128, 128), (128, 255, 128, 128), (0, 128, 128, 128), (128, 0, 128, 128),
+    }  # fmt: skip

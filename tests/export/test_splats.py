@@ -18,7 +18,7 @@ from mrgs.export.splats import (
     without_directions,
 )
 from mrgs.pictures.palette import palette_table
-from mrgs.scene import RGB, THERMAL
+from mrgs.scene import RGB, THERMAL, Camera, evenly_spaced
 from tests.helpers.exports import draw, make_baked
 
 
@@ -104,6 +104,28 @@ def test_colours_without_directions_are_the_mean_over_the_cameras(scene):
     torch.testing.assert_close(
         torch.from_numpy(one.sh[:, 0]) * 0.28209479 + 0.5, colors[0].clamp(0, 1), atol=1e-4, rtol=0
     )
+
+
+def test_a_colour_without_directions_is_that_of_the_cameras_which_see_the_splat():
+    baked, lens = make_baked(), Camera.from_fov(40, 30, 60)
+    there = baked.means.median(dim=0).values.tolist()
+    sees = [lens.look_at([there[0] + x, there[1] - 9, there[2] + 3], there) for x in (-4, 4)]
+    turned_away = [lens.look_at([x, 50.0, 0.0], [x, 99.0, 0.0]) for x in range(4)]
+    seen = torch.stack([each.contains(each.project(baked.means)[0]) for each in sees]).all(dim=0)
+    assert seen.sum() > 10
+    flat = without_directions(baked, [*turned_away, *sees]).base_values(RGB)[seen]
+    expected = torch.stack([baked.values(RGB, each.position)[seen] for each in sees]).mean(dim=0)
+    torch.testing.assert_close(flat, expected.clamp(0, 1), atol=4e-3, rtol=0)
+
+
+def test_of_many_cameras_some_are_taken_evenly(monkeypatch):
+    monkeypatch.setattr("mrgs.export.splats.MEAN_OVER", 2)
+    baked, lens = make_baked(), Camera.from_fov(40, 30, 60)
+    cameras = [lens.look_at([x, -9.0, 3.0], [0.0, 0.0, 0.0]) for x in (-9.0, -8.9, 8.9, 9.0)]
+    both = [cameras[index] for index in evenly_spaced(4, 2)]
+    assert both != cameras[:2]
+    found, expected = (without_directions(baked, each).base_values(RGB) for each in (cameras, both))
+    assert torch.equal(found, expected)
 
 
 def test_colours_without_directions_beat_dropping_the_directions(baked, scene):

@@ -40,6 +40,13 @@ def test_a_plane_lies_where_the_values_cross_zero_and_faces_the_positive_side(ax
     assert len(faces) == 2 * others[0] * others[1]
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_plane_may_go_through_samples(sign):
+    vertices, faces = surface_nets(sign * (np.indices((5, 6, 7))[0] - 2.0))
+    np.testing.assert_allclose(vertices[:, 0], 2.0)
+    assert len(faces) == 2 * 4 * 5
+
+
 def test_nothing_is_drawn_next_to_the_unknown():
     values = ball()
     values[:10] = np.nan

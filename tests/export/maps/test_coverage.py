@@ -18,6 +18,7 @@ def test_a_map_ends_where_few_photos_look():
     coverage = Coverage.of(photos, 0.25)
     low, high = coverage.bounds
     np.testing.assert_allclose([*low, *high], [-3, -3, 3, 3], atol=1)
+    np.testing.assert_allclose(low, -high)
     u = np.array([-9.0, -2.8, 0.0, 2.8, 5.0])
     np.testing.assert_array_equal(
         coverage.holds(u, np.array([0.0]))[0], [False, True, True, True, False]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from mrgs.export.maps.grid import MapGrid, unprojected
 from mrgs.export.maps.photos import survey
-from mrgs.export.maps.shown import ShownPlaces
+from mrgs.export.maps.shown import ShownPlaces, _depth_of_cells
+from mrgs.scene import Camera
 from tests.export.maps.conftest import PIXEL
 
 AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -57,3 +59,27 @@ def test_each_part_of_a_map_has_its_own_surface(maps):
     part = slice(8, 40), slice(30, 80)
     found = shown.depth_of_part(part, drawn.camera(30, 8, 50, 32), nothing[part])
     np.testing.assert_allclose(found, whole[part], atol=0.05)
+
+
+def test_a_part_keeps_the_same_surfaces_as_the_whole_map(maps):
+    drawn = grid(-1.0, 1.0)
+    shown = ShownPlaces(maps, drawn)
+    camera = drawn.camera(0, 0, 80, 40)
+    depth = np.full((40, 80), -camera.position[1], np.float32)
+    depth[10:20, 40:60] += 1.5  # behind the wall
+    whole = shown.depth_of_part(WHOLE, camera, depth)
+    part = slice(8, 40), slice(30, 80)
+    found = shown.depth_of_part(part, drawn.camera(30, 8, 50, 32), depth[part])
+    kept = whole[part] == depth[part]
+    assert 0.5 < kept.mean() < 0.95
+    np.testing.assert_array_equal(found == depth[part], kept)
+
+
+def test_a_cell_has_the_median_of_its_depths():
+    camera = Camera.from_fov(4, 4, 90)
+    places = torch.tensor([[1.0, 1.0], [1.5, 1.5], [0.5, 1.0], [3.0, 1.0], [3.0, 1.2]]).double()
+    points = camera.unproject(places, torch.tensor([9.0, 2.0, 3.0, 5.0, 5.0]).double()).numpy()
+    found = _depth_of_cells(camera, points, 2)
+    np.testing.assert_allclose(found[:2, :2], 3.0)
+    assert np.isnan(found[:, 2:]).all()  # of two points no surface is made
+    assert np.isnan(found[2:]).all()
