@@ -114,3 +114,15 @@ def test_all_cameras_of_a_view_tell_of_one_motion(model):
 def test_large_photos_are_sampled(model, monkeypatch):
     monkeypatch.setattr("mrgs.method.camera_model.pose_error.MOST_PIXELS", 1000)
     assert_found(found(seen(model, CAMERA)), within_px=0.3)
+
+
+def test_a_large_motion_is_found_in_a_wide_photo(model):
+    wide = CAMERA.resized(480, 360)  # five times as many pixels, and as large a motion
+    assert_found(found(seen(model, wide)), within_px=0.1)
+
+
+def test_pixels_need_not_be_square(model):
+    K = CAMERA.K.clone()
+    K[1, 1] *= 1.5
+    stretched = Camera(K, CAMERA.viewmat, *SIZE)
+    assert_found(found(seen(model, stretched)), within_px=0.1)
