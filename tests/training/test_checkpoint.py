@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from mrgs.errors import DamagedCheckpointError, RunError
@@ -17,7 +18,7 @@ from mrgs.rasterizer.dilation import Dilation
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import load_facts, load_model, load_state, save
-from mrgs.training.checkpoint_file import read_file
+from mrgs.training.checkpoint_file import first_not_finite, read_file
 from mrgs.training.facts import CheckpointFacts
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import PhotographedView
@@ -198,6 +199,47 @@ def test_another_format_is_named(path):
         f"the version of mrgs that wrote it"
     )
     assert not isinstance(caught.value, DamagedCheckpointError)
+
+
+def test_a_header_of_this_format_without_its_digest_is_damaged(path):
+    save_file(load_file(path), path, {"mrgs": json.dumps(header_of(path))})
+    with pytest.raises(DamagedCheckpointError, match="its header has no digest"):
+        load_facts(path)
+
+
+def test_the_same_numbers_in_another_shape_are_damaged(path):
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    tensors = load_file(path)
+    tensors["gaussians.quats"] = tensors["gaussians.quats"].reshape(-1, 2).contiguous()
+    save_file(tensors, path, metadata)
+    with pytest.raises(DamagedCheckpointError, match="its tensors do not match their digest"):
+        read_file(path)
+
+
+def test_large_numbers_whose_sum_is_infinite_are_finite():
+    large = torch.full((10,), 3e38)
+    assert not large.sum().isfinite()
+    assert first_not_finite({"a": large, "b": torch.ones(3, dtype=torch.int64)}) is None
+    large[4] = float("inf")
+    assert first_not_finite({"b": torch.ones(3), "a": large}) == "a"
+
+
+@pytest.mark.parametrize("number", [-1, 25])
+def test_neighbours_that_do_not_exist_are_named(path, config, number):
+    tensors = load_file(path)
+    assert len(tensors["neighbours"]) == 25
+    tensors["neighbours"][3, 0] = number
+    rewrite(path, tensors)
+    with pytest.raises(RunError, match="neighbours names Gaussians that do not exist"):
+        load_model(path, config)
+
+
+@pytest.mark.parametrize("count", [-1, "1", True, None])
+def test_a_count_of_skipped_steps_that_cannot_be_is_named(path, config, count):
+    rewrite(path, skipped_in_a_row=count)
+    with pytest.raises(RunError, match="skipped_in_a_row is a number of at least 0"):
+        load_state(path, config)
 
 
 def test_the_format_before_digests_is_read(state, path, config):

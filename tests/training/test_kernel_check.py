@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -17,8 +18,10 @@ from mrgs.method.config import make_config
 from mrgs.method.losses import photometric
 from mrgs.method.losses.term import SceneScale
 from mrgs.rasterizer import reference
-from mrgs.training.kernel_check import check_kernels
+from mrgs.system.gpu import HOST
+from mrgs.training.kernel_check import _camera_before, check_kernels, check_rendering
 from mrgs.training.state import initial_state
+from tests.helpers.gaussians import random_gaussians
 
 Function = Callable[..., Any]
 
@@ -61,3 +64,19 @@ def test_an_edit_is_found(edit, small_scene, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_kernels(state, scene, config, scale)
+
+
+def test_the_camera_of_the_check_has_most_gaussians_before_it():
+    gaussians = random_gaussians(200, bands=0)
+    moved = replace(gaussians, means=3 * gaussians.means + torch.tensor([50.0, -20.0, 7.0]))
+    camera = _camera_before(moved)
+    pixels, depth = camera.project(moved.means.detach())
+    assert (depth > 0).double().mean() > 0.95
+    assert camera.contains(pixels).double().mean() > 0.6
+
+
+def test_a_model_without_gaussians_needs_no_check(small_scene):
+    config, scene = make_config("mrgs", "fast"), load_scene(small_scene)
+    state = initial_state(scene, config)
+    nothing = state.model.gaussians.rows(torch.arange(0))
+    check_rendering(replace(state.model, gaussians=nothing), state.image_model, HOST)

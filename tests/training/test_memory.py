@@ -9,7 +9,13 @@ import torch
 from mrgs.data import load_scene
 from mrgs.method.config import make_config
 from mrgs.scene import THERMAL, Modality, Pixels, PosedImage, View
-from mrgs.training.memory import estimate_bytes, peak_memory_bytes, retried_when_full
+from mrgs.training.memory import (
+    estimate_bytes,
+    gaussian_bytes,
+    peak_memory_bytes,
+    retried_when_full,
+)
+from mrgs.training.photos import kept_bytes
 from tests.helpers.gaussians import NEAR_INFRARED
 
 
@@ -46,6 +52,36 @@ def test_every_modality_counts(small_scene):
     floats_with_adam = 6 * (1 + 16)
     assert with_band - per_gaussian == 4 * floats_with_adam
     assert estimate_bytes(with_a_band, config, 0) > estimate_bytes(scene, config, 0)
+
+
+def test_the_largest_view_needs_most(small_scene):
+    scene, config = load_scene(small_scene), make_config("mrgs")
+    first, *others = scene.train
+    finer = {
+        modality: replace(image, camera=image.camera.resized(400, 300))
+        for modality, image in first.images.items()
+    }
+    larger = replace(scene, train=(*others, replace(first, images=finer)))
+    pixels = 2 * (400 * 300 - first.camera.width * first.camera.height)
+    more = estimate_bytes(larger, config, 100) - estimate_bytes(scene, config, 100)
+    assert more >= 4 * 28 * pixels
+
+
+def test_no_more_photos_count_than_are_kept(small_scene, monkeypatch):
+    scene, config = load_scene(small_scene), make_config("mrgs")
+    whole = estimate_bytes(scene, config, 100)
+    monkeypatch.setattr("mrgs.training.memory.kept_limit", lambda: 1000)
+    assert whole - estimate_bytes(scene, config, 100) == kept_bytes(scene) - 1000
+
+
+def test_temperatures_that_depend_on_the_view_take_more(small_scene):
+    """Sixteen numbers in place of one, with Adam's copies."""
+    scene = load_scene(small_scene)
+    even, own = (
+        gaussian_bytes(scene, replace(make_config("mrgs"), temperature_sh_degree=degree))
+        for degree in (0, 3)
+    )
+    assert own - even == 4 * 6 * 15
 
 
 def test_the_compiler_takes_memory_once(small_scene):

@@ -2,11 +2,12 @@ from __future__ import annotations
 
 import threading
 
+import numpy as np
 import pytest
 import torch
 
 from mrgs.errors import SceneError
-from mrgs.scene import RGB, THERMAL, Pixels, PosedImage
+from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, Scene
 from mrgs.training import photos
 from mrgs.training.photos import HostPhotos, bytes_per_pixel
 from tests.helpers.views import posed_image
@@ -45,6 +46,15 @@ def test_page_locked_photos_count_as_the_powers_of_two_that_torch_takes(
     for image in images * 2:
         kept.load(image.posed)
     assert [image.reads for image in images] == [1, 2]
+
+
+def test_a_power_of_two_takes_no_more_page_locked_memory_than_it_is(monkeypatch):
+    monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor: tensor)
+    image = posed_image(torch.rand(8, 8, 1))  # of 256 bytes
+    for limit, is_kept in ((256, True), (255, False)):
+        kept = HostPhotos(limit_bytes=limit, pinned=True)
+        kept.load(image)
+        assert kept.keeps(image) is is_kept
 
 
 def eight_bit(seed: int, channels: int = 3) -> torch.Tensor:
@@ -157,3 +167,15 @@ def test_no_thread_is_left_behind():
 def test_the_limit_is_a_share_of_the_free_memory(free, limit, monkeypatch):
     monkeypatch.setattr(photos, "free_memory", lambda: free)
     assert photos.kept_limit() == limit
+    assert photos.kept_limit(processes=4) == limit // 4
+
+
+def test_photos_of_each_size_count_as_large_as_they_are():
+    cameras = [Camera.from_fov(width, 10, 60) for width in (20, 10, 30)]
+    scene = Scene.from_arrays(
+        cameras,
+        rgb=[np.zeros((10, each.width, 3), np.uint8) for each in cameras],
+        points=np.random.default_rng(0).random((30, 3)),
+        eval_every=0,
+    )
+    assert photos.kept_bytes(scene) == 3 * 10 * (20 + 10 + 30)

@@ -14,7 +14,7 @@ from mrgs.method.config import make_config
 from mrgs.render import render
 from mrgs.scene import RGB, THERMAL, Camera, Pixels
 from mrgs.training import resolution, train, view_pass
-from mrgs.training.resolution import coarser, pixel_sizes
+from mrgs.training.resolution import coarse_size, coarser, pixel_sizes
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.training import short_config
 
@@ -75,6 +75,12 @@ def test_small_images_get_smaller_pixels():
     assert photos[NEAR_INFRARED].values is small_photo.values
     sizes = pixel_sizes({RGB: camera, THERMAL: middle, NEAR_INFRARED: small}, cameras)
     assert sizes == {RGB: 4.0, THERMAL: 2.0, NEAR_INFRARED: 1.0}
+
+
+@pytest.mark.parametrize("size", [(640, 200), (200, 640)])
+def test_the_shorter_side_decides_how_large_pixels_may_be(size):
+    assert coarse_size(*size, 4) == size
+    assert coarse_size(*(2 * each for each in size), 4) == size
 
 
 def test_a_training_begins_on_coarse_photos_and_resumes_there(small_scene, tmp_path, monkeypatch):

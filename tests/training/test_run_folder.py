@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from mrgs.errors import RunError
+from mrgs.errors import MrgsWarning, RunError
 from mrgs.method.config import TrainConfig, from_yaml, make_config
 from mrgs.training.run_folder import RunFolder, TemporaryRunFolder
 
@@ -127,6 +128,50 @@ def test_the_log_is_cut_behind_a_step(folder):
     assert folder.log_file.read_text().splitlines() == lines
     folder.append_log({"step": 3})
     assert folder.log_file.read_text().splitlines() == [*lines, '{"step": 3}']
+
+
+@pytest.mark.parametrize(
+    "line", ["[1]", "null", '{"step": null}', '{"step": 1e999}', "[" * 100_000, "\x00"]
+)
+def test_what_is_no_entry_of_the_log_counts_as_behind_everything(line, folder):
+    folder.log_file.write_text(f'{{"step": 1}}\n{line}\n{{"step": 2}}\n', encoding="utf-8")
+    folder.cut_log(7)
+    assert folder.log_file.read_text(encoding="utf-8") == '{"step": 1}\n{"step": 2}\n'
+
+
+def test_numbers_of_the_log_that_are_not_finite_are_null(folder):
+    folder.append_log({"step": 1, "loss": float("nan"), "rgb": float("-inf"), "thermal": 0.5})
+    assert folder.log_file.read_text() == (
+        '{"step": 1, "loss": null, "rgb": null, "thermal": 0.5}\n'
+    )
+
+
+def test_the_log_is_handed_over_within_a_block_alone(folder):
+    entries: list[dict] = []
+    with folder.log_mirrored(entries.append):
+        folder.append_log({"step": 1})
+    folder.append_log({"step": 2})
+    assert entries == [{"step": 1}]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without pipes")
+def test_a_log_that_is_no_file_is_refused(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.path.mkdir()
+    os.mkfifo(folder.log_file)
+    with (
+        pytest.raises(RunError, match=r"log\.jsonl is not a file: move it away"),
+        folder.training(TrainConfig(), resume=True),
+    ):
+        pass
+
+
+def test_settings_that_were_cut_off_are_named_by_their_place(folder):
+    lines = folder.config_file.read_text(encoding="utf-8").splitlines(keepends=True)
+    (place,) = (i for i, line in enumerate(lines) if line.startswith("  dssim:"))
+    folder.config_file.write_text("".join(lines[:place] + lines[place + 1 :]), encoding="utf-8")
+    with pytest.warns(MrgsWarning, match=r"config\.yaml lacks loss\.dssim, for which the defaults"):
+        folder.warn_if_incomplete(TrainConfig())
 
 
 def test_a_lock_is_held_and_given_back(folder):

@@ -7,10 +7,13 @@ from typing import TypeAlias
 import pytest
 import torch
 
+from mrgs.data import load_scene
 from mrgs.method.losses import terms as terms_module
 from mrgs.method.losses.photometric import LossConfig, photometric_loss
-from mrgs.method.losses.term import SceneScale
+from mrgs.method.losses.term import LossContext, SceneScale, Term
+from mrgs.render import render
 from mrgs.scene import RGB, THERMAL, Modality, Pixels
+from mrgs.training.state import initial_state
 from mrgs.training.step import (
     StepResult,
     StepStatistics,
@@ -71,6 +74,70 @@ def test_the_loss_is_the_weighted_sum_of_its_terms(make_start):
     terms = statistics.terms
     weighted = terms["rgb"] + terms["thermal"] + 0.6 * terms["smooth"] + 0.05 * terms["boltzmann"]
     assert statistics.loss == pytest.approx(weighted, rel=1e-5)
+
+
+def test_several_views_count_as_their_mean(make_start):
+    """Twice the same view: the same gradients and numbers, but two observations."""
+    taken = []
+    for batch in (1, 2):
+        config = short_config(batch=batch)
+        scene, state = make_start(config)
+        view = PhotographedView(0, scene.train[0], photos_of(scene.train[0]))
+        scale = SceneScale(scene.extent, scene.temperature)
+        result = training_step(state, [view] * batch, config, scale)
+        taken.append((tensors_of(state), result))
+    (one, first), (two, second) = taken
+    for name, tensor in one.items():
+        torch.testing.assert_close(two[name], tensor, rtol=1e-4, atol=1e-7, msg=name)
+    assert second.statistics.loss == pytest.approx(first.statistics.loss)
+    assert second.statistics.terms == pytest.approx(first.statistics.terms)
+    assert second.statistics.thermal_error == pytest.approx(first.statistics.thermal_error)
+    for name, value in first.observed.items():
+        torch.testing.assert_close(second.observed[name], 2 * value, msg=name)
+
+
+class Offset(Term):
+    """Has a parameter of its own."""
+
+    name = "offset"
+    learning_rate = 0.25
+
+    def __init__(self) -> None:
+        self.learned = torch.nn.Linear(1, 1)
+
+    def value(self, context: LossContext) -> torch.Tensor:
+        return self.learned.weight.sum() - self.learned.bias.sum()
+
+
+def test_a_term_learns_at_its_own_rate(small_scene):
+    """Adam's first step is as long as the rate."""
+    config, scene = short_config(), load_scene(small_scene)
+    term = Offset()
+    before = [each.detach().clone() for each in term.learned.parameters()]
+    state = initial_state(scene, config, terms=[term])
+    do_step(state, scene, config)
+    weight, bias = (
+        (now - old).item() for now, old in zip(term.learned.parameters(), before, strict=True)
+    )
+    assert (weight, bias) == pytest.approx((-0.25, 0.25), rel=1e-3)
+
+
+def test_the_thermal_error_is_that_of_the_valid_pixels(make_start):
+    config = short_config("3dgs-rgbt")
+    scene, state = make_start(config)
+    whole = photos_of(scene.train[0])
+    valid = torch.zeros(30, 40, dtype=torch.bool)
+    valid[5:20, 10:20] = True
+    expected = _thermal_error_of(state, scene, whole[THERMAL].values, valid)
+    photos = whole | {THERMAL: Pixels(whole[THERMAL].values, valid)}
+    assert take(state, scene, config, photos=photos).thermal_error == pytest.approx(expected)
+
+
+def _thermal_error_of(state, scene, photo: torch.Tensor, valid: torch.Tensor) -> float:
+    with torch.no_grad():
+        rendering, _ = render(state.model, scene.train[0].cameras)
+        seen = state.image_model(rendering, torch.tensor([0]))[THERMAL].image
+    return float((seen - photo).abs()[valid].mean())
 
 
 def poison_loss(monkeypatch, photos: Photos) -> Photos:

@@ -76,3 +76,10 @@ def test_a_round_of_other_groups_is_refused(waiting):
     views = ViewSampler(4, torch.Generator(), groups=2)
     with pytest.raises(ValueError, match="the round is not one of 2 views per step"):
         views.load(torch.tensor(waiting))
+
+
+def test_the_view_that_comes_twice_in_a_round_is_another_one_each_time():
+    views = ViewSampler(5, torch.Generator().manual_seed(0), groups=2)
+    rounds = [[number for _ in range(3) for number in views.next()] for _ in range(20)]
+    twice = {number for each in rounds for number in each if each.count(number) == 2}
+    assert twice == {1, 3}
