@@ -87,6 +87,23 @@ def test_all_writes_every_format(tmp_path, solid, scene):
     assert {"transforms.json", "page.html"} <= names
 
 
+@pytest.mark.parametrize("is_known", [True, False])
+def test_glb_files_hold_temperatures_and_say_whether_they_are_turned(
+    tmp_path, baked, scene, is_known
+):
+    """Of one view it is not known which way is up."""
+    made = scene if is_known else replace(scene, train=scene.train[:1])
+    export(baked, made, "glb", tmp_path)
+    for name in ("rgb", "thermal"):
+        data = (tmp_path / f"{name}.glb").read_bytes()
+        content = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+        attributes = content["meshes"][0]["primitives"][0]["attributes"]
+        assert [each for each in attributes if each.startswith("_")] == ["_TEMPERATURE_C"]
+        facts = json.loads((tmp_path / f"{name}.glb.json").read_text(encoding="utf-8"))
+        assert ("rotation" in content["nodes"][0]) is is_known
+        assert ("the node turns its up direction to +y" in facts["frame"]) is is_known
+
+
 def test_a_run_is_baked_and_its_loss_is_written_down(tmp_path, run, scene):
     export(run, scene, "splat", tmp_path)
     rgb, thermal = (

@@ -8,7 +8,8 @@ import torch
 from mrgs.evaluation.metrics import psnr
 from mrgs.export import baking_loss_db
 from mrgs.render import render_view
-from mrgs.scene import RGB, THERMAL
+from mrgs.runs.open import Run
+from mrgs.scene import RGB, THERMAL, Camera, Pixels, Rendering, View
 
 
 def test_the_loss_is_the_mean_difference_to_the_photos(run, baked, scene):
@@ -35,3 +36,39 @@ def test_a_worse_model_loses_more(run, baked, scene):
 def test_without_held_out_views_there_is_no_figure(run, baked, scene):
     loss = baking_loss_db(run, baked, replace(scene, eval=()))
     assert loss == {RGB: None, THERMAL: None}
+
+
+def test_pixels_that_are_not_valid_do_not_count(run, baked, scene):
+    """A view without a valid pixel says nothing, either."""
+    first, second = scene.eval[:2]
+
+    def masked(view: View, rows: int) -> View:
+        image = view.images[RGB]
+        valid = torch.zeros(image.camera.height, image.camera.width, dtype=torch.bool)
+        valid[:rows] = True
+        values = torch.where(valid[:, :, None], image.load().values, 0.0)
+        hidden = replace(image, load=lambda: Pixels(values, valid))
+        return replace(view, images=view.images | {RGB: hidden})
+
+    found = baking_loss_db(run, baked, replace(scene, eval=(masked(first, 12), masked(second, 0))))
+    photo = first.images[RGB].load().values[:12]
+    full = render_view(run.model, first)[RGB].image[:12]
+    plain = baked.render(first.cameras[RGB])[RGB].image[:12]
+    assert found[RGB] == pytest.approx(psnr(full, photo) - psnr(plain, photo), abs=1e-4)
+
+
+def test_both_models_are_compared_as_the_cameras_would_have_recorded_them(
+    run, baked, scene, monkeypatch
+):
+    def darker(self: Run, rendering: Rendering, camera: Camera, *rest: object) -> Rendering:
+        return Rendering({
+            each: blend._replace(image=0.5 * blend.image) for each, blend in rendering.items()
+        })  # fmt: skip
+
+    monkeypatch.setattr(Run, "camera_response", darker)
+    loss = baking_loss_db(run, baked, replace(scene, eval=scene.eval[:1]))
+    view = scene.eval[0]
+    photo = view.images[RGB].load().values
+    full = 0.5 * render_view(run.model, view)[RGB].image
+    plain = 0.5 * baked.render(view.cameras[RGB])[RGB].image
+    assert loss[RGB] == pytest.approx(psnr(full, photo) - psnr(plain, photo), abs=1e-4)

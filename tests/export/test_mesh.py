@@ -7,8 +7,10 @@ import pytest
 import torch
 
 from mrgs.errors import RunError
+from mrgs.export.fusion import fuse
 from mrgs.export.mesh import build_mesh, write_mesh_ply
-from mrgs.scene import RGB
+from mrgs.scene import RGB, Camera
+from mrgs.scene.depth_map import DepthMap
 from tests.helpers.exports import read_ply
 
 RADIUS = 0.5
@@ -62,3 +64,38 @@ def test_depths_that_agree_nowhere_have_no_mesh(globe, wide_scene):
     alone = replace(wide_scene, train=wide_scene.train[:1])
     with pytest.raises(RunError, match="the depths of the model's views agree nowhere"):
         build_mesh(globe, alone, resolution=24)
+
+
+def facing(x: float, depth: np.ndarray) -> DepthMap:
+    """What a camera 10 before the plane y = 0 sees."""
+    camera = Camera.from_fov(60, 60, 40).look_at((x, -10.0, 0.0), (x, 0.0, 0.0))
+    return DepthMap(camera, depth.astype(np.float32), np.empty((60, 60, 0), np.float32))
+
+
+def test_what_lies_far_behind_counts_no_more_than_the_width_of_the_band():
+    """A third camera looks past the plane that two see."""
+    plane, beyond = np.full((60, 60), 10.0), np.full((60, 60), 13.0)
+    field, grid = fuse([facing(0.0, plane), facing(0.3, plane), facing(0.6, beyond)], 40)
+    assert np.nanmax(field) <= 1
+    samples = np.argwhere(np.isfinite(field))
+    y = (grid.origin + grid.step * samples)[:, 1]
+    before = field[tuple(samples.T)][y < -0.3]
+    assert len(before) > 1000
+    assert (before > 0).all()
+
+
+def test_a_few_points_far_off_cost_no_resolution():
+    plane = np.full((60, 60), 10.0)
+    strays = plane.copy()
+    strays[0, :30] = 10_000.0
+    (_, near), (_, far) = (
+        fuse([facing(0.0, depth), facing(0.3, plane)], 40) for depth in (plane, strays)
+    )
+    assert far.step == pytest.approx(near.step, rel=0.2)
+
+
+def test_samples_are_no_finer_than_pixels():
+    maps = [facing(x, np.full((60, 60), 10.0)) for x in (0.0, 0.3)]
+    pixel = 10.0 / maps[0].camera.K[0, 0].item()
+    assert fuse(maps, 200)[1].step == pytest.approx(pixel)
+    assert fuse(maps, 20)[1].step > 2 * pixel

@@ -11,9 +11,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mrgs.marks import Mark
 from mrgs.pictures.drawing import Box
 from mrgs.report import overlays
-from mrgs.report.overlays import RING_PX, draw_names
+from mrgs.report.overlays import (
+    MARK,
+    RING_PX,
+    SMALL_PX,
+    draw_marks,
+    draw_names,
+    draw_place,
+    small_picture,
+)
 
 SIZE = (900, 675)
 
@@ -79,3 +88,30 @@ def test_a_long_name_takes_no_more_than_half_of_the_width(plates: list[Box]):
     draw_names(Image.new("RGB", SIZE), {"W" * 40: (450.0, 300.0)})
     ((left, _, right, _),) = plates
     assert right - left < 0.52 * SIZE[0]
+
+
+CORNERS = np.array([[200.0, 150.0], [700.0, 150.0], [700.0, 500.0], [200.0, 500.0]])
+SIDES = [(450, 150), (700, 325), (450, 500), (200, 325)]
+"""The middles of the sides, the last between the last corner and the first."""
+
+
+def four_corners(kind: str) -> Mark:
+    points = tuple((x, 0.0, y) for x, y in CORNERS.tolist())
+    return Mark("A1", kind, points, (0.0, -9.0, 0.0))
+
+
+@pytest.mark.parametrize(("kind", "is_closed"), [("box", True), ("polygon", True), ("line", False)])
+def test_the_outline_of_an_area_is_closed(kind, is_closed):
+    photo, plan = (Image.new("RGB", SIZE, (90, 90, 90)) for _ in range(2))
+    draw_marks(photo, {"A1": four_corners(kind)}, {"A1": CORNERS})
+    draw_place(plan, four_corners(kind), CORNERS, 6.0)
+    expected = [True, True, True, is_closed]
+    assert [photo.getpixel(side) == (255, 255, 255) for side in SIDES] == expected
+    assert [plan.getpixel(side) == MARK for side in SIDES] == expected
+
+
+@pytest.mark.parametrize("size", [(900, 300), (300, 900), (100, 50)])
+def test_a_small_picture_has_one_size_and_its_proportions(size):
+    small = small_picture(Image.new("RGB", size))
+    assert max(small.size) == SMALL_PX
+    assert small.width / small.height == pytest.approx(size[0] / size[1], rel=0.01)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mrgs import load_scene
 from mrgs.marks import Mark
+from mrgs.marks.measure import MarkReading, Profile
 from mrgs.report.mark_pictures import _part_about
-from mrgs.report.marks import _factor
+from mrgs.report.marks import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, _chart, _factor
 from mrgs.report.sections import capture_rows, thermal_pixel_m
 from mrgs.report.texts import Texts
 from mrgs.scene import THERMAL, Camera, EarthPosition, TemperatureRange, WorldFrame
@@ -47,6 +51,54 @@ def test_the_report_says_where_lengths_come_from(small_scene: Path, world: World
 )
 def test_a_place_that_is_warmer_than_the_room_has_no_temperature_factor(mean: float, factor: str):
     assert _factor(mean, Survey(side="inside", inside_c=20.0, outside_c=-10.0)) == factor
+
+
+@pytest.mark.parametrize(
+    "survey",
+    [
+        Survey(side="outside", inside_c=20.0, outside_c=-10.0),
+        Survey(inside_c=20.0, outside_c=-10.0),
+        Survey(side="inside", inside_c=20.0, outside_c=33.0),
+        Survey(side="inside", inside_c=20.0, outside_c=20.0),
+        Survey(side="inside", inside_c=20.0),
+    ],
+)
+def test_only_surfaces_inside_a_heated_room_have_a_temperature_factor(survey: Survey):
+    assert _factor(25.0, survey) == "–"
+
+
+def test_a_profile_is_interrupted_where_there_is_no_surface():
+    line = Mark("L1", "line", ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0)), (2.0, -4.0, 0.0))
+    values = np.array([10.0, 20.0, np.nan, 15.0, 12.5])
+    profile = Profile(np.arange(5.0), values)
+    reading = MarkReading(line, 14.0, 10.0, 20.0, length=4.0, profile=profile)
+    scene = SimpleNamespace(temperature=TemperatureRange(0.0, 30.0), world=WorldFrame(metric=True))
+    chart = _chart(reading, scene)
+    assert (chart.low, chart.high, chart.end) == ("10.0 °C", "20.0 °C", "4.00 m")
+    parts = re.findall(r"([ML])([\d.]+) ([\d.]+)", chart.path)
+    assert [letter for letter, _, _ in parts] == ["M", "L", "M", "L"]
+    left, wide = CHART_LEFT, CHART_WIDTH - CHART_LEFT - 4
+    top, high = 10, CHART_HEIGHT - 34
+    expected = [(0, 1), (1 / 4, 0), (3 / 4, 1 / 2), (1, 3 / 4)]
+    for (_, x, y), (along, down) in zip(parts, expected, strict=True):
+        assert float(x) == pytest.approx(left + along * wide, abs=0.06)
+        assert float(y) == pytest.approx(top + down * high, abs=0.06)
+
+
+def test_cameras_are_said_to_be_shared_only_where_all_views_share_theirs(small_scene: Path):
+    scene = load_scene(small_scene)
+    view = scene.train[0]
+    camera = view.images[THERMAL].camera
+    apart = replace(view.images[THERMAL], camera=camera.resized(20, 16))
+    mixed = replace(
+        scene,
+        train=(replace(view, images=view.images | {THERMAL: apart}), *scene.train[1:]),
+    )
+    said = [dict(capture_rows(each, Survey(), Texts())) for each in (scene, mixed)]
+    assert [rows["Cameras"] for rows in said] == [
+        "one for all images of a view", "each image has its own",
+    ]  # fmt: skip
+    assert said[1]["Thermal photos"] == "8, 20 × 16 pixels, 40 × 30 pixels"
 
 
 def test_a_hot_range_is_written_without_an_exponent(small_scene: Path):

@@ -4,7 +4,7 @@ import sys
 from importlib.util import find_spec
 
 import pytest
-from PIL import ImageFile
+from PIL import Image, ImageFile
 
 from mrgs.errors import ConfigError
 from mrgs.report.pdf import write_pdf
@@ -25,6 +25,20 @@ def test_a_page_becomes_a_pdf_and_nothing_is_fetched(tmp_path):
         "report.html", "report.pdf", "secret.css",
     ]  # fmt: skip
     assert not ImageFile.LOAD_TRUNCATED_IMAGES
+
+
+def test_no_file_beside_the_page_comes_into_a_pdf(tmp_path):
+    if find_spec("weasyprint") is None:
+        pytest.skip("weasyprint is not installed")
+    picture, page = tmp_path / "secret.png", tmp_path / "report.html"
+    Image.new("RGB", (20, 10), (250, 10, 10)).save(picture)
+    sizes = []
+    for source in ("data:,", picture.as_uri(), "secret.png"):
+        page.write_text(f"<h1>Report</h1><img src='{source}'>", encoding="utf-8")
+        content = write_pdf(page, tmp_path / "report.pdf").read_bytes()
+        assert b"/Subtype /Image" not in content
+        sizes.append(len(content))
+    assert len(set(sizes)) == 1
 
 
 def test_without_weasyprint_it_says_how_to_get_it(tmp_path, monkeypatch):

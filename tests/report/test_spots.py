@@ -172,3 +172,30 @@ def test_part_of_something_large_and_cold_is_no_spot():
     _, coldest = find_spots(views(), model.render)
     assert coldest[0].value == pytest.approx(0.1, abs=0.02)
     assert np.hypot(*(coldest[0].position[:2] - 2.5 * np.array(COLD))) < 0.3
+
+
+def test_mist_before_nothing_is_no_spot():
+    """Beyond the plane's edge, where the other views see no surface."""
+    sheet = [((x + 1.2, y, z), value) for (x, y, z), value in SHEET]
+    all_views = views(12)
+
+    def render(camera: Camera) -> Rendering:
+        here = [torch.allclose(camera.viewmat, each.images[THERMAL].camera.viewmat)
+                for each in all_views[:3]]  # fmt: skip
+        return (plane(sheet) if any(here) else plane()).render(camera)
+
+    hottest, _ = find_spots(all_views, render)
+    assert hottest[0].value == pytest.approx(0.9, abs=0.01)
+
+
+def test_something_large_within_the_picture_is_a_spot():
+    """It takes up more than a twentieth of the pictures, but reaches no border: no sky."""
+    model = plane()
+    centre = torch.tensor([-0.1, 0.1])
+    near = (model.means[:, :2] - centre).norm(dim=1) < 0.38
+    model = replace(model, temperatures=torch.where(near, 1.0, model.temperatures))
+    seen = model.render(views()[0].images[THERMAL].camera)[THERMAL].image
+    assert (seen > 0.95).double().mean() > 0.05
+    hottest, _ = find_spots(views(), model.render)
+    assert hottest[0].value == pytest.approx(1.0, abs=0.01)
+    assert np.linalg.norm(hottest[0].position[:2] - centre.numpy()) < 0.4

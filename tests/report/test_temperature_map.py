@@ -88,6 +88,15 @@ def test_the_small_map_shows_the_wall_in_its_colours_and_the_mark(front, front_s
     assert x == pytest.approx(2.0, abs=0.1)
 
 
+def test_what_the_small_map_does_not_show_is_white(front, front_scene):
+    drawn = draw_temperature_map(front, front_scene)
+    bands = drawn.drawn.bands.copy()
+    bands[:, :, : bands.shape[2] // 2] = np.nan
+    half = replace(drawn, drawn=replace(drawn.drawn, bands=bands))
+    small = np.asarray(half.small(mark("1", 2.0, 2.0)))
+    assert (small[:, : small.shape[1] // 2 - 5] == 255).all()
+
+
 def test_warm_windows_are_warm_in_the_picture(front, front_scene):
     picture = np.asarray(draw_temperature_map(front, front_scene).picture({}))
     warmest = palette_table("inferno")[-20:]

@@ -74,6 +74,18 @@ def test_a_mask_alone_makes_another_photo():
         facts_to_resume(facts, changed(scene, 2, rgb=masked))
 
 
+@pytest.mark.parametrize("place", [(0, 0), (1, 1), (0, 2), (1, 2)], ids=["fx", "fy", "cx", "cy"])
+def test_each_of_the_intrinsics_counts(place):
+    scene = scene_of()
+    facts = CheckpointFacts.at_start(scene)
+    image = scene.train[1].images[THERMAL]
+    K = image.camera.K.clone()
+    K[place] *= 1.001
+    camera = Camera(K, image.camera.viewmat, image.camera.width, image.camera.height)
+    other = changed(scene, 1, thermal=replace(image, camera=camera))
+    assert differences(facts, other) == "intrinsics of 00001 (thermal)"
+
+
 def test_another_range_of_temperatures_is_named():
     scene = scene_of()
     facts = CheckpointFacts.at_start(scene)

@@ -22,7 +22,8 @@ from tests.export.maps.conftest import CELSIUS, GROUND_C, PIXEL, WALL_C, WINDOW_
 from tests.helpers.exports import read_ply
 
 OPTIONS = MapOptions(pixel_size_m=PIXEL)
-PLANE = ((-3.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 0.0, 4.0))
+PLANE = ((-3.0, 0.0, 0.0), (3.0, 0.0, 0.3), (0.0, 0.0, 4.0))
+"""Not level: where the vertical is known, the map is upright all the same."""
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +56,7 @@ def test_the_facade_is_found_and_metric(elevation):
         assert file.res == (PIXEL, PIXEL)
         assert (file.bounds.left, file.bounds.bottom) == (0, 0)
     facts = json.loads((elevation / "elevation.tif.json").read_text(encoding="utf-8"))
+    assert float(facts["faces_azimuth_deg"]) == pytest.approx(180, abs=1)
     corner = np.array(facts["map_corner_in_scene"])
     np.testing.assert_allclose(facts["map_right_in_scene"], [1, 0, 0], atol=0.01)
     np.testing.assert_allclose(facts["map_up_in_scene"], [0, 0, 1], atol=1e-6)
