@@ -27,6 +27,7 @@ from mrgs.training.photos import HostPhotos
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import initial_state
 from tests.helpers.changed_views import with_cameras
+from tests.helpers.checkpoints import rewrite
 from tests.helpers.runs import trained_run
 from tests.helpers.training import short_config
 
@@ -439,6 +440,39 @@ def test_steps_that_are_not_finite_are_skipped_and_counted(small_scene, tmp_path
     assert all(entry["skipped"] == "the loss or a gradient was not finite" for entry in log[:4])
     assert load_facts(folder.newest_checkpoint()).skipped_steps == 4
     assert all(tensor.isfinite().all() for tensor in load_file(folder.newest_checkpoint()).values())
+
+
+def test_the_log_says_what_a_step_measured_and_of_a_skipped_one_that_it_was(
+    small_scene, tmp_path, monkeypatch
+):
+    spoil(monkeypatch, {20})
+    statistics = {}
+    folder = train(
+        small_scene,
+        tmp_path / "run",
+        short_config(max_steps=21),
+        on_step=lambda each: statistics.update({each.step: each}),
+    )
+    lines = {line["step"]: line for line in read_log(folder) if "skipped" not in line}
+    assert lines.keys() == {10, 20, 21}
+    span_c = load_scene(small_scene).temperature.span_c
+    for step in (10, 21):
+        assert lines[step]["loss"] == pytest.approx(statistics[step].loss)
+        assert lines[step]["thermal_error_c"] == pytest.approx(
+            span_c * statistics[step].thermal_error
+        )
+    assert statistics[20].skipped
+    assert {"loss", "thermal_error_c"}.isdisjoint(lines[20])
+    assert lines[20]["gaussians"] == statistics[20].gaussians
+
+
+def test_a_resumed_run_counts_the_time_before_it(small_scene, tmp_path):
+    config = short_config(max_steps=20)
+    folder = train(small_scene, tmp_path / "run", config, stop_at=10)
+    rewrite(folder.newest_checkpoint(), train_seconds=1e6)
+    train(small_scene, tmp_path / "run", config, resume=True)
+    assert load_facts(folder.newest_checkpoint()).train_seconds > 1e6
+    assert read_log(folder)[-1]["seconds"] > 1e6
 
 
 def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, monkeypatch):
