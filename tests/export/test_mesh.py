@@ -8,7 +8,7 @@ import torch
 
 from mrgs.errors import RunError
 from mrgs.export.fusion import fuse
-from mrgs.export.mesh import build_mesh, write_mesh_ply
+from mrgs.export.mesh import _without_specks, build_mesh, write_mesh_ply
 from mrgs.scene import RGB, Camera
 from mrgs.scene.depth_map import DepthMap
 from tests.helpers.exports import read_ply
@@ -99,3 +99,24 @@ def test_samples_are_no_finer_than_pixels():
     pixel = 10.0 / maps[0].camera.K[0, 0].item()
     assert fuse(maps, 200)[1].step == pytest.approx(pixel)
     assert fuse(maps, 20)[1].step > 2 * pixel
+
+
+def test_specks_are_left_out_and_faces_keep_their_corners():
+    """Of two parts with a hundredth and a thousandth of the faces of a sheet the smaller goes."""
+    side = 25
+    rows, columns = (axis.ravel() for axis in np.indices((side - 1, side - 1)))
+    corner = rows * side + columns
+    sheet = np.concatenate([
+        np.stack([corner, corner + 1, corner + side], axis=1),
+        np.stack([corner + 1, corner + side + 1, corner + side], axis=1),
+    ])  # fmt: skip
+    first = side * side
+    speck = np.array([[first, first + 1, first + 2]])
+    fan = first + 3 + np.array([[0, number, number + 1] for number in range(1, 13)])
+    faces = np.concatenate([speck, sheet, fan]).astype(np.int32)
+    vertices = np.random.default_rng(0).random((first + 3 + 14, 3)).astype(np.float32)
+    values = vertices[:, :2].copy()
+    found, kept, carried = _without_specks(vertices, faces, values)
+    np.testing.assert_array_equal(found[kept], vertices[faces[1:]])
+    np.testing.assert_array_equal(carried, found[:, :2])
+    assert len(found) == first + 14

@@ -128,3 +128,11 @@ def test_what_is_stated_is_shown_in_its_language(language, row):
     t = Texts(language)
     rows = stated_rows(Survey(client="Town", inside_c=21.5), t)
     assert rows == [(t("Client"), "Town"), (t("Air inside"), row)]
+
+
+def test_the_inspectors_words_are_not_translated_but_a_side_is():
+    t = Texts("de")
+    assert t("Clouds") != "Clouds"
+    rows = stated_rows(Survey(client="Clouds", side="inside"), t)
+    assert rows == [(t("Client"), "Clouds"), (t("Photographed from"), t("inside"))]
+    assert t("inside") != "inside"

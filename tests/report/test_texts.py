@@ -81,6 +81,10 @@ def test_numbers_are_written_as_the_language_does():
     assert Texts("de")("not a sentence of the report") == "not a sentence of the report"
 
 
+def test_hyphens_within_names_are_no_minus_signs():
+    assert Texts().number("IEC TS 62446-3, S-1: -3.5 °C") == "IEC TS 62446-3, S-1: −3.5 °C"
+
+
 def test_a_message_is_said_with_its_values():
     english = Message("{size} scene units²", size="3.17")
     assert english == "3.17 scene units²"
