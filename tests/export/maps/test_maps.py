@@ -17,6 +17,8 @@ from PIL import Image
 from mrgs.errors import ConfigError, RunError, WriteError
 from mrgs.export import export
 from mrgs.export.maps.options import MapOptions, parse_plane
+from mrgs.export.maps.photos import survey
+from mrgs.export.maps.write import pixel_size_m
 from mrgs.scene import RGB, THERMAL, EarthPosition, View, WorldFrame
 from tests.export.maps.conftest import CELSIUS, GROUND_C, PIXEL, WALL_C, WINDOW_C, WINDOWS
 from tests.helpers.exports import read_ply
@@ -367,6 +369,19 @@ def rolled(camera, k):
 def test_points_that_span_no_plane_are_refused(texts, message):
     with pytest.raises(ConfigError, match=message):
         MapOptions(plane=parse_plane(*texts))
+
+
+def test_a_map_for_a_page_has_no_more_pixels_than_are_asked_for(front, front_scene):
+    maps, extent = survey(front, front_scene), np.array([8.0, 5.0])
+
+    def pixel(options: MapOptions, most_px: int | None) -> float:
+        return pixel_size_m(front_scene, maps, options, extent, most_px)
+
+    of_photos = pixel(MapOptions(), None)
+    assert 0.01 < of_photos < 0.05
+    assert pixel(MapOptions(), 10_000) == of_photos
+    assert pixel(MapOptions(), 100) == 0.08
+    assert pixel(MapOptions(pixel_size_m=0.5), 100) == 0.5
 
 
 def test_a_pixel_size_is_above_zero():
