@@ -48,6 +48,19 @@ def test_a_start_that_takes_no_time_says_nothing(monkeypatch, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_without_a_terminal_a_count_is_told_now_and_then_and_at_the_end(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
+    with progress.counter("rendering") as show:
+        for done in range(1, 7):
+            now[0] += 4
+            show(done, 6)
+    assert capsys.readouterr().out.splitlines() == [
+        "rendering 3/6 | 0:12 left",
+        "rendering 6/6",
+    ]
+
+
 def test_a_step_without_a_forecast_tells_the_time_left_by_its_own_pace(monkeypatch, capsys):
     now = [0.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])

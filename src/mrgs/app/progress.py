@@ -77,17 +77,20 @@ def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..
     """A progress callback (done, total), or (number, total, name) for parts that have names, both
     with ``left_s`` if the time left is known.
 
-    A bar on a terminal; elsewhere a line for each named part, or else one line at the end.
+    A bar on a terminal; elsewhere a line for each named part, or else one now and then and one at
+    the end.
 
     Args:
         verb: what is being done.
         forecast: tells the time left of named parts; without it, all parts count the same.
     """
-    started = time.perf_counter()
+    started = last_line = time.perf_counter()
     with _progress_bar(SpinnerColumn(), _text_column(), BarColumn(BAR_WIDTH)) as bar:
         task = bar.add_task(verb, total=None)
 
         def show(done: int, total: int, name: str = "", left_s: float | None = None) -> None:
+            nonlocal last_line
+            now = time.perf_counter()
             text = f"{verb} {done}/{total}" if total else verb
             if name:
                 text = f"{verb} {done} of {total}: {name}" if total else f"{verb}: {name}"
@@ -95,14 +98,15 @@ def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..
                 left_s = forecast.left(name)
             elif left_s is None and done > bool(name):
                 finished = done - bool(name)
-                left_s = (time.perf_counter() - started) / finished * (total - finished)
+                left_s = (now - started) / finished * (total - finished)
             if left_s is not None and not (done == total and not name):
                 text += f" | {duration(left_s)} left"
             finished = done - 1 if name and done else done
             bar.update(
                 task, description=text, completed=finished, total=total or None, refresh=True
             )
-            if bar.disable and (name or done == total):
+            if bar.disable and (name or done == total or now - last_line >= PLAIN_LINE_EVERY_S):
+                last_line = now
                 print(text, flush=True)
 
         yield show

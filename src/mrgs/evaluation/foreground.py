@@ -44,14 +44,18 @@ class Foreground:
         Returns:
             None where no photo has a threshold: no thermal photos, or only uniform ones.
         """
-        photos = [view.images[THERMAL].load() for view in views if THERMAL in view.images]
-        values = [valid_values(photo) for photo in photos]
-        thresholds = [otsu_threshold(each.numpy()) for each in values if len(each)]
-        found = [threshold for threshold in thresholds if threshold is not None]
+        found, borders = [], []
+        for view in views:
+            if THERMAL not in view.images:
+                continue
+            photo = view.images[THERMAL].load()  # one at a time: there may be hundreds
+            values = valid_values(photo)
+            threshold = otsu_threshold(values.numpy()) if len(values) else None
+            found += [] if threshold is None else [threshold]
+            borders.append(valid_values(photo, border_of(photo)))
         if not found:
             return None
-        threshold = float(np.mean(found))
-        border = torch.cat([valid_values(photo, border_of(photo)) for photo in photos])
+        threshold, border = float(np.mean(found)), torch.cat(borders)
         at_border = (border > threshold).double().mean().item() if len(border) else 0.0
         return cls(threshold, is_warm=at_border <= 0.5)
 

@@ -7,7 +7,8 @@ import torch
 
 from mrgs.data.lens import Lens
 from mrgs.errors import SceneError
-from mrgs.prepare.rig.calibrate import calibrate_rig
+from mrgs.prepare.rig.adjust import Observations
+from mrgs.prepare.rig.calibrate import _rows_of_views, calibrate_rig
 from mrgs.prepare.rig.contract import RigOptions
 from mrgs.scene import Pixels, PointCloud
 from tests.helpers.rig_room import build_room
@@ -162,3 +163,11 @@ def test_a_pair_that_does_not_agree_is_named(room):
     assert found.warnings[0].startswith(
         "1 thermal images could not be placed well (view_3): few edges agree"
     )
+
+
+def test_each_pair_gets_its_own_rows_of_the_observations():
+    views, pixels = torch.tensor([2, 0, 2, 3, 0]), torch.zeros(5, 2).double()
+    points, spread = torch.zeros(5, 3).double(), torch.zeros(5, 2, 2).double()
+    observations = Observations(views, points, pixels, spread, pixels[:, 0], views)
+    rows = _rows_of_views(observations, 5)
+    assert [each.tolist() for each in rows] == [[1, 4], [], [0, 2], [3], []]

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
+from jaxtyping import Int64
+from torch import Tensor
 
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, adjust, aimed, pixel_sigma
@@ -207,8 +209,9 @@ def _result(
         SceneError: the result is less certain than the options ask for.
     """
     seen = {pair.name: index for index, pair in enumerate(reduced)}
+    rows = _rows_of_views(observations, len(reduced))
     views = tuple(
-        _view(pair.name, seen[pair.name], adjusted, observations)
+        _view(pair.name, seen[pair.name], rows[seen[pair.name]], adjusted, observations)
         if pair.name in seen
         else _unseen(pair.name)
         for pair in pairs
@@ -223,7 +226,7 @@ def _result(
             options=("thermal_fov_deg", "thermal_camera"),
         )
     residuals = adjusted.residual_px[adjusted.inlier].numpy()
-    motion_px = float(np.median(_motion_px(adjusted.cameras, observations, len(reduced))))
+    motion_px = float(np.median(_motion_px(adjusted.cameras, observations, rows)))
     return RigCalibration(
         lens=adjusted.cameras.lens(*size),
         extrinsics=adjusted.cameras.extrinsics(),
@@ -236,19 +239,31 @@ def _result(
     )
 
 
-def _view(name: str, view: int, adjusted: Adjusted, observations: Observations) -> RigView:
-    own = observations.views == view
-    agreeing = own & adjusted.inlier
+def _rows_of_views(observations: Observations, count: int) -> tuple[Int64[Tensor, "_"], ...]:
+    """The rows of the observations of each of ``count`` pairs."""
+    counts = torch.bincount(observations.views, minlength=count)
+    return observations.views.argsort(stable=True).split(counts.tolist())
+
+
+def _view(
+    name: str,
+    view: int,
+    own: Int64[Tensor, " k"],
+    adjusted: Adjusted,
+    observations: Observations,
+) -> RigView:
+    """What is known of a pair from its ``own`` rows of the observations."""
+    agreeing = own[adjusted.inlier[own]]
     points = observations.points[own]
     return RigView(
         name=name,
         correction=adjusted.cameras.correction(view),
-        matches=int(agreeing.sum()),
+        matches=len(agreeing),
         residual_px=float(adjusted.residual_px[agreeing].median())
-        if agreeing.any()
+        if len(agreeing)
         else float("nan"),
         uncertainty_px=float(pixel_sigma(adjusted, view, points).median())
-        if own.any()
+        if len(own)
         else float("inf"),
     )
 
@@ -257,18 +272,22 @@ def _unseen(name: str) -> RigView:
     return RigView(name, torch.eye(4, dtype=torch.float64), 0, float("nan"), float("inf"))
 
 
-def _motion_px(cameras: ThermalCameras, observations: Observations, count: int) -> list[float]:
-    """Displacement of each pair's patches by its own motion, median, in thermal pixels."""
+def _motion_px(
+    cameras: ThermalCameras, observations: Observations, rows: Sequence[Int64[Tensor, "_"]]
+) -> list[float]:
+    """Displacement of each pair's patches by its own motion, median, in thermal pixels.
+
+    Args:
+        cameras: adjusted.
+        observations: of all pairs.
+        rows: of the observations of each pair.
+    """
     moved = project(cameras.rig, cameras.motions[observations.views], observations.points)
     still = project(
         cameras.rig, torch.zeros_like(cameras.motions)[observations.views], observations.points
     )
     distance = (moved - still).norm(dim=1)
-    return [
-        float(distance[observations.views == v].median())
-        for v in range(count)
-        if (observations.views == v).any()
-    ]
+    return [float(distance[own].median()) for own in rows if len(own)]
 
 
 def _warnings(
