@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import pytest
@@ -172,6 +173,14 @@ def test_the_visitor_sees_each_view_once() -> None:
         visit=lambda view, rendering, metrics: seen.append((view, metrics.name)),
     )
     assert seen == [(views[0], "a"), (views[1], "b")]
+
+
+def test_the_memory_of_each_view_is_given_back(monkeypatch) -> None:
+    seen, given_back = [], []
+    module = sys.modules[evaluate.__module__]
+    monkeypatch.setattr(module, "give_back_freed", lambda: given_back.append(len(seen)))
+    evaluate([ramp_view()] * 3, perfect, CELSIUS, visit=lambda *_: seen.append(1))
+    assert given_back == [1, 2, 3]
 
 
 def test_no_views_is_an_error() -> None:

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.evaluation import evaluate_run, render_run
+from mrgs.evaluation import evaluate_run, render_run, score_run
 from mrgs.evaluation.score_run import facts_of, score_views
 from mrgs.evaluation.scored_data import ScoredData
 from mrgs.pictures.files import to_rgb8
@@ -63,6 +63,14 @@ def test_rendered_temperatures_are_those_of_the_model(run):
         view.images[RGB].camera.width,
         3,
     )
+
+
+@pytest.mark.parametrize("split", ["eval", "train", "path"])
+def test_the_memory_of_each_rendering_is_given_back(split, run, monkeypatch):
+    rendered, given_back = [], []
+    monkeypatch.setattr(score_run, "give_back_freed", lambda: given_back.append(len(rendered)))
+    render_run(run, split, frames=3, progress=lambda done, total: rendered.append(total))
+    assert given_back == list(range(rendered[0]))
 
 
 def test_each_modality_has_its_own_frames_along_a_path(run):

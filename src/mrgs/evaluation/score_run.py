@@ -22,6 +22,7 @@ from mrgs.pictures.video import frame_writer
 from mrgs.runs.open import Run, TrainedRun
 from mrgs.scene import Camera, CameraResponse, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
+from mrgs.system.memory import give_back_freed
 
 PATH_FRAMES = 120
 
@@ -192,6 +193,7 @@ def render_run(
     ball = scene.reach
     for number, view in enumerate(views, start=1):
         write_rendering(folder, view, run.render_view(view), run.temperature, palette, ball)
+        give_back_freed()  # else each view leaves gaps of some MB, and there may be hundreds
         if progress is not None:
             progress(number, len(views))
     return folder
@@ -218,5 +220,6 @@ def _write_path(
             for modality, add in writers.items():
                 image = rendering[modality].image
                 add(to_picture(modality, image, run.temperature, palette))
+            give_back_freed()
             if progress is not None:
                 progress(number, len(cameras))
