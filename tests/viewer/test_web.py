@@ -22,7 +22,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.asyncio.server import ServerConnection
 
 from mrgs.errors import ConfigError
-from mrgs.viewer.opening import open_viewer
+from mrgs.viewer.opening import open_viewer, title_of
 from mrgs.viewer.web import Viewer
 from tests.helpers.browsers import wait_until
 from tests.viewer.test_messages import look
@@ -472,3 +472,15 @@ def test_view_beside_train(small_scene: Path, tmp_path: Path):
         for process in filter(None, (viewing, training)):
             process.send_signal(2)
             process.communicate(timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("folder", "scene", "title"),
+    [
+        ("farmhouse-mrgs/fast", "farmhouse", "farmhouse, fast"),
+        ("runs/farmhouse-mrgs-plus", "farmhouse", "farmhouse-mrgs-plus"),
+        ("runs/mine", "", "mine"),
+    ],
+)
+def test_the_title_is_the_scenes_and_tells_its_runs_apart(folder, scene, title):
+    assert title_of(Path(folder), scene) == title

@@ -45,7 +45,7 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
         )
         warn(f"{run.folder.path} is still training: showing its checkpoint of {step}")
     subject = Subject(
-        run.folder.path.resolve().name,
+        title_of(run.folder.path, Path(run.facts.scene).name if scene is None else scene.name),
         TrainedSource(run.model),
         shown_modalities(run.model, scene),
         run.temperature,
@@ -60,6 +60,18 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
     viewer = Viewer(subject, start_at(camera, scene), host, port)
     viewer.warm_up(camera)
     return viewer
+
+
+def title_of(folder: Path, scene: str) -> str:
+    """Heading of a run's viewer: the scene's name, and that of the folder, which tells the runs of
+    a scene apart; the folder's alone where it begins with the scene's, as by default.
+
+    Args:
+        folder: of the run.
+        scene: name of the run's scene; empty if not known.
+    """
+    own = folder.resolve().name
+    return own if own.startswith(scene) else f"{scene}, {own}"
 
 
 def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:

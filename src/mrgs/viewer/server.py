@@ -115,14 +115,13 @@ class LiveView:
         self._model = model
         try:
             from mrgs.marks.store import CameraSpread
-            from mrgs.viewer.opening import board_of, start_at, start_camera
+            from mrgs.viewer.opening import board_of, start_at, start_camera, title_of
             from mrgs.viewer.web import Viewer
 
             scene = self._scene
             temperature = None if scene is None else scene.temperature
-            name = self._output.resolve().name
             subject = Subject(
-                name,
+                title_of(self._output, "" if scene is None else scene.name),
                 self._source,
                 shown_modalities(model, scene),
                 temperature,

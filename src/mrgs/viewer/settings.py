@@ -132,7 +132,7 @@ class Subject:
     """The model that is shown, and what is known of it.
 
     Attributes:
-        name: of the run, for the title.
+        name: of the scene and the run, for the title.
         source: gives access to the model.
         modalities: those that are shown, see ``shown_modalities``.
         temperature: the scale of the thermal values; None without known °C.
