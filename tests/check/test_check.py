@@ -40,6 +40,23 @@ def test_a_usable_scene_is_described_and_drawn(make_scene):
     assert all(path.read_bytes() == content for path, content in before.items())
 
 
+def test_a_scale_and_north_that_are_known_are_shown(make_scene):
+    folder = make_scene()
+    unknown = check_scene(folder)
+    assert "scale not known</text>" in unknown.page.read_text(encoding="utf-8")
+    assert any(line.endswith(" scene units.") for line in unknown.lines)
+    file = folder / "transforms.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    content["georeference"] = {"units": "metres", "axes": "east north up"}
+    file.write_text(json.dumps(content), encoding="utf-8")
+    check = check_scene(folder)
+    page = check.page.read_text(encoding="utf-8")
+    assert "scale not known</text>" not in page
+    assert "From above, north is up" in page
+    assert "up direction is estimated" not in page
+    assert any(line.endswith(" m.") for line in check.lines)
+
+
 def test_the_file_may_be_named_too(make_scene):
     folder = make_scene(rgb=False)
     assert check_scene(folder / "transforms.json").page == folder / "check.html"

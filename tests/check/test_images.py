@@ -13,6 +13,7 @@ from mrgs.check.images import image_problems
 from mrgs.check.statistics import LOOKED_AT_PX, measure_view, sharpness
 from mrgs.data.files import scene_error
 from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
+from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
 from tests.helpers.changed_views import repainted, with_image, without
 
 
@@ -130,6 +131,22 @@ def test_automatic_gain_is_told(tabletop, gain, offset):
     assert any(
         f"In 3 views ({names}) the same places are warmer or colder" in text for text in texts
     ), texts
+
+
+def test_radiometric_photos_that_do_not_agree_get_another_remedy(tabletop):
+    record = PhotoRecord(parameters=ObjectParameters(0.95, 1.0, 20.0, 20.0, 0.5))
+
+    def warmer(image: PosedImage) -> PosedImage:
+        changed = repainted(image, lambda pixels: replace(pixels, values=pixels.values + 0.06))
+        return replace(changed, record=record)
+
+    changed = tabletop.changed(lambda view: with_image(view, THERMAL, warmer), every=9)
+    statistics = list(changed.statistics.values())
+    (problem,) = (
+        each for each in image_problems(changed.scene, statistics) if "warmer" in each.text
+    )
+    assert "though the photos are radiometric" in problem.text
+    assert "Export" not in problem.remedy
 
 
 def test_automatic_exposure_is_told(tabletop):

@@ -108,6 +108,9 @@ def test_without_points(tmp_path):
         "images.txt has no points: the thermal camera cannot be found from the photos without "
         "them.",
     )
+    files = photos(tmp_path / "again", ["a", "b", "c"])
+    alone = existing_poses(tmp_path / "model", files, two_cameras=False)
+    assert alone.warnings == (), "there is no thermal camera to be found"
 
 
 def test_cropped_photos(tmp_path):

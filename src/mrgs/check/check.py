@@ -103,6 +103,6 @@ def _facts(scene: Scene) -> tuple[str, ...]:
         )
     lines.append(
         f"{len(scene.points.positions):,} start points; the cameras span {2 * scene.extent:.3g} "
-        f"units."
+        f"{scene.world.length_unit}."
     )
     return (*lines, *scene.notes)

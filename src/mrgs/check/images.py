@@ -10,7 +10,13 @@ import numpy as np
 from mrgs.check.poses import cameras_by_modality
 from mrgs.check.problems import Problem, Severity
 from mrgs.check.statistics import ImageStatistics, ViewStatistics
-from mrgs.prepare.consistency import agreements, brightness
+from mrgs.prepare.consistency import (
+    GAIN_CAUSE,
+    RADIOMETRIC_CAUSE,
+    RADIOMETRIC_REMEDY,
+    agreements,
+    brightness,
+)
 from mrgs.prepare.page.previews import views_text
 from mrgs.scene import RGB, THERMAL, Modality, Scene
 from mrgs.scene.modality import in_order
@@ -152,26 +158,31 @@ def _jumps(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
             if relation is not None and relation.jumps
         ]
         if names:
-            found.append(_jump(modality, names))
+            found.append(_jump(modality, names, _is_radiometric(scene)))
     return found
 
 
-def _jump(modality: Modality, names: Sequence[str]) -> Problem:
+def _is_radiometric(scene: Scene) -> bool:
+    """Whether the temperatures come from the thermal camera's signal."""
+    records = (view.images[THERMAL].record for view in scene.views if THERMAL in view.images)
+    return any(record is not None and record.is_radiometric for record in records)
+
+
+def _jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem:
     changed, cause, remedy = (
         "warmer or colder",
-        "gain",
+        GAIN_CAUSE,
         "Export all thermal images with one fixed span, or from radiometric files.",
     )
     if modality != THERMAL:
         changed, cause, remedy = (
             "brighter or darker",
-            "exposure",
+            "as automatic exposure makes them",
             "The colours will be a mixture; fix exposure and white balance next time.",
         )
-    text = (
-        f"In {views_text(names)} the same places are {changed} than in the others: an automatic "
-        f"{cause} of the {modality.title} camera."
-    )
+    elif radiometric:
+        cause, remedy = RADIOMETRIC_CAUSE, RADIOMETRIC_REMEDY
+    text = f"In {views_text(names)} the same places are {changed} than in the others, {cause}."
     return Problem("warning", text, remedy)
 
 

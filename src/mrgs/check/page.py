@@ -52,6 +52,7 @@ def write_check_page(
         problems=problems,
         errors=sum(problem.severity == "error" for problem in problems),
         lines=lines,
+        north=scene is not None and scene.world.north,
         shown=None if scene is None else _shown(scene, statistics),
     )
 
@@ -60,7 +61,7 @@ def _world(scene: Scene) -> World:
     """Cameras and points."""
     cameras = {view.name: view.camera for view in scene.views}
     held_out = frozenset(view.name for view in scene.eval)
-    return world_of(cameras, held_out, scene.points, metric=False, north=False)
+    return world_of(cameras, held_out, scene.points, scene.world.metric, scene.world.north)
 
 
 def _shown(scene: Scene, statistics: Sequence[ViewStatistics]) -> dict[str, Any]:

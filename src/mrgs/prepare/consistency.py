@@ -29,6 +29,19 @@ _EXPLAINED = 0.6
 """... a change of gain and offset takes the error below this share of what it was."""
 
 
+GAIN_CAUSE = "as automatic gain or a changed span makes them"
+RADIOMETRIC_CAUSE = (
+    "though the photos are radiometric: the surfaces have warmed or cooled, the camera has "
+    "drifted, or its settings were changed"
+)
+"""Why thermal images do not agree, the second where their temperatures come from the camera's
+signal."""
+
+RADIOMETRIC_REMEDY = (
+    "Compare these photos and their settings with the others, and leave out those that do not fit."
+)
+
+
 @dataclass(frozen=True)
 class Agreement:
     """How an image's values relate to the usual values at the same points: value ≈ gain · usual +

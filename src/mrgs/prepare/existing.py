@@ -34,7 +34,11 @@ _ASPECT_TOLERANCE = 0.01
 
 
 def poses_of_photos(
-    folder: Path, pairs: Sequence[PhotoPair], images: Mapping[str, Path]
+    folder: Path,
+    pairs: Sequence[PhotoPair],
+    images: Mapping[str, Path],
+    *,
+    two_cameras: bool = True,
 ) -> Reconstruction:
     """The poses in a folder that knows the photos by their original names.
 
@@ -42,6 +46,7 @@ def poses_of_photos(
         folder: with the poses, or a transforms file.
         pairs: the original photos.
         images: the scene's images by the names of their pairs.
+        two_cameras: as for ``existing_poses``.
 
     Raises:
         SceneError: as from ``existing_poses``.
@@ -49,7 +54,8 @@ def poses_of_photos(
     names = {_first(pair.photos).stem: pair.name for pair in pairs if pair.name in images}
     if len(names) < len(images):  # photos of several folders share a name
         names = {name: name for name in images}
-    found = existing_poses(folder, {photo: images[name] for photo, name in names.items()})
+    by_photo = {photo: images[name] for photo, name in names.items()}
+    found = existing_poses(folder, by_photo, two_cameras=two_cameras)
     return replace(
         found,
         viewmats={names[photo]: viewmat for photo, viewmat in found.viewmats.items()},
@@ -58,7 +64,9 @@ def poses_of_photos(
     )
 
 
-def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
+def existing_poses(
+    folder: Path, images: Mapping[str, Path], *, two_cameras: bool = True
+) -> Reconstruction:
     """The poses in a folder for images with the same names (extensions and folders may differ).
 
     The folder holds a ``transforms.json`` with its images, or a COLMAP model. Where an image is
@@ -67,6 +75,7 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
     Args:
         folder: with the poses, or a transforms file.
         images: files by the names that the poses' images have, without folders and extension.
+        two_cameras: whether there is a thermal camera to be found, which needs points.
 
     Raises:
         SceneError: no poses are found, they are damaged, or fewer than three belong to the images.
@@ -92,10 +101,11 @@ def existing_poses(folder: Path, images: Mapping[str, Path]) -> Reconstruction:
     warnings = tuple(given.notes.repaired)
     if points is None:
         points = PointCloud(torch.zeros(0, 3), torch.zeros(0, 3))
-        warnings += (
-            f"{what} has no points: the thermal camera cannot be found from the photos without "
-            f"them.",
-        )
+        if two_cameras:
+            warnings += (
+                f"{what} has no points: the thermal camera cannot be found from the photos without "
+                f"them.",
+            )
     source = f"The poses of {len(viewmats)} of {len(images)} photos are those of {what}."
     return Reconstruction(
         viewmats,

@@ -133,6 +133,12 @@ class PhotoRecord:
     parameters: ObjectParameters | None = None
     planck: Planck | None = None
 
+    @property
+    def is_radiometric(self) -> bool:
+        """Whether the temperatures come from the camera's signal, in which no picture's span or
+        gain is."""
+        return self.parameters is not None or "DJI" in self.source
+
     def to_json(self) -> dict[str, Any]:
         """The record as plain values; what is not known is left out."""
         values = asdict(self) | {"taken": None if self.taken is None else self.taken.isoformat()}
