@@ -59,7 +59,7 @@ def test_it_says_what_was_understood_how_far_it_is_and_what_to_open(small_scene,
     assert lines[opened + 1] == f"  {output / 'fast' / 'report.html'}"
     assert lines[-1] == f"explore: mrgs view {output / 'fast'}"
     assert all(Path(line.strip()).exists() for line in lines[opened + 1 : -1 : 2])
-    assert "mrgs: note: " in printed.err
+    assert "mrgs: warning: " in printed.err
 
     assert run(*arguments) == 0, "what was accepted is not asked again"
     again = capsys.readouterr()
@@ -72,7 +72,7 @@ def test_warnings_stop_it_where_nobody_can_be_asked(small_scene, tmp_path, capsy
     error = capsys.readouterr().err.splitlines()
     assert error[-1].startswith("mrgs: error: stopped at ")
     assert error[-1].endswith("(--yes)")
-    assert error[0].startswith("mrgs: note: warning: ")
+    assert error[0].startswith("mrgs: warning: ")
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_at_a_terminal_it_asks(answer, goes_on, monkeypatch, capsys):
     typed(monkeypatch, answer)
     assert PipelineTerminal(yes=False).accepts(["pairs: blurred"], Path("page.html")) == goes_on
     printed = capsys.readouterr()
-    assert printed.err == "mrgs: note: pairs: blurred\n"
+    assert printed.err == "mrgs: warning: pairs: blurred\n"
     assert "page.html shows what was found. Continue? [y/N] " in printed.out
 
 

@@ -244,6 +244,17 @@ def test_warnings_stop_it_unless_they_are_accepted(small_scene, tmp_path):
     assert accepting.ran == ["check"], "it was not done"
 
 
+def test_errors_stop_it_and_cannot_be_accepted(make_scene, tmp_path):
+    folder = make_scene()
+    image = folder / "images" / "frame_train_00003.png"
+    image.write_bytes(image.read_bytes()[:-200])
+    watcher = Watcher()
+    with pytest.raises(SceneError, match=r"scene cannot be trained on: .*check\.html") as error:
+        run_pipeline(folder, tmp_path / "results", quality="fast", monitor=watcher)
+    assert error.value.options == (), "there is nothing to accept"
+    assert (watcher.warnings, watcher.ran) == ((), [])
+
+
 def photos_in(folder: Path) -> Path:
     """Five pairs."""
     folder.mkdir()
@@ -258,7 +269,8 @@ def prepared(monkeypatch: pytest.MonkeyPatch) -> list[PrepareOptions]:
     """In place of ``prepare``: writes a small scene; needs the thermal camera's field of view."""
     calls: list[PrepareOptions] = []
 
-    def prepare(photos, scene, options, progress, report) -> Preparation:
+    def prepare(photos, scene, options, progress, report, *, trains) -> Preparation:
+        assert trains, "the page does not lead away from the pipeline"
         calls.append(options)
         progress("poses: features", 1, 2)
         if options.thermal_fov_deg is None:

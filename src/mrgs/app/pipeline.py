@@ -12,7 +12,7 @@ from pathlib import Path
 from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
 from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
-from mrgs.app.style import say_note, styled
+from mrgs.app.style import say_note, say_warning, styled
 from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.pipeline.computer import free_disk
@@ -150,7 +150,7 @@ class PipelineTerminal(Monitor):
     def accepts(self, warnings: Sequence[str], page: Path) -> bool:  # noqa: D102
         self.pause()
         for text in warnings:
-            say_note(text)
+            say_warning(text)
         if self._yes:
             return True
         return _ask(f"{page} shows what was found. Continue? [y/N] ").lower() in ("y", "yes")

@@ -25,6 +25,11 @@ def say_error(text: str) -> None:
     print(f"{styled('mrgs: error:', 'bold red', sys.stderr)} {text}", file=sys.stderr)
 
 
+def say_warning(text: str) -> None:
+    """Print what the user should judge, on one line."""
+    print(f"{styled('mrgs: warning:', 'yellow', sys.stderr)} {text}", file=sys.stderr)
+
+
 def say_note(text: str) -> None:
     """Print what the user should know, on one line."""
     print(f"{styled('mrgs: note:', 'yellow', sys.stderr)} {text}", file=sys.stderr)

@@ -8,7 +8,7 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 
-from mrgs.check import check_scene
+from mrgs.check import Severity, check_scene
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.export import FORMATS, export
@@ -161,7 +161,12 @@ class Job:
         """The scene, after the monitor was asked for what the photos do not say."""
         try:
             return prepare(
-                self.intake.source, self.scene, self.options, report, self.monitor.prepared
+                self.intake.source,
+                self.scene,
+                self.options,
+                report,
+                self.monitor.prepared,
+                trains=True,
             )
         except MrgsError as error:
             if (completed := self.monitor.answer(error, self.options)) is None:
@@ -171,14 +176,14 @@ class Job:
 
     def _check(self, report: Report) -> list[Path]:
         found = check_scene(self.scene, report, self.output)
-        self._require_accepted(
-            [
-                f"{problem.severity}: {problem.text} {problem.remedy}".rstrip()
-                for problem in found.problems
-                if problem.severity != "note"
-            ],
-            found.page,
-        )
+        texts: dict[Severity, list[str]] = {"error": [], "warning": [], "note": []}
+        for problem in found.problems:
+            texts[problem.severity].append(f"{problem.text} {problem.remedy}".rstrip())
+        if errors := texts["error"]:
+            raise SceneError(
+                f"{self.scene} cannot be trained on: {' '.join(errors)} {found.page} shows it"
+            )
+        self._require_accepted(texts["warning"], found.page)
         return [found.page]
 
     def _require_accepted(self, warnings: Sequence[str], page: Path) -> None:

@@ -59,6 +59,7 @@ def prepare(
     progress: Progress | None = None,
     report: Callable[[StageReport], None] | None = None,
     *,
+    trains: bool = False,
     steps: Steps = _STEPS,
 ) -> Preparation:
     """Make a scene for ``train`` from a folder of photos, and a page that shows the results.
@@ -73,6 +74,8 @@ def prepare(
         progress: called with "stage: step", the number of the step's parts that are done, and of
             all (0 and 0 if not known).
         report: called with the report of each finished stage.
+        trains: whether the caller goes on to train by itself, as ``run_pipeline`` does; the page
+            then does not name the command that trains.
         steps: other functions for the slow steps.
 
     Raises:
@@ -81,7 +84,7 @@ def prepare(
         RunError: the scene's folder cannot be written, holds something else, or is in use.
         ConfigError: an option that does not fit the photos.
     """
-    work = Work(Path(photos).resolve(), Path(scene), options or PrepareOptions())
+    work = Work(Path(photos).resolve(), Path(scene), options or PrepareOptions(), trains)
     work.on_progress = progress or work.on_progress
     work.on_report = report or work.on_report
     _check_folders(work.photos, work.scene)

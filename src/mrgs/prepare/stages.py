@@ -36,6 +36,7 @@ from mrgs.prepare.summary import (
 )
 from mrgs.prepare.thermal_camera import Calibrate, calibrate_thermal_camera, in_metres_of_target
 from mrgs.prepare.work import Work
+from mrgs.scene import THERMAL
 from mrgs.scene.modality import in_order
 
 
@@ -83,19 +84,20 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
     posed = {view.name: view.images[modality] for view in views if modality in view.images}
     files = {name: work.scene / image.file for name, image in posed.items()}
     given = work.options.poses
+    two_cameras = modality != THERMAL and not work.options.one_camera
     gps = work.gps
 
     def find() -> Reconstruction:
         if given is None:
             cache = work.scene / CACHE_FOLDER
             return reconstruct(files, cache, work.progress, modality=modality, gps=gps)
-        found = poses_of_photos(given, work.pairing.pairs, files)
+        found = poses_of_photos(given, work.pairing.pairs, files, two_cameras=two_cameras)
         return replace(found, images=modality)
 
     content = None
     if given is not None:
         state = stamps(given) if given.is_dir() else digest(given)
-        content = (work.pairing.pairs, given.resolve(), state)
+        content = (work.pairing.pairs, given.resolve(), state, two_cameras)
     work.poses = work.cache.get("poses", Reconstruction, (posed, content, gps), find)
     return summarize_poses(work.poses)
 
@@ -176,7 +178,7 @@ def page(work: Work, write_page: Callable[..., Path]) -> StageSummary:
     name = work.cache.get(
         "page",
         str,
-        (reported, work.skipped, work.images, work.posed, work.rig, work.georeference),
+        (reported, work.skipped, work.images, work.posed, work.rig, work.georeference, work.trains),
         lambda: write_page(work).name,
         lambda name: [work.scene / name],
     )

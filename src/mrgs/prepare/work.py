@@ -33,6 +33,7 @@ class Work:
         photos: folder of the photos.
         scene: folder of the scene.
         options: facts about the photos.
+        trains: whether the caller goes on to train by itself, so that the page names no command.
         on_progress: called with "stage: step", and how many of the step's parts are done and there
             are (0 of 0 if that is not known).
         on_report: called with each stage's report.
@@ -48,6 +49,7 @@ class Work:
     photos: Path
     scene: Path
     options: PrepareOptions = field(default_factory=PrepareOptions)
+    trains: bool = False
     on_progress: Progress = lambda step, done, total: None
     on_report: Callable[[StageReport], None] = lambda report: None
     reports: list[StageReport] = field(default_factory=list)

@@ -75,6 +75,13 @@ def test_the_page_tells_what_was_understood_and_what_to_do_next(page):
         assert words in page.text, words
 
 
+def test_where_the_training_follows_by_itself_the_page_names_no_other_command(prepared, tmp_path):
+    scene = shutil.copytree(prepared.scene, tmp_path / "scene")
+    text = Page(write_page(replace(prepared, scene=scene, trains=True))).text
+    assert "mrgs train" not in text
+    assert "run the same command again with --yes" in text
+
+
 def test_everything_is_in_the_file(page):
     assert "default-src 'none'" in page.source
     assert all(source.startswith("data:image/") for source in page.sources)

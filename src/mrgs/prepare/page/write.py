@@ -17,7 +17,13 @@ from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.pictures.values import capitalised
-from mrgs.prepare.consistency import Agreement, agreements
+from mrgs.prepare.consistency import (
+    GAIN_CAUSE,
+    RADIOMETRIC_CAUSE,
+    RADIOMETRIC_REMEDY,
+    Agreement,
+    agreements,
+)
 from mrgs.prepare.contract import (
     ConvertedPhotos,
     Georeference,
@@ -73,7 +79,8 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
         views=content.counts,
         has_celsius=bool(content.unit),
         folder=shlex.quote(str(work.scene)),
-        warnings=_warnings(content, work.reports),
+        trains=work.trains,
+        warnings=_warnings(content, work),
         stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
         north=world is not None and world.north,
         pairs=pairs(content.previews, _overlays(content, work), content.unit, content.total),
@@ -212,16 +219,18 @@ def _overlays(content: _Content, work: Work) -> dict[str, Float32[np.ndarray, "h
     return {name: image for name, image in found.items() if image is not None}
 
 
-def _warnings(content: _Content, stages: Sequence[StageReport]) -> list[str]:
+def _warnings(content: _Content, work: Work) -> list[str]:
     """Each warning of the stages once, and one about thermal images that do not agree."""
-    warnings = dict.fromkeys(text for stage in stages for text in stage.warnings)
+    warnings = dict.fromkeys(text for stage in work.reports for text in stage.warnings)
     pairs = zip(content.previews, content.agreements, strict=True)
     names = [view.name for view, agreement in pairs if agreement is not None and agreement.jumps]
     if names:
+        cause, remedy = GAIN_CAUSE, "Photograph with a fixed span, or provide radiometric files."
+        if any(view.facts.record.is_radiometric for view in work.images.views):
+            cause, remedy = RADIOMETRIC_CAUSE, RADIOMETRIC_REMEDY
         warnings[
-            f"In {views_text(names)} the same places are warmer or colder than in the others, as "
-            "automatic gain or a changed span makes them. Photograph with a fixed span, or provide "
-            "radiometric files."
+            f"In {views_text(names)} the same places are warmer or colder than in the others, "
+            f"{cause}. {remedy}"
         ] = None
     return list(warnings)
 
