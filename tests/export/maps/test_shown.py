@@ -83,3 +83,14 @@ def test_a_cell_has_the_median_of_its_depths():
     np.testing.assert_allclose(found[:2, :2], 3.0)
     assert np.isnan(found[:, 2:]).all()  # of two points no surface is made
     assert np.isnan(found[2:]).all()
+
+
+def test_the_camera_of_a_part_sees_the_part_s_pixels():
+    drawn = grid(-1.0, 1.0)
+    u, v = (axis.ravel() for axis in np.meshgrid(*drawn.middles))
+    points = torch.from_numpy(np.stack([u, np.zeros_like(u), v], axis=1))
+    columns, rows = (axis.ravel() + 0.5 for axis in np.meshgrid(np.arange(80), np.arange(40)))
+    for column, row, width, height in ((0, 0, 80, 40), (30, 8, 50, 32)):
+        pixels, _ = drawn.camera(column, row, width, height).project(points)
+        expected = np.stack([columns - column, rows - row], axis=1)
+        np.testing.assert_allclose(pixels, expected, atol=1e-6)
