@@ -54,17 +54,17 @@ def test_a_place_that_is_warmer_than_the_room_has_no_temperature_factor(mean: fl
 
 
 @pytest.mark.parametrize(
-    "survey",
+    ("mean", "survey"),
     [
-        Survey(side="outside", inside_c=20.0, outside_c=-10.0),
-        Survey(inside_c=20.0, outside_c=-10.0),
-        Survey(side="inside", inside_c=20.0, outside_c=33.0),
-        Survey(side="inside", inside_c=20.0, outside_c=20.0),
-        Survey(side="inside", inside_c=20.0),
+        (5.0, Survey(side="outside", inside_c=20.0, outside_c=-10.0)),
+        (5.0, Survey(inside_c=20.0, outside_c=-10.0)),
+        (25.0, Survey(side="inside", inside_c=20.0, outside_c=33.0)),
+        (20.0, Survey(side="inside", inside_c=20.0, outside_c=20.0)),
+        (5.0, Survey(side="inside", inside_c=20.0)),
     ],
 )
-def test_only_surfaces_inside_a_heated_room_have_a_temperature_factor(survey: Survey):
-    assert _factor(25.0, survey) == "–"
+def test_only_surfaces_inside_a_heated_room_have_a_temperature_factor(mean: float, survey: Survey):
+    assert _factor(mean, survey) == "–"
 
 
 def test_a_profile_is_interrupted_where_there_is_no_surface():

@@ -22,7 +22,7 @@ from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Camera, View
 from mrgs.training import METHODS, driver, train, trainer, view_pass
 from mrgs.training.checkpoint import load_facts, load_model
-from mrgs.training.opening import open_training
+from mrgs.training.opening import TrainingPart, open_training
 from mrgs.training.photos import HostPhotos
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import initial_state
@@ -704,6 +704,14 @@ def test_a_run_is_never_overwritten(small_scene, tmp_path):
     with pytest.raises(RunError, match="run already holds a run: resume it, or choose another"):
         train(small_scene, folder.path, config)
     assert folder.newest_checkpoint().read_bytes() == before
+
+
+def test_a_part_of_a_scene_is_trained_on_its_own_views(small_scene, tmp_path):
+    config = short_config()
+    part = TrainingPart([1, 3, 4], config.densification, initial_state)
+    with open_training(small_scene, tmp_path / "run", config, part=part) as trainer:
+        seen = [number for _ in range(6) for number in trainer.state.sampler.next()]
+    assert sorted(seen) == [1, 1, 3, 3, 4, 4]
 
 
 def test_a_scene_that_cannot_be_read_leaves_no_run(tmp_path):
