@@ -191,6 +191,7 @@ def test_what_the_camera_noted_reads_back(tmp_path, original):
         datetime(2026, 1, 12, 6, 31, 7),
         ObjectParameters(0.93, 12.5, -8.0, 1.5, 0.62),
         Planck(17_096.453, 0.0465, 1428.5, 1.0, -125.0),
+        {"emissivity": 0.93},
     )
     first = original.train[0]
     noted = replace(first, images={

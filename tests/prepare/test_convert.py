@@ -298,7 +298,7 @@ def test_parameters_that_differ_are_told(made):
         for i, value in enumerate((0.9, 0.95))
     }
     assert made(content).warnings == (
-        "emissivity differs between the photos (0.9 to 0.95): one surface then has several "
+        "Emissivity differs between the photos (0.9 to 0.95): one surface then has several "
         "temperatures. "
         "Give one value for all.",
     )

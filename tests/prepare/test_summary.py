@@ -23,6 +23,7 @@ from mrgs.prepare.summary import (
     summarize_thermal_camera,
 )
 from mrgs.scene import RGB, THERMAL, PointCloud
+from mrgs.scene.radiometry import ObjectParameters
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform
 from tests.helpers.converted import converted_view
 
@@ -31,6 +32,11 @@ VIEW = converted_view(
     {RGB: "images/a.jpg", THERMAL: "thermal/a.tiff"},
     facts=PhotoFacts("FLIR radiometric JPEG", camera="FLIR E60", warnings=("It is old.",)),
     range_c=(-3.04, 41.26),
+)
+
+NO_SETTINGS = (
+    "The photos' files do not say with which emissivity, reflected temperature and distance the "
+    "temperatures were computed."
 )
 
 
@@ -49,7 +55,9 @@ def test_warnings_of_photos_are_said_once(tmp_path):
     summary = summarize_photos(
         ConvertedPhotos((VIEW, other), (Skipped("c", "is cut off"),), ("The distances differ.",))
     )
-    assert summary.lines == ("2 views, FLIR E60, -3.0 °C to 41.3 °C.", "1 pair skipped.")
+    assert summary.lines == (
+        "2 views, FLIR E60, −3.0 °C to 41.3 °C.", NO_SETTINGS, "1 pair skipped.",
+    )  # fmt: skip
     assert summary.warnings == (
         "The distances differ.",
         "2 photos: It is old.",
@@ -61,7 +69,20 @@ def test_photos_without_temperatures_are_said():
     grey = replace(VIEW, name="b", facts=PhotoFacts("PNG image"), range_c=None)
     assert summarize_photos(ConvertedPhotos((grey,), ())).lines == ("1 view, no temperatures.",)
     assert summarize_photos(ConvertedPhotos((VIEW, grey), ())).lines == (
-        "2 views, FLIR E60, -3.0 °C to 41.3 °C, 1 without temperatures.",
+        "2 views, FLIR E60, −3.0 °C to 41.3 °C, 1 without temperatures.", NO_SETTINGS,
+    )  # fmt: skip
+
+
+def test_the_settings_of_the_temperatures_are_said_and_whose_they_are():
+    parameters = ObjectParameters(0.7, 1.0, -10.0, 20.0, 0.5)
+    given = {"emissivity": 0.7, "reflected_c": -10.0}
+    facts = replace(VIEW.facts, parameters=parameters, given=given)
+    other = replace(facts, parameters=replace(parameters, distance_m=2.5))
+    views = (replace(VIEW, facts=facts), replace(VIEW, name="b", facts=other))
+    assert summarize_photos(ConvertedPhotos(views, ())).lines[1] == (
+        "Temperatures computed with emissivity 0.70 (given by you), reflected temperature "
+        "−10.0 °C (given by you), distance 1.0 to 2.5 m, air temperature 20.0 °C, relative "
+        "humidity 0.50."
     )
 
 

@@ -25,6 +25,7 @@ from mrgs.marks.measure import (
 )
 from mrgs.marks.texts import PART_NAMES
 from mrgs.marks.uncertainty.budget import Budget
+from mrgs.pictures.settings import SETTINGS
 from mrgs.report.conditions import LABELS, conditions_of
 from mrgs.report.sections import _SETTINGS
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
@@ -38,15 +39,17 @@ def said() -> set[str]:
     """The sentences of the template, and those that reach it from the code."""
     sources = [
         files("mrgs").joinpath(f"report/{name}").read_text(encoding="utf-8")
-        for name in ("report.html", "sections.py", "write.py")
+        for name in ("report.html", "sections.py", "settings.py", "write.py")
     ]
+    joined = re.sub(r'"\n\s+"', "", re.sub(r't\(\n\s+"', 't("', "".join(sources)))
     conditions = [
         row
         for name in ("EN 13187", "IEC TS 62446-3")
         for row in conditions_of(Survey(standard=name))
     ]
     return {
-        *re.findall(r'\bt\("([^"]+)"', "".join(sources)),
+        *re.findall(r'\bt\("([^"]+)"', joined),
+        *(label for label, *_ in SETTINGS.values()),
         *(label for _, label, *_ in _SETTINGS),
         *(title for title, _ in COLUMNS.values()),
         *get_args(Side),

@@ -24,6 +24,7 @@ from mrgs.report.proposals import propose
 from mrgs.report.spots import find_spots
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import THERMAL
+from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
 from mrgs.survey import Survey
 from mrgs.training import make_config, train
 from tests.helpers.scenes import write_scene
@@ -191,9 +192,47 @@ def test_a_scene_without_celsius_has_relative_values(run, tmp_path):
     scene = replace(run.load_scene(), temperature=None)
     text = Page(write_report(unknown, scene, tmp_path / "report.html")).text
     assert "There are no °C" in text
-    assert "temperatures are apparent" not in text
+    assert "temperatures were computed" not in text
     assert "Without °C this cannot be corrected" in text
     assert re.search(r"H1 \d\.\d{3}", text)
+
+
+@pytest.mark.parametrize(
+    ("emissivity", "given", "said", "row"),
+    [
+        (
+            0.7,
+            {"emissivity": 0.7, "reflected_c": -10.0},
+            "computed with emissivity 0.70 (given by the user) and reflected temperature −10.0 °C "
+            "(given by the user);",
+            "Of these, given by the user emissivity 0.70; reflected temperature −10.0 °C",
+        ),
+        (0.95, {}, "computed with emissivity 0.95 and reflected temperature −10.0 °C;", ""),
+        (1.0, {}, "the temperatures are apparent ones (emissivity 1.00);", ""),
+    ],
+)
+@pytest.mark.usefixtures("certain")
+def test_the_limits_say_what_the_temperatures_were_computed_with(
+    run, tmp_path, emissivity, given, said, row
+):
+    parameters = ObjectParameters(emissivity, 2.5, -10.0, 20.0, 0.5)
+    record = PhotoRecord(parameters=parameters, given=given)
+    scene = run.load_scene()
+    train, held_out = (
+        tuple(
+            replace(view, images={
+                each: replace(image, record=record) for each, image in view.images.items()
+            })
+            for view in views
+        )
+        for views in (scene.train, scene.eval)
+    )  # fmt: skip
+    noted = replace(scene, train=train, eval=held_out)
+    text = Page(write_report(run, noted, tmp_path / "report.html")).text
+    assert said in text
+    assert row in text
+    assert ("given by the user" in text) == bool(given)
+    assert "computed with distance 2.5 m, air temperature 20.0 °C and relative" in text
 
 
 def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, tmp_path):

@@ -17,7 +17,10 @@ RECORD = PhotoRecord(
 )
 
 
-@pytest.mark.parametrize("record", [RECORD, PhotoRecord(), PhotoRecord(serial="7")])
+@pytest.mark.parametrize(
+    "record",
+    [RECORD, PhotoRecord(), PhotoRecord(serial="7"), PhotoRecord(given={"emissivity": 0.7})],
+)
 def test_a_record_survives_json(record):
     assert PhotoRecord.from_json(json.loads(json.dumps(record.to_json()))) == record
     assert PhotoRecord().to_json() == {}
@@ -34,6 +37,8 @@ def test_a_record_survives_json(record):
         ({"planck": [1, 2]}, "its Planck constants are not those that are known"),
         ({"planck": {"r1": 1.0}}, "its Planck constants are not complete"),
         ({"parameters": {"emissivity": "high"}}, "its parameters are not numbers"),
+        ({"given": {"colour": 1}}, "its given parameters are not those that are known"),
+        ({"given": {"emissivity": 2}}, "its given emissivity cannot be true"),
         ({"parameters": {"colour": 1}}, "its parameters are not those that are known"),
         ({**RECORD.to_json(), "planck": {"r1": 0, "r2": 1, "b": 1, "f": 1, "o": 1}}, "R1 = 0"),
     ],

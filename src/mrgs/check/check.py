@@ -98,9 +98,7 @@ def _facts(scene: Scene) -> tuple[str, ...]:
             f"{', '.join(f'{width}×{height}' for width, height in sizes)} px."
         )
     if scene.temperature is not None:
-        lines.append(
-            f"Temperatures from {scene.temperature.min_c:g} to {scene.temperature.max_c:g} °C."
-        )
+        lines.append(f"Temperatures from {scene.temperature}.")
     lines.append(
         f"{len(scene.points.positions):,} start points; the cameras span {2 * scene.extent:.3g} "
         f"{scene.world.length_unit}."

@@ -44,7 +44,8 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
     )
     if low > high:
         low, high = high, low
-        notes.repair(f"{path.name} has its bounds swapped; {low:g} °C to {high:g} °C is used.")
+        used = f"{low:g} °C to {high:g} °C".replace("-", "−")
+        notes.repair(f"{path.name} has its bounds swapped; {used} is used.")
     return _range(low, high, path)
 
 

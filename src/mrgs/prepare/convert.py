@@ -21,6 +21,8 @@ from mrgs.data.files import scene_error
 from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto, read_thermal_photo
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError, ToolError
+from mrgs.pictures.settings import SETTINGS
+from mrgs.pictures.values import capitalised
 from mrgs.prepare.cache import CACHE_FOLDER, Cache, Stamp, digest, stamp_of
 from mrgs.prepare.contents import Contents
 from mrgs.prepare.contract import (
@@ -34,7 +36,6 @@ from mrgs.prepare.contract import (
 )
 from mrgs.prepare.rgb_photo import ImageFile, read_embedded, read_rgb, upright
 from mrgs.scene import RGB, THERMAL, Modality
-from mrgs.scene.radiometry import PARAMETER_LIMITS
 from mrgs.system.atomic import remove, replacing
 
 IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
@@ -46,8 +47,8 @@ VIEWS = "photos"
 CONTENTS = "contents.json"
 """The file in the cache that remembers what the photos hold."""
 
-_VERSION = 6
-"""Raise it when the same photos give other images."""
+_VERSION = 7
+"""Raise it when the same photos give other images or facts."""
 
 Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
@@ -382,15 +383,17 @@ def _differing_parameters(views: Sequence[ConvertedView]) -> tuple[str, ...]:
     """A warning for each parameter of the temperatures that is not the same in all photos."""
     known = [view.facts.parameters for view in views if view.facts.parameters is not None]
     found = []
-    for name in PARAMETER_LIMITS:
+    for name in SETTINGS:
         values = {
             round(getattr(one, name), 4)
             for one in known
             if name != "window_c" or one.window_transmission != 1  # no effect without a window
         }
         if len(values) > 1:
+            label, unit, _ = SETTINGS[name]
+            ends = f"{min(values):g} to {max(values):g}{unit}".replace("-", "−")
             found.append(
-                f"{name} differs between the photos ({min(values):g} to {max(values):g}): one "
-                f"surface then has several temperatures. Give one value for all."
+                f"{capitalised(label)} differs between the photos ({ends}): one surface then has "
+                f"several temperatures. Give one value for all."
             )
     return tuple(found)

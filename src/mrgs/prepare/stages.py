@@ -167,7 +167,7 @@ def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary
     )
     bounds = "no °C"
     if written.range_c is not None:
-        bounds = "{:g} °C to {:g} °C".format(*written.range_c)
+        bounds = "{:g} °C to {:g} °C".format(*written.range_c).replace("-", "−")
     lines = (f"{written.train} training views, {written.eval} held out, {bounds}.",)
     return StageSummary(lines, tuple(f"{text[0].upper()}{text[1:]}." for text in written.odd))
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from mrgs.pictures.numbers import number_text
+from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, StageSummary
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.scene import THERMAL, Modality
+from mrgs.scene.radiometry import PhotoRecord
 from mrgs.system.wording import counted
 
 SCALE_TOLERANCE = 0.03
@@ -29,14 +32,15 @@ def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
     cameras = sorted({view.facts.camera for view in views if view.facts.camera is not None})
     facts = [counted(len(views), "view"), *cameras[:3]]
     if ranges:
-        facts.append(
-            f"{min(low for low, _ in ranges):.1f} °C to {max(high for _, high in ranges):.1f} °C"
-        )
+        low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
+        facts.append(f"{number_text(low, 1)} °C to {number_text(high, 1)} °C")
     if len(ranges) < len(views):
         facts.append(
             "no temperatures" if not ranges else f"{len(views) - len(ranges)} without temperatures"
         )
     lines = [", ".join(facts) + "."]
+    if ranges:
+        lines.append(_settings_line([view.facts.record for view in views]))
     if photos.skipped:
         lines.append(f"{counted(len(photos.skipped), 'pair')} skipped.")
     by_text: dict[str, list[str]] = {}
@@ -46,6 +50,17 @@ def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
     return StageSummary(
         tuple(lines),
         (*photos.warnings, *(_with_photos(text, names) for text, names in by_text.items())),
+    )
+
+
+def _settings_line(records: Sequence[PhotoRecord]) -> str:
+    """What the temperatures were computed with."""
+    known = settings_text(settings_of(records), "given by you")
+    if known:
+        return f"Temperatures computed with {known}."
+    return (
+        "The photos' files do not say with which emissivity, reflected temperature and distance "
+        "the temperatures were computed."
     )
 
 

@@ -16,6 +16,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.tables import DASH
 from mrgs.marks.texts import PART_NAMES
 from mrgs.pictures.html import PAGE_STYLE, InlineImage, inline_image, write_html
+from mrgs.pictures.settings import settings_of
 from mrgs.report.conditions import conditions_of, pixel_cm_text, stated_rows
 from mrgs.report.marks import (
     CHART_HEIGHT,
@@ -36,6 +37,7 @@ from mrgs.report.sections import (
     thermal_pixel_m,
     training_rows,
 )
+from mrgs.report.settings import air_sentence, emissivity_sentence, given_rows
 from mrgs.report.temperature_map import TemperatureMap, temperature_map
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
@@ -185,6 +187,7 @@ def write_report(
     t = Texts(language)
     survey = read_survey(run.folder.path / SURVEY_FILE)
     has_thermal = THERMAL in scene.modalities
+    settings = settings_of(records_of(scene))
     begin(0)
     marks = open_marks(run, scene)
     regions = marks.meter.regions(marks.marks)
@@ -222,8 +225,9 @@ def write_report(
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
         has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
-        capture=capture_rows(scene, survey, t),
-        settings_known=any(record.parameters for record in records_of(scene)),
+        capture=[*capture_rows(scene, survey, t), *given_rows(settings, t)],
+        emissivity_sentence=emissivity_sentence(settings, t),
+        air_sentence=air_sentence(settings, t),
         notes=[t(note) for note in scene.notes],
         scores=read_scores(run, t),
         contact_sheet=read_contact_sheet(run),

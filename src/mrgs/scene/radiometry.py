@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, field, fields
 from datetime import datetime
 from typing import Any
 
@@ -124,6 +124,7 @@ class PhotoRecord:
             zone; None if not known.
         parameters: with which the temperatures were computed; None if not known.
         planck: the camera's calibration; None if not known.
+        given: parameters that the user gave in place of what the file says, by name.
     """
 
     source: str = ""
@@ -132,6 +133,14 @@ class PhotoRecord:
     taken: datetime | None = None
     parameters: ObjectParameters | None = None
     planck: Planck | None = None
+    given: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+    def setting(self, name: str) -> float | None:
+        """A parameter of the measurement; None if not known."""
+        if self.parameters is None:
+            return self.given.get(name)
+        value: float = getattr(self.parameters, name)
+        return value
 
     @property
     def is_radiometric(self) -> bool:
@@ -166,7 +175,24 @@ class PhotoRecord:
             if found is not None and (problem := found.problem()):
                 raise ValueError(f"it cannot be true ({problem})")
         when = None if taken is None else datetime.fromisoformat(taken).replace(tzinfo=None)
-        return cls(**texts, taken=when, parameters=parameters, planck=planck)
+        return cls(
+            **texts,
+            taken=when,
+            parameters=parameters,
+            planck=planck,
+            given=_given(value.get("given", {})),
+        )
+
+
+def _given(value: Any) -> dict[str, float]:
+    """Parameters that the user gave, from a JSON object."""
+    if not isinstance(value, Mapping) or not PARAMETER_LIMITS.keys() >= set(value):
+        raise ValueError("its given parameters are not those that are known")
+    for name, each in value.items():
+        low, high, _ = PARAMETER_LIMITS[name]
+        if not isinstance(each, int | float) or not low <= each <= high:
+            raise ValueError(f"its given {name} cannot be true")
+    return {name: float(each) for name, each in value.items()}
 
 
 def _numbers(kind: Any, value: Any, what: str) -> Any:

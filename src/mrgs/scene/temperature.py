@@ -37,7 +37,7 @@ class TemperatureRange:
             raise ValueError(f"not a temperature range in °C: {self.min_c} to {self.max_c}")
 
     def __str__(self) -> str:
-        return f"{self.min_c:g} to {self.max_c:g} °C"
+        return f"{self.min_c:g} to {self.max_c:g} °C".replace("-", "−")
 
     @property
     def span_c(self) -> float:

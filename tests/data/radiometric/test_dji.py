@@ -95,6 +95,9 @@ def test_what_the_user_knows_better_is_handed_on(tmp_path, tool):
         "--reflection": "-4.5",
     }
     assert photo.temperature_c[100, 200] == pytest.approx(5.93)
+    assert dict(photo.facts.record.given) == {
+        "emissivity": 0.93, "distance_m": 12, "humidity": 0.55, "reflected_c": -4.5,
+    }  # fmt: skip
     assert photo.facts.warnings == (
         "window_c had no effect: the file holds finished numbers, not the camera's signal.",
     )

@@ -145,6 +145,11 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
     notes = " ".join(page.texts[name] for name in ("li", "h2"))
     for word in ("emissivity", "shiny", "unreliable", "−10 to 90 °C"):
         assert word in notes
+    assert "does not record the emissivity" in notes
+    assert "apparent" not in notes
+    known = write_page(baked, cameras, "t", tmp_path / "known.html", settings="emissivity 0.70")
+    words = " ".join(Elements(known.read_text(encoding="utf-8")).texts["li"].split())
+    assert "The temperatures were computed with emissivity 0.70." in words
     unknown = write_page(replace(baked, temperature=None), cameras, "t", tmp_path / "unknown.html")
     text = Elements(unknown.read_text(encoding="utf-8"))
     assert "hold no °C" in text.texts["li"]

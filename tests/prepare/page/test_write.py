@@ -13,6 +13,7 @@ from mrgs.errors import RunError
 from mrgs.prepare.page import write
 from mrgs.prepare.page.write import write_page
 from mrgs.prepare.work import Work
+from mrgs.scene.radiometry import ObjectParameters
 
 
 def changed(prepared: Work, scene: Path, **found: Any) -> Work:
@@ -63,7 +64,7 @@ def test_the_page_tells_what_was_understood_and_what_to_do_next(page):
         "pairs", "6 pairs.", "5 min 12 s", "from before",
         "From above, north is up", "0.5 m",
         "view 0", "held out", "view 1", "training", "not in the scene: too few features",
-        "6 with °C", "FLIR E60 (6 photos)", "-1 to 83 °C", "Emissivity 0.95, as the file says. (6 "
+        "6 with °C", "FLIR E60 (6 photos)", "−1 to 83 °C", "Emissivity 0.95, as the file says. (6 "
                                                            "photos)",
         "RGB lens, 5 views", "320 × 240 px, 55.0° × "
                              "42.7°", "3.1 cm: the thermal camera is 3.1 right",
@@ -80,6 +81,26 @@ def test_where_the_training_follows_by_itself_the_page_names_no_other_command(pr
     text = Page(write_page(replace(prepared, scene=scene, trains=True))).text
     assert "mrgs train" not in text
     assert "run the same command again with --yes" in text
+
+
+def test_the_page_shows_the_settings_of_the_temperatures(prepared, tmp_path, page):
+    assert "Emissivity not in the photos' files" in page.text
+    parameters = ObjectParameters(0.7, 2.5, -10.0, 20.0, 0.5)
+    views = list(prepared.images.views)
+    for index, view in enumerate(views[1:], 1):
+        facts = view.facts.adding(
+            parameters=replace(parameters, distance_m=index), given={"emissivity": 0.7}
+        )
+        views[index] = replace(view, facts=facts)
+    scene = shutil.copytree(prepared.scene, tmp_path / "scene")
+    images = replace(prepared.images, views=tuple(views))
+    text = Page(write_page(replace(prepared, scene=scene, images=images))).text
+    for words in (
+        "Emissivity 0.70, given by you; not known of 1 photo",
+        "Reflected temperature −10.0 °C, from the photos; not known of 1 photo",
+        "Distance 1.0 to 5.0 m, from the photos; differs between the photos",
+    ):
+        assert words in text
 
 
 def test_everything_is_in_the_file(page):

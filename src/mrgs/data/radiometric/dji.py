@@ -80,7 +80,7 @@ def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPho
         camera=exif.model,
         taken=exif.taken,
         gps=exif.gps,
-        handed_on=tuple(given),
+        given=given,
     )
     given_unit = Overrides(unit="celsius")
     return _bare_numbers(data, path, facts, given_unit, f"{TOOL} wrote {size} bytes")

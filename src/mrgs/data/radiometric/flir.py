@@ -96,7 +96,9 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
             "its Planck constants are absurd: they give no plausible temperature; copy it again",
         )
     facts = _facts(info, records, path, exif, measurement)
-    return ThermalPhoto(celsius, None, valid, facts.adding(warnings=_doubts(celsius, valid, facts)))
+    doubts = _doubts(celsius, valid, facts)
+    facts = facts.adding(warnings=doubts, given=overrides.of_parameters())
+    return ThermalPhoto(celsius, None, valid, facts)
 
 
 def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
@@ -313,9 +315,9 @@ def _doubts(
         low, high = facts.calibrated_c
         outside = float(np.mean((celsius[valid] < low) | (celsius[valid] > high)))
         if outside > 0.01:
+            limits = f"{low:.0f} to {high:.0f} °C".replace("-", "−")
             doubts.append(
-                f"{100 * outside:.0f} % of the pixels are outside the {low:.0f} to {high:.0f} °C "
-                f"that the camera is "
+                f"{100 * outside:.0f} % of the pixels are outside the {limits} that the camera is "
                 "calibrated for: their temperatures are rough."
             )
     return tuple(doubts)

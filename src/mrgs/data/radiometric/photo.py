@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any
 
@@ -106,7 +106,7 @@ class PhotoFacts:
         unit: of the file's numbers, given or guessed, such as ``kelvin*100``; None where the file
             defines it.
         visible: a photo in visible light inside the file; None if there is none.
-        handed_on: names of the overrides with which another program has computed the temperatures.
+        given: the overrides that the temperatures were computed with, by name.
         notes: how the file was understood, one sentence each.
         warnings: what the user should know before trusting the numbers, one sentence each.
     """
@@ -122,7 +122,7 @@ class PhotoFacts:
     scale_c: tuple[float, float] | None = None
     unit: str | None = None
     visible: VisibleImage | None = None
-    handed_on: tuple[str, ...] = ()
+    given: Mapping[str, float] = field(default_factory=dict, hash=False)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -131,7 +131,7 @@ class PhotoFacts:
         """What a scene keeps of these facts."""
         return PhotoRecord(
             self.source, self.camera or "", self.serial or "", self.taken, self.parameters,
-            self.planck,
+            self.planck, self.given,
         )  # fmt: skip
 
     def adding(

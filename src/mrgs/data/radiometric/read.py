@@ -136,7 +136,7 @@ def _read(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 def _with_unused(photo: ThermalPhoto, overrides: Overrides) -> ThermalPhoto:
     """The photo with a warning that names overrides without effect."""
     if photo.facts.parameters is None:
-        unused = [name for name in overrides.of_parameters() if name not in photo.facts.handed_on]
+        unused = [name for name in overrides.of_parameters() if name not in photo.facts.given]
         why = "the file holds finished numbers, not the camera's signal"
     else:
         unused = [name for name in ("unit", "bounds_c") if getattr(overrides, name) is not None]

@@ -72,6 +72,7 @@ def write_page(
     regions: Regions | None = None,
     length_unit: str = SCENE_UNITS,
     air: Mapping[str, float | None] | None = None,
+    settings: str = "",
 ) -> Path:
     """Write the model as one HTML page; returns its path.
 
@@ -95,6 +96,8 @@ def write_page(
         regions: surfaces with an emissivity of their own, whose temperatures the page corrects.
         length_unit: of depths, see ``WorldFrame.length_unit``.
         air: that the alarms of the isotherm begin with, see ``air_facts``.
+        settings: that the temperatures were computed with, see ``settings_text``; empty if not
+            known.
 
     Raises:
         ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
@@ -137,6 +140,7 @@ def write_page(
         splats=model.count,
         left_out=len(baked) - model.count,
         length_unit=length_unit,
+        settings=settings,
         facts=script_json(facts),
         worker=_worker(),
         parts=(Markup(part.to_json()) for part in model.parts()),

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from markupsafe import Markup
 
 from mrgs.pictures.html import render
+from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range, palette_table, round_ticks, tick_labels
 from mrgs.prepare.page.previews import Preview
 from mrgs.scene import THERMAL
@@ -166,7 +167,7 @@ def spread_chart(
 
     columns = [
         (
-            f"{item.name}: {item.lowest:.1f} to {item.highest:.1f} {unit}",
+            f"{item.name}: {number_text(item.lowest, 1)} to {number_text(item.highest, 1)} {unit}",
             _LEFT + (index + 0.5) * step,
             TemperatureSpread(item.name, *(y(value) for value in item[1:])),
         )
