@@ -10,6 +10,10 @@ from mrgs.comparison.tables import NAMES, Outcomes, all_tables
 from tests.helpers.comparison import metrics_document, outcome_of
 
 TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}
+ALIGNED = {
+    "error_px": 1.7,
+    "aligned": {"thermal": {"psnr": 44.0, "mae_c": 0.3}, "rgb": {"psnr": 30.0}, "truth": TRUTH},
+}
 NO_CELSIUS = {
     "thermal": {"psnr": 20.0, "psnr_matched": 26.0, "ssim": 0.9, "mae_c": None},
     "rgb": {},
@@ -138,8 +142,26 @@ def test_a_scene_with_exact_depths_alone_is_in_the_table_of_exact_truth():
 
 
 def test_the_names_of_all_tables_are_known():
-    runs = [outcome_of("a", method, truth=TRUTH) for method in ("3dgs-rgbt", "mrgs", "mrgs-n1")]
+    runs = [
+        outcome_of("a", method, truth=TRUTH, poses=ALIGNED)
+        for method in ("3dgs-rgbt", "mrgs", "mrgs-n1")
+    ]
     assert set(tables_of(gathered(*runs, neighbours={1: "mrgs-n1"}))) == set(NAMES)
+
+
+def test_scenes_with_wrong_poses_have_scores_with_aligned_ones_too():
+    right = {"error_px": 0.1}
+    runs = [
+        outcome_of("a", "3dgs-rgbt", poses=ALIGNED), outcome_of("a", "mrgs", poses=right),
+        outcome_of("b", "3dgs-rgbt", poses=right), outcome_of("b", "mrgs", poses=right),
+    ]  # fmt: skip
+    table = tables_of(gathered(*runs))["aligned"]
+    assert [group.heading for group in table.groups] == ["a"]
+    wrong, fits = (row.cells for row in table.rows)
+    assert [cell.mean for cell in wrong] == [1.7, 44.0, 30.0, 0.3, 0.2]
+    assert [cell.mean for cell in fits] == [0.1, None, None, None, None]
+    assert fits[1].note == "the poses of the held-out photos are right, as far as this model tells"
+    assert "aligned" not in tables_of(gathered(*runs[2:]))
 
 
 def test_the_papers_figures_stand_beside_ours_on_its_scenes():

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.errors import ConfigError, SceneError
+from mrgs.errors import ConfigError, MrgsWarning, SceneError
 from mrgs.evaluation import evaluate_run, render_run, score_run
+from mrgs.evaluation.held_out_poses import HeldOutError
 from mrgs.evaluation.score_run import facts_of, score_views
 from mrgs.evaluation.scored_data import ScoredData
+from mrgs.method.camera_model.pose_error import PoseAgreement
 from mrgs.pictures.files import to_rgb8
 from mrgs.render import render_view
 from mrgs.runs.open import Run, load_run
@@ -36,7 +38,7 @@ def pixels(path: Path) -> np.ndarray:
 def test_evaluating_writes_scores_and_a_sheet(run):
     seen = []
     metrics = evaluate_run(run, progress=lambda done, total: seen.append((done, total)))
-    assert seen == [(1, 2), (2, 2)]
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]  # both are looked at, then scored
     folder = run.folder.path / "eval"
     document = json.loads((folder / "metrics.json").read_text())
     assert document["mean"]["thermal"]["psnr"] == pytest.approx(metrics.mean[THERMAL]["psnr"])
@@ -51,6 +53,34 @@ def test_evaluating_writes_scores_and_a_sheet(run):
     assert ScoredData.from_json(document["data"]) == ScoredData.of(scene, fingerprints(scene))
     assert pixels(folder / "contact_sheet.png").shape[1] > 1000
     assert "PSNR" in (folder / "metrics.md").read_text()
+
+
+def test_where_poses_are_wrong_there_are_scores_with_aligned_ones(run, monkeypatch):
+    """Here the first view's rendering shall be that of the second: only the sheet and the scores
+    with aligned poses have it."""
+    first, second = run.load_scene().eval
+
+    def moved(_, view):
+        camera = {RGB: second.camera, THERMAL: second.camera}
+        images = {each: replace(image, camera=camera[each]) for each, image in view.images.items()}
+        return replace(view, images=images) if view.name == first.name else view
+
+    monkeypatch.setattr(
+        score_run, "held_out_error", lambda *_: HeldOutError(PoseAgreement(2.0, 0.1), 1.5)
+    )
+    monkeypatch.setattr(score_run, "aligned_view", moved)
+    with pytest.warns(MrgsWarning, match=r"the held-out photos lie some 3\.0 pixels beside"):
+        metrics = evaluate_run(run)
+    assert metrics.pose_error_px == 3.0
+    given, aligned = metrics.views, metrics.aligned.views
+    assert given[0].figures[RGB]["psnr"] != aligned[0].figures[RGB]["psnr"]
+    assert given[1] == aligned[1]
+    poses = json.loads((run.folder.path / "eval" / "metrics.json").read_text())["poses"]
+    assert poses["error_px"] == 3.0
+    assert poses["aligned"]["rgb"]["psnr"] == pytest.approx(metrics.aligned.mean[RGB]["psnr"])
+    report = (run.folder.path / "eval" / "metrics.md").read_text()
+    assert "lies 3.0 pixels beside what the model shows" in report
+    assert f"| aligned | {metrics.aligned.mean[THERMAL]['psnr']:.2f} |" in report
 
 
 def test_rendered_temperatures_are_those_of_the_model(run):

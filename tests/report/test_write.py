@@ -117,6 +117,20 @@ def test_scores_and_contact_sheet_are_shown(run, tmp_path):
     assert "mrgs eval" not in page.text
 
 
+def test_where_poses_are_wrong_the_scores_are_those_with_aligned_ones(run, tmp_path):
+    poses = {
+        "error_px": 1.7,
+        "aligned": {"thermal": {"psnr": 49.876}, "rgb": {"psnr": 30.0}, "truth": {"mae_c": 0.1}},
+    }
+    (run.folder.path / "eval" / "metrics.json").write_text(
+        json.dumps(METRICS | {"poses": poses}), encoding="utf-8"
+    )
+    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
+    assert "PSNR, dB 49,88" in text
+    assert "41,24" not in text
+    assert "Ein typisches liegt 1,7 Pixel neben dem, was das Modell zeigt" in text
+
+
 def test_what_the_parts_of_the_model_add_is_shown(run, tmp_path):
     parts = {
         "temperature_residual_std_c": 0.51239,

@@ -9,6 +9,7 @@ import torch
 
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning
+from mrgs.method.camera_model.pose_error import PoseAgreement
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.runs.open import Run, load_run
 from mrgs.training import pose_check, train
@@ -26,7 +27,8 @@ def config(poses: bool = True) -> TrainConfig:
 def every_pose_is_wrong() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pose_check, "EARLIEST_STEP", STEPS // 3)
-        patch.setattr(pose_check, "WRONG_PX", -1.0)
+        patch.setattr(pose_check, "LOOKS", 0)
+        patch.setattr(PoseAgreement, "is_wrong", True)
         yield
 
 

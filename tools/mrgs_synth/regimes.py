@@ -3,7 +3,8 @@
     python -m mrgs_synth.regimes SCENE OUT --name views-8
 
 Only what a training sees changes; the evaluation views, their photos, poses and truth stay as they
-are. The same scene, regime and seed give the same files; unchanged images are hard links.
+are, but for ``every-pose-2px``. The same scene, regime and seed give the same files; unchanged
+images are hard links.
 """
 
 from __future__ import annotations
@@ -107,7 +108,10 @@ def make_regime(scene: Path, output: Path, name: str, seed: int = 0) -> None:
         ]
         for wanted in ("train", "eval")
     )
-    changed = REGIMES[name](train, source, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    changed = REGIMES[name](train, source, rng)
+    if name in ALSO_HELD_OUT:
+        held_out = REGIMES[name](held_out, source, rng)
     _write(output, source, changed, held_out)
 
 
@@ -303,6 +307,7 @@ REGIMES: dict[str, Change] = {
     "views-8": partial(_fewer_views, 8),
     "poses-2px": partial(_wrong_poses, 2.0),
     "poses-4px": partial(_wrong_poses, 4.0),
+    "every-pose-2px": partial(_wrong_poses, 2.0),
     "noise": _noisy,
     "drift": _drifting,
     "missing-half": partial(_thermal_missing, 0.5),
@@ -310,6 +315,9 @@ REGIMES: dict[str, Change] = {
     "thermal-quarter": _thermal_quarter,
 }
 """By name: what becomes of the training views."""
+
+ALSO_HELD_OUT = frozenset({"every-pose-2px"})
+"""What becomes of the held-out views too, as where one program has found all poses."""
 
 
 def _write(

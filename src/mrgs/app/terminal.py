@@ -113,6 +113,9 @@ def print_figures(metrics: Metrics) -> None:
                 shown.append(f"{heading} {format_figure(name, value)} {unit}".rstrip())
         if shown:
             print(f"{title + ':':9}{'  '.join(shown)}")
+    if metrics.aligned is not None:
+        print("with each photo laid on the model:")
+        print_figures(metrics.aligned)
 
 
 def print_table(table: Table) -> None:

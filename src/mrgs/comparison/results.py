@@ -45,6 +45,11 @@ RUN_KINDS = {
     "truth.camera_mae_c": Kind("camera's own MAE", "°C", 3, 3, None),
     "truth.ratio": Kind("ratio", "", 2, 2, "lower"),
     "truth.depth_percent": Kind("depth error", "%", 2, 2, "lower"),
+    "poses.error_px": Kind("photos off by", "px", 1, 1, None),
+    "poses.aligned.thermal.psnr": Kind("thermal PSNR", "dB", 2, 2, "higher"),
+    "poses.aligned.rgb.psnr": Kind("RGB PSNR", "dB", 2, 2, "higher"),
+    "poses.aligned.thermal.mae_c": Kind("thermal MAE", "°C", 3, 3, "lower"),
+    "poses.aligned.truth.mae_c": Kind("MAE to exact", "°C", 3, 3, "lower"),
 }
 """The figures of a run."""
 
@@ -196,6 +201,8 @@ def _figure(document: dict[str, Any], name: str) -> Figure:
     if name == "minutes":
         return _scaled(_number(document, "train_seconds"), 1 / 60)
     group, _, key = name.partition(".")
+    if group == "poses":
+        return _of_poses(document, name)
     if group != "truth":
         return _number(document, f"mean.{group}.{key}")
     if "truth" not in document:
@@ -208,6 +215,14 @@ def _figure(document: dict[str, Any], name: str) -> Figure:
             return error if isinstance(error, Missing) else camera
         return error / camera if camera > 0 else Missing("the camera makes no error")
     return _number(document, f"truth.{key}")
+
+
+def _of_poses(document: dict[str, Any], name: str) -> Figure:
+    """A figure of the held-out views' poses, or of the scores with aligned ones."""
+    poses = document.get("poses")
+    if name.startswith("poses.aligned") and isinstance(poses, dict) and "aligned" not in poses:
+        return Missing("the poses of the held-out photos are right, as far as this model tells")
+    return _number(document, name)
 
 
 def _number(document: dict[str, Any], path: str) -> Figure:

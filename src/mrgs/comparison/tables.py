@@ -13,13 +13,20 @@ from mrgs.evaluation.figures import REPORTED, Figure, Missing
 from mrgs.pictures.values import capitalised
 from mrgs.scene import THERMAL
 
-NAMES = (*(modality.name for modality in REPORTED), "ablation", "neighbours", "truth")
+NAMES = (*(modality.name for modality in REPORTED), "ablation", "neighbours", "truth", "aligned")
 """Names of all possible tables; that of another modality has the modality's name."""
 
 CELSIUS = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
 WITHOUT_CELSIUS = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
 NEIGHBOURS = (*CELSIUS, "minutes")
 TRUTH = ("truth.mae_c", "truth.camera_mae_c", "truth.ratio", "truth.depth_percent")
+ALIGNED = (
+    "poses.error_px",
+    "poses.aligned.thermal.psnr",
+    "poses.aligned.rgb.psnr",
+    "poses.aligned.thermal.mae_c",
+    "poses.aligned.truth.mae_c",
+)
 
 ABLATION = {
     "3dgs-rgbt": ("✓", "", "", ""),
@@ -94,12 +101,17 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
         tables.append(_ablation(outcomes))
     if outcomes.neighbours:
         tables.append(_neighbours(outcomes))
-    with_truth = {scene for figure in TRUTH for scene in outcomes.scenes_with(figure)}
-    if with_truth:
-        tables.append(
-            _truth(outcomes, tuple(scene for scene in outcomes.scenes if scene in with_truth))
-        )
+    if with_truth := _scenes_with_any(outcomes, TRUTH):
+        tables.append(_truth(outcomes, with_truth))
+    if with_aligned := _scenes_with_any(outcomes, ALIGNED[1:]):
+        tables.append(_aligned(outcomes, with_aligned))
     return tables
+
+
+def _scenes_with_any(outcomes: Outcomes, figures: Sequence[str]) -> tuple[str, ...]:
+    """The scenes where at least one method has one of the figures."""
+    found = {scene for figure in figures for scene in outcomes.scenes_with(figure)}
+    return tuple(scene for scene in outcomes.scenes if scene in found)
 
 
 def _scored(outcomes: Outcomes) -> dict[str, str]:
@@ -205,17 +217,6 @@ def _neighbours(outcomes: Outcomes) -> Table:
 
 def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
     """Errors against exact temperatures and depths, where a scene has them."""
-    several = len(scenes) > 1
-    rows = []
-    for method in outcomes.methods:
-        cells = [
-            over_seeds(outcomes.figures(scene, method, key)) for scene in scenes for key in TRUTH
-        ]
-        cells += [outcomes.mean(method, key) for key in TRUTH] if several else []
-        rows.append(Row((method,), tuple(cells)))
-    groups = [Group(_title(scene), TRUTH) for scene in scenes] + (
-        [Group(MEAN, TRUTH)] if several else []
-    )
     remarks = [
         "MAE to exact: of the rendered view, mean over the frame.",
         "Camera's own MAE: of the camera's image of the same view.",
@@ -223,9 +224,47 @@ def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
         "camera.",
         "Depth error: median of |rendered − exact| / exact over a view, mean over the views.",
     ]
-    remarks += _remarks_on_means(outcomes, scenes, TRUTH) if several else []
     caption = "Against exact temperatures and depths, of scenes that have them."
-    return Table("truth", caption, ("",), tuple(groups), tuple(rows), tuple(remarks))
+    return _same_figures(outcomes, scenes, "truth", caption, TRUTH, remarks)
+
+
+def _aligned(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
+    """Scores with each held-out photo laid on the model, of scenes whose poses are wrong."""
+    remarks = [
+        "Photos off by: how far a typical held-out photo lies beside what the model shows at the "
+        "pose as given.",
+        "A dash: the photos fit the model at the poses as given, or the scene does not have the "
+        "figure.",
+    ]
+    caption = (
+        "Held-out photos laid on each model first, of scenes whose poses seem wrong: at a wrong "
+        "pose a sharp model scores no better than a blurred one."
+    )
+    figures = [figure for figure in ALIGNED if outcomes.scenes_with(figure)]
+    return _same_figures(outcomes, scenes, "aligned", caption, tuple(figures), remarks)
+
+
+def _same_figures(
+    outcomes: Outcomes,
+    scenes: tuple[str, ...],
+    name: str,
+    caption: str,
+    figures: tuple[str, ...],
+    remarks: Sequence[str],
+) -> Table:
+    """A row per method, and the same columns below each scene and the mean."""
+    several = len(scenes) > 1
+    rows = []
+    for method in outcomes.methods:
+        cells = [
+            over_seeds(outcomes.figures(scene, method, key)) for scene in scenes for key in figures
+        ]
+        cells += [outcomes.mean(method, key) for key in figures] if several else []
+        rows.append(Row((method,), tuple(cells)))
+    groups = [Group(_title(scene), figures) for scene in scenes]
+    groups += [Group(MEAN, figures)] if several else []
+    remarks = [*remarks, *(_remarks_on_means(outcomes, scenes, figures) if several else [])]
+    return Table(name, caption, ("",), tuple(groups), tuple(rows), tuple(remarks))
 
 
 def _published_rows(

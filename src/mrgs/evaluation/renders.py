@@ -31,7 +31,7 @@ from mrgs.data.images import Decoded, decode, with_channels
 from mrgs.errors import RunError, SceneError
 from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.report import RunFacts
-from mrgs.evaluation.score_run import Progress, score_views
+from mrgs.evaluation.score_run import Counted, Progress, score_views
 from mrgs.evaluation.truth import Truth
 from mrgs.scene import (
     THERMAL,
@@ -155,7 +155,7 @@ def evaluate_renders(
         facts,
         output or folder / "eval",
         lpips_weights,
-        progress,
+        Counted(progress, len(loaded.eval)).one_more,
     )
 
 

@@ -43,6 +43,11 @@ CONVENTIONS = (
 )
 
 
+NO_POSE_ERROR = (
+    "too few held-out views, or the model is not clear enough to tell, or the images are another "
+    "program's"
+)
+
 UNKNOWN_FACTS = {
     "steps": "not known: the images are another program's",
     "gaussians": "the method has no Gaussians, or the images are another program's",
@@ -95,6 +100,7 @@ def to_document(
         document["truth"] = _split(metrics.truth, "truth", reasons)
     if parts is not None:
         document["parts"] = parts.to_document()
+    document["poses"] = _poses(metrics, reasons)
     document["reasons"] = reasons
     document["views"] = []
     for view in metrics.views:
@@ -106,6 +112,23 @@ def to_document(
         document["views"].append({"name": view.name, **entry, "reasons": view_reasons})
     if data is not None:
         document["data"] = data.to_json()
+    return document
+
+
+def _poses(metrics: Metrics, reasons: dict[str, str]) -> dict[str, Any]:
+    """The object ``poses`` of ``metrics.json``."""
+    if metrics.pose_error_px is None:
+        reasons["poses.error_px"] = NO_POSE_ERROR
+    document: dict[str, Any] = {"error_px": metrics.pose_error_px}
+    aligned = metrics.aligned
+    if aligned is not None:
+        groups = {modality.name: figures for modality, figures in aligned.mean.items()}
+        if aligned.truth is not None:
+            groups["truth"] = aligned.truth
+        document["aligned"] = {
+            group: _split(figures, f"poses.aligned.{group}", reasons)
+            for group, figures in groups.items()
+        }
     return document
 
 
@@ -131,6 +154,8 @@ def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
         truths = [(escape_markdown(view.name), view.truth) for view in metrics.views if view.truth]
         table = _table([("**mean**", metrics.truth), *truths], TRUTH_FIGURES)
         blocks += ["## Against the exact truth", table]
+    if metrics.aligned is not None:
+        blocks += ["## With aligned poses", _aligned_text(metrics, metrics.aligned)]
     if parts is not None:
         blocks += ["## The model's parts", _parts_text(parts)]
     reasons = _distinct_reasons(metrics)
@@ -214,6 +239,30 @@ def _parts_text(parts: Parts) -> str:
     )
 
 
+def _aligned_text(metrics: Metrics, aligned: Metrics) -> str:
+    """Why there are aligned poses, and the mean figures with them beside those without."""
+    tables = [
+        _table(
+            [("poses as given", metrics.mean[modality]), ("aligned", mean)],
+            figure_names(modality),
+            capitalised(modality.title),
+        )
+        for modality, mean in aligned.mean.items()
+    ]
+    if metrics.truth is not None and aligned.truth is not None:
+        rows = [("poses as given", metrics.truth), ("aligned", aligned.truth)]
+        tables.append(_table(rows, TRUTH_FIGURES, "Against the exact truth"))
+    return "\n\n".join(
+        [
+            f"A typical held-out photo lies {metrics.pose_error_px:.1f} pixels beside what the "
+            f"model shows, so the poses of these photos seem wrong. Here each photo was first laid "
+            f"on the model. The tables above, which other programs' scores compare with, use the "
+            f"poses as given.",
+            *tables,
+        ]
+    )
+
+
 def format_figure(name: str, figure: Figure) -> str:
     """A figure for people: the usual decimals, a dash where it is missing, ∞ for a perfect PSNR."""
     number, _ = to_json(figure)
@@ -237,9 +286,9 @@ def _split(figures: Figures, prefix: str, reasons: dict[str, str]) -> dict[str, 
     return numbers
 
 
-def _table(rows: Sequence[tuple[str, Figures]], names: Sequence[str]) -> str:
+def _table(rows: Sequence[tuple[str, Figures]], names: Sequence[str], corner: str = "") -> str:
     lines = [
-        "| | " + " | ".join(COLUMNS[name][0] for name in names) + " |",
+        f"| {corner}".rstrip() + " | " + " | ".join(COLUMNS[name][0] for name in names) + " |",
         "|---|" + "---:|" * len(names),
     ]
     for label, figures in rows:

@@ -5,12 +5,21 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.evaluation.contact_sheet import SheetRows, contact_sheet, sheet_row
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, Visitor, evaluate
+from mrgs.evaluation.held_out_poses import (
+    NOT_KNOWN,
+    HeldOutPoses,
+    aligned_view,
+    held_out_error,
+    looked_at_first,
+)
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.parts import Parts, score_parts
 from mrgs.evaluation.report import RunFacts, write_report
@@ -22,6 +31,7 @@ from mrgs.pictures.video import frame_writer
 from mrgs.runs.open import Run, TrainedRun
 from mrgs.scene import Camera, CameraResponse, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
+from mrgs.system.callers import warn
 from mrgs.system.memory import give_back_freed
 
 PATH_FRAMES = 120
@@ -52,7 +62,10 @@ def evaluate_run(
     """
     scene = run.load_scene()
     truth = Truth.of(scene)
-    parts = score_parts(run, scene.eval, truth) if isinstance(run, Run) and scene.eval else None
+    counted = Counted(progress, len(scene.eval) + len(looked_at_first(scene.eval)))
+    poses = _held_out_poses(run, scene, counted)
+    views = poses.aligned or scene.eval
+    parts = score_parts(run, views, truth) if isinstance(run, Run) and views else None
     return score_views(
         scene,
         truth,
@@ -60,11 +73,46 @@ def evaluate_run(
         facts_of(run, scene),
         run.folder.path / "eval",
         lpips_weights,
-        progress,
+        counted.one_more,
         run.camera_response,
         parts,
         ScoredData.of(scene, run.facts.images),
+        poses,
     )
+
+
+class Counted:
+    """How many views are done of those that are to be looked at, laid on the model, or scored."""
+
+    def __init__(self, progress: Progress | None, total: int) -> None:
+        self._progress, self._done, self.total = progress, 0, total
+
+    def one_more(self) -> None:
+        """A view is done."""
+        self._done += 1
+        if self._progress is not None:
+            self._progress(self._done, self.total)
+
+
+def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutPoses:
+    """The poses of the held-out views, checked, and corrected where they are wrong.
+
+    Warns:
+        MrgsWarning: they are wrong.
+    """
+    error = held_out_error(run, looked_at_first(scene.eval), counted.one_more)
+    if error is None or not error.found.is_wrong:
+        return HeldOutPoses(None if error is None else error.photo_px)
+    warn(
+        f"{scene.name}: the held-out photos lie some {error.photo_px:.1f} pixels beside what the "
+        f"model shows, so their poses seem wrong, and they are scored with aligned poses as well"
+    )
+    counted.total += 2 * len(scene.eval)
+    aligned = []
+    for view in scene.eval:
+        aligned.append(aligned_view(run, view))
+        counted.one_more()
+    return HeldOutPoses(error.photo_px, tuple(aligned))
 
 
 def score_views(
@@ -74,10 +122,11 @@ def score_views(
     facts: RunFacts,
     output: Path,
     lpips_weights: Path | None = None,
-    progress: Progress | None = None,
+    on_view: Callable[[], None] = lambda: None,
     camera_response: CameraResponse = ideal_cameras,
     parts: Parts | None = None,
     data: ScoredData | None = None,
+    poses: HeldOutPoses = NOT_KNOWN,
 ) -> Metrics:
     """Score renderings of a scene's eval views, and write the scores and the contact sheet into a
     folder.
@@ -89,11 +138,13 @@ def score_views(
         facts: listed in the report besides the figures.
         output: the folder to write into.
         lpips_weights: weights for LPIPS; without them it is left out, with the reason.
-        progress: called after each view.
+        on_view: called after each view.
         camera_response: from a rendering to what the cameras would have recorded, which is compared
             with the photos.
         parts: what the model's parts contribute, for the report; None where it has none.
         data: of the scores, for the report; None where they are not of a run.
+        poses: of the eval views, as far as they were checked; where there are aligned ones, the
+            views are scored with them too, and the contact sheet shows these.
 
     Raises:
         SceneError: the scene has no eval views, or an image cannot be read.
@@ -111,33 +162,40 @@ def score_views(
         )
     lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
     shown = SheetRows(len(scene.eval))
-    metrics = evaluate(
-        scene.eval,
-        render,
-        scene.temperature,
-        lpips,
-        truth,
-        _visitor(scene, shown, progress),
-        camera_response,
+    score = partial(
+        evaluate,
+        render=render,
+        temperature=scene.temperature,
+        lpips=lpips,
+        truth=truth,
+        camera_response=camera_response,
     )
+    visit = _visitor(scene, shown, on_view)
+    if poses.aligned is None:
+        metrics = pictured = score(scene.eval, visit=visit)
+    else:
+        given = score(scene.eval, visit=lambda *_: on_view())
+        pictured = score(poses.aligned, visit=visit)
+        metrics = replace(given, aligned=pictured)
+    metrics = replace(metrics, pose_error_px=poses.error_px)
     write_report(output, facts, metrics, parts, data)
     write_png(
-        output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
+        output / "contact_sheet.png", contact_sheet(shown.rows, facts, pictured, scene.temperature)
     )
     return metrics
 
 
-def _visitor(scene: Scene, shown: SheetRows, progress: Progress | None) -> Visitor:
+def _visitor(scene: Scene, shown: SheetRows, on_view: Callable[[], None]) -> Visitor:
     """Collects the rows of the contact sheet, and reports the progress."""
     ball, numbers = scene.reach, itertools.count()
 
     def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
-        number = next(numbers)
         shown.add(
-            number, metrics, lambda: sheet_row(view, rendering, metrics, scene.temperature, ball)
+            next(numbers),
+            metrics,
+            lambda: sheet_row(view, rendering, metrics, scene.temperature, ball),
         )
-        if progress is not None:
-            progress(number + 1, len(scene.eval))
+        on_view()
 
     return visit
 

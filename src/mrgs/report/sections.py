@@ -35,7 +35,8 @@ class Scores(NamedTuple):
 
     Attributes:
         steps: training steps of the model that was scored.
-        rows: name and value of each score.
+        rows: name and value of each score; with aligned poses where those of the photos are wrong.
+        pose_error_px: how far a typical photo lies beside what the model shows, if so; None else.
         spreads: name and standard deviation of what the paper's parts add to a Gaussian; empty for
             a model without them.
         knock_outs: what is knocked out of the model, then its scores without it.
@@ -43,6 +44,7 @@ class Scores(NamedTuple):
 
     steps: int
     rows: list[tuple[str, str]]
+    pose_error_px: float | None
     spreads: list[tuple[str, str]]
     knock_outs: list[list[str]]
 
@@ -171,19 +173,23 @@ def read_scores(run: Run, t: Texts) -> Scores | None:
         return None
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
+        poses = document.get("poses") or {}
+        aligned = poses.get("aligned")
         titles = {each.name: capitalised(each.title) for each in (*REPORTED, *run.modalities)}
         rows = [
             (
                 f"{t(titles.get(group, group))}, {t(COLUMNS[name][0])}",
                 t.number(f"{value:.{COLUMNS[name][1]}f}"),
             )
-            for group, figures in document["mean"].items()
+            for group, figures in (aligned or document["mean"]).items()
             for name, value in figures.items()
-            if value is not None
+            if value is not None and group != "truth"
         ]
         if not isinstance(document["steps"], int):
             raise ValueError("the number of steps is not a whole number")
-        return Scores(document["steps"], rows, *_parts_rows(document.get("parts") or {}, t))
+        error_px = float(poses["error_px"]) if aligned else None
+        parts = _parts_rows(document.get("parts") or {}, t)
+        return Scores(document["steps"], rows, error_px, *parts)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RunError(
             f"{path} is not what `mrgs eval` writes ({error}); run `mrgs eval` again"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float64
+from torch import Tensor
 
 from mrgs.method.camera_model.pose_refinement import PoseRefinement
-from mrgs.scene import Camera, Scene, View
+from mrgs.scene import Camera, Modality, Scene, View
 
 
 @torch.no_grad()
@@ -20,22 +22,34 @@ def with_refined_poses(scene: Scene, poses: PoseRefinement) -> Scene:
         scene: that the poses were refined on.
         poses: as learned.
     """
-    train = tuple(_refined(view, number, poses) for number, view in enumerate(scene.train))
+    train = tuple(
+        moved_view(view, poses.motion(torch.tensor([number])))
+        for number, view in enumerate(scene.train)
+    )
     note = _note(scene.train, poses.shifts().tolist())
     return replace(scene, train=train, notes=(*scene.notes, note))
 
 
-def _refined(view: View, number: int, poses: PoseRefinement) -> View:
-    motion = poses.motion(torch.tensor([number]))
-    images = {
-        modality: replace(image, camera=_moved(image.camera, motion))
-        for modality, image in view.images.items()
+def moved_cameras(
+    cameras: Mapping[Modality, Camera], motion: Float64[Tensor, "4 4"]
+) -> dict[Modality, Camera]:
+    """Cameras that see the world moved.
+
+    Args:
+        cameras: of a view.
+        motion: of the world, in scene units.
+    """
+    return {
+        modality: Camera(camera.K, camera.viewmat @ motion, camera.width, camera.height)
+        for modality, camera in cameras.items()
     }
+
+
+def moved_view(view: View, motion: Float64[Tensor, "4 4"]) -> View:
+    """The view with the cameras that see the world moved."""
+    cameras = moved_cameras(view.cameras, motion)
+    images = {each: replace(view.images[each], camera=cameras[each]) for each in view.images}
     return replace(view, images=images)
-
-
-def _moved(camera: Camera, motion: torch.Tensor) -> Camera:
-    return Camera(camera.K, camera.viewmat @ motion, camera.width, camera.height)
 
 
 def _note(views: Sequence[View], shifts: Sequence[float]) -> str:

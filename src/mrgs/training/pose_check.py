@@ -7,10 +7,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.method.camera_model.pose_error import Alignable, pose_error
+from mrgs.method.camera_model.pose_error import (
+    Alignable,
+    PoseAgreement,
+    agreement,
+    halves_px,
+    pose_error,
+)
 from mrgs.method.config import TrainConfig
 from mrgs.render import render
 from mrgs.scene import THERMAL, Camera, Modality, Pixels
@@ -23,8 +29,8 @@ EARLIEST_STEP = 200
 """By then the model is clear enough to tell, and it still follows poses that move (docs/decisions,
 055)."""
 
-SQUARE_PX = 16
-"""Side of the squares that the two halves of a photo consist of."""
+LOOKS = 2
+"""By then each photo was trained on so many times."""
 
 MOST_PIXELS = 640 * 480
 """Larger photos are looked at in larger pixels."""
@@ -32,14 +38,10 @@ MOST_PIXELS = 640 * 480
 MOST_VIEWS = 32
 """So many of the training views tell whether poses are wrong."""
 
-WRONG_PX = 0.3
-"""In the pixels that are looked at. Exact poses seem to be off by up to half of this, because the
-model is not finished."""
-
 
 def checked_after(config: TrainConfig, views: int) -> int | None:
-    """The step after which poses are checked, with each photo seen once; None if they are not, as
-    in a short training or in a block of a scene.
+    """The step after which poses are checked; None if they are not, as in a short training or in a
+    block of a scene.
 
     Args:
         config: of the run.
@@ -49,7 +51,7 @@ def checked_after(config: TrainConfig, views: int) -> int | None:
     if not image_model.poses or image_model.poses_rate == 0:
         return None
     share = round(SHARE_OF_STEPS * config.max_steps)
-    step = max(EARLIEST_STEP, share, math.ceil(views / config.batch))
+    step = max(EARLIEST_STEP, share, math.ceil(LOOKS * views / config.batch))
     return step if step < config.max_steps else None
 
 
@@ -63,9 +65,15 @@ def checks_poses_now(state: TrainingState, config: TrainConfig) -> bool:
     return due is not None and state.step >= due
 
 
-def are_wrong(typical_px: float) -> bool:
-    """Whether poses that are off by so many pixels are to be refined."""
-    return typical_px > WRONG_PX
+def looked_at(
+    cameras: Mapping[Modality, Camera], photos: Mapping[Modality, Pixels], pixel_size: int = 1
+) -> tuple[Mapping[Modality, Camera], Mapping[Modality, Pixels]]:
+    """A view's cameras and photos as a check of poses looks at them: with pixels of this size, or
+    larger ones where there are many."""
+    largest = max(camera.width * camera.height for camera in cameras.values())
+    while largest > MOST_PIXELS * pixel_size**2:
+        pixel_size *= 2
+    return coarser(cameras, photos, pixel_size)
 
 
 class PoseCheck:
@@ -87,20 +95,18 @@ class PoseCheck:
         self._state, self._load, self._config = state, load, config
         self._poses = state.image_model.poses
 
-    def typical_px(self) -> float:
-        """How far a typical photo is off, in the pixels that are looked at.
-
-        What two halves of a photo agree on: an unfinished model differs from the photo in each of
-        them in another way, a wrong pose in both alike. A motion of the scene as a whole is left
-        out: the model may be too small as yet.
-        """
+    def agreement(self) -> PoseAgreement:
+        """How far typical photos are off, in the pixels that are looked at, without a motion of the
+        scene as a whole: the model may be too small as yet."""
         count = len(self._poses.motions)
         taken = min(count, MOST_VIEWS)
         numbers = [place * count // taken for place in range(taken)]
-        found = torch.stack([torch.stack(self._halves_px(number)) for number in numbers], dim=1)
-        first, second = (self._poses.apart_from_the_whole(half, numbers) for half in found)
-        agreed = (first * second).sum(dim=1)
-        return math.sqrt(max(0.0, agreed.median().item()))
+        halves = []
+        for number in numbers:
+            images = self._seen(number)
+            halves.append(halves_px(images, *self._frame(number, images)))
+        found = torch.stack(halves, dim=1)
+        return agreement(*(self._poses.apart_from_the_whole(half, numbers) for half in found))
 
     def pixel_size(self) -> float:
         """Side of the pixels that are looked at, in pixels of the first photo."""
@@ -113,18 +119,9 @@ class PoseCheck:
         found = []
         for number in range(len(self._poses.motions)):
             images = self._seen(number)
-            found.append(self._error_px(number, images) / images[0].camera.focal_px)
+            error_px = pose_error(images, *self._frame(number, images))
+            found.append(error_px / images[0].camera.focal_px)
         return torch.stack(found)
-
-    def _halves_px(self, number: int) -> list[Float64[Tensor, "6"]]:
-        """How far a view is off, as either half of it tells."""
-        images = self._seen(number)
-        return [
-            self._error_px(
-                number, [each._replace(depth=_half(each.depth, which)) for each in images]
-            )
-            for which in (0, 1)
-        ]
 
     @torch.no_grad()
     def _seen(self, number: int) -> list[Alignable]:
@@ -151,19 +148,11 @@ class PoseCheck:
     ) -> tuple[Mapping[Modality, Camera], Mapping[Modality, Pixels]]:
         """A view's cameras and photos with the pixels that are trained with, or larger ones."""
         size = self._config.pixel_size_at(self._state.step)
-        while max(c.width * c.height for c in each.view.cameras.values()) > MOST_PIXELS * size**2:
-            size *= 2
-        return coarser(each.view.cameras, each.photos, size)
+        return looked_at(each.view.cameras, each.photos, size)
 
-    def _error_px(self, number: int, images: Sequence[Alignable]) -> Float64[Tensor, "6"]:
-        """How far a view is off, along its axes; nothing where it cannot be told."""
+    def _frame(
+        self, number: int, images: Sequence[Alignable]
+    ) -> tuple[Float64[Tensor, "3"], Float64[Tensor, "6 6"]]:
+        """What the motion of a view is measured about and along."""
         first, axes = images[0].camera, self._poses.axes[number]
-        found = pose_error(images, first.position.to(axes), axes / first.focal_px)
-        return torch.where(found.isfinite().all(), found, 0)
-
-
-def _half(depth: Float[Tensor, "h w"], which: int) -> Float[Tensor, "h w"]:
-    """The depths in every other square of a chessboard; NaN in the others."""
-    row, column = (torch.arange(size, device=depth.device) // SQUARE_PX for size in depth.shape)
-    taken = (row[:, None] + column) % 2 == which
-    return torch.where(taken, depth, torch.nan)
+        return first.position.to(axes), axes / first.focal_px

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from mrgs.distributed.processes import Processes
 from mrgs.errors import LinkError, PeerError, TrainingError
+from mrgs.method.camera_model.pose_error import PoseAgreement
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.parts import part_spreads
@@ -25,7 +26,7 @@ from mrgs.training.gradient_exchange import GradientExchange
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import retried_when_full
 from mrgs.training.photos import HostPhotos, PhotoSource, kept_limit
-from mrgs.training.pose_check import PoseCheck, are_wrong, checks_poses_now
+from mrgs.training.pose_check import PoseCheck, checks_poses_now
 from mrgs.training.recorder import Recorder
 from mrgs.training.replicas import align_replicas
 from mrgs.training.start import TrainingStart
@@ -112,12 +113,12 @@ class Trainer(Driver[StepStatistics]):
         poses, processes = self.state.image_model.poses, self._processes
         assert poses is not None
         check = PoseCheck(self.state, self._with_photos, self.config)
-        typical_px = self._with_enough_memory(check.typical_px)
+        found = self._with_enough_memory(check.agreement)
         if processes is not None:
-            typical_px = processes.share_json(typical_px)
-        photo_px = self._with_enough_memory(check.pixel_size) * typical_px
+            found = PoseAgreement(*processes.share_json(list(found)))
+        photo_px = self._with_enough_memory(check.pixel_size) * found.agreed_px
         self.folder.append_log({"step": self.state.step, "pose_error_px": photo_px})
-        if are_wrong(typical_px):
+        if found.is_wrong:
             warn(
                 f"{self.scene.name}: the poses of the training photos are off by some "
                 f"{photo_px:.1f} pixels, so they are refined with the model"

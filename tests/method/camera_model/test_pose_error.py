@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -8,7 +9,16 @@ from torch import Tensor
 
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.method.camera_model.point_spread import blur
-from mrgs.method.camera_model.pose_error import Alignable, pose_error, shift_per_motion
+from mrgs.method.camera_model.pose_error import (
+    MOST_PIXELS,
+    Alignable,
+    PoseAgreement,
+    _half,
+    agreement,
+    halves_px,
+    pose_error,
+)
+from mrgs.method.camera_model.view_motion import effect, motion_axes, shift_per_motion
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.render import Model, render
 from mrgs.scene import RGB, Camera
@@ -117,6 +127,57 @@ def test_large_photos_are_sampled(model, monkeypatch):
     assert_found(found(seen(model, CAMERA)), within_px=0.3)
 
 
+@pytest.mark.parametrize("size", [(96, 72), (640, 480), (507, 380), (321, 243)])
+def test_both_halves_of_a_photo_are_sampled(size):
+    width, height = size
+    step = math.ceil(math.sqrt(width * height / MOST_PIXELS))
+    counts = [
+        int(_half(torch.ones(height, width), which)[::step, ::step].isfinite().sum())
+        for which in (0, 1)
+    ]
+    assert min(counts) > 0.4 * sum(counts)
+
+
+@pytest.mark.parametrize(
+    ("agreed", "apart", "is_wrong", "is_right"),
+    [
+        (0.1, 0.0, False, True),
+        (0.3, 0.0, False, True),
+        (0.5, 0.2, True, False),
+        (0.5, 0.45, False, False),
+        (2.0, 2.5, False, False),
+    ],
+)
+def test_poses_are_wrong_by_what_the_halves_agree_on(agreed, apart, is_wrong, is_right):
+    found = PoseAgreement(agreed, apart)
+    assert (found.is_wrong, found.is_right) == (is_wrong, is_right)
+
+
+def test_motions_that_a_view_hardly_tells_do_not_count():
+    """A model at a wrong depth moves both halves of all views along these."""
+    halves = torch.zeros(2, 5, 6, dtype=torch.float64)
+    halves[:, :, :2] = 3.0
+    assert agreement(*halves) == PoseAgreement(0.0, 0.0)
+    halves[0, :, 5], halves[1, :, 5] = 2.0, 0.5
+    assert agreement(*halves) == PoseAgreement(1.0, 1.5)
+    halves[1, :, 5] = -2.0
+    assert agreement(*halves) == PoseAgreement(0.0, 4.0)
+
+
+def test_either_half_of_an_image_tells_the_motion(model):
+    """Along the axes in which the view tells most."""
+    image = seen(model, CAMERA)
+    depth = image.depth[image.depth.isfinite()].double()
+    points = CAMERA.unproject_image(image.depth.double())[image.depth.isfinite()]
+    assert len(depth) > 1000
+    axes = motion_axes(effect(CAMERA, points)) / CAMERA.focal_px
+    expected = torch.linalg.solve(axes, axes_px() @ MOTION)
+    halves = halves_px([image], CAMERA.position, axes)
+    for half in halves:
+        assert (half - expected)[-2:].norm() < 0.25 * expected[-2:].norm()
+    assert not torch.equal(*halves)
+
+
 def test_a_motion_that_is_larger_than_the_details_is_found():
     """All of a wide photo is 12 pixels off, its details are two or three wide."""
     camera, distance, off = Camera.from_fov(480, 360, 60), 4.0, 12
@@ -140,3 +201,14 @@ def test_pixels_need_not_be_square(model):
     K[1, 1] *= 1.5
     stretched = Camera(K, CAMERA.viewmat, *SIZE)
     assert_found(found(seen(model, stretched)), within_px=0.1)
+
+
+def test_where_halves_say_the_contrary_nothing_is_wrong():
+    found = torch.randn(6, 6, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    assert agreement(found, -found).agreed_px == 0
+
+
+def test_what_cannot_be_told_is_no_motion(model):
+    image = seen(model, CAMERA)
+    nothing = image._replace(photo=torch.full_like(image.photo, torch.nan))
+    assert torch.equal(found(nothing), torch.zeros(6, dtype=torch.float64))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,8 +11,8 @@ from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from mrgs.method.camera_model.point_spread import blur
+from mrgs.method.camera_model.view_motion import shift_per_motion
 from mrgs.scene import Camera
-from mrgs.scene.rotations import cross_matrix
 
 COARSEST = 1 / 80
 """Both images are first smoothed by Gaussians of this share of the width, then by half of that, and
@@ -30,6 +31,17 @@ LEAST_DEVIATION = 2e-3
 
 MOST_PIXELS = 10_000
 """Of one image; of a larger one every second, third, ... pixel is taken in each direction."""
+
+
+WRONG_PX = 0.3
+"""Poses are wrong if photos are typically off by clearly more."""
+
+WELL_SEEN = 4
+"""So many of the six axes of a motion tell whether poses are wrong: those along which a view tells
+most. Along the others, what an unfinished model has at a wrong depth looks like a wrong pose."""
+
+SQUARE_PX = 16
+"""Side of the squares that the two halves of an image consist of."""
 
 
 class Alignable(NamedTuple):
@@ -70,7 +82,8 @@ def pose_error(
             about a pixel.
 
     Returns:
-        m, along the axes, in pixels: its norm is about the root mean square of the shifts.
+        m, along the axes, in pixels: its norm is about the root mean square of the shifts; 0 where
+        it cannot be told.
     """
     motion = axes_px.new_zeros(6)
     places = [_places(image, centre, axes_px) for image in images]
@@ -83,30 +96,60 @@ def pose_error(
         for _ in range(ROUNDS):
             motion = motion + _correction(samples, motion, expected_px)
         sigma_px /= 2
-    return motion
+    return torch.where(motion.isfinite().all(), motion, 0)
 
 
-def shift_per_motion(
-    camera: Camera, points: Float64[Tensor, "k 3"], centre: Float64[Tensor, "3"]
-) -> Float64[Tensor, "k 2 6"]:
-    """J: how points move in the image, in focal lengths, with a small motion of the world.
+def halves_px(
+    images: Sequence[Alignable],
+    centre: Float64[Tensor, "3"],
+    axes_px: Float64[Tensor, "6 6"],
+) -> Float64[Tensor, "2 6"]:
+    """``pose_error`` as either half of the images tells, the squares of a chessboard, by
+    themselves."""
+    return torch.stack(
+        [
+            pose_error(
+                [each._replace(depth=_half(each.depth, which)) for each in images], centre, axes_px
+            )
+            for which in (0, 1)
+        ]
+    )
+
+
+class PoseAgreement(NamedTuple):
+    """What the halves of typical photos say of their poses: medians over views.
+
+    Attributes:
+        agreed_px: how far both say that a photo is off.
+        apart_px: how much what they say differs.
+    """
+
+    agreed_px: float
+    apart_px: float
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the poses are wrong: by what the halves agree on beyond what they differ by. A
+        model that is not right differs from each half in another way, a wrong pose from both
+        alike."""
+        return self.agreed_px**2 - self.apart_px**2 > WRONG_PX**2
+
+    @property
+    def is_right(self) -> bool:
+        """Whether they are right; a model that is not finished may leave it open."""
+        return self.agreed_px <= WRONG_PX
+
+
+def agreement(first: Float64[Tensor, "v 6"], second: Float64[Tensor, "v 6"]) -> PoseAgreement:
+    """Of the halves of some views.
 
     Args:
-        camera: that sees the points.
-        points: in world coordinates.
-        centre: about which the world is turned.
-
-    Returns:
-        Derivatives of (x/z, y/z) to a rotation vector and a translation.
+        first, second: ``halves_px`` of the views, along axes in the order in which the views tell
+            least to most of a motion.
     """
-    viewmat = camera.viewmat.to(points)
-    rotation = viewmat[:3, :3]
-    turned = -rotation @ cross_matrix(points - centre)
-    moved = torch.cat([turned, rotation.expand(len(points), 3, 3)], dim=2)
-    x, y, z = (points @ rotation.T + viewmat[:3, 3]).unbind(-1)
-    zero = torch.zeros_like(z)
-    project = torch.stack([1 / z, zero, -x / z**2, zero, 1 / z, -y / z**2], dim=-1)
-    return project.unflatten(-1, (2, 3)) @ moved
+    one, other = first[:, -WELL_SEEN:], second[:, -WELL_SEEN:]
+    agreed = (one * other).sum(dim=1).median().item()
+    return PoseAgreement(math.sqrt(max(0.0, agreed)), (one - other).norm(dim=1).median().item())
 
 
 class _Places(NamedTuple):
@@ -217,3 +260,10 @@ def _read(
         planes[None], places[None, None], padding_mode="border", align_corners=False
     )
     return read[0, :, 0].T
+
+
+def _half(depth: Float[Tensor, "h w"], which: int) -> Float[Tensor, "h w"]:
+    """The depths in every other square of a chessboard; NaN in the others."""
+    row, column = (torch.arange(size, device=depth.device) // SQUARE_PX for size in depth.shape)
+    taken = (row[:, None] + column) % 2 == which
+    return torch.where(taken, depth, torch.nan)

@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor, nn
 
-from mrgs.method.camera_model.pose_error import shift_per_motion
-from mrgs.rasterizer.reference import rotation_matrices
+from mrgs.method.camera_model.view_motion import as_matrix, effect, motion_axes
 from mrgs.scene import Camera, Modality
 from mrgs.scene.rotations import cross_matrix
 
@@ -19,10 +18,6 @@ FEWEST_POINTS = 16
 
 MOST_POINTS = 1000
 """Of those that lie in a photo; of the scene, twenty times as many are looked through."""
-
-LEAST_EFFECT = 0.03
-"""Motions that shift what a view shows by less than this share of what the most effective one does
-count as if they did so much: the photo hardly tells how long they are."""
 
 NO_FREEDOM = 1e-6
 """A motion of which the others leave less than this share is none of its own: with one camera, or
@@ -98,10 +93,8 @@ class PoseRefinement(nn.Module):
         """
         positions = points[:: -(-len(points) // (20 * MOST_POINTS)) or 1].double()
         centres = torch.stack([camera.position for camera in cameras])
-        effects = torch.stack([_effect(camera, _seen(camera, positions)) for camera in cameras])
-        squares, directions = torch.linalg.eigh(effects)
-        least = LEAST_EFFECT**2 * squares[:, -1:]
-        axes = directions / squares.clamp_min(least).sqrt()[:, None, :]
+        effects = [effect(camera, _seen(camera, positions)) for camera in cameras]
+        axes = motion_axes(torch.stack(effects))
         whole = torch.linalg.solve(axes, _motions_of_the_whole(centres)).flatten(0, 1)
         self.centres.copy_(centres)
         self.axes.copy_(axes)
@@ -122,12 +115,7 @@ class PoseRefinement(nn.Module):
     def motion(self, view: Int64[Tensor, "1"]) -> Float64[Tensor, "4 4"]:
         """The motion of the world that the cameras of a training view see, in scene units."""
         own = self.axes.index_select(0, view)[0] @ self._free().index_select(0, view)[0]
-        turn, shift = own.split(3)
-        # About the vector, for small ones; a quaternion has no branch at 0, and never fails.
-        rotation = rotation_matrices(torch.cat([turn.new_ones(1), turn / 2])[None])[0]
-        centre = self.centres.index_select(0, view)[0]
-        moved = torch.cat([rotation, (centre + shift - rotation @ centre)[:, None]], dim=1)
-        return torch.cat([moved, torch.eye(4, dtype=moved.dtype, device=moved.device)[3:]])
+        return as_matrix(own, self.centres.index_select(0, view)[0])
 
     def apart_from_the_whole(
         self, motions: Float64[Tensor, "k 6"], views: Sequence[int]
@@ -162,13 +150,6 @@ def _seen(camera: Camera, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, "k 
     distance = (points - camera.position).norm(dim=1).median()
     grid = camera.resized(4, 4)
     return grid.unproject_image(distance.expand(4, 4)).flatten(0, 1)
-
-
-def _effect(camera: Camera, points: Float64[Tensor, "k 3"]) -> Float64[Tensor, "6 6"]:
-    """M, where mᵀ M m is the mean square of the shifts of points in the image, in focal lengths, by
-    a small motion m of the world about the camera's centre: a rotation vector and a translation."""
-    shifts = shift_per_motion(camera, points, camera.position).flatten(0, 1)
-    return shifts.T @ shifts / len(points)
 
 
 def _basis(columns: Float64[Tensor, "n k"]) -> Float64[Tensor, "n k"]:

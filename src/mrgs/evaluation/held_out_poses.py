@@ -1,0 +1,193 @@
+"""Where the photos of held-out views were taken, as far as the model tells.
+
+At a wrong pose a sharp model scores no better than a blurred one. So where the poses of held-out
+photos are wrong, the photos are laid on the model and scored there as well, as is usual where poses
+are learned (Lin et al., BARF, 2021).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from mrgs.method.camera_model.pose_error import (
+    Alignable,
+    PoseAgreement,
+    agreement,
+    halves_px,
+    pose_error,
+)
+from mrgs.method.camera_model.view_motion import as_matrix, effect, motion_axes
+from mrgs.runs.refined_poses import moved_cameras, moved_view
+from mrgs.scene import View
+from mrgs.training.pose_check import looked_at
+from mrgs.training.resolution import pixel_sizes
+from mrgs.training.trained_run import TrainedRun
+
+MOST_VIEWS = 16
+"""So many held-out views tell whether poses are wrong."""
+
+FEWEST_VIEWS = 4
+"""Fewer tell nothing: halves may agree by chance."""
+
+MOST_ROUNDS = 4
+"""Each begins where the one before has laid the photo, with a rendering from there."""
+
+NEAR_PX = 0.05
+"""A photo that is moved by less has arrived."""
+
+FEWEST_POINTS = 16
+"""Where the model shows fewer, nothing can be told."""
+
+MOST_POINTS = 1000
+
+
+class HeldOutError(NamedTuple):
+    """How far typical held-out photos lie beside what the model shows.
+
+    Attributes:
+        found: in the pixels that were looked at.
+        pixel_size: of these, in pixels of the photos.
+    """
+
+    found: PoseAgreement
+    pixel_size: float
+
+    @property
+    def photo_px(self) -> float | None:
+        """In pixels of the photos; None where the model is not clear enough to tell."""
+        known = self.found.is_right or self.found.is_wrong
+        return self.found.agreed_px * self.pixel_size if known else None
+
+
+class HeldOutPoses(NamedTuple):
+    """What is known of the poses of eval views.
+
+    Attributes:
+        error_px: how far a typical photo lies beside what the model shows, pixels of the photo;
+            None where that is not known.
+        aligned: the views with their photos laid on the model; None where the poses are right.
+    """
+
+    error_px: float | None
+    aligned: tuple[View, ...] | None = None
+
+
+NOT_KNOWN = HeldOutPoses(None)
+
+
+def looked_at_first(views: Sequence[View]) -> list[View]:
+    """The views that tell whether poses are wrong: all, or some of many."""
+    taken = min(len(views), MOST_VIEWS)
+    return [views[place * len(views) // taken] for place in range(taken)]
+
+
+def held_out_error(
+    run: TrainedRun, views: Sequence[View], on_view: Callable[[], None] = lambda: None
+) -> HeldOutError | None:
+    """How far held-out photos lie beside what the model shows; None where it shows a surface in too
+    few.
+
+    Args:
+        run: whose model it is.
+        views: ``looked_at_first`` of the held-out ones.
+        on_view: called after each view.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    halves, sizes = [], []
+    for view in views:
+        photographed = _Photographed(run, view)
+        images = photographed.images(torch.eye(4, dtype=torch.float64))
+        if (frame := _frame(images)) is not None:
+            halves.append(halves_px(images, *frame))
+            sizes.append(photographed.pixel_size)
+        on_view()
+    if len(halves) < FEWEST_VIEWS:
+        return None
+    first, second = torch.stack(halves, dim=1)
+    return HeldOutError(agreement(first, second), sum(sizes) / len(sizes))
+
+
+def aligned_view(run: TrainedRun, view: View) -> View:
+    """The view with its photos where the model shows what they show.
+
+    Args:
+        run: whose model it is.
+        view: that it was not trained on.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    photographed = _Photographed(run, view)
+    motion = torch.eye(4, dtype=torch.float64)
+    for _ in range(MOST_ROUNDS):
+        images = photographed.images(motion)
+        if (frame := _frame(images)) is None:
+            break
+        centre, axes_px = frame
+        error_px = pose_error(images, centre, axes_px)
+        motion = motion @ as_matrix(axes_px @ error_px, centre)
+        if error_px.norm() < NEAR_PX:
+            break
+    return moved_view(view, motion)
+
+
+class _Photographed:
+    """A view's photos of what a model renders, with the pixels that are looked at."""
+
+    def __init__(self, run: TrainedRun, view: View) -> None:
+        self._run = run
+        rendered = {each: view.images[each] for each in view.images if each in run.modalities}
+        cameras = {modality: image.camera for modality, image in rendered.items()}
+        photos = {modality: image.load() for modality, image in rendered.items()}
+        self._cameras, self._photos = looked_at(cameras, photos) if cameras else ({}, {})
+        self._sizes = pixel_sizes(cameras, self._cameras)
+
+    @property
+    def pixel_size(self) -> float:
+        """Side of the pixels that are looked at, in pixels of the first photo."""
+        return next(iter(self._sizes.values()))
+
+    def images(self, motion: Float64[Tensor, "4 4"]) -> list[Alignable]:
+        """The photos and the renderings that should look like them.
+
+        Args:
+            motion: of the world that the cameras see.
+        """
+        if not self._cameras:
+            return []
+        cameras = moved_cameras(self._cameras, motion)
+        first = next(iter(cameras.values()))
+        rendering = self._run.render_cameras(cameras)
+        observed = self._run.camera_response(rendering, first, self._sizes)
+        return [
+            Alignable(
+                camera,
+                self._photos[modality].values,
+                self._photos[modality].valid,
+                observed[modality].image,
+                rendering.surface_depth(modality),
+            )
+            for modality, camera in cameras.items()
+            if rendering.has_depth(modality)
+        ]
+
+
+def _frame(
+    images: Sequence[Alignable],
+) -> tuple[Float64[Tensor, "3"], Float64[Tensor, "6 6"]] | None:
+    """What the motion of a view is measured about and along; None where no surface is seen."""
+    if not images:
+        return None
+    camera, depth = images[0].camera, images[0].depth.double()
+    points = camera.unproject_image(depth)[depth.isfinite()]
+    if len(points) < FEWEST_POINTS:
+        return None
+    points = points[:: -(-len(points) // MOST_POINTS)]
+    return camera.position, motion_axes(effect(camera, points)) / camera.focal_px
