@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from mrgs.evaluation import contact_sheet as contact_sheet_module
 from mrgs.evaluation.contact_sheet import CELL_PX, SheetRow, SheetRows, contact_sheet, sheet_row
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.figures import Missing
@@ -43,6 +44,22 @@ def test_a_column_per_image_and_a_row_per_view() -> None:
     assert two.shape[0] - one.shape[0] > CELL_PX * 3 // 4
     thermal_only = draw([ramp_view("a", rgb=False)], render_with_error, CELSIUS)
     assert 4 * CELL_PX < thermal_only.shape[1] < 5 * CELL_PX
+
+
+def test_with_aligned_poses_the_heading_says_so_and_has_their_means(monkeypatch) -> None:
+    drawn: list[str] = []
+    draw_text = contact_sheet_module.draw_text
+
+    def noted(sheet, place, text, *args, **options):
+        drawn.append(text)
+        draw_text(sheet, place, text, *args, **options)
+
+    monkeypatch.setattr(contact_sheet_module, "draw_text", noted)
+    rows, metrics = rows_of([ramp_view("a")], render_with_error, CELSIUS)
+    better = {each: figures | {"psnr": 77.77} for each, figures in metrics.mean.items()}
+    contact_sheet(rows, FACTS, replace(metrics, aligned=replace(metrics, mean=better)), CELSIUS)
+    assert any(text.endswith("held-out views, each laid on the model") for text in drawn)
+    assert "77.77 dB" in drawn
 
 
 def test_a_model_without_depth_has_no_depth_column() -> None:

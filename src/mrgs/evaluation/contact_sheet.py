@@ -189,6 +189,13 @@ def contact_sheet(
     Photos and renderings of a modality with a unit share one range, that of the photos shown; its
     errors have another, symmetric about zero.
 
+    Args:
+        rows: with aligned poses, if ``metrics`` has such.
+        facts: of the run, for the heading.
+        metrics: for the heading.
+        temperature: the scene's scale; None without °C.
+        palette: of the values with a unit.
+
     Raises:
         ValueError: there are no rows.
     """
@@ -301,8 +308,8 @@ def _draw_cell(
 
 def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
     """Method and scene on the left, the means as large numbers on the right."""
-    numbers = []
-    for modality, mean in metrics.mean.items():
+    numbers, shown = [], metrics.aligned or metrics
+    for modality, mean in shown.mean.items():
         numbers.append((f"{modality.title} PSNR", _with_unit(mean, "psnr", "dB")))
         numbers.append((f"{modality.title} MAE", _with_unit(mean, "mae_c", "°C")))
     numbers += [
@@ -322,7 +329,9 @@ def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
         right -= width + 34
     room = right - MARGIN_PX
     draw_text(sheet, (MARGIN_PX, 46), fit_text(facts.scene, 28, room), 28, INK, bold=True)
-    line = f"{facts.method} · mean of {len(metrics.views)} held-out views"
+    line = f"{facts.method} · mean of {len(shown.views)} held-out views"
+    if metrics.aligned is not None:
+        line += ", each laid on the model"
     draw_text(sheet, (MARGIN_PX, 66), fit_text(line, 13, room), 13, MUTED)
     ImageDraw.Draw(sheet).line([(MARGIN_PX, 80), (sheet.width - MARGIN_PX, 80)], fill=HAIRLINE)
 

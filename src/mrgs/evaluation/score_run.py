@@ -172,15 +172,14 @@ def score_views(
     )
     visit = _visitor(scene, shown, on_view)
     if poses.aligned is None:
-        metrics = pictured = score(scene.eval, visit=visit)
+        metrics = score(scene.eval, visit=visit)
     else:
         given = score(scene.eval, visit=lambda *_: on_view())
-        pictured = score(poses.aligned, visit=visit)
-        metrics = replace(given, aligned=pictured)
+        metrics = replace(given, aligned=score(poses.aligned, visit=visit))
     metrics = replace(metrics, pose_error_px=poses.error_px)
     write_report(output, facts, metrics, parts, data)
     write_png(
-        output / "contact_sheet.png", contact_sheet(shown.rows, facts, pictured, scene.temperature)
+        output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
     )
     return metrics
 
