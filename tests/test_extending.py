@@ -123,9 +123,7 @@ def test_a_process_without_the_runs_own_equation_says_so(kitchen: Kitchen) -> No
         kitchen.cook("Another heat equation")
     FourierHeatTransformation.forward = stock
     RadianceField.temperature_residuals.rejected = False
-    with pytest.warns(
-        MrgsWarning, match="temperature_residuals, which this process does"
-    ):
+    with pytest.warns(MrgsWarning, match="temperature_residuals, which this process does"):
         load_run("runs/diffusion")
     with pytest.warns(MrgsWarning, match="which this process does not have"):
         train(kitchen.scene, "runs/diffusion", replace(CONFIG, max_steps=6), resume=True)
