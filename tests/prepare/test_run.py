@@ -136,6 +136,16 @@ def test_photos_become_the_scene_that_they_show(photos, posed, tmp_path):
         )
 
 
+def test_given_poses_without_points_do_for_thermal_photos_alone(photos, posed, tmp_path):
+    (posed / "sparse_pc.ply").unlink()
+    options = PrepareOptions(overrides=BOUNDS, poses=posed, pairs="thermal")
+    made = prepare(photos / "thermal", tmp_path / "alone", options)
+    assert next(s for s in made.stages if s.title == "poses").warnings == ()
+    options = PrepareOptions(overrides=BOUNDS, poses=posed, one_camera=True)
+    made = prepare(photos, tmp_path / "both", options)
+    assert next(s for s in made.stages if s.title == "poses").warnings == ()
+
+
 def test_photos_that_are_odd_are_named(photos, posed, tmp_path):
     for photo in (photos / "rgb").iterdir():
         with Image.open(photo) as image:
