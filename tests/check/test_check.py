@@ -57,6 +57,17 @@ def test_a_scale_and_north_that_are_known_are_shown(make_scene):
     assert any(line.endswith(" m.") for line in check.lines)
 
 
+def test_the_settings_of_the_temperatures_are_shown(make_scene):
+    folder = make_scene()
+    assert "Emissivity" not in check_scene(folder).page.read_text(encoding="utf-8")
+    file = folder / "transforms.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    for frame in content["frames"]:
+        frame["thermal_record"] = {"source": "DJI R-JPEG", "given": {"emissivity": 0.7}}
+    file.write_text(json.dumps(content), encoding="utf-8")
+    assert "0.70, given by you" in check_scene(folder).page.read_text(encoding="utf-8")
+
+
 def test_the_file_may_be_named_too(make_scene):
     folder = make_scene(rgb=False)
     assert check_scene(folder / "transforms.json").page == folder / "check.html"

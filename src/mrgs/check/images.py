@@ -164,8 +164,7 @@ def _jumps(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem]:
 
 def _is_radiometric(scene: Scene) -> bool:
     """Whether the temperatures come from the thermal camera's signal."""
-    records = (view.images[THERMAL].record for view in scene.views if THERMAL in view.images)
-    return any(record is not None and record.is_radiometric for record in records)
+    return any(record.is_radiometric for record in scene.records)
 
 
 def _jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem:

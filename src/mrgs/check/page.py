@@ -14,7 +14,7 @@ from mrgs.pictures.values import capitalised
 from mrgs.prepare.page.cameras import lens_rows
 from mrgs.prepare.page.overlay import thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs
-from mrgs.prepare.page.temperatures import temperatures
+from mrgs.prepare.page.temperatures import setting_rows, temperatures
 from mrgs.prepare.page.world import World, world_of
 from mrgs.prepare.page.write import write_scene_page
 from mrgs.scene import Scene
@@ -70,10 +70,15 @@ def _shown(scene: Scene, statistics: Sequence[ViewStatistics]) -> dict[str, Any]
     warped = {view.name: thermal_overlay(view, scene.points) for view in previews}
     overlays = {name: image for name, image in warped.items() if image is not None}
     unit = "" if scene.temperature is None else "°C"
+    records = [] if scene.temperature is None else scene.records
     return {
         "pairs": pairs(previews, overlays, unit, len(statistics)),
         "temperatures": temperatures(
-            [one.preview for one in statistics], unit, [], {}, len(statistics)
+            [one.preview for one in statistics],
+            unit,
+            setting_rows(records) if records else [],
+            {},
+            len(statistics),
         ),
         "lenses": _lenses(scene),
     }

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 
 from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark
-from mrgs.scene import THERMAL, Scene
+from mrgs.scene import Scene
 from mrgs.scene.radiometry import PhotoRecord, Planck
 from mrgs.system.message import Message
 
@@ -125,8 +125,7 @@ class CaptureSettings:
 
 def records_of(scene: Scene) -> list[PhotoRecord]:
     """What the camera noted beside the thermal photos, as far as the scene says."""
-    found = (view.images[THERMAL].record for view in scene.views if THERMAL in view.images)
-    return [record for record in found if record is not None]
+    return scene.records
 
 
 def _surface_of(records: list[PhotoRecord]) -> tuple[SurfaceSettings, list[str]]:

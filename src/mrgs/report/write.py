@@ -10,7 +10,6 @@ from typing import NamedTuple, TypeAlias
 from PIL import Image
 
 from mrgs.marks import RunMarks, open_marks
-from mrgs.marks.emissivity import records_of
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import DASH
@@ -187,7 +186,7 @@ def write_report(
     t = Texts(language)
     survey = read_survey(run.folder.path / SURVEY_FILE)
     has_thermal = THERMAL in scene.modalities
-    settings = settings_of(records_of(scene))
+    settings = settings_of(scene.records)
     begin(0)
     marks = open_marks(run, scene)
     regions = marks.meter.regions(marks.marks)

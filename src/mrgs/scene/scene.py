@@ -20,8 +20,9 @@ from mrgs.scene.from_arrays import (
     views_from_arrays,
     warn_of_kelvin,
 )
-from mrgs.scene.modality import Modality, in_order
+from mrgs.scene.modality import THERMAL, Modality, in_order
 from mrgs.scene.point_cloud import PointCloud, random_points
+from mrgs.scene.radiometry import PhotoRecord
 from mrgs.scene.reach import Reach, reach
 from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import PosedImage, View
@@ -169,3 +170,9 @@ class Scene:
     def modalities(self) -> tuple[Modality, ...]:
         """Modalities of the training images: RGB first, thermal second, others by name."""
         return in_order(modality for view in self.train for modality in view.images)
+
+    @property
+    def records(self) -> list[PhotoRecord]:
+        """What the camera noted beside the thermal photos, as far as the scene says."""
+        found = (view.images[THERMAL].record for view in self.views if THERMAL in view.images)
+        return [record for record in found if record is not None]

@@ -8,7 +8,6 @@ from pathlib import Path
 from mrgs.export.job import ExportJob
 from mrgs.export.page.marks import page_marks
 from mrgs.export.page.write import write_page
-from mrgs.marks.emissivity import records_of
 from mrgs.pictures.limits import starting_limits
 from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.pictures.stage import air_facts
@@ -36,7 +35,7 @@ def export(job: ExportJob) -> list[Path]:
         modalities=job.modalities,
         length_unit=job.scene.world.length_unit,
         air={} if job.run is None else air_facts(read_survey(job.run.folder.path / SURVEY_FILE)),
-        settings=settings_text(settings_of(records_of(job.scene)), "given by the user"),
+        settings=settings_text(settings_of(job.scene.records), "given by the user"),
         start=job.scene.train[best_view(job.scene.train_cameras, job.baked.means)].name,
     )
     return [path]

@@ -12,8 +12,12 @@ from markupsafe import Markup
 from mrgs.pictures.html import render
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range, palette_table, round_ticks, tick_labels
+from mrgs.pictures.settings import settings_of
+from mrgs.pictures.values import capitalised
 from mrgs.prepare.page.previews import Preview
 from mrgs.scene import THERMAL
+from mrgs.scene.radiometry import PhotoRecord
+from mrgs.system.wording import counted
 
 _BINS = 90
 _TEMPLATE = "prepare/page/chart.svg"
@@ -104,6 +108,27 @@ def temperatures(
         [text if count == 1 else f"{text} ({count} photos)" for text, count in notes.items()],
         "All photos" if total == len(previews) else f"{len(previews)} of {total} photos",
     )
+
+
+SETTINGS_THAT_COUNT = ("emissivity", "reflected_c", "distance_m")
+"""Without these nobody can judge the temperatures: the page says where they are missing."""
+
+
+def setting_rows(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
+    """What the temperatures were computed with, where it is from, and where it is missing."""
+    rows = []
+    for name, setting in settings_of(records).items():
+        if not setting.value:
+            if name in SETTINGS_THAT_COUNT:
+                rows.append((capitalised(setting.label), "not in the photos' files"))
+            continue
+        text = f"{setting.value}, {'given by you' if setting.given else 'from the photos'}"
+        if setting.differs:
+            text += "; differs between the photos"
+        if setting.missing:
+            text += f"; not known of {counted(setting.missing, 'photo')}"
+        rows.append((capitalised(setting.label), text))
+    return rows
 
 
 def temperature_spread(name: str, values: Float[np.ndarray, "h w"]) -> TemperatureSpread | None:

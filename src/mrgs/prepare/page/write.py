@@ -16,7 +16,6 @@ from jaxtyping import Float32
 from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
-from mrgs.pictures.settings import settings_of
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.consistency import (
     GAIN_CAUSE,
@@ -37,13 +36,11 @@ from mrgs.prepare.page.measure import MeasuredPhoto, measured_photos
 from mrgs.prepare.page.overlay import thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
 from mrgs.prepare.page.previews import Preview, preview_of_files, preview_of_view, views_text
-from mrgs.prepare.page.temperatures import Temperatures, temperatures
+from mrgs.prepare.page.temperatures import Temperatures, setting_rows, temperatures
 from mrgs.prepare.page.world import World, orbit_facts, plans, world_of
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Scene, View
-from mrgs.scene.radiometry import PhotoRecord
 from mrgs.scene.view import evenly_spaced
-from mrgs.system.wording import counted
 
 PAGE = "prepare.html"
 SCRIPTS = (
@@ -257,30 +254,9 @@ def _temperatures(content: _Content, photos: ConvertedPhotos) -> Temperatures | 
     if content.scene is not None and content.scene.temperature is not None:
         facts.append(("Range of the scene", str(content.scene.temperature)))
     if ranges:
-        facts += _settings([view.facts.record for view in photos.views])
+        facts += setting_rows([view.facts.record for view in photos.views])
     notes = Counter(note for view in photos.views for note in view.facts.notes)
     return temperatures(content.previews, content.unit, facts, notes, content.total)
-
-
-SETTINGS_THAT_COUNT = ("emissivity", "reflected_c", "distance_m")
-"""Without these nobody can judge the temperatures: the page says where they are missing."""
-
-
-def _settings(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
-    """What the temperatures were computed with, where it is from, and where it is missing."""
-    rows = []
-    for name, setting in settings_of(records).items():
-        if not setting.value:
-            if name in SETTINGS_THAT_COUNT:
-                rows.append((capitalised(setting.label), "not in the photos' files"))
-            continue
-        text = f"{setting.value}, {'given by you' if setting.given else 'from the photos'}"
-        if setting.differs:
-            text += "; differs between the photos"
-        if setting.missing:
-            text += f"; not known of {counted(setting.missing, 'photo')}"
-        rows.append((capitalised(setting.label), text))
-    return rows
 
 
 def _lenses(
