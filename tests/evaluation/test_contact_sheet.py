@@ -58,7 +58,7 @@ def test_with_aligned_poses_the_heading_says_so_and_has_their_means(monkeypatch)
     rows, metrics = rows_of([ramp_view("a")], render_with_error, CELSIUS)
     better = {each: figures | {"psnr": 77.77} for each, figures in metrics.mean.items()}
     contact_sheet(rows, FACTS, replace(metrics, aligned=replace(metrics, mean=better)), CELSIUS)
-    assert any(text.endswith("held-out views, each laid on the model") for text in drawn)
+    assert any(text.endswith("held-out views, each aligned with the model") for text in drawn)
     assert "77.77 dB" in drawn
 
 

@@ -69,7 +69,7 @@ def test_where_poses_are_wrong_there_are_scores_with_aligned_ones(run, monkeypat
         score_run, "held_out_error", lambda *_: HeldOutError(PoseAgreement(2.0, 0.1), 1.5)
     )
     monkeypatch.setattr(score_run, "aligned_view", moved)
-    with pytest.warns(MrgsWarning, match=r"the held-out photos lie some 3\.0 pixels beside"):
+    with pytest.warns(MrgsWarning, match=r"the held-out photos are some 3\.0 pixels off"):
         metrics = evaluate_run(run)
     assert metrics.pose_error_px == 3.0
     given, aligned = metrics.views, metrics.aligned.views
@@ -79,7 +79,7 @@ def test_where_poses_are_wrong_there_are_scores_with_aligned_ones(run, monkeypat
     assert poses["error_px"] == 3.0
     assert poses["aligned"]["rgb"]["psnr"] == pytest.approx(metrics.aligned.mean[RGB]["psnr"])
     report = (run.folder.path / "eval" / "metrics.md").read_text()
-    assert "lies 3.0 pixels beside what the model shows" in report
+    assert "is 3.0 pixels off what the model shows" in report
     assert f"| aligned | {metrics.aligned.mean[THERMAL]['psnr']:.2f} |" in report
 
 

@@ -114,7 +114,7 @@ def print_figures(metrics: Metrics) -> None:
         if shown:
             print(f"{title + ':':9}{'  '.join(shown)}")
     if metrics.aligned is not None:
-        print("with each photo laid on the model:")
+        print("with each photo aligned with the model:")
         print_figures(metrics.aligned)
 
 

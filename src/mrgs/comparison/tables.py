@@ -229,16 +229,16 @@ def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
 
 
 def _aligned(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
-    """Scores with each held-out photo laid on the model, of scenes whose poses are wrong."""
+    """Scores with each held-out photo aligned with the model, of scenes whose poses are wrong."""
     remarks = [
-        "Photos off by: how far a typical held-out photo lies beside what the model shows at the "
+        "Photos off by: how far off what the model shows a typical held-out photo is at the "
         "pose as given.",
         "A dash: the photos fit the model at the poses as given, or the scene does not have the "
         "figure.",
     ]
     caption = (
-        "Held-out photos laid on each model first, of scenes whose poses seem wrong: at a wrong "
-        "pose a sharp model scores no better than a blurred one."
+        "Held-out photos aligned with each model first, of scenes whose poses seem wrong: at a "
+        "wrong pose a sharp model scores no better than a blurred one."
     )
     figures = [figure for figure in ALIGNED if outcomes.scenes_with(figure)]
     return _same_figures(outcomes, scenes, "aligned", caption, tuple(figures), remarks)

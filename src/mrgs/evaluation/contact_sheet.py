@@ -331,7 +331,7 @@ def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
     draw_text(sheet, (MARGIN_PX, 46), fit_text(facts.scene, 28, room), 28, INK, bold=True)
     line = f"{facts.method} · mean of {len(shown.views)} held-out views"
     if metrics.aligned is not None:
-        line += ", each laid on the model"
+        line += ", each aligned with the model"
     draw_text(sheet, (MARGIN_PX, 66), fit_text(line, 13, room), 13, MUTED)
     ImageDraw.Draw(sheet).line([(MARGIN_PX, 80), (sheet.width - MARGIN_PX, 80)], fill=HAIRLINE)
 

@@ -73,9 +73,9 @@ class Metrics:
         truth: means over the views of the figures against the exact truth; None where the scene
             has none.
         views: each view's own figures.
-        pose_error_px: how far a typical held-out photo lies beside what the model shows, pixels of
+        pose_error_px: how far off what the model shows a typical held-out photo is, pixels of
             the photo; None where that was not looked at.
-        aligned: the figures with each photo laid on the model; None where the poses are right.
+        aligned: the figures with each photo aligned with the model; None where the poses are right.
     """
 
     mean: Mapping[Modality, Figures]

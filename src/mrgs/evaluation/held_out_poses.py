@@ -1,8 +1,8 @@
 """Where the photos of held-out views were taken, as far as the model tells.
 
 At a wrong pose a sharp model scores no better than a blurred one. So where the poses of held-out
-photos are wrong, the photos are laid on the model and scored there as well, as is usual where poses
-are learned (Lin et al., BARF, 2021).
+photos are wrong, the photos are aligned with the model and scored there as well, as is usual where
+poses are learned (Lin et al., BARF, 2021).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MOST_POINTS = 1000
 
 
 class HeldOutError(NamedTuple):
-    """How far typical held-out photos lie beside what the model shows.
+    """How far off what the model shows typical held-out photos are.
 
     Attributes:
         found: in the pixels that were looked at.
@@ -68,9 +68,9 @@ class HeldOutPoses(NamedTuple):
     """What is known of the poses of eval views.
 
     Attributes:
-        error_px: how far a typical photo lies beside what the model shows, pixels of the photo;
+        error_px: how far off what the model shows a typical photo is, pixels of the photo;
             None where that is not known.
-        aligned: the views with their photos laid on the model; None where the poses are right.
+        aligned: the views with their photos aligned; None where the poses are right.
     """
 
     error_px: float | None
@@ -89,7 +89,7 @@ def looked_at_first(views: Sequence[View]) -> list[View]:
 def held_out_error(
     run: TrainedRun, views: Sequence[View], on_view: Callable[[], None] = lambda: None
 ) -> HeldOutError | None:
-    """How far held-out photos lie beside what the model shows; None where it shows a surface in too
+    """How far off what the model shows held-out photos are; None where it shows a surface in too
     few.
 
     Args:

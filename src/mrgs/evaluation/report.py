@@ -254,10 +254,10 @@ def _aligned_text(metrics: Metrics, aligned: Metrics) -> str:
         tables.append(_table(rows, TRUTH_FIGURES, "Against the exact truth"))
     return "\n\n".join(
         [
-            f"A typical held-out photo lies {metrics.pose_error_px:.1f} pixels beside what the "
-            f"model shows, so the poses of these photos seem wrong. Here each photo was first laid "
-            f"on the model. The tables above, which other programs' scores compare with, use the "
-            f"poses as given.",
+            f"A typical held-out photo is {metrics.pose_error_px:.1f} pixels off what the model "
+            f"shows, so the poses of these photos seem to be wrong. Here each photo was first "
+            f"aligned with the model. The tables above use the poses as given, as other programs "
+            f"do.",
             *tables,
         ]
     )

@@ -82,7 +82,7 @@ def evaluate_run(
 
 
 class Counted:
-    """How many views are done of those that are to be looked at, laid on the model, or scored."""
+    """How many views are done of those that are to be looked at, aligned, or scored."""
 
     def __init__(self, progress: Progress | None, total: int) -> None:
         self._progress, self._done, self.total = progress, 0, total
@@ -104,8 +104,8 @@ def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutP
     if error is None or not error.found.is_wrong:
         return HeldOutPoses(None if error is None else error.photo_px)
     warn(
-        f"{scene.name}: the held-out photos lie some {error.photo_px:.1f} pixels beside what the "
-        f"model shows, so their poses seem wrong, and they are scored with aligned poses as well"
+        f"{scene.name}: the held-out photos are some {error.photo_px:.1f} pixels off what the "
+        f"model shows: their poses seem to be wrong, so they are scored with aligned poses as well"
     )
     counted.total += 2 * len(scene.eval)
     aligned = []

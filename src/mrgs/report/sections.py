@@ -36,7 +36,7 @@ class Scores(NamedTuple):
     Attributes:
         steps: training steps of the model that was scored.
         rows: name and value of each score; with aligned poses where those of the photos are wrong.
-        pose_error_px: how far a typical photo lies beside what the model shows, if so; None else.
+        pose_error_px: how far off what the model shows a typical photo is, if so; None else.
         spreads: name and standard deviation of what the paper's parts add to a Gaussian; empty for
             a model without them.
         knock_outs: what is knocked out of the model, then its scores without it.

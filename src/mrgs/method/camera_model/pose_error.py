@@ -1,4 +1,4 @@
-"""How far the pose of a view is off: the motion that lays its photos on the model's renderings."""
+"""How far the pose of a view is off: the motion that aligns its photos with the renderings."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def pose_error(
 ) -> Float64[Tensor, "6"]:
     """The small motion of the world that a view's cameras seem to have seen.
 
-    The photos are laid on the renderings by Gauss–Newton on the differences of their values, as in
+    Gauss–Newton on the differences of their values aligns the photos with the renderings, as in
     direct visual odometry (Lucas and Kanade 1981; Engel et al. 2018): a point that is rendered at
     the pixel u, at the depth z, is shown by the photo at u + J m. Each channel may be brighter or
     darker as a whole, and what differs much is left to other causes.
