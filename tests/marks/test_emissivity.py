@@ -196,6 +196,14 @@ def test_what_the_photos_do_not_say_is_said():
     assert relative.problem == "B1: without °C there is no emissivity to correct"
 
 
+def test_settings_that_the_user_gave_are_those_of_the_photos():
+    """As for photos whose temperatures another program computes with them."""
+    given = PhotoRecord("DJI R-JPEG", given={"emissivity": 0.9, "reflected_c": 12.0})
+    assert CaptureSettings.of(scene_with(given, given)).surface == SurfaceSettings(0.9, 12.0)
+    half_known = PhotoRecord("DJI R-JPEG", given={"emissivity": 0.9})
+    assert CaptureSettings.of(scene_with(half_known)).surface == SurfaceSettings(1.0, None)
+
+
 def test_a_surface_colder_than_its_reflection_has_no_temperature():
     capture = CaptureSettings(SurfaceSettings(0.95, 20.0), TYPICAL_LAW)
     corrected = capture.corrected(np.array([10.0, 60.0]), SurfaceSettings(0.1, 55.0))

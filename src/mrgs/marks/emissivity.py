@@ -129,14 +129,18 @@ def records_of(scene: Scene) -> list[PhotoRecord]:
 
 
 def _surface_of(records: list[PhotoRecord]) -> tuple[SurfaceSettings, list[str]]:
-    known = [record.parameters for record in records if record.parameters is not None]
+    known = [
+        (emissivity, reflected_c)
+        for record in records
+        if (emissivity := record.setting("emissivity")) is not None
+        and (reflected_c := record.setting("reflected_c")) is not None
+    ]
     if not known:
         return SurfaceSettings(1.0, None), [
             "The photos do not say their emissivity: their temperatures are taken as apparent ones "
             "(emissivity 1)."
         ]
-    emissivities = [each.emissivity for each in known]
-    reflected = [each.reflected_c for each in known]
+    emissivities, reflected = zip(*known, strict=True)
     settings = SurfaceSettings(median(emissivities), median(reflected))
     if max(emissivities) - min(emissivities) > 1e-4 or max(reflected) - min(reflected) > 0.05:
         return settings, [
