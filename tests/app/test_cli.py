@@ -234,8 +234,8 @@ def test_without_bounds_it_trains_without_celsius_and_says_so(tmp_path, capsys):
     assert run("train", scene, "--output", output, *TINY) == 0
     printed = capsys.readouterr()
     assert (
-        "There is no temperature_bounds.json: thermal values are relative, and °C are not known."
-        in printed.err
+        "The thermal images hold no °C and no temperature_bounds.json states their range: values "
+        "are relative." in printed.err
     )
     assert re.search(r"thermal error \d\.\d{3} \(normalised\)", printed.out)
     assert run("eval", output) == 0

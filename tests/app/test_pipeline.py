@@ -86,6 +86,33 @@ def test_at_a_terminal_it_asks(answer, goes_on, monkeypatch, capsys):
     assert "page.html shows what was found. Continue? [y/N] " in printed.out
 
 
+@pytest.mark.parametrize(("answer", "goes_on"), [("y", True), ("", False)])
+def test_photos_without_celsius_are_asked_about(answer, goes_on, monkeypatch, capsys):
+    typed(monkeypatch, answer)
+    reason = SceneError("no °C", options=("bounds_c",))
+    assert PipelineTerminal(yes=False).accepts_relative(reason) == goes_on
+    printed = capsys.readouterr()
+    assert printed.err == "mrgs: warning: no °C (--bounds)\n"
+    assert "Continue with relative values? [y/N] " in printed.out
+    assert PipelineTerminal(yes=True).accepts_relative(reason)
+
+
+def test_photos_without_celsius_stop_it_at_once_and_name_the_option(tmp_path, capsys):
+    for name, kind in (("rgb", "jpg"), ("thermal", "png")):
+        (tmp_path / "photos" / name).mkdir(parents=True)
+        for number in range(3):
+            file = tmp_path / "photos" / name / f"{number}.{kind}"
+            file.write_bytes(photo(kind, (32, 24)))
+    assert run("run", tmp_path / "photos", "--quality", "fast") == 2
+    printed = capsys.readouterr()
+    assert "stage 1" not in printed.out
+    error = printed.err.splitlines()[-1]
+    assert error.startswith(
+        "mrgs: error: the model would have no °C. The file holds shades of grey"
+    )
+    assert error.endswith("(--bounds, --yes)")
+
+
 @pytest.mark.parametrize(
     ("answer", "degrees"), [("57", 57.0), ("42.5", 42.5), ("", None), ("wide", None)]
 )

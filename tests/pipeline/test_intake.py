@@ -32,6 +32,12 @@ def pairs(count: int, thermal: bytes) -> dict[str, bytes]:
     return found
 
 
+def grey_pairs(count: int) -> dict[str, bytes]:
+    """Photos beside grey pictures without a scale."""
+    colours = {f"rgb/{number}.jpg": photo("jpg", (32, 24)) for number in range(count)}
+    return colours | {f"thermal/{number}.png": photo("png") for number in range(count)}
+
+
 def test_pairs_with_temperatures(tmp_path):
     folder = write(tmp_path, {**pairs(9, photo("celsius")), "notes.txt": b"mine"})
     found = take_in(folder, PrepareOptions())
@@ -45,6 +51,17 @@ def test_pairs_with_temperatures(tmp_path):
 def test_pairs_without_temperatures(tmp_path):
     found = take_in(write(tmp_path, pairs(3, photo("jpg"))), PrepareOptions())
     assert found.summary.endswith("no °C (relative values)")
+    assert "shows colours and holds no temperatures" in found.without_celsius
+    assert not found.takes_bounds, "a palette has no black and white"
+
+
+def test_shades_of_grey_become_temperatures_by_bounds(tmp_path):
+    folder = write(tmp_path, grey_pairs(3))
+    found = take_in(folder, PrepareOptions())
+    assert "holds shades of grey without a scale" in found.without_celsius
+    assert found.takes_bounds
+    bounded = take_in(folder, PrepareOptions(overrides=Overrides(bounds_c=(0.0, 50.0))))
+    assert (bounded.has_celsius, bounded.without_celsius, bounded.takes_bounds) == (True, "", False)
 
 
 def test_photos_with_an_embedded_photo(tmp_path):

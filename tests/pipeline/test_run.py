@@ -306,6 +306,74 @@ def test_what_photos_do_not_say_is_asked_once(prepared, tmp_path):
         run_pipeline(photos, tmp_path / "other", quality="fast", monitor=Watcher())
 
 
+def grey_photos_in(folder: Path) -> Path:
+    """Five pairs whose thermal photos are shades of grey."""
+    for name, kind in (("rgb", "jpg"), ("thermal", "png")):
+        (folder / name).mkdir(parents=True)
+        for number in range(5):
+            (folder / name / f"{number}.{kind}").write_bytes(photo(kind, (32, 24)))
+    return folder
+
+
+def test_photos_without_celsius_stop_it_before_poses_are_computed(prepared, tmp_path):
+    photos = grey_photos_in(tmp_path / "photos")
+    with pytest.raises(SceneError, match="the model would have no °C") as error:
+        run_pipeline(photos, quality="fast")
+    assert error.value.options == ("bounds_c", "yes")
+    assert "black and white" in str(error.value)
+    assert "radiometric files" in str(error.value)
+    assert prepared == []
+
+
+def test_photos_without_celsius_can_be_accepted(prepared, tmp_path, monkeypatch):
+    class Relative(Watcher):
+        def accepts_relative(self, reason: MrgsError) -> bool:
+            asked.append(reason.options)
+            return True
+
+    asked: list[tuple[str, ...]] = []
+    photos, options = grey_photos_in(tmp_path / "photos"), PrepareOptions(thermal_fov_deg=57.0)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            run_pipeline(photos, quality="fast", options=options, monitor=Relative("train"))
+    assert asked == [("bounds_c",)], "not again once the photos are prepared"
+    assert len(prepared) == 1
+
+
+def test_what_was_accepted_before_poses_is_not_asked_after_them(tmp_path):
+    asked: list[Sequence[str]] = []
+
+    class Refusing(Watcher):
+        def accepts(self, warnings: Sequence[str], page: Path) -> bool:
+            asked.append(warnings)
+            return False
+
+    photos = grey_photos_in(tmp_path / "photos")
+    options, monitor = PrepareOptions(), Refusing()
+    intake = take_in(photos, options)
+    job = stages_module.Job(intake, QUALITIES["fast"], options, tmp_path, "cpu", monitor)
+    job.accepted = intake.without_celsius
+    job._require_accepted([f"images: {job.accepted} (5 photos)"], tmp_path)
+    assert asked == []
+    with pytest.raises(SceneError, match="stopped at 2 warnings"):
+        job._require_accepted([f"images: {job.accepted}", "pairs: blurred"], tmp_path)
+    assert len(asked[0]) == 2
+
+
+def test_a_warning_of_two_stages_counts_once_as_on_the_page(tmp_path, monkeypatch):
+    def prepare(photos, scene, options, progress, report, *, trains) -> Preparation:
+        write_scene(scene)
+        (scene / "prepare.html").write_text("page")
+        stages = [StageReport(title, ("5.",), ("Blurred.",)) for title in ("images", "page")]
+        return Preparation(scene, scene / "prepare.html", tuple(stages))
+
+    monkeypatch.setattr(stages_module, "prepare", prepare)
+    watcher = Watcher(accept=False)
+    with pytest.raises(SceneError, match="stopped at 1 warning about"):
+        run_pipeline(photos_in(tmp_path / "photos"), quality="fast", monitor=watcher)
+    assert watcher.warnings == ["images: Blurred."]
+
+
 def test_a_new_photo_is_prepared(prepared, tmp_path):
     photos, options = photos_in(tmp_path / "photos"), PrepareOptions(thermal_fov_deg=57.0)
     for number, ran in ((0, ["prepare"]), (1, []), (2, ["prepare"])):

@@ -20,8 +20,10 @@ from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import Preparation, PrepareOptions, prepare, stages
 from mrgs.prepare.cache import stamps
+from mrgs.prepare.consistency import Agreement
 from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
+from mrgs.prepare.page import write as page_module
 from mrgs.prepare.rig.contract import ChessboardTarget, RigCalibration, RigView, TargetFit
 from mrgs.prepare.run import Steps
 from mrgs.prepare.thermal_camera import read_thermal_camera
@@ -144,6 +146,20 @@ def test_given_poses_without_points_do_for_thermal_photos_alone(photos, posed, t
     options = PrepareOptions(overrides=BOUNDS, poses=posed, one_camera=True)
     made = prepare(photos, tmp_path / "both", options)
     assert next(s for s in made.stages if s.title == "poses").warnings == ()
+
+
+def test_what_only_the_page_sees_is_a_warning_too(photos, posed, tmp_path, monkeypatch):
+    def agree(images, *arguments) -> list[Agreement]:
+        return [Agreement(1.5, 0.0, 0.2, 0.01)] * len(images)
+
+    assert Agreement(1.5, 0.0, 0.2, 0.01).jumps
+    monkeypatch.setattr(page_module, "agreements", agree)
+    options = PrepareOptions(overrides=BOUNDS, poses=posed, one_camera=True)
+    for _ in range(2):  # the second time from the cache
+        made = prepare(photos, tmp_path / "scene", options)
+        (warning,) = made.stages[-1].warnings
+        assert "the same places are warmer or colder" in warning
+    assert made.page.read_text(encoding="utf-8").count("the same places are warmer") == 1
 
 
 def test_photos_that_are_odd_are_named(photos, posed, tmp_path):

@@ -45,7 +45,10 @@ def test_pairs_are_counted(tmp_path):
     summary = summarize_pairs(
         Pairing(pairs, (Skipped("b", "is cut off"),), "By their names.", ("The clocks differ.",))
     )
-    assert summary.lines == ("1 pair. By their names.", "1 file skipped.")
+    assert summary.lines == ("1 photo. By their names.", "1 file skipped.")
+    rgb = {RGB: tmp_path / "b.jpg", **pairs[0].photos}
+    for pair in (replace(pairs[0], embedded=True), replace(pairs[0], photos=rgb)):
+        assert summarize_pairs(Pairing((pair,), (), "By names.")).lines == ("1 pair. By names.",)
     assert summary.warnings == ("The clocks differ.",)
 
 

@@ -18,7 +18,7 @@ import tyro
 
 from mrgs.app.commands import COMMANDS
 from mrgs.app.style import say_error, styled
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, MrgsError
 
 EXIT_USER_ERROR = 2
 
@@ -82,6 +82,13 @@ def flag_of(parameter: str) -> str:
     """The flag of a parameter of the Python API, whose name may end with a unit:
     ``thermal_fov_deg`` is --thermal-fov."""
     return "--" + re.sub("_(c|m|s|deg)$", "", parameter).replace("_", "-")
+
+
+def flags_of(error: MrgsError) -> str:
+    """The command line's names of the parameters that an error is about, in brackets; empty if
+    there are none."""
+    flags = [flag_of(option) for option in error.options]
+    return f" ({', '.join(flags)})" if flags else ""
 
 
 def _unknown(name: str) -> str:

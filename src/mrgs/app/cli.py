@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mrgs.app.arguments import EXIT_USER_ERROR, flag_of, parse
+from mrgs.app.arguments import EXIT_USER_ERROR, flags_of, parse
 from mrgs.app.commands import (
     Check,
     CompareMethods,
@@ -136,7 +136,7 @@ def _stopped() -> int:
 def _line(error: Exception) -> str | None:
     """What the user can do about an error, on one line; None for an error in the program."""
     if isinstance(error, MrgsError):
-        return f"{error}{_flags(error)}"
+        return f"{error}{flags_of(error)}"
     if isinstance(error, OSError):  # what no part of the program expected of the system
         place = "" if error.filename is None else f"{error.filename}: "
         reason = error.strerror or error
@@ -158,12 +158,6 @@ def _parsed(argv: Sequence[str]) -> Any:
     except SystemExit:
         sys.stdout.flush()
         raise
-
-
-def _flags(error: MrgsError) -> str:
-    """The command line's names of the parameters that an error is about."""
-    flags = [flag_of(option) for option in error.options]
-    return f" ({', '.join(flags)})" if flags else ""
 
 
 def _prepare(command: Prepare) -> None:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from mrgs.app.arguments import flags_of
 from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
 from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
@@ -153,7 +154,12 @@ class PipelineTerminal(Monitor):
             say_warning(text)
         if self._yes:
             return True
-        return _ask(f"{page} shows what was found. Continue? [y/N] ").lower() in ("y", "yes")
+        return _is_yes(_ask(f"{page} shows what was found. Continue? [y/N] "))
+
+    def accepts_relative(self, reason: MrgsError) -> bool:  # noqa: D102
+        self.pause()
+        say_warning(f"{reason}{flags_of(reason)}")
+        return self._yes or _is_yes(_ask("Continue with relative values? [y/N] "))
 
     def answer(  # noqa: D102
         self, error: MrgsError, options: PrepareOptions
@@ -225,6 +231,10 @@ def _ask(question: str) -> str:
         return input(question).strip()
     except EOFError:
         return ""
+
+
+def _is_yes(answer: str) -> bool:
+    return answer.lower() in ("y", "yes")
 
 
 def _is_number(text: str) -> bool:

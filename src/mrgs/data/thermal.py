@@ -92,8 +92,8 @@ def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: Rea
         return "float"
     if not has_bounds:
         notes.decide(
-            "There is no temperature_bounds.json: thermal values are relative, and °C are not "
-            "known."
+            "The thermal images hold no °C and no temperature_bounds.json states their range: "
+            "values are relative."
         )
     return "grey"
 

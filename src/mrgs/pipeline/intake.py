@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -43,6 +43,9 @@ class Intake:
         bytes: size of the files that are used.
         facts: further sentences for the user.
         poses_given: whether the poses of photos need not be found.
+        without_celsius: why the thermal photos hold no temperatures, as the first of them says;
+            empty where they do, and for a scene.
+        takes_bounds: whether the °C of black and white would turn them into temperatures.
     """
 
     source: Path
@@ -56,6 +59,8 @@ class Intake:
     bytes: int
     facts: tuple[str, ...] = ()
     poses_given: bool = False
+    without_celsius: str = ""
+    takes_bounds: bool = False
 
     @property
     def summary(self) -> str:
@@ -160,7 +165,7 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
             f"{MIN_VIEWS}, better 20 or more; add photos of the same object from other places",
         )
     thermal = _first_readable(pairing.pairs, options)
-    has_celsius = thermal.temperature_c is not None
+    relative = thermal.temperature_c is None
     return Intake(
         source,
         "photos",
@@ -168,12 +173,24 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
         0 if options.eval_every == 0 else (count + options.eval_every - 1) // options.eval_every,
         _sizes(pairing.pairs[0], thermal),
         thermal.facts.camera or "",
-        has_celsius,
+        not relative,
         None,
         sum(path.stat().st_size for pair in pairing.pairs for path in pair.photos.values()),
         (pairing.rule, *_unused(len(pairing.skipped))),
         options.poses is not None,
+        " ".join(thermal.facts.warnings) if relative else "",
+        relative and _takes_bounds(pairing.pairs, options),
     )
+
+
+def _takes_bounds(pairs: tuple[PhotoPair, ...], options: PrepareOptions) -> bool:
+    """Whether a thermal photo holds temperatures once the °C of black and white are given; it does
+    not where it shows a palette."""
+    if options.overrides.unit is not None:
+        return False
+    bounded = replace(options, overrides=replace(options.overrides, bounds_c=(0.0, 1.0)))
+    found = [_read(pair, bounded) for pair in pairs[:MIN_VIEWS]]
+    return any(isinstance(each, ThermalPhoto) for each in found)
 
 
 def _unused(count: int) -> tuple[str, ...]:

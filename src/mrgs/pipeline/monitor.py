@@ -63,6 +63,15 @@ class Monitor:
         """
         return False
 
+    def accepts_relative(self, reason: MrgsError) -> bool:
+        """Whether to go on with thermal photos that hold no temperatures; asked before anything is
+        computed.
+
+        Args:
+            reason: why they hold none, and the remedy; ``options`` names what would help.
+        """
+        return False
+
     def answer(self, error: MrgsError, options: PrepareOptions) -> PrepareOptions | None:
         """The options completed by what the photos do not say, where ``error.options`` names it;
         None to give up."""

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mrgs.errors import ConfigError, MrgsError, RunError
+from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.pipeline.computer import Computer, measure_computer
 from mrgs.pipeline.costs import Workload, stage_costs
 from mrgs.pipeline.expect import left_in_stage
@@ -114,6 +114,8 @@ def run_pipeline(
             (*missing, *_doubts(memory, computer)),
         )
         monitor.planned(plan)
+        if not plan.stages[0].is_done:
+            _require_celsius(job)
         _run_stages(job, plan, monitor)
     return _results(job)
 
@@ -207,6 +209,28 @@ def _is_done(job: Job, stage: Stage) -> bool:
     """Whether a stage is done; what its inputs hold is only read where there is a result."""
     known = job.ledger.is_known(stage.name)
     return known and job.ledger.is_done(stage.name, stage.made_from())
+
+
+def _require_celsius(job: Job) -> None:
+    """Stop before poses are computed if the photos hold no temperatures, unless that is accepted.
+
+    Raises:
+        SceneError: it is not.
+    """
+    why = job.intake.without_celsius
+    if not why:
+        return
+    bounds = ", or give the °C of black and white, if all photos share that span"
+    reason = SceneError(
+        f"the model would have no °C. {why} Give the camera's radiometric files"
+        f"{bounds if job.intake.takes_bounds else ''}",
+        options=("bounds_c",) if job.intake.takes_bounds else (),
+    )
+    if not job.monitor.accepts_relative(reason):
+        raise SceneError(
+            f"{reason}; or run again and accept relative values", options=(*reason.options, "yes")
+        )
+    job.accepted = why
 
 
 def _run_stages(job: Job, plan: PipelinePlan, monitor: Monitor) -> None:

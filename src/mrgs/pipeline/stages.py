@@ -63,6 +63,7 @@ class Job:
         device: where it is trained and rendered.
         monitor: hears of the progress, and is asked.
         ledger: the stages that are done.
+        accepted: a warning that was accepted before the first stage; empty if there was none.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class Job:
         self.monitor = monitor
         self.ledger = Ledger(output)
         self.config = quality.config()
+        self.accepted = ""
 
     @property
     def scene(self) -> Path:
@@ -151,10 +153,11 @@ class Job:
 
     def _prepare(self, report: Report) -> list[Path]:
         made = self._prepared(report)
-        self._require_accepted(
-            [f"{stage.title}: {text}" for stage in made.stages for text in stage.warnings],
-            made.page,
-        )
+        titles: dict[str, str] = {}
+        for stage in made.stages:
+            for text in stage.warnings:
+                titles.setdefault(text, stage.title)
+        self._require_accepted([f"{title}: {text}" for text, title in titles.items()], made.page)
         return [self.scene / "transforms.json", made.page]
 
     def _prepared(self, report: Report) -> Preparation:
@@ -192,7 +195,9 @@ class Job:
         Raises:
             SceneError: they are not.
         """
-        if warnings and not self.monitor.accepts(warnings, page):
+        known = self.accepted
+        is_new = any(not known or known not in text for text in warnings)
+        if is_new and not self.monitor.accepts(warnings, page):
             count = counted(len(warnings), "warning")
             raise SceneError(
                 f"stopped at {count} about the scene: check {page}; then run again and accept them",

@@ -172,17 +172,25 @@ def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary
     return StageSummary(lines, tuple(f"{text[0].upper()}{text[1:]}." for text in written.odd))
 
 
+@dataclass(frozen=True)
+class WrittenPage:
+    """Name of the page's file, and what only the page could see."""
+
+    name: str
+    warnings: tuple[str, ...]
+
+
 def page(work: Work, write_page: Callable[..., Path]) -> StageSummary:
     """The HTML page that shows the results."""
     reported = [(report.title, report.lines, report.warnings) for report in work.reports]
-    name = work.cache.get(
+    written = work.cache.get(
         "page",
-        str,
+        WrittenPage,
         (reported, work.skipped, work.images, work.posed, work.rig, work.georeference, work.trains),
-        lambda: write_page(work).name,
-        lambda name: [work.scene / name],
+        lambda: WrittenPage(write_page(work).name, work.found_by_page),
+        lambda written: [work.scene / written.name],
     )
-    return StageSummary((f"{work.scene / name}",))
+    return StageSummary((f"{work.scene / written.name}",), written.warnings)
 
 
 @contextmanager

@@ -18,8 +18,10 @@ SCALE_TOLERANCE = 0.03
 
 
 def summarize_pairs(pairing: Pairing) -> StageSummary:
-    """Number of pairs, and the rule that found them."""
-    lines = [f"{counted(len(pairing.pairs), 'pair')}. {pairing.rule}"]
+    """Number of pairs, or of photos without partners, and the rule that found them."""
+    has_pairs = any(pair.embedded or len(pair.photos) > 1 for pair in pairing.pairs)
+    noun = "pair" if has_pairs or not pairing.pairs else "photo"
+    lines = [f"{counted(len(pairing.pairs), noun)}. {pairing.rule}"]
     if pairing.skipped:
         lines.append(f"{counted(len(pairing.skipped), 'file')} skipped.")
     return StageSummary(tuple(lines), pairing.warnings)

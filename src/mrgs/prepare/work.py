@@ -44,6 +44,7 @@ class Work:
         georeference: from that world to the scene's; None until found.
         rig: the thermal camera, calibrated in the scene's world; None until found, and where one
             camera took both images.
+        found_by_page: warnings that only the page could find.
     """
 
     photos: Path
@@ -58,6 +59,7 @@ class Work:
     poses: Reconstruction | None = None
     georeference: Georeference | None = None
     rig: RigCalibration | None = None
+    found_by_page: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self.cache = Cache(self.scene / CACHE_FOLDER)

@@ -118,7 +118,7 @@ def _from_grey(
     if overrides.bounds_c is None:
         doubt = (
             f"The file holds shades of grey without a scale: {_RELATIVE}; absolute temperatures "
-            f"need bounds."
+            f"need bounds (the °C of black and white) or radiometric files."
         )
         return ThermalPhoto(None, values, everywhere, facts.adding(warnings=(doubt,)))
     low, high = overrides.bounds_c
@@ -139,7 +139,7 @@ def _from_colours(
         )
     doubt = (
         f"The file shows colours and holds no temperatures: {_RELATIVE}. Brighter need not be "
-        f"warmer."
+        f"warmer. Absolute temperatures need radiometric files."
     )
     return ThermalPhoto(
         None, grey, np.ones(grey.shape, dtype=bool), facts.adding(warnings=(doubt,))

@@ -71,6 +71,8 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
     content = _content(work)
     world = _world(content, work)
     posed = content.posed
+    work.found_by_page = _disagreements(content, work)
+    warnings = [text for stage in work.reports for text in stage.warnings]
     return write_scene_page(
         work.scene / PAGE,
         "prepare/page/prepare.html",
@@ -80,7 +82,7 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
         has_celsius=bool(content.unit),
         folder=shlex.quote(str(work.scene)),
         trains=work.trains,
-        warnings=_warnings(content, work),
+        warnings=list(dict.fromkeys((*warnings, *work.found_by_page))),
         stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
         north=world is not None and world.north,
         pairs=pairs(content.previews, _overlays(content, work), content.unit, content.total),
@@ -219,20 +221,19 @@ def _overlays(content: _Content, work: Work) -> dict[str, Float32[np.ndarray, "h
     return {name: image for name, image in found.items() if image is not None}
 
 
-def _warnings(content: _Content, work: Work) -> list[str]:
-    """Each warning of the stages once, and one about thermal images that do not agree."""
-    warnings = dict.fromkeys(text for stage in work.reports for text in stage.warnings)
+def _disagreements(content: _Content, work: Work) -> tuple[str, ...]:
+    """A warning about thermal images that do not agree; none if they do."""
     pairs = zip(content.previews, content.agreements, strict=True)
     names = [view.name for view, agreement in pairs if agreement is not None and agreement.jumps]
-    if names:
-        cause, remedy = GAIN_CAUSE, "Photograph with a fixed span, or provide radiometric files."
-        if any(view.facts.record.is_radiometric for view in work.images.views):
-            cause, remedy = RADIOMETRIC_CAUSE, RADIOMETRIC_REMEDY
-        warnings[
-            f"In {views_text(names)} the same places are warmer or colder than in the others, "
-            f"{cause}. {remedy}"
-        ] = None
-    return list(warnings)
+    if not names:
+        return ()
+    cause, remedy = GAIN_CAUSE, "Photograph with a fixed span, or provide radiometric files."
+    if any(view.facts.record.is_radiometric for view in work.images.views):
+        cause, remedy = RADIOMETRIC_CAUSE, RADIOMETRIC_REMEDY
+    return (
+        f"In {views_text(names)} the same places are warmer or colder than in the others, "
+        f"{cause}. {remedy}",
+    )
 
 
 def _time(stage: StageReport) -> str:
