@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -98,6 +99,21 @@ def test_what_is_not_a_run_is_named(tmp_path, folder):
         empty.read_config(from_yaml)
     with pytest.raises(RunError, match="run has no checkpoint yet: train it first"):
         folder.newest_checkpoint()
+
+
+def test_a_folder_of_runs_says_where_they_are(tmp_path, folder):
+    outer = RunFolder(tmp_path)
+    with pytest.raises(RunError, match="it has no config"):
+        outer.newest_checkpoint()  # nothing is trained in it yet
+    touch_checkpoints(folder, 10)
+    inside = re.escape(str(folder.path))
+    with pytest.raises(RunError, match=f"the model is in {inside}: give that folder"):
+        outer.newest_checkpoint()
+    other = RunFolder(tmp_path / "best")
+    other.start(TrainConfig())
+    touch_checkpoints(other, 10)
+    with pytest.raises(RunError, match=rf"there are models in .*best, {inside}: give one of these"):
+        outer.read_config(from_yaml)
 
 
 @pytest.mark.parametrize(

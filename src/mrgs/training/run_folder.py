@@ -209,11 +209,30 @@ class RunFolder:
             )
 
     def _require_config(self) -> None:
-        if not self.config_file.is_file():
+        if self.config_file.is_file():
+            return
+        inside = self._runs_inside()
+        if len(inside) == 1:
             raise RunError(
-                f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs "
-                f"train` wrote"
+                f"{self.path} is not a run itself; the model is in {inside[0]}: give that folder"
             )
+        if inside:
+            raise RunError(
+                f"{self.path} is not a run itself; there are models in "
+                f"{listed([str(folder) for folder in inside])}: give one of these folders"
+            )
+        raise RunError(
+            f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs train` "
+            f"wrote"
+        )
+
+    def _runs_inside(self) -> list[Path]:
+        """The trained runs among the folders in this one, as where `mrgs run` keeps its results."""
+        try:
+            folders = sorted(path.parent for path in self.path.glob("*/config.yaml"))
+        except OSError:
+            return []
+        return [folder for folder in folders if RunFolder(folder).checkpoints()]
 
     def _config_text(self) -> str:
         self._require_config()
