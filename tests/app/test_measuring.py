@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,6 +58,30 @@ def test_marks_are_added_listed_exported_and_undone(run, tmp_path, capsys):
     assert main(["measure", str(run), "--undo"]) == 0
     assert [line.split()[0] for line in lines(capsys)[-2:]] == ["S1", "Core"]
     assert load_run(run).folder.path == run
+
+
+def test_what_is_assumed_is_said_and_exported(run, tmp_path, capsys):
+    table, map_file = tmp_path / "m.csv", tmp_path / "m.geojson"
+    assert main(["measure", str(run), "--spot", f"{VIEW}:20,15", "--csv", str(table)]) == 0
+    camera = "The accuracy of the thermal camera is not known, and not included."
+    assert f"mrgs: note: {camera}" in capsys.readouterr().err
+    assert rows(table)[0]["remarks"].endswith(camera)
+    corrected = ["--box", f"{VIEW}:17,12", "23,18", "--emissivity", ".8", "--reflected", "15"]
+    targets = ["--csv", str(table), "--geojson", str(map_file)]
+    assert main(["measure", str(run), *corrected, *targets]) == 0
+    said = capsys.readouterr().err
+    notes = open_marks(load_run(run)).meter.capture.notes
+    assert notes, "the photos say nothing of emissivity"
+    for note in notes:
+        assert f"mrgs: note: {note}" in said
+        assert str(note) in rows(table)[1]["remarks"]
+        assert str(note) in json.loads(map_file.read_text())["features"][1]["properties"]["remarks"]
+    assert said.count(camera) == 1, "once for all marks"
+
+
+def rows(table: Path) -> list[dict[str, str]]:
+    with table.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def test_the_help_says_how_many_places_each_kind_takes(capsys):

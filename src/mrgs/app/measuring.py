@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mrgs.app.commands import Measure
+from mrgs.app.style import say_note
 from mrgs.app.terminal import note_unfinished
 from mrgs.errors import ConfigError
 from mrgs.marks import MarkReading, RunMarks, open_marks
@@ -109,16 +110,24 @@ def _show(command: Measure, marks: RunMarks) -> None:
         _print_table(readings, marks, "Mark")
     else:
         print("no marks yet: add one with --spot VIEW:X,Y, or in mrgs view")
-    if proposals := marks.measure_proposals():
+    proposals = marks.measure_proposals()
+    if proposals:
         print()
         _print_table(proposals, marks, "Proposed")
         first = proposals[0].mark.name
         print(f"judge what the report proposes: --accept {first}, or --drop {first}")
+    assumed = [text for each in (*readings, *proposals) for text in marks.assumptions_of(each)]
+    for text in dict.fromkeys(map(str, assumed)):
+        say_note(text)
     if command.csv is not None:
-        for path in write_csv(command.csv, readings, temperature, marks.world):
+        for path in write_csv(
+            command.csv, readings, temperature, marks.world, marks.assumptions_of
+        ):
             print(f"csv: {path}")
     if command.geojson is not None:
-        path = write_geojson(command.geojson, readings, temperature, marks.world)
+        path = write_geojson(
+            command.geojson, readings, temperature, marks.world, marks.assumptions_of
+        )
         print(f"geojson: {path}")
 
 

@@ -164,6 +164,14 @@ class RunMarks:
         """
         self.store.undo()
 
+    def assumptions_of(self, reading: MarkReading) -> tuple[str, ...]:
+        """What a corrected emissivity takes for known, and what the ± takes for known or leaves
+        out, one sentence each; empty where neither is there."""
+        corrected = self.meter.capture.notes if reading.surface is not None else ()
+        known = self.meter.uncertainty
+        around = known.notes if known is not None and reading.uncertainty is not None else ()
+        return (*corrected, *around)
+
     def measure(self) -> list[MarkReading]:
         """Measure all marks in the model as it is now."""
         return self.meter.measure(self.marks)

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,13 @@ from mrgs.system.message import Message
 
 HEADINGS = ("Mark", "Kind", "Mean", "±", "Min", "Max", "ΔT", "Size", "Photos", "Severity", "Note")
 DASH = "–"
+
+AssumedOf = Callable[[MarkReading], Sequence[str]]
+"""What a reading takes for known, one sentence each."""
+
+
+def _nothing(reading: MarkReading) -> Sequence[str]:
+    return ()
 
 
 def size_text(reading: MarkReading, world: WorldFrame) -> str:
@@ -144,9 +151,19 @@ def _note_text(reading: MarkReading) -> str:
 
 
 def facts_of_reading(
-    reading: MarkReading, temperature: TemperatureRange | None, world: WorldFrame
+    reading: MarkReading,
+    temperature: TemperatureRange | None,
+    world: WorldFrame,
+    assumed: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """A reading under the names of the columns of the CSV file; None where there is no value."""
+    """A reading under the names of the columns of the CSV file; None where there is no value.
+
+    Args:
+        reading: of a mark.
+        temperature: the scale of the thermal values; None without known °C.
+        world: the frame of the marks' coordinates.
+        assumed: what the reading takes for known, one sentence each.
+    """
     mark = reading.mark
     value_unit = "c" if temperature is not None else "normalised"
     length_unit = "m" if world.metric else "units"
@@ -183,7 +200,7 @@ def facts_of_reading(
         "against": mark.against,
         "note": mark.note,
         "problem": reading.problem,
-        "remarks": " ".join(reading.remarks),
+        "remarks": " ".join(map(str, (*reading.remarks, *assumed))),
     }
 
 
@@ -192,14 +209,22 @@ def write_csv(
     readings: Sequence[MarkReading],
     temperature: TemperatureRange | None,
     world: WorldFrame,
+    assumed: AssumedOf = _nothing,
 ) -> list[Path]:
     """Write a row for each mark, and beside it ``NAME_profiles.csv`` with a row for each sample of
     the lines; returns the paths.
 
+    Args:
+        path: of the table.
+        readings: of the marks.
+        temperature: the scale of the thermal values; None without known °C.
+        world: the frame of the marks' coordinates.
+        assumed: says what a reading takes for known.
+
     Raises:
         RunError: a file cannot be written.
     """
-    rows = [facts_of_reading(reading, temperature, world) for reading in readings]
+    rows = [facts_of_reading(each, temperature, world, assumed(each)) for each in readings]
     names = list(facts_of_reading(_NOTHING, temperature, world))
     paths = [write_text(path, _csv_text(names, rows))]
     profiles = [
@@ -221,11 +246,13 @@ def write_geojson(
     readings: Sequence[MarkReading],
     temperature: TemperatureRange | None,
     world: WorldFrame,
+    assumed: AssumedOf = _nothing,
 ) -> Path:
     """Write the marks as points, lines and polygons with what was measured; returns the path.
 
     Where the scene knows its place on Earth, coordinates are longitude, latitude and height (WGS
     84), as GeoJSON has them. Elsewhere they are the scene's own x, y, z, which the file says.
+    Arguments are those of ``write_csv``.
 
     Raises:
         RunError: the file cannot be written.
@@ -234,7 +261,7 @@ def write_geojson(
     features = [
         {
             "type": "Feature",
-            "properties": facts_of_reading(reading, temperature, world),
+            "properties": facts_of_reading(reading, temperature, world, assumed(reading)),
             "geometry": _geometry(reading.mark, world if on_earth else None),
         }
         for reading in readings
