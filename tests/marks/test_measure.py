@@ -11,9 +11,15 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.marks import Mark, Marks
-from mrgs.marks.measure import MarkMeter
+from mrgs.marks.measure import NO_PLANE, MarkMeter
 from mrgs.marks.run_marks import picked_places
-from mrgs.marks.surface import before_background, outline_area, see, steady_depth
+from mrgs.marks.surface import (
+    before_background,
+    has_flat_outline,
+    outline_area,
+    see,
+    steady_depth,
+)
 from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.render import Model, render
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering, Scene
@@ -94,6 +100,41 @@ def test_an_area_has_extremes_and_a_size(meter):
 def test_the_area_of_an_outline_that_is_not_convex():
     corner = [(0.0, 0, 0), (2.0, 0, 0), (2.0, 0, 1), (1.0, 0, 1), (1.0, 0, 2), (0.0, 0, 2)]
     assert outline_area(corner) == pytest.approx(3.0)
+
+
+def moved_to(depth: float, corner: int, square: tuple = SQUARE) -> Mark:
+    """The box with one corner on another surface, which its eye sees at the same pixel."""
+    places = list(square)
+    away = np.array(places[corner]) - EYE
+    places[corner] = tuple((EYE + depth * away).tolist())
+    return replace(BOX, points=tuple(places))
+
+
+def test_corners_on_different_surfaces_have_no_area(meter):
+    for corner in range(4):
+        for depth in (0.5, 0.8, 1.5):
+            reading = meter.read(moved_to(depth, corner))
+            assert reading.remarks == (NO_PLANE,), (corner, depth)
+            assert np.isnan(reading.area)
+            assert np.isfinite(reading.mean), "what is seen there is still measured"
+    depths = (1.68, 1.88, 0.93, 1.82)  # as picked over the edge of a table
+    pixels = ((-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2))
+    points = tuple((x * z, z, y * z) for (x, y), z in zip(pixels, depths, strict=True))
+    assert not has_flat_outline(Mark("B1", "box", points, (0.0, 0.0, 0.0)))
+
+
+def test_a_slope_noise_and_a_gentle_bend_keep_their_area(meter):
+    assert np.isfinite(meter.read(BOX).area)
+    assert meter.read(BOX).remarks == ()
+    steep = tuple((x, 20.0 * x, z) for x, _, z in SQUARE)
+    assert has_flat_outline(replace(BOX, points=steep)), "depths that differ, in one plane"
+    small = tuple((0.05 * x, y, 0.05 * z) for x, y, z in SQUARE)
+    for depth in (0.98, 1.02):
+        assert has_flat_outline(moved_to(depth, 2)), "as the depths of a model differ"
+        assert has_flat_outline(moved_to(depth, 2, small)), "also of a small box"
+    pipe = [(np.sin(angle), -np.cos(angle)) for angle in (-0.8, 0.8)]
+    corners = [(x, y, z) for (x, y), z in zip([*pipe, *pipe[::-1]], (0, 0, 1, 1), strict=True)]
+    assert has_flat_outline(replace(BOX, points=tuple(corners))), "along a pipe"
 
 
 def test_differences_are_to_the_reference_or_to_a_mark_of_their_own(meter):

@@ -19,6 +19,7 @@ from mrgs.marks.surface import (
     SurfaceRenderer,
     celsius_or_value,
     disc_mask,
+    has_flat_outline,
     measuring_camera,
     outline_area,
     outline_mask,
@@ -43,6 +44,10 @@ NARROW_COLD = "The cold place is narrower than three pixels of the photos: it is
 
 SEVERAL_SURFACES = (
     "It lies on surfaces of different emissivity: each part is corrected for its own."
+)
+NO_PLANE = (
+    "Its corners do not lie in one plane: it spans several surfaces, or a bent one, and has no "
+    "area."
 )
 ONE_SURFACE = 0.95
 """Share of a mark from which on it counts as lying on one surface."""
@@ -83,7 +88,8 @@ class MarkReading:
         uncertainty: of the mean; None if the photos are not known.
         difference_uncertainty: of the difference, as ``Uncertainty.total``; NaN if not known.
         length: of a line, along its straight pieces, scene units; else NaN.
-        area: of the flat outline of a box or polygon, scene units squared; else NaN.
+        area: of the flat outline of a box or polygon, scene units squared; else NaN, also where its
+            corners do not lie in one plane.
         covered: share of the mark where the model shows a surface.
         photos: how many thermal photos see it; None if their cameras are not known.
         profile: of a line; else None.
@@ -241,7 +247,7 @@ class MarkMeter:
         empty = MarkReading(reading.mark)
         return replace(
             empty, length=reading.length, area=reading.area, covered=reading.covered, photos=0,
-            problem=NO_PHOTO,
+            problem=NO_PHOTO, remarks=reading.remarks,
         )  # fmt: skip
 
     def _photos_of(self, places: Float[np.ndarray, "n 3"]) -> int:
@@ -264,10 +270,15 @@ def _read_pixels(
     seen = mask & np.isfinite(surface.depth)
     if not seen.any():
         return MarkReading(mark, problem=NO_SURFACE), np.empty((0, 3))
-    area = outline_area(mark.points) if mark.is_area else np.nan
+    is_flat = mark.is_area and has_flat_outline(mark)
     covered = float(seen.sum() / max(mask.sum(), 1))
     places = surface.positions[seen]
-    reading = replace(MarkReading(mark), area=area, covered=covered)
+    reading = MarkReading(
+        mark,
+        area=outline_area(mark.points) if is_flat else np.nan,
+        covered=covered,
+        remarks=(NO_PLANE,) if mark.is_area and not is_flat else (),
+    )
     return _with_values(reading, None if values is None else values[seen], places), places
 
 
@@ -306,7 +317,7 @@ def _on_surface(
     """With the settings of the surface that most of it lies on."""
     settings, share = regions.shares_at(places)[0]
     remarks = () if share >= ONE_SURFACE else (SEVERAL_SURFACES,)
-    return replace(reading, surface=settings, remarks=remarks)
+    return replace(reading, surface=settings, remarks=(*reading.remarks, *remarks))
 
 
 def _with_values(

@@ -50,6 +50,10 @@ STILL_THERE = 0.08
 """A surface whose depth differs by less than this share is the one that was marked: models lie off
 their object, and a mark may be older than the model."""
 
+BENT = 0.5
+"""A corner may lie off the plane of the others by this share of the outline's mean width, which
+folds it by some 25°: the area of a rectangle with such a corner is off by 4 % at most."""
+
 ROBUST_STEPS = 8
 TUKEY = 6.0
 """What lies farther from a surface than so many times the median does not count."""
@@ -220,6 +224,34 @@ def outline_area(points: Sequence[Place]) -> float:
     corners = np.array(points)
     corners = corners - corners.mean(axis=0)
     return 0.5 * float(np.linalg.norm(np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)))
+
+
+def has_flat_outline(mark: Mark) -> bool:
+    """Whether the corners of a mark lie in one plane, so that its flat outline has an area: none
+    lies off the plane of the others by more than ``BENT`` of the outline's mean width, unless that
+    is within what counts as one surface from where it was drawn. Three corners always do.
+
+    Each is held against the plane of the others alone, which it would else tilt towards itself.
+    """
+    corners = np.array(mark.points)
+    if len(corners) < 4:
+        return True
+    length = np.linalg.norm(corners[:, None] - corners, axis=2).max()
+    width = outline_area(mark.points) / max(float(length), 1e-300)
+    within = SAME_SURFACE * np.linalg.norm(corners - np.array(mark.eye), axis=1)
+    off = [_off_plane(corners, index) for index in range(len(corners))]
+    return bool(np.all(np.array(off) <= np.maximum(within, BENT * width)))
+
+
+def _off_plane(corners: Float[np.ndarray, "n 3"], index: int) -> float:
+    """How far a corner lies from the plane that fits the others best; 0 where these lie in a line,
+    through which there is a plane with any corner."""
+    others = np.delete(corners, index, axis=0)
+    middle = others.mean(axis=0)
+    _, lengths, axes = np.linalg.svd(others - middle)
+    if lengths[1] < 1e-6 * max(lengths[0], 1e-300):
+        return 0.0
+    return abs(float((corners[index] - middle) @ axes[2]))
 
 
 def steady_depth(surface: SeenSurface, x: float, y: float) -> float:
