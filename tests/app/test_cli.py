@@ -269,6 +269,28 @@ def test_an_output_folder_that_holds_a_run_is_left_alone(own_run, small_scene, c
     assert (own_run / "log.jsonl").read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("options", "flags"),
+    [
+        (("--max-steps", 400, "--method", "3dgs-rgbt"), "--method, --max-steps"),
+        (("--max-gaussians", 7, *TINY[:2]), "--max-gaussians"),
+        (("--seed", 4), "--seed"),
+        (("--preset", "paper"), "--preset"),
+    ],
+)
+def test_a_resumed_run_takes_no_other_settings(options, flags, own_run, small_scene, capsys):
+    message = rf"own run is resumed with the settings that it was .* \({flags}, --output\)"
+    resume = ("train", small_scene, "--resume", "--output", own_run)
+    refused(capsys, message, *resume, *options)
+
+
+def test_a_finished_run_says_so_and_may_be_given_its_own_settings(own_run, small_scene, capsys):
+    resume = ("train", small_scene, "--resume", "--output", own_run)
+    for options in ((), TINY):
+        assert run(*resume, *options) == 0
+        assert "already finished at step 3\n" in capsys.readouterr().out
+
+
 def test_a_run_that_died_before_its_first_checkpoint_can_be_begun_anew(own_run, small_scene):
     shutil.rmtree(own_run / "checkpoints")
     assert run("train", small_scene, "--output", own_run, *TINY) == 0

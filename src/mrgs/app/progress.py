@@ -188,6 +188,16 @@ class TrainingProgress:
             self._bar.stop()
 
     @property
+    def has_stepped(self) -> bool:
+        """Whether there was a step."""
+        return self._first_step is not None
+
+    @property
+    def max_steps(self) -> int:
+        """Training steps; 0 before the start."""
+        return self._max_steps
+
+    @property
     def sink(self) -> TextIO:
         """Where the last words go: standard output, unless it is lost."""
         is_signal = self._interruption is None or self._interruption.status >= 128

@@ -6,6 +6,7 @@ import math
 import shlex
 import time
 from contextlib import nullcontext
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from mrgs.runs.registry import Method
     from mrgs.scene import Scene
     from mrgs.training import StepStatistics, TrainConfig
+    from mrgs.training.run_folder import RunFolder
     from mrgs.viewer import LiveView
 
 
@@ -50,6 +52,8 @@ def train(command: Train, processes: Processes | None) -> int:
     name = method_of(RunFolder(output)).name if goes_on else command.method
     method = find_method(name if processes is None else processes.share_json(name))
     _require_possible(command, method, processes)
+    if goes_on:
+        _require_own_settings(command, method, RunFolder(output))
     require_blocks(command)
     together = 1 if processes is None or command.blocks is not None else processes.count
     batch = command.batch or together
@@ -147,6 +151,46 @@ def _require_possible(command: Train, method: Method, processes: Processes | Non
         raise DeviceError(f"{method.name} works on the CPU alone: leave --device out")
 
 
+def _require_own_settings(command: Train, method: Method, folder: RunFolder) -> None:
+    """The options of a resumed run may only repeat the settings that it has.
+
+    Raises:
+        ConfigError: some would change them, and would be without effect.
+    """
+    defaults = {field.name: field.default for field in fields(command)}
+    settings = ("method", "preset", *_OWN_SETTINGS, "config")
+    given = [name for name in settings if getattr(command, name) != defaults[name]]
+    if not given:
+        return
+    config = folder.read_config(method.read_config)
+    own = {name: _setting(config, name) for name in ("method", *_OWN_SETTINGS)}
+    other = [name for name in given if name in own and getattr(command, name) != own[name]]
+    if not other:
+        asked = method.configure(
+            command.preset,
+            **{name: own[name] for name in _OWN_SETTINGS if own[name] is not None},
+            changes="" if command.config is None else read_text(command.config),
+            source=str(command.config),
+        )
+        other = [name for name in given if name not in own and asked != config]
+    if other:
+        raise ConfigError(
+            f"{folder.path} is resumed with the settings that it was started with, and these "
+            f"options ask for others: leave them out, or train a new run in another folder",
+            options=(*other, "output"),
+        )
+
+
+_OWN_SETTINGS = ("max_steps", "max_gaussians", "resolution", "seed", "batch")
+"""Options with a value of their own in a run's configuration."""
+
+
+def _setting(config: Any, name: str) -> Any:
+    """The value of an option in a run's configuration; None where its method has no such thing."""
+    holder = getattr(config, "densification", None) if name == "max_gaussians" else config
+    return getattr(holder, name, None)
+
+
 def _output(command: Train) -> Path:
     """The run's folder."""
     folder = command.scene.parent if command.scene.is_file() else command.scene
@@ -165,6 +209,8 @@ def _say_what_next(
         if progress.unfinished:
             raise Interrupted
         return  # another process was asked to stop
+    if command.resume and not progress.has_stepped:
+        print(f"already finished at step {progress.max_steps:,}")
     quoted = shlex.quote(str(output))
     print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
 
