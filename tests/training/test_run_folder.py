@@ -60,6 +60,27 @@ def test_a_folder_of_something_else_is_left_alone(name, tmp_path):
     assert (tmp_path / name).read_text() == "mine"
 
 
+def test_a_folder_with_other_files_becomes_no_run(tmp_path):
+    (tmp_path / "thesis.odt").write_text("mine")
+    with pytest.raises(
+        RunError, match=r"holds something else \(thesis\.odt\): choose a new"
+    ) as error:
+        RunFolder(tmp_path).start(TrainConfig())
+    assert error.value.options == ("output",)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.odt"]
+
+
+def test_what_an_earlier_run_left_hinders_no_new_one(tmp_path):
+    (tmp_path / ".DS_Store").touch()
+    (tmp_path / "survey.yaml").write_text("client: somebody")
+    (tmp_path / "checkpoints").mkdir()
+    folder = RunFolder(tmp_path)
+    folder.start(TrainConfig())
+    (tmp_path / "notes.txt").write_text("mine")
+    folder.start(TrainConfig(seed=3))  # died before its first checkpoint
+    assert folder.read_config(from_yaml).seed == 3
+
+
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(

@@ -50,6 +50,10 @@ class RunConfig(Protocol):
         """Steps between checkpoints."""
 
 
+_LEFT_BEHIND = {"checkpoints", "tensorboard", "blocks", "survey.yaml", "marks.json"}
+"""What may lie in a folder before it is a run: what an earlier one left, and what was stated for
+it."""
+
 _EVERY_CONFIG_HAS = {"method", "max_steps", "resolution", "seed", "checkpoint_every"}
 
 Config = TypeVar("Config")
@@ -148,6 +152,18 @@ class RunFolder:
                 f"{self.path} holds a log.jsonl that is not a run's: choose another folder",
                 options=("output",),
             )
+        elif foreign := self._foreign():
+            raise RunError(
+                f"{self.path} holds something else ({listed(foreign)}): choose a new folder",
+                options=("output",),
+            )
+
+    def _foreign(self) -> list[str]:
+        """Names of what no run leaves behind; hidden files do not count."""
+        if not self.path.is_dir():
+            return []
+        names = sorted(path.name for path in self.path.iterdir())
+        return [name for name in names if name not in _LEFT_BEHIND and not name.startswith(".")]
 
     def start(self, config: RunConfig) -> None:
         """Make the folder a new run.
