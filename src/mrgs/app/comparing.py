@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from mrgs.app.terminal import print_table
 from mrgs.errors import ConfigError, TrainingError
 
 if TYPE_CHECKING:
+    from mrgs.comparison.table import Table
     from mrgs.distributed.processes import Processes
 
 
@@ -62,6 +64,8 @@ def compare(command: CompareMethods, processes: Processes | None) -> int:
         raise
     for table in comparison.tables:
         print_table(table)
+    for line in how_to_read(comparison.tables, command.seeds):
+        print(line)
     print(f"tables: {command.output / 'tables'}\nfigures: {command.output / 'figures'}")
     if comparison.failures:
         name, reason = next(iter(comparison.failures.items()))
@@ -70,6 +74,18 @@ def compare(command: CompareMethods, processes: Processes | None) -> int:
             f"({reason}); fix the cause and re-run the same command"
         )
     return 0
+
+
+def how_to_read(tables: Sequence[Table], seeds: int) -> list[str]:
+    """What the signs of printed tables mean, and whether differences may be by chance."""
+    from mrgs.comparison.table import marks
+
+    lines = []
+    if any(any(row) for table in tables for row in marks(table)):
+        lines.append("*: the best, +: the second best of what was measured here")
+    if tables and seeds == 1:
+        lines.append("one seed: small differences may be by chance; --seeds 3 shows the spread")
+    return lines
 
 
 def _named_paths(option: str, pairs: tuple[str, ...], example: str) -> dict[str, Path]:
