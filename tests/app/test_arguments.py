@@ -16,6 +16,7 @@ import pytest
 
 import mrgs
 from mrgs.app import commands, options
+from mrgs.app.arguments import numeric_options, require_numbers
 from mrgs.app.cli import main
 from mrgs.app.style import styled
 from mrgs.export.formats import FORMATS
@@ -55,6 +56,34 @@ def test_an_unknown_command_is_one_line(typed, message, capsys):
     ended(2, typed)
     printed = capsys.readouterr()
     assert (printed.out, printed.err) == ("", f"mrgs: error: {message}\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("measure", "run", "--emissivity", "90%"),
+            "--emissivity 90%: leave the % out; a share is written as 0.9",
+        ),
+        (("prepare", "a", "b", "--emissivity=,9"), "--emissivity ,9: write a number, such as 0.9"),
+        (("prepare", "a", "b", "--bounds", "-5", "warm"), "--bounds warm: write a number, such as"),
+        (("train", "a", "--max-steps", "4.5"), "--max-steps 4.5: write a whole number"),
+        (("view", "a", "--port", "http"), "--port http: write a whole number"),
+    ],
+)
+def test_what_is_no_number_is_one_line(arguments, message, capsys):
+    assert main([*arguments]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith(f"mrgs: error: {message}")
+    assert printed.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", commands.COMMANDS)
+def test_numbers_that_fit_are_taken(name):
+    kinds = numeric_options(commands.COMMANDS[name])
+    for flag, types in kinds.items():
+        require_numbers(commands.COMMANDS[name], [flag, *("-3" for _ in types), "--other", "x%"])
+        require_numbers(commands.COMMANDS[name], [flag, "--other"])
 
 
 @pytest.mark.parametrize("name", commands.COMMANDS)

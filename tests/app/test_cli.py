@@ -22,6 +22,9 @@ from safetensors.torch import save_file
 
 from mrgs.app import commands, progress, terminal
 from mrgs.app.cli import main
+from mrgs.app.comparing import how_to_read
+from mrgs.comparison.results import Cell
+from mrgs.comparison.table import Group, Row, Table
 from mrgs.training import StepStatistics
 from tests.helpers.scenes import write_scene
 
@@ -211,9 +214,10 @@ def test_a_bad_option_is_one_line_and_leaves_nothing(
 
 
 def test_a_malformed_option_is_refused_by_name(small_scene, capsys):
+    refused(capsys, "--max-steps many: write a whole", "train", small_scene, "--max-steps", "many")
     with pytest.raises(SystemExit, match="2"):
-        run("train", small_scene, "--max-steps", "many")
-    assert "--max-steps" in capsys.readouterr().err
+        run("train", small_scene, "--device", "many")
+    assert "--device" in capsys.readouterr().err
 
 
 def test_swapped_bounds_are_mended_and_said_once(tmp_path, capsys):
@@ -666,13 +670,25 @@ def test_renders_of_another_program_are_scored(small_scene, tmp_path, capsys):
 def test_methods_are_compared(small_scene, tmp_path, capsys):
     tiny = ("--max-steps", "2", "--max-gaussians", "60", "--output", tmp_path / "compare")
     assert run("compare", small_scene, "--methods", "mrgs-plus", *tiny) == 0
-    assert "PSNR, dB" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "one seed: small differences may be by chance; --seeds 3 shows the spread" in printed
+    assert "second best" not in printed, "nothing is ranked"
+    assert "PSNR, dB" in printed
     assert (tmp_path / "compare" / "tables" / "thermal.md").is_file()
     refused(capsys, "use NAME=PATH", "compare", small_scene, *tiny, "--renders", "somewhere")
     refused(capsys, "a is used twice", "compare", small_scene, *tiny, "--renders", "a=b", "a=c")
     refused(
         capsys, "no.yaml: cannot be read", "compare", small_scene, *tiny, "--variants", "a=no.yaml"
     )
+
+
+def test_the_signs_in_printed_tables_are_explained():
+    rows = tuple(Row((name,), (Cell(value),)) for name, value in (("a", 30.0), ("b", 29.0)))
+    table = Table("t", "T", ("",), (Group("", ("thermal.psnr",)),), rows)
+    legend = "*: the best, +: the second best of what was measured here"
+    assert how_to_read([table], seeds=3) == [legend]
+    assert how_to_read([table], seeds=1)[0] == legend
+    assert how_to_read([dataclasses.replace(table, rows=rows[:1])], seeds=3) == []
 
 
 def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tmp_path, capsys):

@@ -64,8 +64,11 @@ def test_a_port_in_use_is_named(small_run):
             LiveView("nowhere", port=port)
 
 
-def test_addresses_that_cannot_be_are_named():
-    with pytest.raises(ConfigError, match="the port must be from 0 to 65535, not 70000"):
+def test_addresses_that_cannot_be_are_named(small_run):
+    for port in (70000, -1):
+        with pytest.raises(ConfigError, match=f"from 1 to 65535, or 0 .*, not {port}"):
+            view(small_run, None, port=port)
+    with pytest.raises(ConfigError, match="the port must be from 1 to 65535, or 0 for any that"):
         require_free("127.0.0.1", 70000)
     with pytest.raises(ConfigError, match=r"cannot listen on no\.such\.invalid:8080"):
         require_free("no.such.invalid", 8080)

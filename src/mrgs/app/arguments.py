@@ -8,11 +8,12 @@ import inspect
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import is_dataclass
 from functools import reduce
 from importlib.metadata import version
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import tyro
 
@@ -47,7 +48,62 @@ def parse(argv: Sequence[str]) -> Any:
     if first not in COMMANDS:
         say_error(_unknown(first))
         raise SystemExit(EXIT_USER_ERROR)
+    require_numbers(COMMANDS[first], argv[1:])
     return tyro.cli(COMMANDS[first], prog=f"mrgs {first}", args=argv[1:], config=_CONFIG)
+
+
+def require_numbers(command: type, argv: Sequence[str]) -> None:
+    """Check the options that take numbers.
+
+    Raises:
+        ConfigError: one has something else.
+    """
+    kinds = numeric_options(command)
+    for place, argument in enumerate(argv):
+        flag, equals, value = argument.partition("=")
+        numbers = kinds.get(flag, ())
+        given = [value, *argv[place + 1 :]] if equals else argv[place + 1 :]
+        for kind, text in zip(numbers, given, strict=False):
+            if text.startswith("--"):
+                break
+            _require_number(flag, kind, text)
+
+
+def _require_number(flag: str, kind: type, text: str) -> None:
+    try:
+        kind(text)
+    except ValueError:
+        if text.endswith("%") and kind is float and _is_float(text[:-1]):
+            raise ConfigError(
+                f"{flag} {text}: leave the % out; a share is written as {float(text[:-1]) / 100:g}"
+            ) from None
+        what = "a whole number" if kind is int else "a number, such as 0.9"
+        raise ConfigError(f"{flag} {text}: write {what}") from None
+
+
+def _is_float(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def numeric_options(command: type) -> dict[str, tuple[type, ...]]:
+    """The flags of a command that take numbers, with the types of these."""
+    found: dict[str, tuple[type, ...]] = {}
+    for name, hint in get_type_hints(command).items():
+        if is_dataclass(hint):
+            found |= numeric_options(cast(type, hint))
+            continue
+        (kind, *more) = [each for each in get_args(hint) if each is not type(None)] or [hint]
+        parts = (hint,) if get_origin(hint) is tuple else (kind,)
+        if more and get_origin(hint) is not tuple:
+            continue  # a choice of types
+        types = get_args(parts[0]) if get_origin(parts[0]) is tuple else parts
+        if types and all(each in (int, float) for each in types):
+            found[f"--{name.replace('_', '-')}"] = types
+    return found
 
 
 def overview() -> str:

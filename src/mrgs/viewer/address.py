@@ -7,14 +7,26 @@ import socket
 from mrgs.errors import ConfigError
 
 
+def require_port(port: int) -> None:
+    """Check that there is such a port.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if not 0 <= port <= 65535:
+        raise ConfigError(
+            f"the port must be from 1 to 65535, or 0 for any that is free, not {port}",
+            options=("port",),
+        )
+
+
 def require_free(host: str, port: int) -> None:
     """Check that the port can be used, before a training begins that is to be watched there.
 
     Raises:
         ConfigError: it cannot.
     """
-    if not 0 <= port <= 65535:
-        raise ConfigError(f"the port must be from 0 to 65535, not {port}", options=("port",))
+    require_port(port)
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM

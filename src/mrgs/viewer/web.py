@@ -21,6 +21,7 @@ from mrgs.errors import ConfigError
 from mrgs.pictures.html import Page, make_page
 from mrgs.pictures.stage import MARKS_STYLE, STAGE_SCRIPTS, STAGE_STYLE
 from mrgs.scene import Camera
+from mrgs.viewer.address import require_port
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.cameras import fitted_size
 from mrgs.viewer.gate import Gate
@@ -66,6 +67,7 @@ class Viewer:
     """
 
     def __init__(self, subject: Subject, start: Start, host: str, port: int) -> None:
+        require_port(port)
         self.note = subject.note
         self._subject = subject
         self._start = start
@@ -100,7 +102,7 @@ class Viewer:
         self._closed = threading.Event()
         try:
             self.port = ready.result()
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             self._worker.close()
             raise ConfigError(
                 f"cannot listen on {host}:{port} ({error}): choose another port, or end what uses "
@@ -157,7 +159,7 @@ class Viewer:
                 server_header=None,
                 logger=_log,
             )
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             ready.set_exception(error)
             return
         async with server:
