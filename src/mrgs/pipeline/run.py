@@ -31,6 +31,9 @@ from mrgs.system.gpu import HOST, DeviceName
 from mrgs.training.compilation import compiling_progress
 from mrgs.training.run_folder import RunFolder
 
+CACHED_SHARE = 0.01
+"""Of the time that photos take to be prepared, where all results come from the cache."""
+
 
 @dataclass(frozen=True)
 class PipelineResults:
@@ -201,8 +204,16 @@ def _planned(job: Job, work: Workload, computer: Computer) -> tuple[PlannedStage
     for number, (stage, (name, cost)) in enumerate(zip(stages, costs.items(), strict=True), 1):
         done = done and _is_done(job, stage)
         parts = planned_seconds(cost, computer)
+        if not done and number == 1 and _is_cached(job, stage):
+            parts = {part: CACHED_SHARE * seconds for part, seconds in parts.items()}
         planned.append(PlannedStage(name, number, len(stages), parts, done))
     return tuple(planned)
+
+
+def _is_cached(job: Job, stage: Stage) -> bool:
+    """Whether an earlier call has prepared these photos, and only stopped at its warnings."""
+    known = job.intake.kind == "photos" and job.ledger.is_known(stage.name)
+    return known and job.ledger.is_begun(stage.name, stage.made_from())
 
 
 def _is_done(job: Job, stage: Stage) -> bool:

@@ -30,7 +30,7 @@ from mrgs.system.wording import counted
 from mrgs.training.driver import Statistics
 from mrgs.training.run_folder import RunFolder
 
-PAGE_FORMAT = "page"
+PAGE_FORMAT, PREPARE = "page", "prepare"
 
 Report = Callable[[str, int, int], None]
 """Called with a part's name, how much of it is done, and of how much (0 if not known)."""
@@ -104,7 +104,7 @@ class Job:
         own = self.quality.name
         first = self._prepare if self.intake.kind == "photos" else self._check
         return (
-            Stage("prepare", self._made_from_source, first),
+            Stage(PREPARE, self._made_from_source, first),
             Stage(f"{own}/train", self._made_from_scene, self._train),
             Stage(f"{own}/score", self._made_from_model, self._score),
             Stage(f"{own}/render", self._made_from_model, self._render),
@@ -152,7 +152,9 @@ class Job:
         return self.ledger.contents_of(folder, without=(CACHE_FOLDER, "*.html"))
 
     def _prepare(self, report: Report) -> list[Path]:
+        made_from = self._made_from_source()
         made = self._prepared(report)
+        self.ledger.begin(PREPARE, made_from)  # until it is accepted, all of it is in the cache
         titles: dict[str, str] = {}
         for stage in made.stages:
             for text in stage.warnings:
