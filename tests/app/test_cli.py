@@ -184,9 +184,13 @@ def test_what_stood_in_the_output_folder_stays(tmp_path, capsys):
     scene, output = write_scene(tmp_path / "scene"), tmp_path / "run"
     cut_off(f"images/{TRAINED}")(scene)
     output.mkdir()
-    (output / "notes.txt").write_text("mine")
-    refused(capsys, "cannot be decoded", "train", scene, "--output", output, *TINY)
-    assert [path.name for path in output.iterdir()] == ["notes.txt"]
+    for name, message in (
+        ("survey.yaml", "cannot be decoded"),
+        ("notes.txt", r"run holds something else \(notes\.txt\): choose a new folder \(--output\)"),
+    ):
+        (output / name).write_text("mine")
+        refused(capsys, message, "train", scene, "--output", output, *TINY)
+    assert {path.name for path in output.iterdir()} == {"survey.yaml", "notes.txt"}
 
 
 @pytest.mark.parametrize(
