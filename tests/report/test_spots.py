@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mrgs.rasterizer.dilation import AS_PUBLISHED
-from mrgs.report.spots import find_spots
+from mrgs.report.spots import _apart, _Cube, _Image, _Sightings, find_spots
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
     RGB,
@@ -89,6 +89,24 @@ def test_the_known_extremes_are_found():
         assert spot.low <= spot.value <= spot.high
         assert spot.high - spot.low < 0.02
         assert spot.views >= 6
+
+
+def test_a_spot_lies_where_its_view_shows_its_value():
+    """Not between the places of several views, beside which a narrow thing may lie."""
+    places = np.array([[0.0, 0.0, 0.0], [0.01, 0.02, 0.0], [-0.01, 0.0, 0.01]])
+    values, views = np.array([0.88, 0.9, 0.89]), np.arange(3)
+    sightings = _Sightings(np.zeros(3, int), views, values, places, np.array([5, 9, 4]))
+    images = {}
+    for view in range(3):
+        camera = camera_at(2.0 * view)
+        column, row = camera.project(torch.from_numpy(places[view]))[0].int().tolist()
+        image = np.full((120, 160), WARM)
+        image[row - 1 : row + 2, column - 1 : column + 2] = 0.9
+        images[view] = _Image(camera, np.full((120, 160), 2.3), image)
+    cube = _Cube(0.89, values[[0, 2, 1]], np.array([0, 2, 1]))
+    (spot,) = _apart([cube], 1, sightings, images, 1, 0.1, [])
+    assert (spot.view, spot.value) == (1, 0.89)
+    assert np.array_equal(spot.position, places[1])
 
 
 def test_what_lies_far_behind_the_scene_is_no_spot():

@@ -80,7 +80,7 @@ class Spot(NamedTuple):
     """A spot on a surface.
 
     Attributes:
-        position: in world coordinates, scene units, [3].
+        position: where ``view`` shows it, in world coordinates, scene units, [3].
         value: normalised temperature, the median over the views that see it.
         low: 10th percentile of these views' values, normalised.
         high: 90th percentile of these views' values, normalised.
@@ -325,9 +325,11 @@ def _apart(
     for index, cube in enumerate(cubes):
         if not free[index]:
             continue
-        position = np.median(sightings.positions[cube.rows], axis=0)
-        away = np.linalg.norm(places - position, axis=1)
         best = cube.rows[np.argmax(sightings.points[cube.rows])]
+        # Where one view has the value: a place between those of several views may lie beside it,
+        # where the temperature changes by degrees within a pixel.
+        position = sightings.positions[best]
+        away = np.linalg.norm(places - position, axis=1)
         image = images[int(sightings.views[best])]
         if not sightings.points[best] or not _is_local(image, position, cube.median, sign):
             free &= away >= LEFT_OUT_SHARE * distance
