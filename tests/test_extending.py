@@ -7,14 +7,13 @@ import re
 import runpy
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mrgs import load_run, load_scene, make_config, train
+from mrgs import load_run, load_scene, make_config
 from mrgs.data.radiometric import read, read_thermal_photo
 from mrgs.errors import MrgsWarning
 from mrgs.export import FORMATS
@@ -115,18 +114,6 @@ def test_another_heat_equation(kitchen: Kitchen) -> None:
         kitchen.cook("Another heat equation")
     assert RadianceField.temperature_residuals.rejected
     assert load_run("runs/diffusion").facts.step == CONFIG.max_steps
-
-
-def test_a_process_without_the_runs_own_equation_says_so(kitchen: Kitchen) -> None:
-    stock = FourierHeatTransformation.forward
-    with pytest.warns(MrgsWarning, match="the kernel differs"):
-        kitchen.cook("Another heat equation")
-    FourierHeatTransformation.forward = stock
-    RadianceField.temperature_residuals.rejected = False
-    with pytest.warns(MrgsWarning, match="temperature_residuals, which this process does"):
-        load_run("runs/diffusion")
-    with pytest.warns(MrgsWarning, match="which this process does not have"):
-        train(kitchen.scene, "runs/diffusion", replace(CONFIG, max_steps=6), resume=True)
 
 
 def test_a_loss(kitchen: Kitchen) -> None:

@@ -52,7 +52,7 @@ def test_a_run_is_followed_to_its_scores(small_scene, request_for, capsys):
     assert child.main(request_for(small_scene)) == 0
     messages = said(capsys)
     assert messages[0]["step"] == 1
-    assert messages[-3:] == [{"scored": 3, "of": 4}, {"scored": 4, "of": 4}, {"end": "scored"}]
+    assert messages[-3:] == [{"scored": 1, "of": 2}, {"scored": 2, "of": 2}, {"end": "scored"}]
 
 
 def test_what_the_user_can_mend_is_said_in_one_message(tmp_path, request_for, capsys):
@@ -86,5 +86,5 @@ def test_the_end_of_input_stops_the_scoring(small_scene, request_for, capsys, mo
     monkeypatch.setattr(child, "when_asked_to_stop", stop.append)
     request = request_for(small_scene)
     assert child.main(request) == 0
-    assert said(capsys)[-2:] == [{"scored": 1, "of": 4}, {"end": "stopped"}]
+    assert said(capsys)[-2:] == [{"scored": 1, "of": 2}, {"end": "stopped"}]
     assert not (Path(request["folder"]) / "eval").exists()

@@ -162,6 +162,23 @@ def test_scenes_with_wrong_poses_have_scores_with_aligned_ones_too():
     assert [cell.mean for cell in fits] == [0.1, None, None, None, None]
     assert fits[1].note == "the poses of the held-out photos are right, as far as this model tells"
     assert "aligned" not in tables_of(gathered(*runs[2:]))
+    unknown = {"error_px": None}
+    reasons = {"poses.error_px": "the model is not clear enough to tell"}
+    (row,) = tables_of(
+        gathered(
+            outcome_of("a", "mrgs", poses=ALIGNED),
+            outcome_of("b", "mrgs", poses=ALIGNED | {"error_px": 3.7}),
+            outcome_of("c", "mrgs", poses=right),
+        )
+    )["aligned"].rows
+    assert row.cells[-5].mean == pytest.approx(2.7)
+    told = tables_of(
+        gathered(
+            outcome_of("a", "3dgs-rgbt", poses=ALIGNED),
+            outcome_of("a", "mrgs", poses=unknown, reasons=reasons),
+        )
+    )["aligned"].rows[1]
+    assert told.cells[1].note == "the model is not clear enough to tell"
 
 
 def test_the_papers_figures_stand_beside_ours_on_its_scenes():

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import pytest
@@ -9,7 +9,7 @@ import torch
 from mrgs.evaluation import held_out_poses
 from mrgs.evaluation.held_out_poses import aligned_view, held_out_error, looked_at_first
 from mrgs.render import Model, render
-from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering, View
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Pixels, PosedImage, Rendering, View
 from tests.helpers.colored_ball import colored_ball, orbit, photographed
 
 
@@ -102,6 +102,7 @@ def test_photos_that_the_model_does_not_render_are_left_out():
 
 def test_few_views_tell_nothing():
     views = photographed(wrong_px=2.0).train
+    assert looked_at_first(views[:3]) == []
     assert held_out_error(BALL, views[:3]) is None
     assert held_out_error(BALL, views[:4]) is not None
 
@@ -110,5 +111,47 @@ def test_of_many_views_some_are_looked_at(monkeypatch):
     views = photographed(wrong_px=0.0).train
     monkeypatch.setattr(held_out_poses, "MOST_VIEWS", 4)
     assert looked_at_first(views) == [views[number] for number in (0, 6, 12, 18)]
-    assert looked_at_first(views[:3]) == list(views[:3])
+    assert looked_at_first(views[:4]) == list(views[:4])
     assert looked_at_first([]) == []
+
+
+def changed(view: View, change: Callable[[Pixels], Pixels]) -> View:
+    def load(image: PosedImage) -> PosedImage:
+        return replace(image, load=lambda: change(image.load()))
+
+    return View(view.name, {each: load(image) for each, image in view.images.items()})
+
+
+def test_photos_of_nothing_that_the_model_shows_tell_nothing():
+    generator = torch.Generator().manual_seed(0)
+
+    def noise(pixels: Pixels) -> Pixels:
+        return Pixels(torch.rand(pixels.values.shape, generator=generator))
+
+    views = [changed(view, noise) for view in photographed(wrong_px=0.0).train]
+    error = held_out_error(BALL, views)
+    assert error is not None
+    assert error.photo_px is None
+
+
+def test_masked_photos_do_not_count_as_right():
+    def masked(pixels: Pixels) -> Pixels:
+        return Pixels(pixels.values, torch.zeros(pixels.values.shape[:2], dtype=torch.bool))
+
+    views = photographed(wrong_px=2.0).train
+    hidden = [changed(view, masked) for view in views[:8]]
+    assert held_out_error(BALL, hidden) is None
+    error = held_out_error(BALL, [*hidden, *views[8:14]])
+    assert error is not None
+    assert error.photo_px == pytest.approx(2.0, rel=0.3)
+
+
+def test_a_photo_that_fits_nowhere_stays_where_it_was():
+    (view,) = photographed(wrong_px=0.0, views=1).train
+    black = changed(view, lambda pixels: Pixels(torch.zeros_like(pixels.values)))
+    given, found = black.camera, aligned_view(BALL, black).camera
+
+    def fit(camera: Camera) -> float:
+        return float(BALL.render_cameras({RGB: camera})[RGB].image.square().mean())
+
+    assert fit(found) <= fit(given)

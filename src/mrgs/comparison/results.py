@@ -45,7 +45,7 @@ RUN_KINDS = {
     "truth.camera_mae_c": Kind("camera's own MAE", "°C", 3, 3, None),
     "truth.ratio": Kind("ratio", "", 2, 2, "lower"),
     "truth.depth_percent": Kind("depth error", "%", 2, 2, "lower"),
-    "poses.error_px": Kind("photos off by", "px", 1, 1, None),
+    "poses.error_px": Kind("pose error", "px", 1, 1, None),
     "poses.aligned.thermal.psnr": Kind("thermal PSNR", "dB", 2, 2, "higher"),
     "poses.aligned.rgb.psnr": Kind("RGB PSNR", "dB", 2, 2, "higher"),
     "poses.aligned.thermal.mae_c": Kind("thermal MAE", "°C", 3, 3, "lower"),
@@ -221,7 +221,12 @@ def _of_poses(document: dict[str, Any], name: str) -> Figure:
     """A figure of the held-out views' poses, or of the scores with aligned ones."""
     poses = document.get("poses")
     if name.startswith("poses.aligned") and isinstance(poses, dict) and "aligned" not in poses:
-        return Missing("the poses of the held-out photos are right, as far as this model tells")
+        error_px = _number(document, "poses.error_px")
+        return (
+            error_px
+            if isinstance(error_px, Missing)
+            else Missing("the poses of the held-out photos are right, as far as this model tells")
+        )
     return _number(document, name)
 
 

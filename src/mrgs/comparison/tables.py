@@ -71,9 +71,14 @@ class Outcomes:
             each.figures.get(figure, Missing(each.failure or "not scored")) for each in found
         ] or [Missing("not run")]
 
-    def mean(self, method: str, figure: str) -> Cell:
-        """The mean over the scenes where any method has the figure."""
-        scenes = self.scenes_with(figure) or self.scenes
+    def mean(self, method: str, figure: str, among: Sequence[str] | None = None) -> Cell:
+        """The mean over the scenes where any method has the figure.
+
+        Args:
+            among: only of these scenes; None for all.
+        """
+        among = self.scenes if among is None else among
+        scenes = [scene for scene in self.scenes_with(figure) if scene in among] or among
         return over_scenes([self.figures(scene, method, figure) for scene in scenes], scenes)
 
     def scenes_with(self, figure: str) -> list[str]:
@@ -231,14 +236,14 @@ def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
 def _aligned(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
     """Scores with each held-out photo aligned with the model, of scenes whose poses are wrong."""
     remarks = [
-        "Photos off by: how far off what the model shows a typical held-out photo is at the "
+        "Pose error: how far off what the model shows a typical held-out photo is at the "
         "pose as given.",
-        "A dash: the photos fit the model at the poses as given, or the scene does not have the "
-        "figure.",
+        "A dash: the photos fit the model at the poses as given, the model cannot tell, or the "
+        "scene does not have the figure.",
     ]
     caption = (
-        "Held-out photos aligned with each model first, of scenes whose poses seem wrong: at a "
-        "wrong pose a sharp model scores no better than a blurred one."
+        "Scores after aligning each held-out photo with the model, for scenes whose poses seem "
+        "wrong: at a wrong pose a sharp model scores no better than a blurred one."
     )
     figures = [figure for figure in ALIGNED if outcomes.scenes_with(figure)]
     return _same_figures(outcomes, scenes, "aligned", caption, tuple(figures), remarks)
@@ -259,7 +264,7 @@ def _same_figures(
         cells = [
             over_seeds(outcomes.figures(scene, method, key)) for scene in scenes for key in figures
         ]
-        cells += [outcomes.mean(method, key) for key in figures] if several else []
+        cells += [outcomes.mean(method, key, scenes) for key in figures] if several else []
         rows.append(Row((method,), tuple(cells)))
     groups = [Group(_title(scene), figures) for scene in scenes]
     groups += [Group(MEAN, figures)] if several else []

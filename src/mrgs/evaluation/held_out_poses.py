@@ -7,13 +7,15 @@ poses are learned (Lin et al., BARF, 2021).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from torch import Tensor
 
+from mrgs.evaluation.metrics import psnr
 from mrgs.method.camera_model.pose_error import (
     Alignable,
     PoseAgreement,
@@ -38,7 +40,7 @@ MOST_ROUNDS = 4
 """Each begins where the one before has laid the photo, with a rendering from there."""
 
 NEAR_PX = 0.05
-"""A photo that is moved by less has arrived."""
+"""Alignment stops when a round would move the photo by less."""
 
 FEWEST_POINTS = 16
 """Where the model shows fewer, nothing can be told."""
@@ -81,8 +83,8 @@ NOT_KNOWN = HeldOutPoses(None)
 
 
 def looked_at_first(views: Sequence[View]) -> list[View]:
-    """The views that tell whether poses are wrong: all, or some of many."""
-    taken = min(len(views), MOST_VIEWS)
+    """The views that tell whether poses are wrong: all, some of many, or none of too few."""
+    taken = 0 if len(views) < FEWEST_VIEWS else min(len(views), MOST_VIEWS)
     return [views[place * len(views) // taken] for place in range(taken)]
 
 
@@ -115,7 +117,8 @@ def held_out_error(
 
 
 def aligned_view(run: TrainedRun, view: View) -> View:
-    """The view with its photos where the model shows what they show.
+    """The view with its photos where the model shows what they show; as given where nothing fits
+    better.
 
     Args:
         run: whose model it is.
@@ -125,17 +128,29 @@ def aligned_view(run: TrainedRun, view: View) -> View:
         SceneError: a photo cannot be read.
     """
     photographed = _Photographed(run, view)
-    motion = torch.eye(4, dtype=torch.float64)
+    motion = best = torch.eye(4, dtype=torch.float64)
+    best_db = -math.inf
     for _ in range(MOST_ROUNDS):
         images = photographed.images(motion)
         if (frame := _frame(images)) is None:
             break
+        fit_db = _fit_db(images)
+        if fit_db > best_db:
+            best, best_db = motion, fit_db
         centre, axes_px = frame
         error_px = pose_error(images, centre, axes_px)
-        motion = motion @ as_matrix(axes_px @ error_px, centre)
         if error_px.norm() < NEAR_PX:
             break
-    return moved_view(view, motion)
+        motion = motion @ as_matrix(axes_px @ error_px, centre)
+    return moved_view(view, best)
+
+
+def _fit_db(images: Sequence[Alignable]) -> float:
+    """PSNR of the renderings, mean over the images."""
+    found = [
+        psnr(image.rendering, image.photo, image.valid) for image in images if _seen(image).any()
+    ]
+    return sum(found) / len(found)
 
 
 class _Photographed:
@@ -182,12 +197,20 @@ class _Photographed:
 def _frame(
     images: Sequence[Alignable],
 ) -> tuple[Float64[Tensor, "3"], Float64[Tensor, "6 6"]] | None:
-    """What the motion of a view is measured about and along; None where no surface is seen."""
+    """What the motion of a view is measured about and along: by the image that shows most; None
+    where no surface is seen."""
     if not images:
         return None
-    camera, depth = images[0].camera, images[0].depth.double()
-    points = camera.unproject_image(depth)[depth.isfinite()]
+    image = max(images, key=lambda each: int(_seen(each).sum()))
+    camera, seen = image.camera, _seen(image)
+    points = camera.unproject_image(image.depth.double())[seen]
     if len(points) < FEWEST_POINTS:
         return None
     points = points[:: -(-len(points) // MOST_POINTS)]
     return camera.position, motion_axes(effect(camera, points)) / camera.focal_px
+
+
+def _seen(image: Alignable) -> Bool[Tensor, "h w"]:
+    """Which pixels show a surface and count."""
+    seen = image.depth.isfinite()
+    return seen if image.valid is None else seen & image.valid

@@ -54,7 +54,8 @@ def evaluate_run(
     Args:
         run: what ``load_run`` or ``open_run`` returns.
         lpips_weights: weights for LPIPS; without them it is left out, with the reason.
-        progress: called after each view.
+        progress: called with the steps that are done and all: each view is looked at, of many only
+            some, and scored. There are more where the poses turn out to be wrong.
 
     Raises:
         SceneError: the scene cannot be read, or has no eval views.
@@ -104,7 +105,7 @@ def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutP
     if error is None or not error.found.is_wrong:
         return HeldOutPoses(None if error is None else error.photo_px)
     warn(
-        f"{scene.name}: the held-out photos are some {error.photo_px:.1f} pixels off what the "
+        f"{scene.name}: the held-out photos are about {error.photo_px:.1f} pixels off what the "
         f"model shows: their poses seem to be wrong, so they are scored with aligned poses as well"
     )
     counted.total += 2 * len(scene.eval)

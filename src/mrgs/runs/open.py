@@ -208,6 +208,5 @@ def open_gaussians(
     with own_modes():
         model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
         check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
-        facts.warn_of_missing_definitions()
         model = bake_temperature_residuals(model)
     return Run(folder, config, facts.moved_to(scene), model, image_model, chosen)

@@ -81,6 +81,7 @@ class Operation(Generic[P, R]):
         plain: the plain torch definition.
         name: full name of the plain definition.
         measure: what is compared of a result, from the result and the arguments.
+        rejected: whether its kernel was found to differ, so that it is not used.
     """
 
     __name__: str
@@ -90,15 +91,7 @@ class Operation(Generic[P, R]):
         self.plain = plain
         self.name = f"{plain.__module__}.{plain.__qualname__}"
         self.measure = measure
-
-    @property
-    def rejected(self) -> bool:
-        """Whether its kernel was found to differ, so that it is not used."""
-        return self.name in _rejected
-
-    @rejected.setter
-    def rejected(self, is_rejected: bool) -> None:
-        (_rejected.add if is_rejected else _rejected.discard)(self.name)
+        self.rejected = False
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Compute the operation by a kernel if there is one, else by the plain definition."""
@@ -201,12 +194,6 @@ def is_plain() -> bool:
     return _plain_blocks > 0 or os.environ.get(PLAIN_VARIABLE, "0") not in ("", "0")
 
 
-def differing_definitions() -> tuple[str, ...]:
-    """Full names of the plain definitions that were found to differ from their kernels, as where
-    someone has edited an equation or assigned one of their own."""
-    return tuple(sorted(_rejected))
-
-
 @contextmanager
 def plainly(enabled: bool = True) -> Iterator[None]:
     """Within this block no thread of the process uses a kernel, unless ``enabled`` is false."""
@@ -248,7 +235,6 @@ class _Check(NamedTuple):
 
 
 _plain_blocks = 0
-_rejected: set[str] = set()
 _check: ContextVar[_Check | None] = ContextVar("mrgs_check", default=None)
 
 

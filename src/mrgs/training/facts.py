@@ -13,7 +13,6 @@ from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import RGB, THERMAL, Modality, Scene, TemperatureRange
 from mrgs.system.callers import warn
-from mrgs.system.operation import differing_definitions
 from mrgs.training.fingerprint import ImageFingerprint, changes, fingerprints
 
 
@@ -33,8 +32,6 @@ class CheckpointFacts(NamedTuple):
         modalities: of the scene's images.
         images: of each training image, by view and modality; empty where older versions of the
             program wrote the checkpoint.
-        own_definitions: full names of what the training computed by definitions that differ from
-            their kernels, such as an equation that a user has replaced.
     """
 
     step: int
@@ -47,7 +44,6 @@ class CheckpointFacts(NamedTuple):
     device: str = "cpu"
     modalities: tuple[Modality, ...] = (RGB, THERMAL)
     images: tuple[ImageFingerprint, ...] = ()
-    own_definitions: tuple[str, ...] = ()
 
     @classmethod
     def at_start(cls, scene: Scene) -> CheckpointFacts:
@@ -67,20 +63,6 @@ class CheckpointFacts(NamedTuple):
             modalities=scene.modalities,
             images=fingerprints(scene),
         )
-
-    def warn_of_missing_definitions(self) -> None:
-        """Say which of the training's own definitions this process does not have. The kernels must
-        have been checked.
-
-        Warns:
-            MrgsWarning: there are such.
-        """
-        if missing := sorted({*self.own_definitions} - {*differing_definitions()}):
-            warn(
-                f"this run was trained with a definition of your own within {', '.join(missing)}, "
-                f"which this process does not have: what it renders and scores is not what was "
-                f"trained. Assign it before you open the run"
-            )
 
     def photographed(self, modalities: Iterable[Modality]) -> tuple[Modality, ...]:
         """Some modalities, without those of which the scene has no photos."""
@@ -107,12 +89,7 @@ class CheckpointFacts(NamedTuple):
         Raises:
             KeyError, TypeError, ValueError: one is missing, or is not what it should be.
         """
-        known = {
-            "device": "cpu",
-            "images": [],
-            "own_definitions": [],
-            **header,
-        }  # older checkpoints do not say it
+        known = {"device": "cpu", "images": [], **header}  # older checkpoints do not say it
         values = {name: known[name] for name in cls._fields}
         for name in ("step", "peak_memory_bytes", "skipped_steps"):
             if type(values[name]) is not int or values[name] < 0:
@@ -127,9 +104,6 @@ class CheckpointFacts(NamedTuple):
         values["capture"] = Capture.from_json(values["capture"])
         values["modalities"] = tuple(map(Modality.from_json, values["modalities"]))
         values["images"] = tuple(map(ImageFingerprint.from_json, values["images"]))
-        values["own_definitions"] = tuple(values["own_definitions"])
-        if not all(isinstance(name, str) for name in values["own_definitions"]):
-            raise TypeError("definitions have names")
         return cls(**values)
 
 

@@ -16,7 +16,7 @@ from mrgs.method.losses.term import SceneScale
 from mrgs.method.parts import part_spreads
 from mrgs.system.callers import warn
 from mrgs.system.gpu import HOST, lacks_memory
-from mrgs.system.operation import differing_definitions, is_plain
+from mrgs.system.operation import is_plain
 from mrgs.system.torch_modes import own_modes
 from mrgs.training import checkpoint
 from mrgs.training.device_photos import DevicePhotos
@@ -87,9 +87,6 @@ class Trainer(Driver[StepStatistics]):
         """Compare the kernels in use with their plain definitions; the training stays the same."""
         with own_modes():
             check_kernels(self.state, self.scene, self.config, self._scale)
-        self._facts.warn_of_missing_definitions()
-        own = {*self._facts.own_definitions, *differing_definitions()}
-        self._facts = self._facts._replace(own_definitions=tuple(sorted(own)))
 
     def close(self) -> None:
         """Stop saving, and loading photos."""

@@ -40,6 +40,9 @@ WELL_SEEN = 4
 """So many of the six axes of a motion tell whether poses are wrong: those along which a view tells
 most. Along the others, what an unfinished model has at a wrong depth looks like a wrong pose."""
 
+UNCLEAR = 2.0
+"""Halves that differ by more than so many times that tell nothing."""
+
 SQUARE_PX = 16
 """Side of the squares that the two halves of an image consist of."""
 
@@ -137,7 +140,7 @@ class PoseAgreement(NamedTuple):
     @property
     def is_right(self) -> bool:
         """Whether they are right; a model that is not finished may leave it open."""
-        return self.agreed_px <= WRONG_PX
+        return self.agreed_px <= WRONG_PX and self.apart_px <= UNCLEAR * WRONG_PX
 
 
 def agreement(first: Float64[Tensor, "v 6"], second: Float64[Tensor, "v 6"]) -> PoseAgreement:

@@ -40,7 +40,7 @@ def shift_per_motion(
 
 
 def motion_axes(effects: Float64[Tensor, "*views 6 6"]) -> Float64[Tensor, "*views 6 6"]:
-    """Directions in which views tell most to least of a motion, in columns: a coordinate of 1
+    """Directions in which views tell least to most of a motion, in columns: a coordinate of 1
     shifts what a view shows by a root mean square of a focal length.
 
     Args:
