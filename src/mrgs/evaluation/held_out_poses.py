@@ -39,7 +39,7 @@ FEWEST_VIEWS = 4
 MOST_ROUNDS = 4
 """Each begins where the one before has laid the photo, with a rendering from there."""
 
-NEAR_PX = 0.05
+NEAR_PX = 0.02
 """Alignment stops when a round would move the photo by less."""
 
 FEWEST_POINTS = 16
