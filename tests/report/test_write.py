@@ -128,7 +128,7 @@ def test_where_poses_are_wrong_the_scores_are_those_with_aligned_ones(run, tmp_p
     text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
     assert "PSNR, dB 49,88" in text
     assert "41,24" not in text
-    assert "Ein typisches liegt 1,7 Pixel neben dem, was das Modell zeigt" in text
+    assert "Ein typisches Foto liegt 1,7 Pixel neben dem, was das Modell zeigt" in text
 
 
 def test_what_the_parts_of_the_model_add_is_shown(run, tmp_path):

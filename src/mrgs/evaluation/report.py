@@ -255,7 +255,7 @@ def _aligned_text(metrics: Metrics, aligned: Metrics) -> str:
     return "\n\n".join(
         [
             f"A typical held-out photo is {metrics.pose_error_px:.1f} pixels off what the model "
-            f"shows, so the poses of these photos seem to be wrong. Here each photo was first "
+            f"shows, so poses, theirs or those trained on, seem to be wrong. Here each was first "
             f"aligned with the model. The tables above use the poses as given, as other programs "
             f"do.",
             *tables,

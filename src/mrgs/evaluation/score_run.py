@@ -106,7 +106,8 @@ def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutP
         return HeldOutPoses(None if error is None else error.photo_px)
     warn(
         f"{scene.name}: the held-out photos are about {error.photo_px:.1f} pixels off what the "
-        f"model shows: their poses seem to be wrong, so they are scored with aligned poses as well"
+        f"model shows: poses, theirs or those trained on, seem to be wrong, so they are scored "
+        f"with aligned poses as well"
     )
     counted.total += 2 * len(scene.eval)
     aligned = []
