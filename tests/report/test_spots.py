@@ -168,16 +168,23 @@ def test_what_was_judged_is_not_found_again():
     assert find_spots(views(), plane().render, judged=judged) == ([], [])
 
 
-def test_mist_that_most_views_look_through_is_no_spot():
-    """Three of twelve views see a warm sheet, which for the others is transparent."""
+def found_with_mist(
+    sheet: list[tuple[tuple[float, float, float], float]],
+) -> tuple[list[Spot], list[Spot]]:
+    """Of the plane; three of twelve views see a sheet before it, which for the others is
+    transparent."""
     all_views = views(12)
 
     def render(camera: Camera) -> Rendering:
         here = [torch.allclose(camera.viewmat, each.images[THERMAL].camera.viewmat)
                 for each in all_views[:3]]  # fmt: skip
-        return (plane(SHEET) if any(here) else plane()).render(camera)
+        return (plane(sheet) if any(here) else plane()).render(camera)
 
-    hottest, _ = find_spots(all_views, render)
+    return find_spots(all_views, render)
+
+
+def test_mist_that_most_views_look_through_is_no_spot():
+    hottest, _ = found_with_mist(SHEET)
     assert hottest[0].value == pytest.approx(0.9, abs=0.01)
 
 
@@ -195,14 +202,7 @@ def test_part_of_something_large_and_cold_is_no_spot():
 def test_mist_before_nothing_is_no_spot():
     """Beyond the plane's edge, where the other views see no surface."""
     sheet = [((x + 1.2, y, z), value) for (x, y, z), value in SHEET]
-    all_views = views(12)
-
-    def render(camera: Camera) -> Rendering:
-        here = [torch.allclose(camera.viewmat, each.images[THERMAL].camera.viewmat)
-                for each in all_views[:3]]  # fmt: skip
-        return (plane(sheet) if any(here) else plane()).render(camera)
-
-    hottest, _ = find_spots(all_views, render)
+    hottest, _ = found_with_mist(sheet)
     assert hottest[0].value == pytest.approx(0.9, abs=0.01)
 
 

@@ -73,7 +73,7 @@ def _require_number(flag: str, kind: type, text: str) -> None:
     try:
         kind(text)
     except ValueError:
-        if text.endswith("%") and kind is float and _is_float(text[:-1]):
+        if text.endswith("%") and kind is float and is_number(text[:-1]):
             raise ConfigError(
                 f"{flag} {text}: leave the % out; a share is written as {float(text[:-1]) / 100:g}"
             ) from None
@@ -81,7 +81,8 @@ def _require_number(flag: str, kind: type, text: str) -> None:
         raise ConfigError(f"{flag} {text}: write {what}") from None
 
 
-def _is_float(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a text is a number."""
     try:
         float(text)
     except ValueError:

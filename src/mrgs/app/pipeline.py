@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from mrgs.app.arguments import flags_of
+from mrgs.app.arguments import flags_of, is_number
 from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
 from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
@@ -174,7 +174,7 @@ class PipelineTerminal(Monitor):
                 f"{error}\nhorizontal field of view of the thermal camera in degrees, from its "
                 f"data sheet: "
             )
-            return replace(options, thermal_fov_deg=float(degrees)) if _is_number(degrees) else None
+            return replace(options, thermal_fov_deg=float(degrees)) if is_number(degrees) else None
         return None
 
 
@@ -235,11 +235,3 @@ def _ask(question: str) -> str:
 
 def _is_yes(answer: str) -> bool:
     return answer.lower() in ("y", "yes")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

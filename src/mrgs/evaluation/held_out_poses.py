@@ -20,13 +20,14 @@ from mrgs.method.camera_model.pose_error import (
     Alignable,
     PoseAgreement,
     agreement,
+    alignables,
     halves_px,
     pose_error,
 )
 from mrgs.method.camera_model.view_motion import as_matrix, effect, motion_axes
 from mrgs.runs.refined_poses import moved_cameras, moved_view
 from mrgs.scene import View
-from mrgs.training.pose_check import looked_at
+from mrgs.training.pose_check import looked_at, spread
 from mrgs.training.resolution import pixel_sizes
 from mrgs.training.trained_run import TrainedRun
 
@@ -84,8 +85,9 @@ NOT_KNOWN = HeldOutPoses(None)
 
 def looked_at_first(views: Sequence[View]) -> list[View]:
     """The views that tell whether poses are wrong: all, some of many, or none of too few."""
-    taken = 0 if len(views) < FEWEST_VIEWS else min(len(views), MOST_VIEWS)
-    return [views[place * len(views) // taken] for place in range(taken)]
+    if len(views) < FEWEST_VIEWS:
+        return []
+    return [views[number] for number in spread(len(views), MOST_VIEWS)]
 
 
 def held_out_error(
@@ -181,17 +183,7 @@ class _Photographed:
         first = next(iter(cameras.values()))
         rendering = self._run.render_cameras(cameras)
         observed = self._run.camera_response(rendering, first, self._sizes)
-        return [
-            Alignable(
-                camera,
-                self._photos[modality].values,
-                self._photos[modality].valid,
-                observed[modality].image,
-                rendering.surface_depth(modality),
-            )
-            for modality, camera in cameras.items()
-            if rendering.has_depth(modality)
-        ]
+        return alignables(cameras, self._photos, rendering, observed)
 
 
 def _frame(

@@ -55,7 +55,7 @@ class CaptureSettings:
     @classmethod
     def of(cls, scene: Scene | None) -> CaptureSettings:
         """Of a scene's thermal photos; what differs between them is the median."""
-        records = [] if scene is None else records_of(scene)
+        records = [] if scene is None else scene.records
         surface, surface_notes = _surface_of(records)
         law, law_notes = _law_of(records)
         return cls(surface, law, (*surface_notes, *law_notes))
@@ -121,11 +121,6 @@ class CaptureSettings:
         if surface.reflected_c is None:
             return 0.0
         return (1 - surface.emissivity) * (self.law.signal(surface.reflected_c) + self.law.o)
-
-
-def records_of(scene: Scene) -> list[PhotoRecord]:
-    """What the camera noted beside the thermal photos, as far as the scene says."""
-    return scene.records
 
 
 def _surface_of(records: list[PhotoRecord]) -> tuple[SurfaceSettings, list[str]]:

@@ -13,7 +13,6 @@ from PIL import Image
 from mrgs.errors import RunError
 from mrgs.evaluation.figures import REPORTED
 from mrgs.evaluation.report import COLUMNS, PART_NAMES, SPREADS
-from mrgs.marks.emissivity import records_of
 from mrgs.marks.tables import digits
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.values import capitalised
@@ -75,7 +74,7 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
             else f"{_span([temperature.min_c, temperature.max_c], 1, t)} °C",
         ),
         (t("Lengths"), _lengths(scene.world, t)),
-        *_record_rows(records_of(scene), survey, t),
+        *_record_rows(scene.records, survey, t),
     ]
 
 

@@ -14,6 +14,7 @@ from mrgs.method.camera_model.pose_error import (
     Alignable,
     PoseAgreement,
     agreement,
+    alignables,
     halves_px,
     pose_error,
 )
@@ -76,6 +77,12 @@ def looked_at(
     return coarser(cameras, photos, pixel_size)
 
 
+def spread(count: int, most: int) -> list[int]:
+    """Which of ``count`` views are looked at, by number: all, or ``most`` from all over."""
+    taken = min(count, most)
+    return [place * count // taken for place in range(taken)]
+
+
 class PoseCheck:
     """Lays the photos of a training on what its model shows by now.
 
@@ -98,9 +105,7 @@ class PoseCheck:
     def agreement(self) -> PoseAgreement:
         """How far typical photos are off, in the pixels that are looked at, without a motion of the
         scene as a whole: the model may be too small as yet."""
-        count = len(self._poses.motions)
-        taken = min(count, MOST_VIEWS)
-        numbers = [place * count // taken for place in range(taken)]
+        numbers = spread(len(self._poses.motions), MOST_VIEWS)
         halves = []
         for number in numbers:
             images = self._seen(number)
@@ -132,16 +137,7 @@ class PoseCheck:
         rendering, _ = render(state.model, cameras, degrees)
         there = torch.full((1,), number, device=state.device)
         observed = state.image_model(rendering, there, pixel_sizes(each.view.cameras, cameras))
-        return [
-            Alignable(
-                camera,
-                photos[modality].values,
-                photos[modality].valid,
-                observed[modality].image,
-                rendering.surface_depth(modality),
-            )
-            for modality, camera in cameras.items()
-        ]
+        return alignables(cameras, photos, rendering, observed)
 
     def _looked_at(
         self, each: PhotographedView

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from mrgs.data.radiometric.measurement import Atmosphere
-from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings, records_of
+from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.scene import Scene
 from mrgs.scene.radiometry import ObjectParameters
 from mrgs.survey import Survey
@@ -105,7 +105,7 @@ class Budget:
     @classmethod
     def of(cls, scene: Scene | None, survey: Survey) -> Budget:
         """Of a scene's photos, and of what a survey states."""
-        records = [] if scene is None else records_of(scene)
+        records = [] if scene is None else scene.records
         known = [record.parameters for record in records if record.parameters is not None]
         accuracy, notes = _accuracy(survey, any(record.camera for record in records))
         stated = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mrgs.method.camera_model.point_spread import blur
 from mrgs.method.camera_model.view_motion import shift_per_motion
-from mrgs.scene import Camera
+from mrgs.scene import Camera, Modality, Pixels, Rendering
 
 COARSEST = 1 / 80
 """Both images are first smoothed by Gaussians of this share of the width, then by half of that, and
@@ -63,6 +63,33 @@ class Alignable(NamedTuple):
     valid: Bool[Tensor, "h w"] | None
     rendering: Float[Tensor, "h w c"]
     depth: Float[Tensor, "h w"]
+
+
+def alignables(
+    cameras: Mapping[Modality, Camera],
+    photos: Mapping[Modality, Pixels],
+    rendering: Rendering,
+    observed: Rendering,
+) -> list[Alignable]:
+    """The photos of a view that can be aligned: those whose rendering has a depth.
+
+    Args:
+        cameras: of the view.
+        photos: of the same modalities.
+        rendering: from these cameras.
+        observed: the rendering as the cameras would have recorded it.
+    """
+    return [
+        Alignable(
+            camera,
+            photos[modality].values,
+            photos[modality].valid,
+            observed[modality].image,
+            rendering.surface_depth(modality),
+        )
+        for modality, camera in cameras.items()
+        if rendering.has_depth(modality)
+    ]
 
 
 @torch.no_grad()
