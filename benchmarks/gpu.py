@@ -18,9 +18,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -162,16 +160,13 @@ def _run(part: str, plan: str, options: argparse.Namespace, budget: Budget) -> d
     """The part's rows and seconds; with why there are none, or no more, if it was "skipped" or
     "failed"."""
     started, rows, result = budget.spent, [], {}
-    groups = PLANS[plan].trainings if part == "training" else (("",),)
-    for methods in groups:
+    for method in PLANS[plan].trainings if part == "training" else ("",):
         if budget.left < LEAST_SECONDS[part]:
             result["skipped"] = f"{max(budget.left, 0):.0f} s of {budget.seconds:.0f} s were left"
             break
-        child = partial(_child, part, plan, options, budget.left)
-        with ThreadPoolExecutor(len(methods)) as pool:
-            for found in pool.map(child, methods):
-                rows += found.pop("rows")
-                result |= found
+        found = _child(part, plan, options, budget.left, method)
+        rows += found.pop("rows")
+        result |= found
     return {"rows": rows, "seconds": budget.spent - started, **result}
 
 

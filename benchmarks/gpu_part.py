@@ -15,6 +15,7 @@ from pathlib import Path
 from benchmarks.gpu_plan import PLANS
 from benchmarks.gpu_stages import PARTS, Order
 from mrgs.system.gpu import choose_device
+from mrgs.system.torch_modes import own_modes
 
 
 def main() -> None:
@@ -23,11 +24,12 @@ def main() -> None:
     plan, device = PLANS[request["plan"]], choose_device(request["device"])
     order = Order(plan, device, request["until"], request["method"])
     path, rows = Path(request["file"]), []
-    for row in PARTS[request["part"]](order):
-        rows.append(row)
-        unfinished = path.with_suffix(".unfinished")
-        unfinished.write_text(json.dumps(rows))
-        os.replace(unfinished, path)
+    with own_modes():  # as in a training
+        for row in PARTS[request["part"]](order):
+            rows.append(row)
+            unfinished = path.with_suffix(".unfinished")
+            unfinished.write_text(json.dumps(rows))
+            os.replace(unfinished, path)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ class Plan:
         step_sizes: of the whole step.
         methods: whose step is measured.
         steps: how often.
-        trainings: methods with which the bundled scene is trained; those of a group at once.
+        trainings: methods with which the bundled scene is trained, one after the other.
         training_steps: length of their schedule.
         resolution: photos wider than so many pixels are reduced; None keeps them.
         matrix: side of the matrices that show what the device can do at most.
@@ -51,7 +51,7 @@ class Plan:
     step_sizes: tuple[Size, ...]
     methods: tuple[str, ...]
     steps: Effort
-    trainings: tuple[tuple[str, ...], ...]
+    trainings: tuple[str, ...]
     training_steps: int
     resolution: int | None
     matrix: int
@@ -71,7 +71,7 @@ FULL = Plan(
     step_sizes=((50_000, 640, 480), (1_000_000, 1920, 1080)),
     methods=("mrgs", "mrgs-plus", "3dgs-rgbt"),
     steps=Effort(runs=200, seconds=2.0, fewest=20, warm_up=20),
-    trainings=(("mrgs",), ("3dgs-rgbt", "mrgs-plus")),
+    trainings=("mrgs", "3dgs-rgbt", "mrgs-plus"),
     training_steps=30_000,
     resolution=None,
     matrix=8192,
@@ -84,7 +84,7 @@ QUICK = dataclasses.replace(
     methods=("mrgs",),
     steps=Effort(runs=100, seconds=3.0, fewest=20, warm_up=10),
     step_sizes=((50_000, 640, 480),),
-    trainings=(("mrgs",),),
+    trainings=("mrgs",),
     training_steps=1_500,
 )
 TRIAL = Plan(
@@ -96,7 +96,7 @@ TRIAL = Plan(
     step_sizes=((300, 64, 48),),
     methods=("mrgs", "mrgs-plus"),
     steps=Effort(runs=2, seconds=0.0, fewest=2, warm_up=1),
-    trainings=(("mrgs",),),
+    trainings=("mrgs",),
     training_steps=3,
     resolution=32,
     matrix=64,

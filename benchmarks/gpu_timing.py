@@ -16,6 +16,7 @@ import torch
 
 from benchmarks.plan import Effort
 from benchmarks.timing import Summary
+from mrgs.system.cuda_graph import sync_debug_mode
 
 FLUSH_BYTES = 2**28
 """Written before every timed run: larger than any cache, so that no run finds its inputs there."""
@@ -117,14 +118,9 @@ def host_waits(run: Callable[[], object]) -> dict[str, int]:
     the CPU."""
     if not torch.cuda.is_available():
         return {}
-    before = torch.cuda.get_sync_debug_mode()
-    with warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings(record=True) as caught, sync_debug_mode("warn"):
         warnings.simplefilter("always")
-        torch.cuda.set_sync_debug_mode("warn")
-        try:
-            run()
-        finally:
-            torch.cuda.set_sync_debug_mode(before)
+        run()
     waits = [w for w in caught if "called a synchronizing" in str(w.message)]
     return dict(Counter(f"{_short(w.filename)}:{w.lineno}" for w in waits).most_common())
 

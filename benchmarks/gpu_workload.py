@@ -17,6 +17,9 @@ from benchmarks.workload import (
 from mrgs.rasterizer import Layer, Raster, rasterize, reference
 from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from mrgs.scene import Modality, Pixels
+from mrgs.system.cuda_graph import CudaGraph
+from mrgs.system.recording import ListRoom, lists_have
+from mrgs.training.recorder import SPARE
 
 MODALITIES = ("rgb", "thermal")
 CHUNK_PIXELS = 2**22
@@ -73,6 +76,34 @@ class FusedPass:
         inputs = sum(tensor.nbytes for tensor in self.scene.values())
         images = sum(tensor.nbytes for tensor in self.cotangents)
         return 2 * (inputs + images)
+
+
+class RecordedPass:
+    """A fused pass, forward and backward, recorded as the steps of a training are.
+
+    Args:
+        fused: on a CUDA device.
+    """
+
+    def __init__(self, fused: FusedPass) -> None:
+        measured = ListRoom()
+        with lists_have(measured):
+            fused.forward_backward()
+        self._room = int(SPARE * measured.measured) + 1
+        self._fused = fused
+        self._gradients: tuple[Tensor, ...] = ()
+        self._graph = CudaGraph(self._work, fused.viewmat.device)
+
+    def _work(self) -> Tensor:
+        room = ListRoom(self._room)
+        with lists_have(room):
+            self._gradients = self._fused.forward_backward()
+        return room.needed()
+
+    def forward_backward(self) -> tuple[Tensor, ...]:
+        """The gradients of the inputs; overwritten by the next call."""
+        self._graph.replay()
+        return self._gradients
 
 
 def photos_on(device: torch.device, width: int, height: int) -> dict[Modality, Pixels]:

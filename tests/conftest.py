@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from mrgs.scene import Modality
@@ -73,9 +73,9 @@ def gpu_device() -> Iterator[str]:
 
 
 @pytest.fixture
-def telling_of_waits() -> Callable[[str], AbstractContextManager[None]]:
+def telling_of_waits() -> Callable[[Literal["warn", "error"]], AbstractContextManager[None]]:
     """``with telling_of_waits("error"):``, for a real GPU."""
-    from tests.helpers.devices import sync_debug_mode
+    from mrgs.system.cuda_graph import sync_debug_mode
 
     return sync_debug_mode
 

@@ -59,7 +59,7 @@ def kept(monkeypatch) -> type[KeptWork]:
         made = 0
 
     monkeypatch.setattr(module, "CudaGraph", Kept)
-    monkeypatch.setattr(module, "waits_are_errors", nullcontext)
+    monkeypatch.setattr(module, "sync_debug_mode", lambda _: nullcontext())
     return Kept
 
 
@@ -182,7 +182,7 @@ def test_what_cannot_be_recorded_runs_as_it_is(monkeypatch):
         raise RuntimeError("operation not permitted when stream is capturing\nmore of it")
 
     monkeypatch.setattr(module, "CudaGraph", fails)
-    monkeypatch.setattr(module, "waits_are_errors", nullcontext)
+    monkeypatch.setattr(module, "sync_debug_mode", lambda _: nullcontext())
     recorder, state = Recorder(CPU), Numbers()
     step(recorder, state, inputs_of(4))
     with pytest.warns(MrgsWarning, match=r"take longer: .* capturing$"):
@@ -194,11 +194,12 @@ def test_what_cannot_be_recorded_runs_as_it_is(monkeypatch):
 
 def test_what_waits_is_not_recorded_at_all(kept, monkeypatch):
     @contextmanager
-    def waits_are_errors():
+    def fails_after(mode):
+        assert mode == "error"
         yield
         raise RuntimeError("called a synchronizing CUDA operation")
 
-    monkeypatch.setattr(module, "waits_are_errors", waits_are_errors)
+    monkeypatch.setattr(module, "sync_debug_mode", fails_after)
     recorder, state = Recorder(CPU), Numbers()
     step(recorder, state, inputs_of(4))
     with pytest.warns(MrgsWarning, match=r"take longer: called a synchronizing"):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Literal
 
 import torch
 from jaxtyping import Int64
@@ -59,11 +61,18 @@ class CudaGraph:
 
 
 @contextmanager
-def waits_are_errors() -> Iterator[None]:
-    """Within this block, whatever waits for the GPU raises a RuntimeError."""
+def sync_debug_mode(mode: Literal["warn", "error"]) -> Iterator[None]:
+    """Within this block, torch tells of whatever makes the host wait for the GPU, by a warning or a
+    RuntimeError.
+
+    torch's notice that it may miss some is left out: it is no warning to the user, and where
+    warnings are errors it would leave the mode on.
+    """
     before = torch.cuda.get_sync_debug_mode()
-    torch.cuda.set_sync_debug_mode("error")
     try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Synchronization debug mode is a prototype")
+            torch.cuda.set_sync_debug_mode(mode)
         yield
     finally:
         torch.cuda.set_sync_debug_mode(before)

@@ -12,11 +12,12 @@ from mrgs.errors import ConfigError
 
 @contextmanager
 def own_modes() -> Iterator[None]:
-    """Within this block gradients are recorded and ``torch.inference_mode`` is off, for this
-    thread.
+    """Within this block, for this thread: gradients are recorded, ``torch.inference_mode`` is off,
+    and backward passes run in this thread.
 
-    The default type of tensors is the whole process's: changed here, it would change under the
-    caller's other threads.
+    On a GPU they would run in another, and to wake that one and then this one takes longer than
+    many a pass (docs/decisions, 052). The default type of tensors is the whole process's: changed
+    here, it would change under the caller's other threads.
 
     Raises:
         ConfigError: the default type is not float32.
@@ -27,5 +28,9 @@ def own_modes() -> Iterator[None]:
             f"torch's default type is {chosen}, and training and rendering need float32: call "
             f"torch.set_default_dtype(torch.float32) before"
         )
-    with torch.inference_mode(False), torch.enable_grad():
+    with (
+        torch.inference_mode(False),
+        torch.enable_grad(),
+        torch.autograd.set_multithreading_enabled(False),
+    ):
         yield

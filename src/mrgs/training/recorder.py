@@ -15,7 +15,7 @@ from jaxtyping import Bool, Int64
 from torch import Tensor
 
 from mrgs.system.callers import warn
-from mrgs.system.cuda_graph import CudaGraph, waits_are_errors
+from mrgs.system.cuda_graph import CudaGraph, sync_debug_mode
 from mrgs.system.gpu import lacks_memory
 from mrgs.system.recording import ListRoom, lists_have
 from mrgs.training.photos import change_each
@@ -143,7 +143,7 @@ class Recorder:
             if not self._was_tried:
                 # A recording that a wait breaks off would leave torch's allocator (before 2.13) as
                 # if it still recorded.
-                with waits_are_errors():
+                with sync_debug_mode("error"):
                     recording.rehearse(run_pass, self._parameters, self._room())
                 self._was_tried = True
             recording.record(run_pass, self._parameters, self._room(), self._device)

@@ -152,7 +152,9 @@ def _list(buffers: Arguments) -> None:
     """
     depths, tiles = buffers["depths"], buffers["tiles"]
     order = torch.argsort(depths, stable=True)
-    pair_ends = torch.cumsum(buffers["pair_counts"][order], dim=0, dtype=torch.int64)
+    pair_ends = torch.cumsum(
+        buffers["pair_counts"].index_select(0, order), dim=0, dtype=torch.int64
+    )
     pairs = room_of_list(pair_ends[-1:]) if len(pair_ends) else 0
     if pairs > _MOST_PAIRS:
         raise MrgsError(
@@ -170,7 +172,8 @@ def _list(buffers: Arguments) -> None:
     tile_of_pair, tile_pairs = torch.sort(tile_of_pair, stable=True)
     every_tile = torch.arange(tiles + 1, dtype=dtype, device=depths.device)
     buffers["tile_starts"] = torch.searchsorted(tile_of_pair, every_tile, out_int32=True)
-    buffers["tile_splats"], buffers["tile_pairs"] = splat_of_pair[tile_pairs], tile_pairs
+    buffers["tile_splats"] = splat_of_pair.index_select(0, tile_pairs)
+    buffers["tile_pairs"] = tile_pairs
 
 
 def _blend(what: _Pass, buffers: Arguments) -> None:
