@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
@@ -14,9 +15,11 @@ from torch import Tensor
 
 from benchmarks import workload
 from benchmarks.gpu_failure import failure
-from benchmarks.gpu_plan import Plan
+from benchmarks.gpu_plan import SCENE, Plan
 from benchmarks.gpu_workload import RandomScene, photos_on, random_scene
 from benchmarks.workload import training_state
+from mrgs.data import load_scene
+from mrgs.errors import KernelWarning
 from mrgs.field import nearest_neighbours
 from mrgs.method.config import make_config
 from mrgs.method.losses.photometric import (
@@ -27,7 +30,10 @@ from mrgs.method.losses.photometric import (
 from mrgs.method.losses.radiation import boltzmann_loss
 from mrgs.method.losses.smoothness import smoothness_loss
 from mrgs.method.losses.ssim import ssim_map, structural_similarity
+from mrgs.method.losses.term import SceneScale
+from mrgs.training.kernel_check import check_kernels
 from mrgs.training.recorder import Recorder
+from mrgs.training.state import initial_state
 from mrgs.training.step import training_step
 from mrgs.training.view_pass import PhotographedView
 
@@ -74,6 +80,8 @@ def comparisons(device: torch.device, plan: Plan) -> Iterator[tuple[str, Compari
     for method in plan.methods:
         yield f"losses of three steps, {method}", partial(compare_step, device, method, plan)
         yield f"losses of replayed steps, {method}", partial(compare_replay, device, method, plan)
+    for method in plan.methods:
+        yield f"kernels of a training, {method}", partial(compare_kernels, device, method)
 
 
 def ok(finding: Finding) -> bool:
@@ -287,6 +295,18 @@ def compare_replay(device: torch.device, method: str, plan: Plan) -> Iterator[Fi
         "error": relative(*losses),
         "limit": GRADIENT_ERROR_MAX,
     }
+
+
+def compare_kernels(device: torch.device, method: str) -> Iterator[Finding]:
+    """How many kernels a training of the bundled scene would not use, because they differ from
+    their plain definitions."""
+    config, scene = make_config(method, "paper"), load_scene(SCENE)
+    state, scale = initial_state(scene, config, device), SceneScale.of(scene)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_kernels(state, scene, config, scale)
+    rejected = sum(issubclass(each.category, KernelWarning) for each in caught)
+    yield {"of": f"kernels that a training of {method} rejects", "error": rejected, "limit": 0}
 
 
 def _losses(

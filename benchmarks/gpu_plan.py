@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 
 from benchmarks.plan import Effort
 
@@ -16,6 +17,9 @@ PARTS = {
     "training": "training of the bundled scene",
 }
 """By name, in the order in which they run: the training takes what time the others leave."""
+
+SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
+"""The bundled scene, which is trained."""
 
 TRAINED_GAUSSIANS = 47_000
 """At most, of the trainings: the number that the paper reports."""

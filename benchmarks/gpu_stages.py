@@ -8,6 +8,7 @@ import platform
 import subprocess
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,13 @@ import torch
 
 from benchmarks import gpu_correctness, workload
 from benchmarks.gpu_failure import failure
-from benchmarks.gpu_plan import TRAINED_GAUSSIANS, Plan, Size
+from benchmarks.gpu_plan import SCENE, TRAINED_GAUSSIANS, Plan, Size
 from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
 from benchmarks.gpu_workload import FusedPass, RecordedPass, photos_on
 from benchmarks.plan import Effort
 from benchmarks.timing import Summary
 from benchmarks.workload import training_state
+from mrgs.errors import MrgsWarning
 from mrgs.evaluation.evaluate import evaluate
 from mrgs.evaluation.truth import Truth
 from mrgs.method.config import make_config
@@ -31,7 +33,6 @@ from mrgs.training.recorder import Recorder
 from mrgs.training.step import training_step
 from mrgs.training.view_pass import PhotographedView
 
-SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
 EVALUATION_S = 40.0
 """Kept back of the training's time for the scoring."""
 
@@ -213,26 +214,35 @@ def training(order: Order) -> Iterator[Row]:
         resolution=plan.resolution,
         max_gaussians=TRAINED_GAUSSIANS,
     )
-    memory = PeakMemory(device)
-    with tempfile.TemporaryDirectory() as folder:
+    clock, memory = Clock(device), PeakMemory(device)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("always", MrgsWarning)
         started = time.perf_counter()
         last: list[StepStatistics] = []
+        grown: list[float] = []
 
         def on_step(statistics: StepStatistics) -> bool:
             last[:] = [statistics]
+            if statistics.step == config.densification.stop:
+                grown.append(time.perf_counter() - started)
             return time.time() > order.until - EVALUATION_S
 
         train(SCENE, Path(folder) / "run", config, device=device.type, on_step=on_step)
-        Clock(device).wait()
+        clock.wait()
         seconds = time.perf_counter() - started
         yield {
             "method": order.method,
             "steps": last[0].step,
             "of_steps": config.max_steps,
             "seconds": seconds,
+            "seconds_growing": grown[0] if grown else None,
             "steps_per_s": last[0].step / seconds,
             "gaussians": last[0].gaussians,
             "peak_bytes": memory.nbytes(),
+            "warnings": [str(each.message) for each in caught],
         }
         run = load_run(Path(folder) / "run", device=device.type)
         scene = run.load_scene()

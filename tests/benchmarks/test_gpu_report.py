@@ -45,6 +45,8 @@ def test_the_report_of_a_gpu():
         "of_steps": 30_000,
         "seconds": 90,
         "steps_per_s": 100,
+        "seconds_growing": 45.4,
+        "warnings": ["steps take longer"],
         "gaussians": 47_000,
     }
     rows = {
@@ -92,7 +94,8 @@ def test_the_report_of_a_gpu():
     assert "out of memory" in text
     assert "- mrgs, 50,000, 640×480: the host waits 1× at mrgs/rasterizer/gpu.py:7" in text
     assert "Full run of 2026-11-26, 400 s." in text
-    assert "| mrgs | 9,000 of 30,000 | 90 | 100 | 47,000 | 1,000 |" in text
+    assert "| mrgs | 9,000 of 30,000 | 90 | 45 | 100 | 47,000 | 1,000 |" in text
+    assert "\n\nmrgs warned: steps take longer\n" in text
     assert "| rgb psnr | 31.25 |" in text
 
 

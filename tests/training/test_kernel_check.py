@@ -19,6 +19,7 @@ from mrgs.method.losses import photometric
 from mrgs.method.losses.term import SceneScale
 from mrgs.rasterizer import reference
 from mrgs.system.gpu import HOST
+from mrgs.system.torch_modes import own_modes
 from mrgs.training.kernel_check import _camera_before, check_kernels, check_rendering
 from mrgs.training.state import initial_state
 from tests.helpers.gaussians import random_gaussians
@@ -64,6 +65,16 @@ def test_an_edit_is_found(edit, small_scene, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_kernels(state, scene, config, scale)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("method", ["mrgs", "mrgs-plus", "3dgs-rgbt"])
+def test_a_gpus_kernels_are_used(method, make_scene):
+    scene, config = load_scene(make_scene()), make_config(method, "paper")
+    state = initial_state(scene, config, torch.device("cuda"))
+    with own_modes(), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_kernels(state, scene, config, SceneScale.of(scene))
 
 
 def test_the_camera_of_the_check_has_most_gaussians_before_it():
