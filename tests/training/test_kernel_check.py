@@ -69,8 +69,8 @@ def test_an_edit_is_found(edit, small_scene, monkeypatch):
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("method", ["mrgs", "mrgs-plus", "3dgs-rgbt"])
-def test_a_gpus_kernels_are_used(method, make_scene):
-    scene, config = load_scene(make_scene()), make_config(method, "paper")
+def test_a_gpus_kernels_are_used(method, small_scene):
+    scene, config = load_scene(small_scene), make_config(method, "paper")
     state = initial_state(scene, config, torch.device("cuda"))
     with own_modes(), warnings.catch_warnings():
         warnings.simplefilter("error")
