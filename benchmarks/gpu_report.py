@@ -95,8 +95,8 @@ def _memory(nbytes: int | None) -> str:
     return "–" if nbytes is None else f"{nbytes / 1e6:,.0f}"
 
 
-def _seconds(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{seconds:.0f}"
+def _whole(number: float | None) -> str:
+    return "–" if number is None else f"{number:.0f}"
 
 
 def _waits(rows: Rows) -> str:
@@ -202,10 +202,11 @@ def _gsplat(rows: Rows, _: Rows) -> str:
 
 def _step(rows: Rows, _: Rows) -> str:
     lines = [
-        [row["method"], _size(row), _missing(row), "", "", ""]
+        [row["method"], _size(row), _missing(row), *[""] * 4]
         if "times" not in row
         else [row["method"], _size(row), spread(row["times"]["step"]), f"{row['steps_per_s']:.0f}",
-              _memory(row["peak_bytes"]), str(sum(row["host_waits"].values()))]
+              _whole(row.get("anew_ms")), _memory(row["peak_bytes"]),
+              str(sum(row["host_waits"].values()))]
         for row in rows
     ]  # fmt: skip
     aim = (
@@ -215,7 +216,16 @@ def _step(rows: Rows, _: Rows) -> str:
     return (
         aim
         + table(
-            ["method", "Gaussians, image", "step", "steps/s", "memory, MB", "host waits"], lines
+            [
+                "method",
+                "Gaussians, image",
+                "step",
+                "steps/s",
+                "to record anew",
+                "memory, MB",
+                "host waits",
+            ],
+            lines,
         )
         + _waits(rows)
     )
@@ -226,7 +236,7 @@ def _training(rows: Rows, _: Rows) -> str:
     scored = {row["method"]: row["metrics"] for row in rows if "metrics" in row}
     lines = [
         [row["method"], f"{row['steps']:,} of {row['of_steps']:,}", f"{row['seconds']:.0f}",
-         _seconds(row.get("seconds_growing")), f"{row['steps_per_s']:.3g}",
+         _whole(row.get("seconds_growing")), f"{row['steps_per_s']:.3g}",
          f"{row['gaussians']:,}", _memory(row["peak_bytes"])]
         for row in trained
     ]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import platform
+import statistics
 import subprocess
 import tempfile
 import time
@@ -38,6 +39,11 @@ EVALUATION_S = 40.0
 
 STEPS_MOST = 200
 """So many steps, one after the other, tell how many there are in a second."""
+
+ANEW_STEPS = 8
+"""Among so many steps are those that run as they are and those that are recorded, of each kind."""
+
+ANEW_REPEATS = 5
 
 FORWARD = "forward"
 FORWARD_BACKWARD = "forward + backward"
@@ -182,12 +188,27 @@ def _steps(clock: Clock, method: str, size: Size, plan: Plan) -> Row:
         return result.statistics
 
     times = clock.measure({"step": run}, plan.steps, flush=False)
+    anew_ms = None if recorder is None else _anew_ms(clock, run, recorder, times["step"].median_ms)
     return {
         "times": _times(times),
+        "anew_ms": anew_ms,
         "steps_per_s": _per_second(clock, run, plan.steps),
         "peak_bytes": memory.nbytes(),
         "host_waits": host_waits(run),
     }
+
+
+def _anew_ms(clock: Clock, run: Callable[[], object], recorder: Recorder, step_ms: float) -> float:
+    """What a change of the Gaussians costs beside itself: everything is recorded anew."""
+    found = []
+    for _ in range(ANEW_REPEATS):
+        started = time.perf_counter()
+        recorder.forget()
+        for _ in range(ANEW_STEPS):
+            run()
+        clock.wait()
+        found.append(1e3 * (time.perf_counter() - started) - ANEW_STEPS * step_ms)
+    return statistics.median(found)
 
 
 def _per_second(clock: Clock, run: Callable[[], object], effort: Effort) -> float:

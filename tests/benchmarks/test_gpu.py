@@ -355,3 +355,12 @@ def test_parts_run_without_what_a_bare_machine_lacks(tmp_path):
 
 def test_one_run_is_enough_for_a_summary():
     assert Clock(CPU).measure({"a": lambda: None}, ONE_RUN)["a"].runs == 1
+
+
+def test_what_recording_anew_costs_is_what_it_takes_beyond_its_steps():
+    done = []
+    recorder = SimpleNamespace(forget=lambda: done.append("forget"))
+    found = gpu_stages._anew_ms(Clock(CPU), lambda: done.append("step"), recorder, 0.5)
+    assert found > -0.5 * gpu_stages.ANEW_STEPS
+    one = ["forget"] + ["step"] * gpu_stages.ANEW_STEPS
+    assert done == one * gpu_stages.ANEW_REPEATS
