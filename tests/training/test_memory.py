@@ -93,6 +93,15 @@ def test_the_compiler_takes_memory_once(small_scene):
     assert more[0] == more[1] > 100 * 2**20
 
 
+def test_a_torch_with_cuda_takes_more_without_a_gpu_too(small_scene, monkeypatch):
+    scene, config = load_scene(small_scene), make_config("mrgs")
+    estimates = []
+    for version in (None, "13.0"):
+        monkeypatch.setattr(torch.version, "cuda", version)
+        estimates.append(estimate_bytes(scene, config, 1_000))
+    assert estimates[1] - estimates[0] > 200 * 2**20
+
+
 def test_photos_are_kept_with_their_channels(small_scene):
     scene, config = load_scene(small_scene), make_config("mrgs")
     fewer = replace(scene, train=scene.train[:-1])
