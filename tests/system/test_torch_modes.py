@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+from mrgs.system import torch_modes
 from mrgs.system.torch_modes import own_modes
 
 
@@ -41,8 +43,14 @@ def test_the_callers_modes_are_back_afterwards():
         with own_modes():
             assert backward_thread("cpu") == threading.get_ident()
             assert not torch._C._is_multithreading_enabled()
+            assert in_other_thread(torch._C._is_multithreading_enabled)
         assert torch.is_inference_mode_enabled()
     assert torch._C._is_multithreading_enabled()
+
+
+def in_other_thread(call: Callable[[], bool]) -> bool:
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(call).result(60)
 
 
 @pytest.mark.gpu
@@ -51,33 +59,69 @@ def test_a_gpus_backward_pass_runs_in_the_thread_that_asks_for_it():
         assert backward_thread("cuda") == threading.get_ident()
 
 
+def precisions() -> list[Any]:
+    """What torch is set to."""
+    return [setting.get() for setting in torch_modes._SETTINGS]
+
+
+EXACT = [setting.exact for setting in torch_modes._SETTINGS]
+BY_OPERATION = pytest.mark.skipif(
+    not hasattr(torch.backends.cudnn, "conv"), reason="torch has them from 2.9 on"
+)
+
+
+def by_operation() -> None:
+    torch.backends.cuda.matmul.fp32_precision = "tf32"
+    torch.backends.mkldnn.matmul.fp32_precision = "bf16"
+
+
+def for_all() -> None:
+    torch.backends.fp32_precision = "tf32"
+
+
+CHOICES = [
+    lambda: None,
+    lambda: torch.set_float32_matmul_precision("medium"),
+    lambda: torch.set_float32_matmul_precision("high"),
+    lambda: setattr(torch.backends.cudnn, "allow_tf32", False),
+    pytest.param(by_operation, marks=BY_OPERATION),
+    pytest.param(for_all, marks=BY_OPERATION),
+]
+
+
 @pytest.fixture
-def precisions() -> Iterator[Callable[[], tuple[bool, str]]]:
-    """What torch is set to; as before afterwards."""
+def restored() -> Iterator[None]:
+    """torch's settings are as before afterwards."""
+    before = precisions()
+    yield
+    if hasattr(torch.backends, "fp32_precision"):
+        torch.backends.fp32_precision = "none"
+    torch.set_float32_matmul_precision("highest")
+    torch.backends.cudnn.allow_tf32 = True
+    for setting, value in zip(torch_modes._SETTINGS, before, strict=True):
+        setting.set(value)
 
-    def found() -> tuple[bool, str]:
-        return torch.backends.cudnn.allow_tf32, torch.get_float32_matmul_precision()
 
-    before = found()
-    yield found
-    torch.backends.cudnn.allow_tf32 = before[0]
-    torch.set_float32_matmul_precision(before[1])
-
-
-@pytest.mark.parametrize("chosen", [(True, "highest"), (True, "medium"), (False, "high")])
-def test_products_are_not_rounded_and_the_callers_choice_is_back_afterwards(chosen, precisions):
-    torch.backends.cudnn.allow_tf32 = chosen[0]
-    torch.set_float32_matmul_precision(chosen[1])
+@pytest.mark.usefixtures("restored")
+@pytest.mark.parametrize("choose", CHOICES)
+def test_products_are_not_rounded_and_the_callers_choice_is_back_afterwards(choose):
+    choose()
+    chosen = precisions()
     with own_modes():
-        assert precisions() == (False, "highest")
+        assert precisions() == EXACT
         with own_modes():
             pass
-        assert precisions() == (False, "highest")
+        assert precisions() == EXACT
+    assert precisions() == chosen
+    with pytest.raises(ValueError, match="mine"), own_modes():
+        raise ValueError("mine")
     assert precisions() == chosen
 
 
-def test_the_choice_is_back_when_the_last_thread_is_done(precisions):
+@pytest.mark.usefixtures("restored")
+def test_the_choice_is_back_when_the_last_thread_is_done():
     torch.set_float32_matmul_precision("high")
+    chosen = precisions()
     entered, leave = threading.Event(), threading.Event()
 
     def other() -> None:
@@ -86,30 +130,27 @@ def test_the_choice_is_back_when_the_last_thread_is_done(precisions):
             leave.wait(60)
 
     thread = threading.Thread(target=other)
-    with own_modes():
-        thread.start()
-        assert entered.wait(60)
-    assert precisions() == (False, "highest")
-    leave.set()
-    thread.join()
-    assert precisions()[1] == "high"
+    try:
+        with own_modes():
+            thread.start()
+            assert entered.wait(60)
+        assert precisions() == EXACT
+    finally:
+        leave.set()
+        thread.join()
+    assert precisions() == chosen
 
 
-def test_precisions_chosen_one_by_one_stay_the_callers(monkeypatch):
-    def cannot_tell() -> str:
-        raise RuntimeError("mix of the legacy and new APIs")
+def test_a_setting_that_cannot_be_read_leaves_no_holder(monkeypatch):
+    def fails() -> None:
+        raise RuntimeError("no")
 
-    def changed(_: str) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr(torch, "get_float32_matmul_precision", cannot_tell)
-    monkeypatch.setattr(torch, "set_float32_matmul_precision", changed)
-    with own_modes():
-        pass
-
-
-def test_the_choice_is_back_after_an_error(precisions):
+    broken = torch_modes._Setting(fails, lambda _: None, None)
+    with monkeypatch.context() as patch:
+        patch.setattr(torch_modes, "_SETTINGS", [broken])
+        with pytest.raises(RuntimeError, match="no"), own_modes():
+            pass
     before = precisions()
-    with pytest.raises(ValueError, match="mine"), own_modes():
-        raise ValueError("mine")
+    with own_modes():
+        assert precisions() == EXACT
     assert precisions() == before

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from threading import Lock
+from typing import Any, NamedTuple
 
 import torch
 
@@ -13,13 +15,13 @@ from mrgs.errors import ConfigError
 
 @contextmanager
 def own_modes() -> Iterator[None]:
-    """Within this block gradients are recorded, ``torch.inference_mode`` is off, and backward
-    passes run in this thread; all of that for this thread. Products of float32 have its precision,
-    in the whole process.
+    """Within this block, for this thread, gradients are recorded, ``torch.inference_mode`` is off,
+    and backward passes run in this thread; and in the whole process, float32 products and
+    convolutions use full precision (no TF32).
 
     On a GPU, backward passes would run in another thread, and to wake that one and then this one
     takes longer than many a pass (docs/decisions, 052). The default type of tensors is the whole
-    process's: changed here, it would change under the caller's other threads.
+    process's too: changed here, it would change under the caller's other threads.
 
     Raises:
         ConfigError: the default type is not float32.
@@ -40,52 +42,62 @@ def own_modes() -> Iterator[None]:
 
 
 class _FullPrecision:
-    """Products and convolutions of float32 that are not rounded to fewer digits.
+    """float32 products and convolutions whose operands are not rounded (no TF32, no bfloat16).
 
-    torch rounds the operands of cuDNN's convolutions to 10 bits (TF32) by default, and on request
-    those of all products. A kernel would then differ from its plain definition by more than the
-    check of kernels allows. The setting is the process's: it is the caller's again when no thread
-    needs it any more.
+    torch rounds those of cuDNN's convolutions by default, and of all products on request. A kernel
+    would then differ from its plain definition by more than the check of kernels allows. The
+    settings are the process's: they are the caller's again when no thread is within ``held``.
     """
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._holders = 0
-        self._before: tuple[bool, str] | None = None
+        self._before: list[Any] = []
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Within this block."""
+        """Within this block, in all threads."""
         with self._lock:
+            if self._holders == 0:
+                self._before = [setting.get() for setting in _SETTINGS]
+                for setting in _SETTINGS:
+                    setting.set(setting.exact)
             self._holders += 1
-            if self._holders == 1:
-                self._begin()
         try:
             yield
         finally:
             with self._lock:
                 self._holders -= 1
                 if self._holders == 0:
-                    self._end()
-
-    def _begin(self) -> None:
-        try:
-            self._before = torch.backends.cudnn.allow_tf32, torch.get_float32_matmul_precision()
-        except RuntimeError:
-            # The caller has chosen precisions one by one, which torch does not tell of in this way
-            # (from 2.9 on).
-            self._before = None
-            return
-        _set_precision(False, "highest")
-
-    def _end(self) -> None:
-        if self._before is not None:
-            _set_precision(*self._before)
+                    for setting, value in zip(_SETTINGS, self._before, strict=True):
+                        setting.set(value)
 
 
-def _set_precision(convolutions_rounded: bool, products: str) -> None:
-    torch.backends.cudnn.allow_tf32 = convolutions_rounded
-    torch.set_float32_matmul_precision(products)
+class _Setting(NamedTuple):
+    """One of torch's precisions, and its value without rounding."""
+
+    get: Callable[[], Any]
+    set: Callable[[Any], None]
+    exact: Any
 
 
+def _attribute(owner: object, name: str, exact: Any) -> _Setting:
+    return _Setting(partial(getattr, owner, name), partial(setattr, owner, name), exact)
+
+
+def _settings() -> list[_Setting]:
+    """By operation, as torch has them from 2.9 on. There the older, common names may not be read
+    once the caller has set an operation's own."""
+    cuda, cudnn = torch.backends.cuda, torch.backends.cudnn
+    mkldnn: Any = torch.backends.mkldnn  # its annotations lack the operations
+    if hasattr(cudnn, "conv"):
+        operations = (cuda.matmul, cudnn.conv, cudnn.rnn, mkldnn.matmul, mkldnn.conv)
+        return [_attribute(operation, "fp32_precision", "ieee") for operation in operations]
+    products = _Setting(
+        torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, "highest"
+    )
+    return [_attribute(cudnn, "allow_tf32", False), products]
+
+
+_SETTINGS = _settings()
 _full_precision = _FullPrecision()
