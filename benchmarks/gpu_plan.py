@@ -18,6 +18,11 @@ PARTS = {
 }
 """By name, in the order in which they run: the training takes what time the others leave."""
 
+FORWARD = "forward"
+FORWARD_BACKWARD = "forward + backward"
+RECORDED = "recorded"
+"""What is timed of a pass; recorded, forward and backward run as in a training on a GPU."""
+
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
 """The bundled scene, which is trained."""
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
-from benchmarks.gpu_plan import PARTS, TRAINED_GAUSSIANS
+from benchmarks.gpu_plan import (
+    FORWARD,
+    FORWARD_BACKWARD,
+    PARTS,
+    RECORDED,
+    TRAINED_GAUSSIANS,
+)
 from benchmarks.report import table
-
-FORWARD, FORWARD_BACKWARD, RECORDED = "forward", "forward + backward", "recorded"
 
 TARGET_STEPS_PER_S = 150
 TARGET_TRAINING_S = 240
@@ -17,6 +21,7 @@ TARGET_BESIDE_GSPLAT = 1.3
 fused pass."""
 
 Rows = Sequence[dict[str, Any]]
+T = TypeVar("T")
 
 
 def to_markdown(results: dict[str, Any]) -> str:
@@ -87,16 +92,16 @@ def spread(times: dict[str, Any]) -> str:
     )
 
 
-def _spread_if_any(times: dict[str, Any] | None) -> str:
-    return "–" if times is None else spread(times)
+def _or_dash(value: T | None, text: Callable[[T], str]) -> str:
+    return "–" if value is None else text(value)
 
 
 def _memory(nbytes: int | None) -> str:
-    return "–" if nbytes is None else f"{nbytes / 1e6:,.0f}"
+    return _or_dash(nbytes, lambda n: f"{n / 1e6:,.0f}")
 
 
 def _whole(number: float | None) -> str:
-    return "–" if number is None else f"{number:.0f}"
+    return _or_dash(number, lambda n: f"{n:.0f}")
 
 
 def _waits(rows: Rows) -> str:
@@ -142,8 +147,8 @@ def _rasterizer(rows: Rows, device: Rows) -> str:
         waits = sum(row["host_waits"].values())
         lines.append(
             [_size(row), spread(row["times"][FORWARD]), spread(row["times"][FORWARD_BACKWARD]),
-             _spread_if_any(row["times"].get(RECORDED)),
-             "–" if floor is None else f"{floor:.3f}", _memory(row["peak_bytes"]), str(waits)]
+             _or_dash(row["times"].get(RECORDED), spread),
+             _or_dash(floor, lambda ms: f"{ms:.3f}"), _memory(row["peak_bytes"]), str(waits)]
         )  # fmt: skip
     header = [
         "Gaussians, image",
@@ -173,7 +178,7 @@ def _gsplat(rows: Rows, _: Rows) -> str:
                 "–" if recorded is None else f"{theirs[0]['median_ms'] / recorded['median_ms']:.2f}"
             )
             lines.append(
-                [_size(row), direction, spread(times["mrgs"]), _spread_if_any(recorded),
+                [_size(row), direction, spread(times["mrgs"]), _or_dash(recorded, spread),
                  *map(spread, theirs), *ratios, beside_recorded]
             )  # fmt: skip
     header = [
@@ -205,7 +210,7 @@ def _step(rows: Rows, _: Rows) -> str:
         [row["method"], _size(row), _missing(row), *[""] * 4]
         if "times" not in row
         else [row["method"], _size(row), spread(row["times"]["step"]), f"{row['steps_per_s']:.0f}",
-              _whole(row.get("anew_ms")), _memory(row["peak_bytes"]),
+              _whole(row.get("rerecord_ms")), _memory(row["peak_bytes"]),
               str(sum(row["host_waits"].values()))]
         for row in rows
     ]  # fmt: skip
@@ -221,7 +226,7 @@ def _step(rows: Rows, _: Rows) -> str:
                 "Gaussians, image",
                 "step",
                 "steps/s",
-                "to record anew",
+                "re-recording, ms",
                 "memory, MB",
                 "host waits",
             ],
@@ -244,7 +249,7 @@ def _training(rows: Rows, _: Rows) -> str:
         "method",
         "steps",
         "seconds",
-        "until none are added",
+        "while Gaussians are added",
         "steps/s",
         "Gaussians",
         "memory, MB",
@@ -256,9 +261,7 @@ def _training(rows: Rows, _: Rows) -> str:
         f"s.\n\n"
     ) + table(header, lines)
     text += "".join(
-        f"\n\n{row['method']} warned: {message}"
-        for row in trained
-        for message in row.get("warnings", [])
+        f"\n\n{row['method']}: {message}" for row in trained for message in row.get("warnings", [])
     )
     names = dict.fromkeys(name for metrics in scored.values() for name in metrics)
     figures = [[name, *(f"{metrics[name]:.4g}" for metrics in scored.values())] for name in names]

@@ -18,13 +18,20 @@ import torch
 
 from benchmarks import gpu_correctness, workload
 from benchmarks.gpu_failure import failure
-from benchmarks.gpu_plan import SCENE, TRAINED_GAUSSIANS, Plan, Size
+from benchmarks.gpu_plan import (
+    FORWARD,
+    FORWARD_BACKWARD,
+    RECORDED,
+    SCENE,
+    TRAINED_GAUSSIANS,
+    Plan,
+    Size,
+)
 from benchmarks.gpu_timing import Clock, PeakMemory, ceilings, host_waits
 from benchmarks.gpu_workload import FusedPass, RecordedPass, photos_on
 from benchmarks.plan import Effort
 from benchmarks.timing import Summary
 from benchmarks.workload import training_state
-from mrgs.errors import MrgsWarning
 from mrgs.evaluation.evaluate import evaluate
 from mrgs.evaluation.truth import Truth
 from mrgs.method.config import make_config
@@ -40,15 +47,10 @@ EVALUATION_S = 40.0
 STEPS_MOST = 200
 """So many steps, one after the other, tell how many there are in a second."""
 
-ANEW_STEPS = 8
-"""Among so many steps are those that run as they are and those that are recorded, of each kind."""
+RERECORD_STEPS = 8
+"""Enough to rehearse and record each kind of view."""
 
-ANEW_REPEATS = 5
-
-FORWARD = "forward"
-FORWARD_BACKWARD = "forward + backward"
-RECORDED = "recorded"
-"""Forward and backward as a step of a training runs them on a GPU."""
+RERECORD_REPEATS = 5
 
 Row = dict[str, Any]
 
@@ -188,26 +190,30 @@ def _steps(clock: Clock, method: str, size: Size, plan: Plan) -> Row:
         return result.statistics
 
     times = clock.measure({"step": run}, plan.steps, flush=False)
-    anew_ms = None if recorder is None else _anew_ms(clock, run, recorder, times["step"].median_ms)
+    rerecord_ms = (
+        None if recorder is None else _rerecord_ms(clock, run, recorder, times["step"].median_ms)
+    )
     return {
         "times": _times(times),
-        "anew_ms": anew_ms,
+        "rerecord_ms": rerecord_ms,
         "steps_per_s": _per_second(clock, run, plan.steps),
         "peak_bytes": memory.nbytes(),
         "host_waits": host_waits(run),
     }
 
 
-def _anew_ms(clock: Clock, run: Callable[[], object], recorder: Recorder, step_ms: float) -> float:
-    """What a change of the Gaussians costs beside itself: everything is recorded anew."""
+def _rerecord_ms(
+    clock: Clock, run: Callable[[], object], recorder: Recorder, step_ms: float
+) -> float:
+    """Cost of re-recording everything after the Gaussians have changed, without the change."""
     found = []
-    for _ in range(ANEW_REPEATS):
+    for _ in range(RERECORD_REPEATS):
         started = time.perf_counter()
         recorder.forget()
-        for _ in range(ANEW_STEPS):
+        for _ in range(RERECORD_STEPS):
             run()
         clock.wait()
-        found.append(1e3 * (time.perf_counter() - started) - ANEW_STEPS * step_ms)
+        found.append(1e3 * (time.perf_counter() - started) - RERECORD_STEPS * step_ms)
     return statistics.median(found)
 
 
@@ -236,11 +242,7 @@ def training(order: Order) -> Iterator[Row]:
         max_gaussians=TRAINED_GAUSSIANS,
     )
     clock, memory = Clock(device), PeakMemory(device)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        warnings.catch_warnings(record=True) as caught,
-    ):
-        warnings.simplefilter("always", MrgsWarning)
+    with tempfile.TemporaryDirectory() as folder:
         started = time.perf_counter()
         last: list[StepStatistics] = []
         grown: list[float] = []
@@ -251,7 +253,8 @@ def training(order: Order) -> Iterator[Row]:
                 grown.append(time.perf_counter() - started)
             return time.time() > order.until - EVALUATION_S
 
-        train(SCENE, Path(folder) / "run", config, device=device.type, on_step=on_step)
+        with warnings.catch_warnings(record=True) as caught:
+            train(SCENE, Path(folder) / "run", config, device=device.type, on_step=on_step)
         clock.wait()
         seconds = time.perf_counter() - started
         yield {
@@ -263,7 +266,7 @@ def training(order: Order) -> Iterator[Row]:
             "steps_per_s": last[0].step / seconds,
             "gaussians": last[0].gaussians,
             "peak_bytes": memory.nbytes(),
-            "warnings": [str(each.message) for each in caught],
+            "warnings": list(dict.fromkeys(str(each.message) for each in caught)),
         }
         run = load_run(Path(folder) / "run", device=device.type)
         scene = run.load_scene()

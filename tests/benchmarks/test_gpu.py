@@ -12,6 +12,7 @@ import sys
 import time
 import warnings
 import zipfile
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
@@ -181,7 +182,8 @@ def test_a_comparison_that_fails_is_wrong_and_one_without_room_is_not(monkeypatc
     assert [row for row in rows if not row["ok"]] == failed
     assert rows[-3]["of"] == "losses of twenty steps, replayed, mrgs-plus"
     assert rows[-1] == {
-        "of": "kernels that a training of mrgs-plus rejects", "error": 0, "limit": 0, "ok": True
+        "of": "kernels that a training of mrgs-plus rejects", "error": 0, "limit": 0,
+        "warnings": [], "ok": True,
     }  # fmt: skip
     assert gpu.is_bad({"parts": {"correctness": {"rows": failed}}})
     assert not gpu.is_bad({"parts": {"correctness": {"rows": skipped}}})
@@ -357,10 +359,16 @@ def test_one_run_is_enough_for_a_summary():
     assert Clock(CPU).measure({"a": lambda: None}, ONE_RUN)["a"].runs == 1
 
 
-def test_what_recording_anew_costs_is_what_it_takes_beyond_its_steps():
-    done = []
-    recorder = SimpleNamespace(forget=lambda: done.append("forget"))
-    found = gpu_stages._anew_ms(Clock(CPU), lambda: done.append("step"), recorder, 0.5)
-    assert found > -0.5 * gpu_stages.ANEW_STEPS
-    one = ["forget"] + ["step"] * gpu_stages.ANEW_STEPS
-    assert done == one * gpu_stages.ANEW_REPEATS
+def test_re_recording_costs_what_it_takes_beyond_its_steps(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(gpu_stages.time, "perf_counter", lambda: now[0])
+
+    def takes(seconds: float) -> Callable[[], None]:
+        def call() -> None:
+            now[0] += seconds
+
+        return call
+
+    recorder = SimpleNamespace(forget=takes(0.2))
+    found = gpu_stages._rerecord_ms(Clock(CPU), takes(0.003), recorder, 2.0)
+    assert found == pytest.approx(200 + gpu_stages.RERECORD_STEPS * (3 - 2))

@@ -38,7 +38,7 @@ def test_the_report_of_a_gpu():
         "peak_bytes": 10**9,
         "host_waits": waits,
         "steps_per_s": 161.4,
-        "anew_ms": 123.4,
+        "rerecord_ms": 123.4,
     }
     trained = {
         "method": "mrgs",
@@ -97,7 +97,7 @@ def test_the_report_of_a_gpu():
     assert "| 161 | 123 | 1,000 | 1 |" in text
     assert "Full run of 2026-11-26, 400 s." in text
     assert "| mrgs | 9,000 of 30,000 | 90 | 45 | 100 | 47,000 | 1,000 |" in text
-    assert "\n\nmrgs warned: steps take longer\n" in text
+    assert "\n\nmrgs: steps take longer\n" in text
     assert "| rgb psnr | 31.25 |" in text
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
 import torch
 
-from mrgs.system.cuda_graph import CudaGraph
+from mrgs.system.cuda_graph import CudaGraph, sync_debug_mode
 
 DEVICE = torch.device("cuda", 0)
 
@@ -68,3 +69,19 @@ def test_work_that_fails_says_why(calls: list[str]) -> None:
     with pytest.raises(RuntimeError, match="not permitted"):
         CudaGraph(fails, DEVICE)
     assert calls[-1] == "end"
+
+
+def test_waits_are_told_of_without_torchs_notice(monkeypatch: pytest.MonkeyPatch) -> None:
+    modes: list[int | str] = []
+
+    def set_mode(mode: int | str) -> None:
+        modes.append(mode)
+        warnings.warn("Synchronization debug mode is a prototype feature and ...", stacklevel=1)
+
+    monkeypatch.setattr(torch.cuda, "get_sync_debug_mode", lambda: 0)
+    monkeypatch.setattr(torch.cuda, "set_sync_debug_mode", set_mode)
+    with pytest.raises(RuntimeError, match="synchronizing"), sync_debug_mode("error"):
+        raise RuntimeError("called a synchronizing CUDA operation")
+    with pytest.warns(UserWarning, match="called a synchronizing"), sync_debug_mode("warn"):
+        warnings.warn("called a synchronizing CUDA operation", stacklevel=1)
+    assert modes == ["error", 0, "warn", 0]

@@ -62,17 +62,19 @@ class CudaGraph:
 
 @contextmanager
 def sync_debug_mode(mode: Literal["warn", "error"]) -> Iterator[None]:
-    """Within this block, torch tells of whatever makes the host wait for the GPU, by a warning or a
-    RuntimeError.
-
-    torch's notice that it may miss some is left out: it is no warning to the user, and where
-    warnings are errors it would leave the mode on.
-    """
+    """Within this block, torch reports operations that make the host wait for the GPU, by a warning
+    or a RuntimeError."""
     before = torch.cuda.get_sync_debug_mode()
     try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Synchronization debug mode is a prototype")
-            torch.cuda.set_sync_debug_mode(mode)
+        _set_sync_debug_mode(mode)
         yield
     finally:
-        torch.cuda.set_sync_debug_mode(before)
+        _set_sync_debug_mode(before)
+
+
+def _set_sync_debug_mode(mode: int | str) -> None:
+    """torch's notice that it may miss some waits is left out: it is no warning to the user, and
+    where warnings are errors it would leave the mode on."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Synchronization debug mode is a prototype")
+        torch.cuda.set_sync_debug_mode(mode)
