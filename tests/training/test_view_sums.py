@@ -55,6 +55,6 @@ def test_sums_of_several_processes_are_those_of_one():
     first = (1.0, {"rgb": 0.1, "thermal": 0.4}, 0.2)
     second = (2.0, {"rgb": 0.3}, None)
     parts = [summed(each).to_tensor(TERMS) for each in (first, second)]
-    together = ViewSums.from_tensor(parts[0] + parts[1], TERMS, {})
+    together = ViewSums.from_tensor(parts[0] + parts[1], TERMS, {}, torch.device("cpu"))
     assert list(means(together)) == pytest.approx(list(means(summed(first, second))))
     assert together.terms.keys() == {"rgb", "thermal"}

@@ -73,11 +73,14 @@ class GradientExchange:
         observed = zip(found.observed, sums.by_row[len(gaussians) :], strict=True)
         self._stops = bool(wishes > 0)
         result = ViewSums.from_tensor(
-            numbers_sum, terms, {name: total for name, total in observed if total is not None}
+            numbers_sum,
+            terms,
+            {name: total for name, total in observed if total is not None},
+            state.device,
         )
         for view, *residual in all_residuals:
             if view > 0:
-                result.residuals[int(view) - 1] = torch.stack(residual)
+                result.residuals[int(view) - 1] = torch.stack(residual).to(state.device)
         return result
 
     def _residuals_of(self, found: ViewSums) -> Float[Tensor, "b 3"]:

@@ -78,11 +78,15 @@ class ViewSums:
 
     @classmethod
     def from_tensor(
-        cls, values: Float[Tensor, " k"], terms: Sequence[str], observed: dict[str, Tensor]
+        cls,
+        values: Float[Tensor, " k"],
+        terms: Sequence[str],
+        observed: dict[str, Tensor],
+        device: torch.device,
     ) -> ViewSums:
-        """The sums that ``to_tensor`` gave, or a sum of several."""
+        """The sums that ``to_tensor`` gave, or a sum of several, on the device of the training."""
         names = _names(terms)
-        totals, counts = values[: len(names)], values[len(names) :].tolist()
+        totals, counts = values[: len(names)].to(device), values[len(names) :].tolist()
         given = [place for place, count in enumerate(counts) if count > 0]
         return cls(
             {names[place]: totals[place] for place in given},
