@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -46,6 +47,34 @@ def test_the_callers_modes_are_back_afterwards():
             assert in_other_thread(torch._C._is_multithreading_enabled)
         assert torch.is_inference_mode_enabled()
     assert torch._C._is_multithreading_enabled()
+
+
+def test_neither_autocast_nor_the_default_device_of_the_caller_matters():
+    ones = torch.ones(2, 2)
+    with torch.autocast("cpu", dtype=torch.bfloat16), torch.device("meta"):
+        with own_modes():
+            assert (ones @ ones).dtype == torch.float32
+            assert torch.ones(2).device.type == "cpu"
+        assert (ones @ ones).dtype == torch.bfloat16
+        assert torch.ones(2).device.type == "meta"
+
+
+@pytest.mark.parametrize("place", ["cpu", "cuda:1"])
+def test_the_gpu_is_the_current_one(place, monkeypatch):
+    current: list[torch.device] = []
+
+    @contextmanager
+    def device(chosen: torch.device) -> Iterator[None]:
+        current.append(chosen)
+        yield
+        current.append(torch.device("cuda:0"))
+
+    monkeypatch.setattr(torch.cuda, "device", device)
+    with own_modes(torch.device(place)):
+        inside = list(current)
+    on_gpu = place != "cpu"
+    assert inside == [torch.device(place)] * on_gpu
+    assert len(current) == 2 * on_gpu
 
 
 def in_other_thread(call: Callable[[], bool]) -> bool:

@@ -176,7 +176,7 @@ class BakedModel:
     def median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
         """The z-depth at which half of a modality's light is blocked; NaN where less is."""
         K, viewmat, _ = camera.tensors(self.means.device)
-        with own_modes():
+        with own_modes(self.means.device):
             return median_depth(
                 self.means, self.quats, self.scales, self.opacities[modality],
                 viewmat, K, camera.width, camera.height, self.dilation.of(camera),

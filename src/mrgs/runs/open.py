@@ -83,7 +83,7 @@ class Run(TrainedRun):
         """
         will_compute()
         try:
-            with own_modes():
+            with own_modes(self.device):
                 yield
         except RuntimeError as error:
             if not lacks_memory(error):
@@ -205,7 +205,7 @@ def open_gaussians(
     folder.warn_if_incomplete(config)
     chosen = gpu.choose_device(device)
     will_compute()
-    with own_modes():
+    with own_modes(chosen):
         model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
         check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
         model = bake_temperature_residuals(model)

@@ -246,7 +246,7 @@ class LiveRun:
         """
         require_own_threads()
         asked = asked_cameras(cameras, self._trainer.scene.modalities)
-        with self._trainer.between_steps(), own_modes(), torch.no_grad():
+        with self._trainer.between_steps(), own_modes(self._trainer.state.device), torch.no_grad():
             return render(self.model, asked)[0].cpu()
 
     def snapshot(self) -> Run:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from threading import Lock
 from typing import Any, NamedTuple
@@ -11,17 +11,22 @@ from typing import Any, NamedTuple
 import torch
 
 from mrgs.errors import ConfigError
+from mrgs.system.gpu import HOST
 
 
 @contextmanager
-def own_modes() -> Iterator[None]:
-    """Within this block, for this thread, gradients are recorded, ``torch.inference_mode`` is off,
-    and backward passes run in this thread; and in the whole process, float32 products and
-    convolutions use full precision (no TF32).
+def own_modes(device: torch.device = HOST) -> Iterator[None]:
+    """Within this block, for this thread, gradients are recorded, ``torch.inference_mode`` and
+    autocast are off, new tensors are on the CPU unless a device is given, and backward passes run
+    in this thread; and in the whole process, float32 products and convolutions use full precision
+    (no TF32).
 
     On a GPU, backward passes would run in another thread, and to wake that one and then this one
     takes longer than many a pass (docs/decisions, 052). The default type of tensors is the whole
     process's too: changed here, it would change under the caller's other threads.
+
+    Args:
+        device: where most is computed; if it is a GPU, it is the current one.
 
     Raises:
         ConfigError: the default type is not float32.
@@ -32,12 +37,18 @@ def own_modes() -> Iterator[None]:
             f"torch's default type is {chosen}, and training and rendering need float32: call "
             f"torch.set_default_dtype(torch.float32) before"
         )
-    with (
-        torch.inference_mode(False),
-        torch.enable_grad(),
-        torch.autograd.set_multithreading_enabled(False),
-        _full_precision.held(),
-    ):
+    with ExitStack() as stack:
+        stack.enter_context(torch.inference_mode(False))
+        stack.enter_context(torch.enable_grad())
+        stack.enter_context(torch.autograd.set_multithreading_enabled(False))
+        stack.enter_context(_full_precision.held())
+        for kind in ("cpu", "cuda"):
+            if torch.is_autocast_enabled(kind):
+                stack.enter_context(torch.autocast(kind, enabled=False))
+        if torch.get_default_device() != HOST:
+            stack.enter_context(HOST)
+        if device.type == "cuda":
+            stack.enter_context(torch.cuda.device(device))
         yield
 
 

@@ -181,7 +181,7 @@ class Driver(ABC, Generic[S]):
     def _next_step(self) -> S:
         """Take a whole step; Ctrl-C waits for its end."""
         require_own_threads()
-        with ctrl_c_waits(), self.between_steps(), own_modes():
+        with ctrl_c_waits(), self.between_steps(), own_modes(self._device):
             self._is_half_done = True
             statistics = self._take_logged_step()
             self._is_half_done = False

@@ -85,7 +85,7 @@ class Trainer(Driver[StepStatistics]):
 
     def check_kernels(self) -> None:
         """Compare the kernels in use with their plain definitions; the training stays the same."""
-        with own_modes():
+        with own_modes(self.state.device):
             check_kernels(self.state, self.scene, self.config, self._scale)
 
     def close(self) -> None:
