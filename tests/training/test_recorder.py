@@ -208,6 +208,26 @@ def test_what_waits_is_not_recorded_at_all(kept, monkeypatch):
     assert kept.made == 0
 
 
+def test_each_kind_is_tried_once_with_waits_as_errors(kept, monkeypatch):
+    tried = []
+
+    @contextmanager
+    def counted(mode):
+        tried.append(mode)
+        yield
+
+    monkeypatch.setattr(module, "sync_debug_mode", counted)
+    recorder, state = Recorder(CPU), Numbers()
+    for degree in (0, 0, 1, 1, 1):
+        state.model.sh_degree = degree
+        step(recorder, state, inputs_of(3))
+    assert tried == ["error"] * 2
+    state.parameter = torch.zeros(2, requires_grad=True)
+    for _ in range(3):
+        step(recorder, state, inputs_of(3))
+    assert (len(tried), kept.made) == (2, 3)
+
+
 def test_where_memory_does_not_suffice_for_a_recording_other_parameters_are_recorded(
     kept, monkeypatch
 ):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from threading import Lock
 from typing import Literal
 
 import torch
@@ -60,16 +61,20 @@ class CudaGraph:
         return int(self._fetched)
 
 
+_sync_debug = Lock()
+
+
 @contextmanager
 def sync_debug_mode(mode: Literal["warn", "error"]) -> Iterator[None]:
     """Within this block, torch reports operations that make the host wait for the GPU, by a warning
-    or a RuntimeError."""
-    before = torch.cuda.get_sync_debug_mode()
-    try:
-        _set_sync_debug_mode(mode)
-        yield
-    finally:
-        _set_sync_debug_mode(before)
+    or a RuntimeError; those of all threads, so that only one is within such a block."""
+    with _sync_debug:
+        before = torch.cuda.get_sync_debug_mode()
+        try:
+            _set_sync_debug_mode(mode)
+            yield
+        finally:
+            _set_sync_debug_mode(before)
 
 
 def _set_sync_debug_mode(mode: int | str) -> None:

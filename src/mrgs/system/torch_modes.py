@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -63,15 +64,15 @@ class _FullPrecision:
     def __init__(self) -> None:
         self._lock = Lock()
         self._holders = 0
-        self._before: list[Any] = []
+        self._before: list[tuple[_Setting, Any]] = []
 
     @contextmanager
     def held(self) -> Iterator[None]:
         """Within this block, in all threads."""
         with self._lock:
             if self._holders == 0:
-                self._before = [setting.get() for setting in _SETTINGS]
-                for setting in _SETTINGS:
+                self._before = [(each, each.get()) for each in _SETTINGS if each.is_readable()]
+                for setting, _ in self._before:
                     setting.set(setting.exact)
             self._holders += 1
         try:
@@ -80,7 +81,7 @@ class _FullPrecision:
             with self._lock:
                 self._holders -= 1
                 if self._holders == 0:
-                    for setting, value in zip(_SETTINGS, self._before, strict=True):
+                    for setting, value in self._before:
                         setting.set(value)
 
 
@@ -91,23 +92,36 @@ class _Setting(NamedTuple):
     set: Callable[[Any], None]
     exact: Any
 
+    def is_readable(self) -> bool:
+        """False where the caller has set operations apart, which a common name cannot tell."""
+        try:
+            self.get()
+        except RuntimeError:
+            return False
+        return True
+
 
 def _attribute(owner: object, name: str, exact: Any) -> _Setting:
     return _Setting(partial(getattr, owner, name), partial(setattr, owner, name), exact)
 
 
 def _settings() -> list[_Setting]:
-    """By operation, as torch has them from 2.9 on. There the older, common names may not be read
-    once the caller has set an operation's own."""
+    """The common names, and from torch 2.9 on the operations' own. All must say the same: otherwise
+    torch raises where something reads a common name."""
     cuda, cudnn = torch.backends.cuda, torch.backends.cudnn
     mkldnn: Any = torch.backends.mkldnn  # its annotations lack the operations
-    if hasattr(cudnn, "conv"):
-        operations = (cuda.matmul, cudnn.conv, cudnn.rnn, mkldnn.matmul, mkldnn.conv)
-        return [_attribute(operation, "fp32_precision", "ieee") for operation in operations]
     products = _Setting(
         torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, "highest"
     )
-    return [_attribute(cudnn, "allow_tf32", False), products]
+    common = [_attribute(cudnn, "allow_tf32", False), products]
+    with warnings.catch_warnings():  # torch 2.9 says once that they will go
+        warnings.simplefilter("ignore")
+        for setting in common:
+            setting.is_readable()
+    if not hasattr(cudnn, "conv"):
+        return common
+    operations = (cuda.matmul, cudnn.conv, cudnn.rnn, mkldnn.matmul, mkldnn.conv)
+    return common + [_attribute(each, "fp32_precision", "ieee") for each in operations]
 
 
 _SETTINGS = _settings()

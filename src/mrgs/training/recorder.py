@@ -52,7 +52,7 @@ class Recorder:
         self._replayed: _Recording | None = None
         self._longest = 0
         self._expected = 0.0
-        self._was_tried = False
+        self._tried: set[Hashable] = set()
         self._waits = False
         self._is_full = False
 
@@ -79,7 +79,7 @@ class Recorder:
         if recording is None:
             return self._rehearse(kind, inputs, run_pass)
         recording.take(inputs)
-        if not recording.is_complete and not self._record(recording, run_pass):
+        if not recording.is_complete and not self._record(kind, recording, run_pass):
             return run_pass(inputs)
         self._replayed = recording
         return recording.replay(self._parameters)
@@ -137,15 +137,15 @@ class Recorder:
     def _room(self) -> int:
         return int(SPARE * max(self._longest, self._expected)) + 1
 
-    def _record(self, recording: _Recording, run_pass: Pass) -> bool:
-        """Record the pass; False if that cannot be done."""
+    def _record(self, kind: Hashable, recording: _Recording, run_pass: Pass) -> bool:
+        """Record the pass of a kind of view; False if that cannot be done."""
         try:
-            if not self._was_tried:
+            if kind not in self._tried:
                 # A recording that a wait breaks off would leave torch's allocator (before 2.13) as
                 # if it still recorded.
                 with sync_debug_mode("error"):
                     recording.rehearse(run_pass, self._parameters, self._room())
-                self._was_tried = True
+                self._tried.add(kind)
             recording.record(run_pass, self._parameters, self._room(), self._device)
         except RuntimeError as error:
             self._is_full = lacks_memory(error)
