@@ -66,7 +66,7 @@ def kitchen(
     monkeypatch.setattr(registry, "_METHODS", registry._METHODS.copy())
     readers, formats = read.READERS.copy(), FORMATS.copy()
     monkeypatch.setattr(FourierHeatTransformation, "forward", FourierHeatTransformation.forward)
-    monkeypatch.setattr(RadianceField.temperature_residuals, "rejected", False)
+    monkeypatch.setattr(RadianceField.temperature_residuals, "rejected", set())
     yield Kitchen(tmp_path, small_scene, run)
     read.READERS[:] = readers
     FORMATS.clear()

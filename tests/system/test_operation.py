@@ -119,13 +119,29 @@ def test_a_kernel_that_differs_is_not_used_and_one_line_says_so(monkeypatch, ker
 
 
 def test_a_later_check_gives_a_kernel_another_chance(monkeypatch):
-    energy = make_operation(monkeypatch, fails)
+    def mended(x, layer):
+        return by_a_product(x, layer) if is_mended else fails(x, layer)
+
+    is_mended = False
+    energy = make_operation(monkeypatch, mended)
     with pytest.warns(MrgsWarning), checking():
         energy(*inputs())
-    monkeypatch.setattr(module, "_imported", lambda name: by_a_product)
+    assert energy.rejected == {mended}
+    is_mended = True
     with checking():
         energy(*inputs())
     assert not energy.rejected
+
+
+def test_the_kernel_of_another_device_is_judged_apart(monkeypatch):
+    energy = make_operation(monkeypatch, fails)
+    with pytest.warns(MrgsWarning), checking():
+        energy(*inputs())
+    monkeypatch.setattr(module.gpu, "runs_triton", lambda tensor: True)
+    on_gpu = Kernel(energy.name, "tests.gpu_kernel", "gpu", (torch.float32,))
+    monkeypatch.setattr(module, "_table", lambda: {(energy.name, "gpu"): on_gpu})
+    monkeypatch.setattr(module, "_imported", lambda name: lambda x, layer: "kernel")
+    assert energy(*inputs()) == "kernel"
 
 
 @pytest.mark.parametrize("entry", kernels.TABLE, ids=lambda kernel: kernel.function)

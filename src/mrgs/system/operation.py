@@ -81,7 +81,7 @@ class Operation(Generic[P, R]):
         plain: the plain torch definition.
         name: full name of the plain definition.
         measure: what is compared of a result, from the result and the arguments.
-        rejected: whether its kernel was found to differ, so that it is not used.
+        rejected: its kernels that were found to differ, so that they are not used.
     """
 
     __name__: str
@@ -91,15 +91,15 @@ class Operation(Generic[P, R]):
         self.plain = plain
         self.name = f"{plain.__module__}.{plain.__qualname__}"
         self.measure = measure
-        self.rejected = False
+        self.rejected: set[Callable[..., Any]] = set()
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Compute the operation by a kernel if there is one, else by the plain definition."""
         kernel = self.kernel((*args, *kwargs.values()))
         check = _check.get()
-        if kernel is not None and check is not None and (check.gradients or not self.rejected):
+        if kernel and check and (check.gradients or kernel not in self.rejected):
             self._compare(kernel, check, args, kwargs)
-        if kernel is None or self.rejected:
+        if kernel is None or kernel in self.rejected:
             return self.plain(*args, **kwargs)
         result = kernel(*args, **kwargs)
         return self.plain(*args, **kwargs) if result is NotImplemented else result
@@ -144,11 +144,12 @@ class Operation(Generic[P, R]):
             nudged_args, nudged_kwargs = (_nudged(values, generator) for values in (args, kwargs))
             error, problem = self._difference(kernel, check, nudged_args, nudged_kwargs)
         if error <= TOLERANCE:
-            self.rejected = self.name in check.rejected
+            if kernel not in check.rejected:
+                self.rejected.discard(kernel)
             return
-        self.rejected = True
-        if self.name not in check.rejected:
-            check.rejected.add(self.name)
+        self.rejected.add(kernel)
+        if kernel not in check.rejected:
+            check.rejected.add(kernel)
             warn(
                 f"{self.__name__}: the kernel {problem}; the plain definition is used, slower",
                 KernelWarning,
@@ -228,10 +229,10 @@ def checking(gradients: bool = True) -> Iterator[None]:
 
 
 class _Check(NamedTuple):
-    """A block of ``checking``: what it compares, and the names of operations that it rejected."""
+    """A block of ``checking``: what it compares, and the kernels that it rejected."""
 
     gradients: bool
-    rejected: set[str]
+    rejected: set[Callable[..., Any]]
 
 
 _plain_blocks = 0
