@@ -54,10 +54,10 @@ class Ended:
 
 
 def environment(**changes: str) -> dict[str, str]:
-    """This process's environment with one thread, changed."""
+    """This process's environment with one thread and without a GPU, changed."""
     path = os.pathsep.join([str(SOURCE), os.environ.get("PYTHONPATH", "")])
-    threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-    return {**os.environ, **threads, "PYTHONPATH": path.rstrip(os.pathsep), **changes}
+    own = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    return {**os.environ, **own, "PYTHONPATH": path.rstrip(os.pathsep), **changes}
 
 
 def limited_files(size_bytes: int) -> str:

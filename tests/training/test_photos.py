@@ -57,6 +57,28 @@ def test_a_power_of_two_takes_no_more_page_locked_memory_than_it_is(monkeypatch)
         assert kept.keeps(image) is is_kept
 
 
+def test_where_no_memory_can_be_page_locked_photos_are_copied_as_they_are(
+    counting_image, monkeypatch
+):
+    def full(tensor: torch.Tensor) -> torch.Tensor:
+        raise RuntimeError("CUDA error: out of memory")
+
+    monkeypatch.setattr(torch.Tensor, "pin_memory", full)
+    image, kept = counting_image(), HostPhotos(limit_bytes=255, pinned=True)
+    for _ in range(2):
+        assert torch.equal(kept.load(image.posed).values, image.posed.load().values)
+    assert not kept.keeps(image.posed)
+
+
+def test_other_errors_of_page_locking_are_raised(counting_image, monkeypatch):
+    def broken(tensor: torch.Tensor) -> torch.Tensor:
+        raise RuntimeError("CUDA error: unspecified launch failure")
+
+    monkeypatch.setattr(torch.Tensor, "pin_memory", broken)
+    with pytest.raises(RuntimeError, match="launch failure"):
+        HostPhotos(limit_bytes=255, pinned=True).load(counting_image().posed)
+
+
 def eight_bit(seed: int, channels: int = 3) -> torch.Tensor:
     levels = torch.randint(0, 256, (6, 7, channels), generator=torch.Generator().manual_seed(seed))
     return levels.to(torch.float32) / 255

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mrgs.data.images import eight_bit_levels, of_eight_bit_levels
 from mrgs.scene import THERMAL, Modality, Pixels, PosedImage, Scene
+from mrgs.system.gpu import lacks_memory
 from mrgs.system.memory import free_memory, give_back_freed
 
 SHARE_OF_FREE_MEMORY = 0.4
@@ -74,9 +75,20 @@ class HostPhotos:
             return self._kept[image].pixels()
         pixels = self.read(image)
         if self._pinned:
-            pixels = change_each(pixels, Tensor.pin_memory)
+            pixels = self._page_locked(pixels)
         if self._left_bytes > 0:
             self._keep(image, pixels)
+        return pixels
+
+    def _page_locked(self, pixels: Pixels) -> Pixels:
+        """The pixels in page-locked memory; as they are, like all that come later, where the system
+        has no more of it."""
+        try:
+            return change_each(pixels, Tensor.pin_memory)
+        except RuntimeError as error:
+            if not lacks_memory(error):
+                raise
+        self._pinned, self._left_bytes = False, 0
         return pixels
 
     def keeps(self, image: PosedImage) -> bool:

@@ -55,6 +55,7 @@ class Recorder:
         self._tried: set[Hashable] = set()
         self._waits = False
         self._is_full = False
+        self._has_said_too_many = False
 
     def run(self, state: TrainingState, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
         """Run the pass of a view, or replay it; what it returns is overwritten by the next call.
@@ -66,7 +67,7 @@ class Recorder:
 
         Warns:
             MrgsWarning: the pass cannot be recorded. It runs as it is from now on; where memory did
-                not suffice, until the parameters are others.
+                not suffice, until the parameters are others. Or there are too many kinds of views.
         """
         self._replayed = None
         if self._waits or not all(term.replayable for term in inputs.terms):
@@ -126,6 +127,7 @@ class Recorder:
     def _rehearse(self, kind: Hashable, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
         """Run the pass with inputs that later views can take the place of."""
         if len(self._recordings) >= MOST_RECORDINGS:
+            self._say_too_many()
             return run_pass(inputs)
         recording = self._recordings[kind] = _Recording(inputs)
         room = ListRoom()
@@ -133,6 +135,14 @@ class Recorder:
             measures = run_pass(recording.inputs)
         self._longest = max(self._longest, room.measured)
         return measures
+
+    def _say_too_many(self) -> None:
+        if not self._has_said_too_many:
+            self._has_said_too_many = True
+            warn(
+                f"views differ in size, intrinsics or modalities in more than {MOST_RECORDINGS} "
+                f"ways: steps on the others are not recorded as CUDA graphs, and take longer"
+            )
 
     def _room(self) -> int:
         return int(SPARE * max(self._longest, self._expected)) + 1

@@ -136,10 +136,9 @@ def normalise_radiation(
         counts = valid[::every, ::every].flatten()
     ascending = torch.where(counts, sampled, math.inf).sort().values
     last = (counts.sum() - 1).clamp_min(0)
-    low, high = (
-        torch.where(counts.any(), ascending.take((share * last).round().long()), 0)
-        for share in QUANTILES
-    )
+    places = [(share * last).round().long() for share in QUANTILES]
+    # ``take`` has no deterministic gradient on a GPU.
+    low, high = torch.where(counts.any(), ascending.index_select(0, torch.stack(places)), 0)
     span = high - low
     scaled = (radiation - low) / torch.where(span > 1e-6 * high, span, math.inf)
     return scaled.clamp(0, 1)
