@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.scene.arrays import as_finite, as_floats, as_tensor, as_whole
+from mrgs.scene.arrays import as_finite, as_floats, as_tensor, as_whole, constant
 
 NUMBERS = np.arange(6.0).reshape(2, 3)
 
@@ -83,3 +83,13 @@ def test_finite_numbers_and_whole_numbers():
         as_finite([1, np.nan], (2,), "target")
     with pytest.raises(ValueError, match=r"width must be a whole number, not 3\.0"):
         as_whole(3.0, "width")
+
+
+def test_a_constant_is_made_once_for_each_type_and_device():
+    values = ((1.0, 2.0), (0.1, float("inf")))
+    like = torch.zeros(1)
+    found = constant(values, like)
+    assert found.tolist() == torch.tensor(values).tolist()
+    assert constant(values, torch.ones(3)) is found
+    assert constant(values, like.double()).dtype == torch.float64
+    assert constant(values, torch.zeros(1, device="meta")).device.type == "meta"

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Scene
+from mrgs.scene.arrays import constant
 
 TRIMMED = 0.02
 """Share of the points at either end that say nothing of a scene's size: they may lie anywhere."""
@@ -36,7 +37,7 @@ class ScenePlane(NamedTuple):
 
     def coordinates(self, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Coordinates of points of the world along both axes."""
-        return points @ torch.tensor(self.axes).to(points).T
+        return points @ constant(self.axes, points).T
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -63,7 +64,7 @@ class Region(NamedTuple):
     ) -> Bool[Tensor, "*batch"]:
         """Whether coordinates of the plane lie in it, with all that is as near as ``reach`` to
         them; NaN does not."""
-        low, high = (torch.tensor(end).to(places) for end in self)
+        low, high = (constant(end, places) for end in self)
         about = places.new_zeros(1) if reach is None else reach[..., None]
         return ((places - about >= low) & (places + about < high)).all(dim=-1)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, SupportsIndex, TypeAlias
 
 import numpy as np
@@ -23,6 +24,22 @@ _COMPUTABLE = {
     torch.uint64: torch.float64,
 }
 """Types that torch stores but hardly computes with, and what holds their values."""
+
+
+Numbers: TypeAlias = tuple["float | Numbers", ...]
+
+
+def constant(values: Numbers, like: Tensor) -> Tensor:
+    """A few numbers as a tensor of the type and on the device of another; not to be changed.
+
+    Made once for each device: to copy something to a GPU waits for all that is queued there.
+    """
+    return _constant(values, like.dtype, like.device)
+
+
+@lru_cache(maxsize=1024)
+def _constant(values: Numbers, dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64).to(device, dtype)
 
 
 def as_tensor(

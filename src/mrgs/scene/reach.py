@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
+from mrgs.scene.arrays import constant
 from mrgs.scene.camera import Camera
 
 FARTHEST_SHARE = 0.99
@@ -39,9 +40,8 @@ class Reach(NamedTuple):
     def is_background(self, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
         """Whether points of the world, [..., 3], lie nearer to the background than to the scene;
         NaN does not."""
-        return (points - self.centre.to(points)).norm(dim=-1) > (
-            self.background_distance + self.radius
-        ) / 2
+        centre = constant(tuple(self.centre.tolist()), points)
+        return (points - centre).norm(dim=-1) > (self.background_distance + self.radius) / 2
 
     def without_background(
         self, camera: Camera, depth: Float[Tensor, "h w"]
