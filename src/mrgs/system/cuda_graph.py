@@ -45,8 +45,10 @@ class CudaGraph:
                 with suppress(RuntimeError):  # says only that there was an error before
                     self._graph.capture_end()
                 raise
-            self._graph.capture_end()
-        torch._C._cuda_clearCublasWorkspaces()
+            else:
+                self._graph.capture_end()
+            finally:
+                torch._C._cuda_clearCublasWorkspaces()
         current.wait_stream(stream)
 
     def replay(self) -> None:
