@@ -119,15 +119,15 @@ def test_a_kernel_that_differs_is_not_used_and_one_line_says_so(monkeypatch, ker
 
 
 def test_a_later_check_gives_a_kernel_another_chance(monkeypatch):
-    def mended(x, layer):
-        return by_a_product(x, layer) if is_mended else fails(x, layer)
+    def repaired(x, layer):
+        return by_a_product(x, layer) if is_repaired else fails(x, layer)
 
-    is_mended = False
-    energy = make_operation(monkeypatch, mended)
+    is_repaired = False
+    energy = make_operation(monkeypatch, repaired)
     with pytest.warns(MrgsWarning), checking():
         energy(*inputs())
-    assert energy.rejected == {mended}
-    is_mended = True
+    assert energy.rejected == {repaired}
+    is_repaired = True
     with checking():
         energy(*inputs())
     assert not energy.rejected
@@ -142,6 +142,7 @@ def test_the_kernel_of_another_device_is_judged_apart(monkeypatch):
     monkeypatch.setattr(module, "_table", lambda: {(energy.name, "gpu"): on_gpu})
     monkeypatch.setattr(module, "_imported", lambda name: lambda x, layer: "kernel")
     assert energy(*inputs()) == "kernel"
+    assert energy.rejected == {fails}
 
 
 @pytest.mark.parametrize("entry", kernels.TABLE, ids=lambda kernel: kernel.function)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+import mrgs
 from mrgs.system import torch_modes
 from mrgs.system.torch_modes import own_modes
 
@@ -59,22 +64,32 @@ def test_neither_autocast_nor_the_default_device_of_the_caller_matters():
         assert torch.ones(2).device.type == "meta"
 
 
-@pytest.mark.parametrize("place", ["cpu", "cuda:1"])
-def test_the_gpu_is_the_current_one(place, monkeypatch):
-    current: list[torch.device] = []
+@pytest.fixture
+def current(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The current GPUs, one after the other."""
+    chosen = ["cuda:0"]
 
     @contextmanager
-    def device(chosen: torch.device) -> Iterator[None]:
-        current.append(chosen)
+    def device(gpu: torch.device) -> Iterator[None]:
+        before = chosen[-1]
+        chosen.append(str(gpu))
         yield
-        current.append(torch.device("cuda:0"))
+        chosen.append(before)
 
     monkeypatch.setattr(torch.cuda, "device", device)
-    with own_modes(torch.device(place)):
-        inside = list(current)
-    on_gpu = place != "cpu"
-    assert inside == [torch.device(place)] * on_gpu
-    assert len(current) == 2 * on_gpu
+    return chosen
+
+
+def test_the_gpu_of_the_computation_is_the_current_one(current):
+    with own_modes(torch.device("cuda:1")):
+        assert current[-1] == "cuda:1"
+    assert current[-1] == "cuda:0"
+
+
+def test_a_computation_on_the_cpu_leaves_the_current_gpu_alone(current):
+    with own_modes():
+        pass
+    assert current == ["cuda:0"]
 
 
 def in_other_thread(call: Callable[[], bool]) -> bool:
@@ -183,16 +198,35 @@ def test_the_choice_is_back_when_the_last_thread_is_done():
     assert precisions() == chosen
 
 
-def test_a_setting_that_cannot_be_made_leaves_no_holder(monkeypatch):
-    def fails(_: str) -> None:
-        raise RuntimeError("not allowed to set flags")
+def test_where_one_setting_cannot_be_made_the_others_are_the_callers_again(monkeypatch):
+    made = ["high"]
 
+    def fails(value: str) -> None:
+        if value == "highest":
+            raise RuntimeError("not allowed to set flags")
+
+    good = torch_modes._Setting(lambda: made[-1], made.append, "highest")
     broken = torch_modes._Setting(lambda: "high", fails, "highest")
     with monkeypatch.context() as patch:
-        patch.setattr(torch_modes, "_SETTINGS", [broken])
+        patch.setattr(torch_modes, "_SETTINGS", [good, broken])
         with pytest.raises(RuntimeError, match="not allowed"), own_modes():
             pass
+        assert made == ["high", "highest", "high"]
     before = precisions()
     with own_modes():
         assert are_exact()
     assert precisions() == before
+
+
+def test_frozen_flags_of_torch_do_not_matter():
+    """In a process of its own: they cannot be thawed."""
+    code = (
+        "import torch; torch.backends.disable_global_flags()\n"
+        "from mrgs.system.torch_modes import own_modes\n"
+        "with own_modes(): print(torch._C._get_cudnn_allow_tf32())"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(mrgs.__file__).parents[1])}
+    ran = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=120
+    )
+    assert (ran.stdout.strip(), ran.returncode) == ("False", 0), ran.stderr

@@ -21,10 +21,10 @@ from mrgs.field import field as field_module
 from mrgs.field import nearest_neighbours
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.config import TrainConfig
-from mrgs.method.density import adaptive
 from mrgs.method.losses.term import SceneScale
 from mrgs.rasterizer import Raster
 from mrgs.scene import RGB, Blend, Pixels
+from mrgs.scene.arrays import constant
 from mrgs.system import gpu
 from mrgs.training import step as step_module
 from mrgs.training import view_pass
@@ -157,7 +157,7 @@ def start(small_scene):
             )
         for dtype in (torch.float32, torch.float64):
             scene.train[0].images[RGB].camera.tensors(gpu.HOST, dtype)
-        adaptive._half((8, 6), gpu.HOST)
+        constant((4.0, 3.0), torch.zeros(1))
 
         def take(number: int = 0, masked: bool = False):
             view = scene.train[number]

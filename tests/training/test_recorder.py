@@ -145,19 +145,34 @@ def test_lists_without_room_are_repeated_with_more(kept):
     assert state.passes == 1 + 1 + 1 + 2 + 1  # the second view's is tried before it is recorded
 
 
+def of_focal(focal_px: float) -> ViewInputs:
+    """Of a camera with a focal length of its own."""
+    inputs = inputs_of(3)
+    (camera,) = inputs.cameras.values()
+    K = torch.diag(torch.tensor([focal_px, focal_px, 1.0], dtype=torch.float64))
+    return inputs._replace(cameras={RGB: Camera(K, camera.viewmat, camera.width, camera.height)})
+
+
 def test_each_kind_of_view_has_a_recording_and_there_are_not_many(kept, monkeypatch):
     monkeypatch.setattr(module, "MOST_RECORDINGS", 2)
     recorder, state = Recorder(CPU), Numbers()
-    for degree in (0, 1):
-        state.model.sh_degree = degree
-        step(recorder, state, inputs_of(3))
-    state.model.sh_degree = 2
-    with pytest.warns(MrgsWarning, match="intrinsics or modalities in more than 2 ways"):
-        step(recorder, state, inputs_of(3))
-    for degree in (0, 1, 2, 2):  # and no more warnings
-        state.model.sh_degree = degree
-        step(recorder, state, inputs_of(3))
+    for focal_px in (1, 2):
+        step(recorder, state, of_focal(focal_px))
+    with pytest.warns(MrgsWarning, match="beyond the first 2 kinds are trained without CUDA"):
+        step(recorder, state, of_focal(3))
+    for focal_px in (1, 2, 3, 3):  # and no more warnings
+        step(recorder, state, of_focal(focal_px))
     assert kept.made == 2
+
+
+def test_what_no_view_is_of_any_more_makes_room(kept, monkeypatch):
+    monkeypatch.setattr(module, "MOST_RECORDINGS", 2)
+    monkeypatch.setattr(module, "STALE_AFTER", 3)
+    recorder, state = Recorder(CPU), Numbers()
+    for degree in (0, 0, 1, 1, 1, 1, 2, 2, 2):
+        state.model.sh_degree = degree
+        step(recorder, state, inputs_of(3))
+    assert kept.made == 3
 
 
 def test_a_pass_that_moves_poses_is_another_one(kept):

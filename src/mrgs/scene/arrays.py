@@ -30,7 +30,8 @@ Numbers: TypeAlias = tuple["float | Numbers", ...]
 
 
 def constant(values: Numbers, like: Tensor) -> Tensor:
-    """A few numbers as a tensor of the type and on the device of another; not to be changed.
+    """A few numbers as a tensor of the type and on the device of another; not to be changed, and
+    not for passes that are recorded.
 
     Made once for each device: to copy something to a GPU waits for all that is queued there.
     """
@@ -39,7 +40,8 @@ def constant(values: Numbers, like: Tensor) -> Tensor:
 
 @lru_cache(maxsize=1024)
 def _constant(values: Numbers, dtype: torch.dtype, device: torch.device) -> Tensor:
-    return torch.tensor(values, dtype=torch.float64).to(device, dtype)
+    with torch.inference_mode(False):
+        return torch.tensor(values, dtype=torch.float64, device="cpu").to(device, dtype)
 
 
 def as_tensor(

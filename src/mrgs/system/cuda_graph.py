@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from threading import Lock
+from threading import RLock
 from typing import Literal
 
 import torch
@@ -63,13 +63,14 @@ class CudaGraph:
         return int(self._fetched)
 
 
-_sync_debug = Lock()
+_sync_debug = RLock()
 
 
 @contextmanager
 def sync_debug_mode(mode: Literal["warn", "error"]) -> Iterator[None]:
     """Within this block, torch reports operations that make the host wait for the GPU, by a warning
-    or a RuntimeError; those of all threads, so that only one is within such a block."""
+    or a RuntimeError. The mode applies to all threads; blocks of different threads wait for each
+    other."""
     with _sync_debug:
         before = torch.cuda.get_sync_debug_mode()
         try:

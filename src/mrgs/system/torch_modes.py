@@ -27,7 +27,7 @@ def own_modes(device: torch.device = HOST) -> Iterator[None]:
     process's too: changed here, it would change under the caller's other threads.
 
     Args:
-        device: where most is computed; if it is a GPU, it is the current one.
+        device: of the computation; a GPU is made the current CUDA device within the block.
 
     Raises:
         ConfigError: the default type is not float32.
@@ -46,7 +46,7 @@ def own_modes(device: torch.device = HOST) -> Iterator[None]:
         for kind in ("cpu", "cuda"):
             if torch.is_autocast_enabled(kind):
                 stack.enter_context(torch.autocast(kind, enabled=False))
-        if torch.get_default_device() != HOST:
+        if torch.empty(0).device != HOST:  # of a context, too, which has no other name before 2.8
             stack.enter_context(HOST)
         if device.type == "cuda":
             stack.enter_context(torch.cuda.device(device))
@@ -71,9 +71,7 @@ class _FullPrecision:
         """Within this block, in all threads."""
         with self._lock:
             if self._holders == 0:
-                self._before = [(each, each.get()) for each in _SETTINGS if each.is_readable()]
-                for setting, _ in self._before:
-                    setting.set(setting.exact)
+                self._begin()
             self._holders += 1
         try:
             yield
@@ -81,8 +79,20 @@ class _FullPrecision:
             with self._lock:
                 self._holders -= 1
                 if self._holders == 0:
-                    for setting, value in self._before:
-                        setting.set(value)
+                    self._end()
+
+    def _begin(self) -> None:
+        self._before = [(each, each.get()) for each in _SETTINGS if each.is_readable()]
+        try:
+            for setting, _ in self._before:
+                setting.set(setting.exact)
+        except BaseException:
+            self._end()
+            raise
+
+    def _end(self) -> None:
+        for setting, value in self._before:
+            setting.set(value)
 
 
 class _Setting(NamedTuple):
@@ -93,7 +103,8 @@ class _Setting(NamedTuple):
     exact: Any
 
     def is_readable(self) -> bool:
-        """False where the caller has set operations apart, which a common name cannot tell."""
+        """False where the operations behind a common name have different settings: torch then
+        raises on reading it."""
         try:
             self.get()
         except RuntimeError:
@@ -101,19 +112,18 @@ class _Setting(NamedTuple):
         return True
 
 
-def _attribute(owner: object, name: str, exact: Any) -> _Setting:
-    return _Setting(partial(getattr, owner, name), partial(setattr, owner, name), exact)
-
-
 def _settings() -> list[_Setting]:
-    """The common names, and from torch 2.9 on the operations' own. All must say the same: otherwise
-    torch raises where something reads a common name."""
+    """The common names, and from torch 2.9 on the operations' own. As far as they can be read, all
+    say the same within ``held``: otherwise torch would raise where something reads a common
+    name."""
     cuda, cudnn = torch.backends.cuda, torch.backends.cudnn
     mkldnn: Any = torch.backends.mkldnn  # its annotations lack the operations
     products = _Setting(
         torch.get_float32_matmul_precision, torch.set_float32_matmul_precision, "highest"
     )
-    common = [_attribute(cudnn, "allow_tf32", False), products]
+    # Not by its attribute, which ``torch.backends.disable_global_flags`` freezes.
+    convolutions = _Setting(torch._C._get_cudnn_allow_tf32, torch._C._set_cudnn_allow_tf32, False)
+    common = [convolutions, products]
     with warnings.catch_warnings():  # torch 2.9 says once that they will go
         warnings.simplefilter("ignore")
         for setting in common:
@@ -121,7 +131,11 @@ def _settings() -> list[_Setting]:
     if not hasattr(cudnn, "conv"):
         return common
     operations = (cuda.matmul, cudnn.conv, cudnn.rnn, mkldnn.matmul, mkldnn.conv)
-    return common + [_attribute(each, "fp32_precision", "ieee") for each in operations]
+    name = "fp32_precision"
+    return common + [
+        _Setting(partial(getattr, each, name), partial(setattr, each, name), "ieee")
+        for each in operations
+    ]
 
 
 _SETTINGS = _settings()

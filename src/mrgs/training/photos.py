@@ -81,14 +81,13 @@ class HostPhotos:
         return pixels
 
     def _page_locked(self, pixels: Pixels) -> Pixels:
-        """The pixels in page-locked memory; as they are, like all that come later, where the system
-        has no more of it."""
+        """Copies in page-locked memory; once that fails, photos stay in ordinary memory."""
         try:
             return change_each(pixels, Tensor.pin_memory)
         except RuntimeError as error:
             if not lacks_memory(error):
                 raise
-        self._pinned, self._left_bytes = False, 0
+        self._pinned = False
         return pixels
 
     def keeps(self, image: PosedImage) -> bool:

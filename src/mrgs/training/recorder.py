@@ -31,6 +31,9 @@ SPARE = 1.25
 MOST_RECORDINGS = 8
 """At a time; each holds the memory of a pass. Views of more kinds than this are not recorded."""
 
+STALE_AFTER = 1000
+"""Runs after which an unused recording makes room for another."""
+
 
 class Recorder:
     """Replays the pass of a view where it can, with the results of the pass itself.
@@ -56,6 +59,7 @@ class Recorder:
         self._waits = False
         self._is_full = False
         self._has_said_too_many = False
+        self._runs = 0
 
     def run(self, state: TrainingState, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
         """Run the pass of a view, or replay it; what it returns is overwritten by the next call.
@@ -67,9 +71,11 @@ class Recorder:
 
         Warns:
             MrgsWarning: the pass cannot be recorded. It runs as it is from now on; where memory did
-                not suffice, until the parameters are others. Or there are too many kinds of views.
+                not suffice, until the parameters are others. Or views are of more than
+                ``MOST_RECORDINGS`` kinds; the rest run unrecorded.
         """
         self._replayed = None
+        self._runs += 1
         if self._waits or not all(term.replayable for term in inputs.terms):
             return run_pass(inputs)
         self._forget_if_others(state)
@@ -79,6 +85,7 @@ class Recorder:
         recording = self._recordings.get(kind)
         if recording is None:
             return self._rehearse(kind, inputs, run_pass)
+        recording.used = self._runs
         recording.take(inputs)
         if not recording.is_complete and not self._record(kind, recording, run_pass):
             return run_pass(inputs)
@@ -127,21 +134,31 @@ class Recorder:
     def _rehearse(self, kind: Hashable, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
         """Run the pass with inputs that later views can take the place of."""
         if len(self._recordings) >= MOST_RECORDINGS:
+            self._forget_stale()
+        if len(self._recordings) >= MOST_RECORDINGS:
             self._say_too_many()
             return run_pass(inputs)
         recording = self._recordings[kind] = _Recording(inputs)
+        recording.used = self._runs
         room = ListRoom()
         with lists_have(room):
             measures = run_pass(recording.inputs)
         self._longest = max(self._longest, room.measured)
         return measures
 
+    def _forget_stale(self) -> None:
+        """Give the memory of recordings back that no view is of any more, such as those of lower
+        degrees."""
+        oldest = self._runs - STALE_AFTER
+        for kind in [kind for kind, each in self._recordings.items() if each.used < oldest]:
+            del self._recordings[kind]
+
     def _say_too_many(self) -> None:
         if not self._has_said_too_many:
             self._has_said_too_many = True
             warn(
-                f"views differ in size, intrinsics or modalities in more than {MOST_RECORDINGS} "
-                f"ways: steps on the others are not recorded as CUDA graphs, and take longer"
+                "views differ in size, intrinsics or modalities in too many ways: those beyond the "
+                f"first {MOST_RECORDINGS} kinds are trained without CUDA graphs, which is slower"
             )
 
     def _room(self) -> int:
@@ -180,10 +197,12 @@ class _Recording:
     Attributes:
         inputs: what the pass reads: copies, with stand-ins for the cameras.
         room: entries of its lists.
+        used: number of the run that last used it.
         suffices: whether the last replay needed no more, on the device.
     """
 
     def __init__(self, inputs: ViewInputs) -> None:
+        self.used = 0
         self._weights: dict[str, float | Tensor] = dict(inputs.weights)
         self.inputs = inputs._replace(
             number=inputs.number.clone(),

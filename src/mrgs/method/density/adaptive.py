@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import torch
@@ -22,6 +21,7 @@ from mrgs.method.density.strategy import DensityStep, DensityUpdate, Strategy, S
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
+from mrgs.scene.arrays import constant
 from mrgs.system.limits import MOST_STEPS, MOST_WEIGHT, require_within
 
 SPLIT_INTO = 2
@@ -87,11 +87,12 @@ class AdaptiveDensityControl(Strategy):
     def observe(self, passes: Sequence[ScreenPoints]) -> dict[str, Float[Tensor, " n"]]:
         """The norms of a view's gradients, in units of half the image's size (3DGS), and which
         Gaussians it drew."""
-        norms = [
-            (points.offset.grad * _half(points.size, points.offset.device)).norm(dim=1)
-            for points in passes
-            if points.offset.grad is not None
-        ]
+        norms = []
+        for points in passes:
+            if points.offset.grad is not None:
+                width, height = points.size
+                half_size = constant((width / 2, height / 2), points.offset)
+                norms.append((points.offset.grad * half_size).norm(dim=1))
         drawn = torch.stack([points.radii > 0 for points in passes]).any(dim=0).float()
         return {
             "gradient_sum": torch.stack(norms).sum(dim=0) if norms else torch.zeros_like(drawn),
@@ -151,13 +152,6 @@ def _no_views(count: int, device: torch.device) -> StrategyState:
 def mean_gradients(state: StrategyState) -> Float[Tensor, " n"]:
     """Mean norm of the gradient over the views that drew each Gaussian."""
     return state["gradient_sum"] / state["views"].clamp_min(1)
-
-
-@lru_cache(maxsize=16)
-def _half(size: tuple[int, int], device: torch.device) -> Float[Tensor, "2"]:
-    """Half a width and height; kept, because another copy would make the host wait for a GPU's
-    queue."""
-    return (torch.tensor(size, dtype=torch.float32) / 2).to(device)
 
 
 class DensificationCounts(NamedTuple):
