@@ -16,7 +16,9 @@ def main() -> int:
     with interrupts:
         from mrgs.app.cli import main as run
 
-        return run()
+        status = run()
+        interrupts.command_is_done()
+        return status
 
 
 if __name__ == "__main__":

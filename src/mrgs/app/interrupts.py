@@ -91,6 +91,13 @@ class Interrupts:
         finally:
             self._postpone = previous
 
+    def command_is_done(self) -> None:
+        """From now on ignore requests to end, except for Ctrl-C: the process ends anyway, with the
+        status of its command."""
+        for number in [number for number in self._previous if number != signal.SIGINT]:
+            del self._previous[number]
+            signal.signal(number, signal.SIG_IGN)
+
     def output_lost(self, error: OSError) -> None:
         """Interrupt the command, because its standard output cannot be written; from any thread."""
         if self._depth == 0 or self.received is not None:
