@@ -24,7 +24,7 @@ def main() -> None:
     plan, device = PLANS[request["plan"]], choose_device(request["device"])
     order = Order(plan, device, request["until"], request["method"])
     path, rows = Path(request["file"]), []
-    with own_modes():  # as in a training
+    with own_modes(device):  # as in a training
         for row in PARTS[request["part"]](order):
             rows.append(row)
             unfinished = path.with_suffix(".unfinished")

@@ -5,13 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from benchmarks.gpu_plan import (
-    FORWARD,
-    FORWARD_BACKWARD,
-    PARTS,
-    RECORDED,
-    TRAINED_GAUSSIANS,
-)
+from benchmarks.gpu_plan import FORWARD, FORWARD_BACKWARD, PARTS, RECORDED, TRAINED_GAUSSIANS
 from benchmarks.report import table
 
 TARGET_STEPS_PER_S = 150
@@ -104,6 +98,10 @@ def _whole(number: float | None) -> str:
     return _or_dash(number, lambda n: f"{n:.0f}")
 
 
+def _ratio(theirs: dict[str, Any], ours: dict[str, Any] | None) -> str:
+    return _or_dash(ours, lambda times: f"{theirs['median_ms'] / times['median_ms']:.2f}")
+
+
 def _waits(rows: Rows) -> str:
     """Where the host waits, under the table."""
     lines = [
@@ -141,7 +139,7 @@ def _rasterizer(rows: Rows, device: Rows) -> str:
     lines = []
     for row in rows:
         if "times" not in row:
-            lines.append([_size(row), _missing(row), "", "", "", "", ""])
+            lines.append([_size(row), _missing(row), *[""] * 5])
             continue
         floor = 1e3 * row["least_bytes"] / device[0]["copy_bytes_per_s"] if device else None
         waits = sum(row["host_waits"].values())
@@ -170,16 +168,12 @@ def _gsplat(rows: Rows, _: Rows) -> str:
             lines.append([_size(row), _missing(row), *[""] * 7])
             continue
         for direction, times in row["times"].items():
-            ours = times["mrgs"]["median_ms"]
-            recorded = times.get(RECORDED)
-            theirs = [times[name] for name in ("two passes", "shared projection")]
-            ratios = [f"{way['median_ms'] / ours:.2f}" for way in theirs]
-            beside_recorded = (
-                "–" if recorded is None else f"{theirs[0]['median_ms'] / recorded['median_ms']:.2f}"
-            )
+            ours, recorded = times["mrgs"], times.get(RECORDED)
+            twice, once = times["two passes"], times["shared projection"]
+            compared = [(twice, ours), (once, ours), (twice, recorded)]
             lines.append(
-                [_size(row), direction, spread(times["mrgs"]), _or_dash(recorded, spread),
-                 *map(spread, theirs), *ratios, beside_recorded]
+                [_size(row), direction, spread(ours), _or_dash(recorded, spread),
+                 spread(twice), spread(once), *(_ratio(*pair) for pair in compared)]
             )  # fmt: skip
     header = [
         "Gaussians, image",

@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mrgs.scene import Modality
@@ -70,14 +69,6 @@ def gpu_device() -> Iterator[str]:
 
     with gpu.interpreted():
         yield "cpu"
-
-
-@pytest.fixture
-def telling_of_waits() -> Callable[[Literal["warn", "error"]], AbstractContextManager[None]]:
-    """``with telling_of_waits("error"):``, for a real GPU."""
-    from mrgs.system.cuda_graph import sync_debug_mode
-
-    return sync_debug_mode
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.scene import Gaussians
 from mrgs.system import gpu
+from mrgs.system.cuda_graph import sync_debug_mode
 
 
 def full_search(means: torch.Tensor, k: int) -> torch.Tensor:
@@ -130,10 +131,10 @@ def test_the_field_does_not_make_the_host_wait(config, bands, picks):
 
 
 @pytest.mark.gpu
-def test_many_points_and_no_round_trip(telling_of_waits):
+def test_many_points_and_no_round_trip():
     means = torch.randn(200_000, 3, generator=torch.Generator().manual_seed(0))
     on_device = means.to("cuda")
-    with telling_of_waits("error"):
+    with sync_debug_mode("error"):
         found = nearest_neighbours(on_device, 8)
     expected = torch.from_numpy(
         cKDTree(means.double().numpy()).query(means.double().numpy(), k=9)[0][:, 1:]

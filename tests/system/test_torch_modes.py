@@ -103,9 +103,17 @@ def test_a_gpus_backward_pass_runs_in_the_thread_that_asks_for_it():
         assert backward_thread("cuda") == threading.get_ident()
 
 
+def told(setting: torch_modes._Setting) -> Any:
+    """What torch tells of a setting; None where it cannot."""
+    try:
+        return setting.get()
+    except RuntimeError:
+        return None
+
+
 def precisions() -> list[Any]:
-    """What torch is set to; None where it cannot tell."""
-    return [setting.get() if setting.is_readable() else None for setting in torch_modes._SETTINGS]
+    """What torch is set to."""
+    return [told(setting) for setting in torch_modes._SETTINGS]
 
 
 EXACT = [setting.exact for setting in torch_modes._SETTINGS]

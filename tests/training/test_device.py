@@ -26,6 +26,7 @@ from mrgs.rasterizer import Raster
 from mrgs.scene import RGB, Blend, Pixels
 from mrgs.scene.arrays import constant
 from mrgs.system import gpu
+from mrgs.system.cuda_graph import sync_debug_mode
 from mrgs.training import step as step_module
 from mrgs.training import view_pass
 from mrgs.training.state import initial_state
@@ -202,7 +203,7 @@ def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("method", METHODS)
-def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, telling_of_waits):
+def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene):
     """The length of the rasterizer's list, and nothing else."""
     device = torch.device("cuda")
     config = harmonic(short_config(method, sh_every=1))
@@ -221,7 +222,7 @@ def test_a_step_on_a_gpu_waits_for_one_number_of_each_pass(method, small_scene, 
     for _ in range(2):
         take()
     with (
-        telling_of_waits("warn"),
+        sync_debug_mode("warn"),
         pytest.warns(UserWarning, match="called a synchronizing") as caught,
     ):
         take()

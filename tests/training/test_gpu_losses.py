@@ -26,6 +26,7 @@ from mrgs.method.losses.terms import configured_terms, term_values
 from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
 from mrgs.system import gpu
+from mrgs.system.cuda_graph import sync_debug_mode
 from mrgs.training.state import learned_layers
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered
@@ -227,7 +228,7 @@ def test_asking_a_tensor_without_values_fails():
 
 
 @pytest.mark.gpu
-def test_large_images_and_the_same_bits_again(telling_of_waits):
+def test_large_images_and_the_same_bits_again():
     render, target = image(480, 641, 3), image(480, 641, 3, seed=1)
     valid = image(480, 641, seed=2) > 0.1
     on_device = (target.to("cuda", torch.float32), valid.to("cuda"))
@@ -242,6 +243,6 @@ def test_large_images_and_the_same_bits_again(telling_of_waits):
         "cuda",
     )
     found = render.to("cuda", torch.float32).requires_grad_()
-    with telling_of_waits("error"):
+    with sync_debug_mode("error"):
         gradients = [torch.autograd.grad(loss(found), found)[0] for _ in range(2)]
     assert torch.equal(*gradients)

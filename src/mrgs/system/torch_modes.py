@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from threading import Lock
 from typing import Any, NamedTuple
@@ -82,7 +82,11 @@ class _FullPrecision:
                     self._end()
 
     def _begin(self) -> None:
-        self._before = [(each, each.get()) for each in _SETTINGS if each.is_readable()]
+        self._before = []
+        for setting in _SETTINGS:
+            # Where the operations behind a common name have different settings, torch raises.
+            with suppress(RuntimeError):
+                self._before.append((setting, setting.get()))
         try:
             for setting, _ in self._before:
                 setting.set(setting.exact)
@@ -102,15 +106,6 @@ class _Setting(NamedTuple):
     set: Callable[[Any], None]
     exact: Any
 
-    def is_readable(self) -> bool:
-        """False where the operations behind a common name have different settings: torch then
-        raises on reading it."""
-        try:
-            self.get()
-        except RuntimeError:
-            return False
-        return True
-
 
 def _settings() -> list[_Setting]:
     """The common names, and from torch 2.9 on the operations' own. As far as they can be read, all
@@ -124,10 +119,10 @@ def _settings() -> list[_Setting]:
     # Not by its attribute, which ``torch.backends.disable_global_flags`` freezes.
     convolutions = _Setting(torch._C._get_cudnn_allow_tf32, torch._C._set_cudnn_allow_tf32, False)
     common = [convolutions, products]
-    with warnings.catch_warnings():  # torch 2.9 says once that they will go
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(), suppress(RuntimeError):
+        warnings.simplefilter("ignore")  # torch 2.9 says once that the common names will go
         for setting in common:
-            setting.is_readable()
+            setting.get()
     if not hasattr(cudnn, "conv"):
         return common
     operations = (cuda.matmul, cudnn.conv, cudnn.rnn, mkldnn.matmul, mkldnn.conv)
