@@ -62,6 +62,16 @@ def test_a_child_can_be_asked_to_stop(start):
     assert child.failure() is None
 
 
+def test_what_a_child_loads_does_not_wait_for_its_parent(start):
+    """On Windows, loading a library asks for the type of standard input, which waits for a thread
+    that reads from it."""
+    child = start(
+        "import os; when_asked_to_stop(lambda: send(end='stopped')); "
+        "send(reads_nothing=os.path.samestat(os.stat(os.devnull), os.fstat(0)))"
+    )
+    assert list(child.messages()) == [{"reads_nothing": True}]
+
+
 def test_a_child_ends_with_its_parent(tmp_path):
     orphan = (
         "import os, time; when_asked_to_stop(lambda: os._exit(1)); send(pid=os.getpid()); "

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import re
 import subprocess
@@ -245,6 +246,21 @@ def test_a_discarded_run_leaves_what_is_not_its_own(folder):
     (folder.path / "notes.txt").write_text("mine")
     folder.discard()
     assert [path.name for path in folder.path.iterdir()] == ["notes.txt"]
+
+
+def test_ctrl_c_reaches_the_caller_where_the_lock_cannot_be_removed(folder, monkeypatch):
+    """Windows removes no file that is open."""
+    unlink = Path.unlink
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        if path.name == ".lock":
+            raise PermissionError(errno.EACCES, "in use by another process", str(path))
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(KeyboardInterrupt), folder.training(make_config("mrgs"), resume=False):
+        raise KeyboardInterrupt
+    assert not folder.config_file.exists()
 
 
 def test_a_folder_stays_where_it_is_when_the_current_one_changes(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any, cast
 
 OnLost = Callable[[OSError], None]
 
@@ -44,7 +45,7 @@ def guard_streams(on_lost: OnLost) -> None:
             continue
         with suppress(OSError, ValueError):
             stream.flush()
-            raw = _Guarded(stream.fileno(), lost)
+            raw = _Guarded(cast(io.RawIOBase, getattr(stream.buffer, "raw", stream.buffer)), lost)
             guarded = io.TextIOWrapper(
                 io.BufferedWriter(raw),
                 encoding=stream.encoding,
@@ -55,22 +56,35 @@ def guard_streams(on_lost: OnLost) -> None:
             setattr(sys, name, guarded)
 
 
-class _Guarded(io.FileIO):
-    """A file descriptor; the first write that fails is reported, and later ones do nothing."""
+class _Guarded(io.RawIOBase):
+    """An unbuffered stream; the first write that fails is reported, and later ones do nothing.
 
-    def __init__(self, descriptor: int, on_lost: OnLost) -> None:
-        super().__init__(descriptor, "w", closefd=False)
+    It keeps the stream that Python made: that of a console on Windows is no file.
+    """
+
+    def __init__(self, stream: io.RawIOBase, on_lost: OnLost) -> None:
+        self._stream = stream
         self._on_lost = on_lost
         self._is_lost = False
 
-    def write(self, data: object) -> int:
-        """Write bytes; pretends to have done so once the file is lost."""
-        size = memoryview(data).nbytes  # type: ignore[arg-type]
-        if self._is_lost:
-            return size
-        try:
-            return super().write(data) or 0  # type: ignore[arg-type]
-        except OSError as error:
-            self._is_lost = True
-            self._on_lost(error)
-            return size
+    def writable(self) -> bool:
+        """It is, as ``io.BufferedWriter`` asks."""
+        return True
+
+    def fileno(self) -> int:
+        """The file descriptor of the stream."""
+        return self._stream.fileno()
+
+    def isatty(self) -> bool:
+        """Whether the stream is a terminal."""
+        return self._stream.isatty()
+
+    def write(self, data: Any) -> int | None:
+        """Write bytes; pretends to have done so once the stream is lost."""
+        if not self._is_lost:
+            try:
+                return self._stream.write(data)
+            except OSError as error:
+                self._is_lost = True
+                self._on_lost(error)
+        return memoryview(data).nbytes

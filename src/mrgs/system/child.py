@@ -127,10 +127,17 @@ def read_request() -> Any:
 
 
 def when_asked_to_stop(action: Callable[[], None]) -> None:
-    """In a child, do something once its parent wants it to stop or has died."""
+    """In a child, do something once its parent wants it to stop or has died.
+
+    Standard input is the null device from now on. On Windows, loading a library asks for the type
+    of standard input, and would wait for a thread that reads from it.
+    """
+    parent = os.dup(0)
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
 
     def wait() -> None:
-        while os.read(0, 1024):  # not sys.stdin: its lock would be held when the interpreter ends
+        while os.read(parent, 1024):
             pass
         action()
 

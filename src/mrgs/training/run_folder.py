@@ -352,9 +352,10 @@ class RunFolder:
     def discard(self) -> None:
         """Remove a run that never came to a checkpoint, and the folder if nothing else is in it;
         under the lock."""
-        for name in ("config.yaml", "log.jsonl", ".lock"):
+        for name in ("config.yaml", "log.jsonl"):
             (self.path / name).unlink(missing_ok=True)
-        with suppress(OSError):  # something else is in it
+        with suppress(OSError):  # something else is in it; on Windows, the lock while it is held
+            (self.path / ".lock").unlink(missing_ok=True)
             self.path.rmdir()
 
     @contextmanager
