@@ -128,6 +128,15 @@ def test_numbers_that_are_not_finite_come_back(tmp_path):
     assert stored_and_read(tmp_path, None, RigCalibration | None) is None
 
 
+def test_what_was_read_does_not_change_with_the_file(tmp_path):
+    """A mapped file that is cut off would even end the process."""
+    pose = torch.eye(4, dtype=torch.float64)
+    file = tmp_path / "result.safetensors"
+    stored = stored_and_read(tmp_path, RigView("a", pose, 0, 0.1, 0.2), RigView)
+    file.write_bytes(bytes(file.stat().st_size))
+    assert torch.equal(stored.correction, pose)
+
+
 def test_what_follows_from_something_else_is_not_taken(tmp_path):
     save(tmp_path / "result.safetensors", "value", "abc")
     assert load(tmp_path / "result.safetensors", str, "abd") is MISSING

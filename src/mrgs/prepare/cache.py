@@ -161,7 +161,10 @@ def load(path: Path, kind: Any, made_from: str) -> Any:
             metadata = file.metadata()
             if metadata["made_from"] != made_from:
                 return MISSING
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            # Copies: what is mapped ends the process if the file is cut off, and on Windows the file
+            # could not be replaced.
+            names = file.keys()
+            tensors = {name: file.get_tensor(name).clone() for name in names}
         return _decode(kind, json.loads(metadata["value"]), tensors)
     except (
         OSError,
