@@ -137,6 +137,15 @@ def test_only_the_asked_modalities_are_rendered():
     torch.testing.assert_close(alone[THERMAL].image, baked.render(CAMERAS[3])[THERMAL].image)
 
 
+def test_the_callers_default_device_does_not_matter():
+    baked = bake(make_model(), CAMERAS, None)
+    usual = baked.render(CAMERAS[3])
+    with torch.device("meta"):
+        again = baked.render(CAMERAS[3])
+    for modality, blend in usual.items():
+        assert torch.equal(again[modality].image, blend.image)
+
+
 def test_a_subset_has_the_rows_in_their_order():
     baked = bake(make_model(), CAMERAS, TemperatureRange(10.0, 30.0))
     rows = torch.tensor([7, 3, 40])

@@ -233,6 +233,9 @@ def test_every_parameter_has_its_learning_rate():
         ({"quats": -1e-3}, "the learning rate quats must be at least 0, not -0.001"),
         ({"heads": float("nan")}, "the learning rate heads must be at least 0, not nan"),
         ({"means_final": 0.0}, "the learning rates means and means_final must be above 0"),
+        ({"slowdown_from": -0.1}, "the share slowdown_from must be at least 0, not -0.1"),
+        ({"slowdown_to": 1.5}, "the share slowdown_to must be at most 1, not 1.5"),
+        ({"slowdown_to": 0.0}, "the share slowdown_to must be above 0"),
     ],
 )
 def test_impossible_learning_rates_are_named(options, message):

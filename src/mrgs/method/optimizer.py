@@ -59,8 +59,10 @@ class OptimizerConfig:
     slowdown_to: float = 0.1
 
     def __post_init__(self) -> None:
-        names = [field.name for field in dataclasses.fields(self)]
-        require_within(self, names, 0, MOST_RATE, "the learning rate {}")
+        require_within(self, self._rates(), 0, MOST_RATE, "the learning rate {}")
+        require_within(self, ("slowdown_from", "slowdown_to"), 0, 1, "the share {}")
+        if self.slowdown_to == 0:
+            raise ConfigError("the share slowdown_to must be above 0: the rates fall log-linearly")
         if self.means == 0 or self.means_final == 0:
             raise ConfigError(
                 "the learning rates means and means_final must be above 0: the one decays to the "
@@ -69,9 +71,15 @@ class OptimizerConfig:
 
     def faster(self, factor: float) -> OptimizerConfig:
         """All rates times a factor."""
-        names = [field.name for field in dataclasses.fields(self)]
-        rates = [name for name in names if not name.startswith("slowdown")]
-        return dataclasses.replace(self, **{name: factor * getattr(self, name) for name in rates})
+        return dataclasses.replace(
+            self, **{name: factor * getattr(self, name) for name in self._rates()}
+        )
+
+    @classmethod
+    def _rates(cls) -> list[str]:
+        """The names of the learning rates."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        return [name for name in names if not name.startswith("slowdown")]
 
     def means_at(self, progress: float) -> float:
         """Learning rate of the means after this share of the training, in scene extents."""

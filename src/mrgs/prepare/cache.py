@@ -161,8 +161,8 @@ def load(path: Path, kind: Any, made_from: str) -> Any:
             metadata = file.metadata()
             if metadata["made_from"] != made_from:
                 return MISSING
-            # Copies: what is mapped ends the process if the file is cut off, and on Windows the file
-            # could not be replaced.
+            # Copies: what is mapped ends the process if the file is cut off, and on Windows keeps
+            # the file from being replaced.
             names = file.keys()
             tensors = {name: file.get_tensor(name).clone() for name in names}
         return _decode(kind, json.loads(metadata["value"]), tensors)

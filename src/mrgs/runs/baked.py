@@ -167,7 +167,7 @@ class BakedModel:
             ValueError: ``cameras`` is something else.
         """
         cameras = asked_cameras(cameras, self.modalities)
-        with torch.no_grad():
+        with torch.no_grad(), own_modes(self.means.device):
             blends = self._blend(cameras)
             if surface is None:
                 return blends
@@ -186,13 +186,14 @@ class BakedModel:
         """The modalities' values, each blended with its opacities, before black."""
         blends: dict[Modality, Blend] = {}
         for camera, modalities in shared_passes(cameras):
+            K, viewmat, _ = camera.tensors(self.means.device)
             values = [self.values(each, cameras[each].position) for each in modalities]
             layers = [
                 Layer(self.opacities[each], own, own.new_zeros(each.channels))
                 for each, own in zip(modalities, values, strict=True)
             ]
             raster = rasterize(
-                self.means, self.quats, self.scales, layers, camera.viewmat, camera.K,
+                self.means, self.quats, self.scales, layers, viewmat, K,
                 camera.width, camera.height, dilation_px2=self.dilation.of(camera),
             )  # fmt: skip
             blends.update(zip(modalities, raster.blends, strict=True))
