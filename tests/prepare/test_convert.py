@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.data.radiometric import Overrides, ThermalPhoto, read_thermal_photo
+from mrgs.data.radiometric import Overrides, ThermalPhoto, dji, read_thermal_photo
 from mrgs.errors import RunError, SceneError, ToolError
 from mrgs.prepare import PrepareOptions, convert, stages
 from mrgs.prepare import contents as contents_module
@@ -278,6 +278,17 @@ def test_one_set_has_one_unit(made, photos, scene):
     assert [view.facts.notes for view in found.views] == [
         ("The numbers are taken for celsius*100.",)
     ] * 2
+
+
+def test_r_jpegs_have_no_unit_to_guess(made, monkeypatch):
+    celsius = np.full((512, 640), 20, "<f4").tobytes()
+    monkeypatch.setattr(dji.shutil, "which", lambda program: program)
+    monkeypatch.setattr(dji, "_run_tool", lambda _, __, output, ___: output.write_bytes(celsius))
+    found = made(
+        {f"DJI_{i}_T.JPG": ("dji", {"model": "DJI M3T"}) for i in (1, 2)}
+        | {f"DJI_{i}_W.JPG": ("jpg", {"model": "DJI M3T"}) for i in (1, 2)}
+    )
+    assert [view.facts.notes for view in found.views] == [(), ()]
 
 
 def test_photos_with_and_without_temperatures_are_not_mixed(made, scene):

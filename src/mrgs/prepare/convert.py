@@ -47,7 +47,7 @@ VIEWS = "photos"
 CONTENTS = "contents.json"
 """The file in the cache that remembers what the photos hold."""
 
-_VERSION = 7
+_VERSION = 8
 """Raise it when the same photos give other images or facts."""
 
 Orientations = Mapping[Modality, int]
@@ -139,7 +139,6 @@ def _convert_all(
 ) -> tuple[list[ConvertedView], list[Skipped]]:
     """The views, and the pairs that cannot be used; the unit of numbers in one file format is
     guessed for its first photo."""
-    overrides = settings.overrides
     units: dict[str, str] = {}  # by suffix
     views: list[ConvertedView] = []
     skipped: list[Skipped] = []
@@ -151,7 +150,7 @@ def _convert_all(
             skipped.append(Skipped(pair.name, outcome.refusal))
             continue
         views.append(view)
-        if view.facts.unit is not None and overrides.unit is None and overrides.bounds_c is None:
+        if view.facts.unit is not None and settings.overrides.bounds_c is None:
             units.setdefault(suffix, view.facts.unit)
     progress("reading and writing", len(pairs), len(pairs))
     return views, skipped

@@ -103,8 +103,8 @@ class PhotoFacts:
         calibrated_c: the temperatures that the camera is calibrated for, °C; None if the file does
             not say.
         scale_c: ends of the colour scale beside the picture, °C; None if the file does not say.
-        unit: of the file's numbers, given or guessed, such as ``kelvin*100``; None where the file
-            defines it.
+        unit: guessed for the file's numbers, such as ``kelvin*100``; None where the user gave it or
+            the file defines it.
         visible: a photo in visible light inside the file; None if there is none.
         given: the overrides that the temperatures were computed with, by name.
         notes: how the file was understood, one sentence each.

@@ -73,9 +73,8 @@ def finished(
     Raises:
         SceneError: the unit is not given and not plain, or no number is a temperature.
     """
-    text = overrides.unit or (
-        candidates[0] if len(candidates) == 1 else guess_unit(values, candidates, path)
-    )
+    is_guessed = overrides.unit is None and len(candidates) > 1
+    text = overrides.unit or (guess_unit(values, candidates, path) if is_guessed else candidates[0])
     with np.errstate(invalid="ignore"):  # damaged files hold signalling NaN
         celsius, valid = masked(Unit.parse(text).celsius(values.astype(np.float64)))
     if not valid.any():
@@ -88,12 +87,12 @@ def finished(
     doubts = []
     if overrides.bounds_c is not None:
         doubts.append("bounds_c had no effect: the numbers are temperatures.")
-    if overrides.unit is None and len(candidates) > 1 and text == "kelvin":
+    if is_guessed and text == "kelvin":
         doubts.append(
             "The numbers are taken for kelvin, because they would be very hot in °C: give the unit "
             "if they are."
         )
-    facts = facts.adding(notes=notes, warnings=tuple(doubts), unit=text)
+    facts = facts.adding(notes=notes, warnings=tuple(doubts), unit=text if is_guessed else None)
     return ThermalPhoto(celsius, None, valid, facts)
 
 
