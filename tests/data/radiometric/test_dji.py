@@ -99,8 +99,17 @@ def test_what_the_user_knows_better_is_handed_on(tmp_path, tool):
         "emissivity": 0.93, "distance_m": 12, "humidity": 0.55, "reflected_c": -4.5,
     }  # fmt: skip
     assert photo.facts.warnings == (
-        "window_c had no effect: the file holds finished numbers, not the camera's signal.",
+        "window_c had no effect: DJI's tool computes the temperatures.",
     )
+
+
+@pytest.mark.parametrize("name", ["unit", "bounds_c"])
+def test_what_is_meant_by_numbers_that_it_does_not_hold_has_no_effect(tmp_path, tool, name):
+    tool()
+    overrides = Overrides(**{name: {"unit": "kelvin", "bounds_c": (0, 50)}[name]})
+    photo = read_thermal_photo(r_jpeg(tmp_path), overrides)
+    assert photo.temperature_c[0, 0] == 20
+    assert photo.facts.warnings == (f"{name} had no effect: DJI's tool computes the temperatures.",)
 
 
 @pytest.mark.parametrize(

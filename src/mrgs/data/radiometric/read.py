@@ -118,29 +118,28 @@ def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> 
             or a DJI R-JPEG that DJI's tool does not read.
     """
     path, overrides = Path(path), overrides or Overrides()
-    photo = _read(read_bytes(path, MAX_BYTES), path, overrides)
-    return _with_unused(photo, overrides)
-
-
-def _read(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+    data = read_bytes(path, MAX_BYTES)
     if not data:
         raise scene_error(path, "is empty; copy the photo from the camera again")
     reader = reader_of(data, path)
-    if reader is not None:
-        return reader.read(data, path, overrides)
-    raise scene_error(
-        path, "is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables (.csv)"
-    )
+    if reader is None:
+        raise scene_error(
+            path,
+            "is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables (.csv)",
+        )
+    return _with_unused(reader.read(data, path, overrides), overrides, reader.kind)
 
 
-def _with_unused(photo: ThermalPhoto, overrides: Overrides) -> ThermalPhoto:
+def _with_unused(photo: ThermalPhoto, overrides: Overrides, kind: Kind) -> ThermalPhoto:
     """The photo with a warning that names overrides without effect."""
-    if photo.facts.parameters is None:
-        unused = [name for name in overrides.of_parameters() if name not in photo.facts.given]
-        why = "the file holds finished numbers, not the camera's signal"
+    parameters = [name for name in overrides.of_parameters() if name not in photo.facts.given]
+    meanings = [name for name in ("unit", "bounds_c") if getattr(overrides, name) is not None]
+    if photo.facts.parameters is not None:
+        unused, why = meanings, "the temperatures follow from the camera's signal"
+    elif kind == "dji":
+        unused, why = parameters + meanings, "DJI's tool computes the temperatures"
     else:
-        unused = [name for name in ("unit", "bounds_c") if getattr(overrides, name) is not None]
-        why = "the temperatures follow from the camera's signal"
+        unused, why = parameters, "the file holds finished numbers, not the camera's signal"
     if not unused:
         return photo
     sentence = f"{', '.join(unused)} had no effect: {why}."
