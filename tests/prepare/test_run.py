@@ -3,12 +3,14 @@ replaced."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from filelock import FileLock
@@ -16,6 +18,7 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.data.lens import Lens
+from mrgs.data.ply import write_points
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import Preparation, PrepareOptions, prepare, stages
@@ -389,6 +392,23 @@ def test_given_poses_know_the_photos_by_the_names_that_they_had(photos, posed, t
     stages.poses(work, pytest.fail)
     assert list(work.poses.viewmats) == list(work.poses.lenses) == list(names.values())
     assert work.poses.failed == ()
+
+
+@pytest.mark.parametrize("points", ["sparse_pc.ply", "cloud.ply"])
+def test_given_poses_are_read_again_when_their_points_change(photos, posed, tmp_path, points):
+    transforms = posed / "transforms.json"
+    content = json.loads(transforms.read_text())
+    content.pop("ply_file_path", None)
+    named = {} if points == "sparse_pc.ply" else {"ply_file_path": points}  # else it is found
+    transforms.write_text(json.dumps(content | named))
+    work = Work(photos, tmp_path / "scene", PrepareOptions(overrides=BOUNDS, poses=transforms))
+    stages.pairs(work)
+    stages.images(work)
+    for count in (5, 6):
+        colors = np.zeros((count, 3), np.uint8)
+        write_points(posed / points, np.zeros((count, 3)) + np.arange(3), colors)
+        stages.poses(work, pytest.fail)
+        assert len(work.poses.points.positions) == count
 
 
 def test_a_folder_of_the_user_s_that_is_called_prepare_is_left_alone(photos, fakes, tmp_path):

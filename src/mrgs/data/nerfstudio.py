@@ -96,6 +96,27 @@ def read_transforms(root: Path, file: Path) -> SceneSource:
     return _TransformsReader(root, file).capture()
 
 
+def find_points(root: Path, file: Path) -> Path | None:
+    """The file that ``read_transforms`` reads the start points from; None if there are none.
+
+    Raises:
+        SceneError: the transforms file is damaged, or names no path below the scene's folder.
+    """
+    ply = _find_ply(root, file, read_json_object(file))
+    model = find_model(root) if ply is None else None
+    return ply if model is None else model.file("points3D")
+
+
+def _find_ply(root: Path, file: Path, top: Mapping[str, Any]) -> Path | None:
+    """The PLY with the start points: the one that the file names, else ``sparse_pc.ply`` if it is
+    there."""
+    named = top.get("ply_file_path")
+    if named is not None and not isinstance(named, str):
+        raise scene_error(file, f"ply_file_path is {shown(named)}, not a path; correct it")
+    ply = contained(root, named or "sparse_pc.ply", file)
+    return ply if named or is_file(ply) else None
+
+
 def lens_from_json(
     values: Mapping[str, Any], what: str, file: Path, image: Path | None = None
 ) -> Lens:
@@ -374,11 +395,8 @@ class _TransformsReader:
                 self.file, f"applied_scale is {scale:g}; it must be positive: correct it"
             )
         scaling = np.eye(3, 4) * scale
-        named = self.top.get("ply_file_path")
-        if named is not None and not isinstance(named, str):
-            raise scene_error(self.file, f"ply_file_path is {shown(named)}, not a path; correct it")
-        ply = contained(self.root, named or "sparse_pc.ply", self.file)
-        if named or is_file(ply):
+        ply = _find_ply(self.root, self.file, self.top)
+        if ply is not None:
             return point_cloud(*read_ply(ply), self.notes, scaling)
         model = find_model(self.root)
         if model is None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 
@@ -21,10 +21,11 @@ from mrgs.data.colmap_model import (
 from mrgs.data.files import is_file, scene_error, without_image_suffix
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens
-from mrgs.data.nerfstudio import find_transforms, read_transforms
+from mrgs.data.nerfstudio import find_points, find_transforms, read_transforms
 from mrgs.data.points import point_cloud
 from mrgs.data.sources import ReadingNotes
 from mrgs.errors import SceneError
+from mrgs.prepare.cache import digest, stamps
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import Modality, PointCloud, WorldFrame
 from mrgs.scene.modality import in_order
@@ -62,6 +63,19 @@ def poses_of_photos(
         lenses={names[photo]: lens for photo, lens in found.lenses.items()},
         failed=tuple(Skipped(names[item.name], item.reason) for item in found.failed),
     )
+
+
+def state_of_poses(folder: Path) -> tuple[Any, ...]:
+    """What changes with the files that ``existing_poses`` reads in a folder, or with a transforms
+    file.
+
+    Raises:
+        SceneError: the folder cannot be listed, or the transforms file is damaged.
+    """
+    if folder.is_dir():
+        return stamps(folder)
+    points = find_points(folder.parent.resolve(), folder) if _is_transforms(folder) else None
+    return digest(folder), None if points is None else digest(points)
 
 
 def existing_poses(
@@ -131,8 +145,12 @@ class _Given(NamedTuple):
     world: WorldFrame = WorldFrame()
 
 
+def _is_transforms(path: Path) -> bool:
+    return path.suffix == ".json" and is_file(path)
+
+
 def _read(folder: Path) -> _Given:
-    if folder.suffix == ".json" and is_file(folder):
+    if _is_transforms(folder):
         return _from_transforms(folder.parent.resolve(), folder.parent.resolve() / folder.name)
     if not folder.is_dir():
         raise scene_error(folder, "is not a folder; give the one with the poses")

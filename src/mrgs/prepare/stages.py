@@ -24,7 +24,7 @@ from mrgs.prepare.contract import (
     TooFewPosesError,
 )
 from mrgs.prepare.convert import convert_photos
-from mrgs.prepare.existing import poses_of_photos
+from mrgs.prepare.existing import poses_of_photos, state_of_poses
 from mrgs.prepare.georeference import georeference
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.rig.contract import RigCalibration
@@ -96,8 +96,7 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
 
     content = None
     if given is not None:
-        state = stamps(given) if given.is_dir() else digest(given)
-        content = (work.pairing.pairs, given.resolve(), state, two_cameras)
+        content = (work.pairing.pairs, given.resolve(), state_of_poses(given), two_cameras)
     work.poses = work.cache.get("poses", Reconstruction, (posed, content, gps), find)
     return summarize_poses(work.poses)
 
