@@ -7,14 +7,16 @@ from pathlib import Path
 
 import pytest
 
+from mrgs.data import load_scene
 from mrgs.export.formats import FORMATS
 from mrgs.pipeline.computer import Computer, measure_computer
 from mrgs.pipeline.costs import Workload, stage_costs
 from mrgs.pipeline.intake import Intake
-from mrgs.pipeline.plan import disk_bytes, memory_bytes, planned_seconds
+from mrgs.pipeline.plan import disk_bytes, needed_memory, planned_seconds
 from mrgs.pipeline.quality import QUALITIES
 from mrgs.scene import RGB, THERMAL
 from mrgs.system.threads import available_cores
+from mrgs.training import estimate_bytes
 
 PHOTOS = Intake(
     Path("photos"), "photos", 24, 3, {RGB: (1014, 760), THERMAL: (640, 480)}, "", False, None, 10**7
@@ -112,7 +114,19 @@ def test_room_that_is_needed_grows_with_the_photos_and_the_model():
     small, large = workload(quality="fast"), workload(quality="best")
     assert disk_bytes(small, PHOTOS) < disk_bytes(large, PHOTOS)
     assert disk_bytes(small, PHOTOS) < disk_bytes(small, replace(PHOTOS, bytes=10**9))
-    assert memory_bytes(small) < memory_bytes(large) < 4e9
+
+
+def test_memory_is_that_which_the_training_states_for_the_same_photos(small_scene):
+    scene, quality = load_scene(small_scene), QUALITIES["fast"]
+    sizes = {
+        modality: (camera.width, camera.height)
+        for modality, camera in scene.train[0].cameras.items()
+    }
+    intake = replace(PHOTOS, views=len(scene.views), held_out=len(scene.eval), sizes=sizes)
+    planned = needed_memory(workload(intake, "fast"), intake, quality)
+    stated = estimate_bytes(scene, quality.config(), quality.max_gaussians)
+    assert planned == pytest.approx(stated, rel=0.05)
+    assert planned >= stated
 
 
 def test_the_first_steps_cost_less_where_photos_are_large():

@@ -91,7 +91,7 @@ class Workload:
             feature_px=min(posed[0] * posed[1], FEATURE_PX),
             kpx=sum(_reduced_px(size, quality.resolution) for size in intake.sizes.values()) / 1e3,
             mean_kpx=mean_kpx(
-                [_reduced(size, quality.resolution) for size in intake.sizes.values()],
+                [reduced(size, quality.resolution) for size in intake.sizes.values()],
                 quality.config(),
             ),
             start=min(start, quality.max_gaussians),
@@ -131,7 +131,8 @@ def _reduced_px(size: Size, resolution: int) -> float:
     return size[0] * size[1] * min(1.0, resolution / size[0]) ** 2
 
 
-def _reduced(size: Size, resolution: int) -> Size:
+def reduced(size: Size, resolution: int) -> Size:
+    """The size of an image in training, at its full resolution."""
     width, height = size
     scale = min(1.0, resolution / width)
     return round(scale * width), round(scale * height)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +10,14 @@ from pathlib import Path
 from mrgs.errors import ConfigError, RunError
 from mrgs.export.las import require_laspy
 from mrgs.pipeline.computer import Computer, free_disk
-from mrgs.pipeline.costs import Cost, Workload
+from mrgs.pipeline.costs import Cost, Workload, reduced
 from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.quality import Quality
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.process import check_version, installed_version
-from mrgs.scene import RGB, THERMAL
-from mrgs.training.photos import bytes_per_pixel, kept_limit
+from mrgs.scene import THERMAL
+from mrgs.training.memory import training_bytes
+from mrgs.training.photos import bytes_per_pixel
 
 
 @dataclass(frozen=True)
@@ -124,8 +126,17 @@ def disk_bytes(work: Workload, intake: Intake) -> int:
     return int(1.2 * (scene + model + images)) + 50_000_000
 
 
-def memory_bytes(work: Workload) -> int:
-    """Bytes of memory that training needs at most, roughly; see docs/performance.md."""
-    bytes_each = bytes_per_pixel(RGB) + bytes_per_pixel(THERMAL)
-    photos = bytes_each * 1e3 * work.kpx * work.views
-    return int(450e6 + 3_000 * work.gaussians + 160e3 * work.kpx + min(photos, kept_limit()))
+def needed_memory(work: Workload, intake: Intake, quality: Quality) -> int:
+    """Bytes of memory that training needs at most, roughly."""
+    bytes_each = sum(
+        bytes_per_pixel(modality) * math.prod(reduced(size, quality.resolution))
+        for modality, size in intake.sizes.items()
+    )
+    return training_bytes(
+        quality.config(),
+        intake.sizes,
+        work.gaussians,
+        pixels=round(1e3 * work.kpx),
+        photo_bytes=bytes_each * (work.views - work.held_out),
+        compiles=work.compiling_s > 0,
+    )

@@ -18,7 +18,7 @@ from mrgs.pipeline.plan import (
     PipelinePlan,
     PlannedStage,
     disk_bytes,
-    memory_bytes,
+    needed_memory,
     planned_seconds,
     require_disk,
     require_extras,
@@ -104,7 +104,7 @@ def run_pipeline(
     with RunFolder(target).locked():
         job = Job(intake, chosen, options, target, device, monitor)
         job.ledger.open()
-        computer, memory = measure_computer(), memory_bytes(work)
+        computer, memory = measure_computer(), needed_memory(work, intake, chosen)
         plan = PipelinePlan(
             intake,
             chosen,

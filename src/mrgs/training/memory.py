@@ -70,20 +70,59 @@ def estimate_bytes(
         sum(camera.width * camera.height for camera in view.cameras.values())
         for view in scene.train
     )
+    return training_bytes(
+        config,
+        scene.modalities,
+        gaussians,
+        pixels=pixels,
+        photo_bytes=kept_bytes(scene),
+        capture=Capture.of(scene),
+        compiles=compiles,
+    )
+
+
+def training_bytes(
+    config: TrainConfig,
+    modalities: Iterable[Modality],
+    gaussians: int,
+    *,
+    pixels: int,
+    photo_bytes: int,
+    capture: Capture | None = None,
+    compiles: bool = False,
+) -> int:
+    """``estimate_bytes`` of a scene of which only this is known.
+
+    Args:
+        config: of the run.
+        modalities: of the scene.
+        gaussians: how many.
+        pixels: of all images of the largest view.
+        photo_bytes: what the training photos take if all of them are kept.
+        capture: None for the most that the configuration allows.
+        compiles: the process compiles the kernels.
+    """
     return (
         _BASE_BYTES
         + (torch.version.cuda is not None) * _CUDA_BYTES
         + compiles * _COMPILER_BYTES
-        + gaussians * gaussian_bytes(scene, config)
+        + gaussians * _bytes_each(config, modalities, capture)
         + pixels * _PIXEL_FLOATS * _FLOAT
-        + min(kept_bytes(scene), kept_limit())
+        + min(photo_bytes, kept_limit())
     )
 
 
 def gaussian_bytes(scene: Scene, config: TrainConfig) -> int:
     """What each Gaussian adds to ``estimate_bytes``."""
+    return _bytes_each(config, scene.modalities, Capture.of(scene))
+
+
+def _bytes_each(
+    config: TrainConfig, modalities: Iterable[Modality], capture: Capture | None
+) -> int:
+    """What each Gaussian takes in a training."""
     field = config.field
-    parameters = _parameters(config, scene.modalities, Capture.of(scene))
+    parameters = _parameters(config, modalities, capture)
     activations = 3 * field.hidden_width + 4 * field.neighbours_k if field.residuals else 0
     return _FLOAT * (_PEAK_COPIES * parameters + activations + _RASTER_FLOATS_PER_GAUSSIAN)
 
