@@ -5,16 +5,16 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import yaml
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.system.atomic import write_text
-from mrgs.system.strict_yaml import parse_yaml, read_yaml
+from mrgs.system.strict_yaml import convert, parse_yaml, read_yaml
 from mrgs.system.wording import shown
 
 SURVEY_FILE = "survey.yaml"
@@ -141,17 +141,19 @@ class Survey:
         Raises:
             ConfigError: no assignment, no such field, or a value that cannot be.
         """
-        stated = asdict(self)
-        names = [field.name for field in fields(self)]
+        hints = get_type_hints(Survey)
+        stated = {}
         for text in assignments:
             name, equals, value = text.partition("=")
-            if not equals or name not in names:
+            if not equals or name not in hints:
                 raise ConfigError(
-                    f"{source} {shown(text)}: write NAME=VALUE, with a NAME of {', '.join(names)}"
+                    f"{source} {shown(text)}: write NAME=VALUE, with a NAME of {', '.join(hints)}"
                 )
-            kind = Survey.__dataclass_fields__[name].type
-            stated[name] = _value_of(value, str(kind), f"{source} {name}")
-        return read_yaml(Survey, yaml.safe_dump(stated), source)
+            stated[name] = _value_of(value, hints[name], f"{source}: {name}")
+        try:
+            return replace(self, **stated)
+        except ConfigError as error:
+            raise ConfigError(f"{source}: {error}") from error
 
 
 LIMITS: dict[str, tuple[float, float, str]] = {
@@ -216,12 +218,10 @@ def _template() -> str:
     return files("mrgs").joinpath("survey/template.yaml").read_text(encoding="utf-8")
 
 
-def _value_of(text: str, kind: str, source: str) -> Any:
-    """The value of an assignment: as it is for a text."""
+def _value_of(text: str, hint: Any, source: str) -> Any:
+    """The value of an assignment to a field of this type: as it is for a text or one of several."""
     if not text.strip():
         return None
-    if kind.startswith(("str", "Standard", "Side")):
-        return text
-    value = parse_yaml(text, source)
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    return float(value) if whole and kind.startswith("float") else value
+    kind = next(option for option in get_args(hint) if option is not type(None))
+    is_text = kind is str or get_origin(kind) is Literal
+    return convert(hint, text if is_text else parse_yaml(text, source), source)

@@ -110,7 +110,7 @@ def _build(cls: type[Config], values: Any, source: str) -> Config:
             f"{source}: there is no field {shown(unknown[0])}; known are {', '.join(hints)}"
         )
     fields = {
-        name: _convert(hints[name], value, f"{source}: {name}") for name, value in values.items()
+        name: convert(hints[name], value, f"{source}: {name}") for name, value in values.items()
     }
     try:
         return cls(**fields)
@@ -128,8 +128,17 @@ def _member(options: list[Any], value: Any) -> Any:
     return next(named, options[0])
 
 
-def _convert(hint: Any, value: Any, source: str) -> Any:
-    """Check a value against its field's type; nested dataclasses are built."""
+def convert(hint: Any, value: Any, source: str) -> Any:
+    """A value as its field's type; nested dataclasses are built.
+
+    Args:
+        hint: the type.
+        value: as YAML gives it.
+        source: of the value, for messages.
+
+    Raises:
+        ConfigError: it is of another type.
+    """
     if typing.get_origin(hint) in (types.UnionType, typing.Union):
         if value is None:
             return None
