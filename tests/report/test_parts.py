@@ -16,8 +16,9 @@ from mrgs.marks.measure import MarkReading, Profile
 from mrgs.report.mark_pictures import _part_about
 from mrgs.report.marks import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, _chart, _factor
 from mrgs.report.sections import capture_rows, thermal_pixel_m
-from mrgs.report.texts import Texts
+from mrgs.report.texts import Language, Texts
 from mrgs.scene import THERMAL, Camera, EarthPosition, TemperatureRange, WorldFrame
+from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
 from mrgs.survey import Survey
 
 
@@ -114,3 +115,26 @@ def test_the_pixel_of_the_thermal_photos_is_that_on_what_they_show(small_scene: 
     distance = (scene.points.positions.double() - camera.position).norm(dim=1).median().item()
     found = thermal_pixel_m(replace(scene, world=WorldFrame(metric=True)))
     assert found == pytest.approx(distance / camera.K[0, 0].item(), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [
+        ("en", "air temperature 20.0 °C; relative humidity 0.50; window temperature 22.0 °C"),
+        ("de", "Lufttemperatur 20,0 °C; relative Luftfeuchte 0,50; Temperatur des Infrarotfens"),
+        ("fr", "température de l'air 20,0 °C; humidité relative 0,50; température de la fenêtre"),
+    ],
+)
+def test_the_settings_of_a_window_are_reported_where_there_is_one(
+    small_scene: Path, language: Language, said: str
+):
+    scene, t = load_scene(small_scene), Texts(language)
+    view = scene.train[0]
+    for transmission in (1.0, 0.9):
+        parameters = ObjectParameters(0.95, 3.0, 15.0, 20.0, 0.5, 22.0, transmission)
+        noted = replace(view.images[THERMAL], record=PhotoRecord(parameters=parameters))
+        noted_view = replace(view, images=view.images | {THERMAL: noted})
+        rows = dict(capture_rows(replace(scene, train=(noted_view,)), Survey(), t))
+        text = rows[t("Settings of the temperatures")]
+        assert (said in text) == (transmission < 1)
+    assert text.endswith(t.number("0.90"))

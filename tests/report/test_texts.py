@@ -27,7 +27,6 @@ from mrgs.marks.texts import PART_NAMES
 from mrgs.marks.uncertainty.budget import Budget
 from mrgs.pictures.settings import SETTINGS
 from mrgs.report.conditions import LABELS, conditions_of
-from mrgs.report.sections import _SETTINGS
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
 from mrgs.survey import Side, Survey
 from mrgs.system.message import Message
@@ -50,7 +49,6 @@ def said() -> set[str]:
     return {
         *re.findall(r'\bt\("([^"]+)"', joined),
         *(label for label, *_ in SETTINGS.values()),
-        *(label for _, label, *_ in _SETTINGS),
         *(title for title, _ in COLUMNS.values()),
         *get_args(Side),
         *(label for label, _ in LABELS.values()),

@@ -15,10 +15,13 @@ from mrgs.evaluation.figures import REPORTED
 from mrgs.evaluation.report import COLUMNS, PART_NAMES, SPREADS
 from mrgs.marks.tables import digits
 from mrgs.pictures.html import InlineImage, inline_image
+from mrgs.pictures.numbers import number_text
+from mrgs.pictures.settings import settings_of
 from mrgs.pictures.values import capitalised
+from mrgs.report.settings import known_row
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Modality, Scene, View, WorldFrame, in_order
+from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View, WorldFrame, in_order
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.survey import Survey
 
@@ -59,7 +62,6 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
         for modality, other in pairwise(modalities)
     )
     counts = {"train": len(scene.train), "evaluation": len(scene.eval)}
-    temperature = scene.temperature
     return [
         (t("Views"), t("{train} training, {evaluation} evaluation", **counts)),
         *((t(f"{capitalised(each.title)} photos"), _sizes(each, views, t)) for each in modalities),
@@ -67,15 +69,17 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
             t("Cameras"),
             t("one for all images of a view") if shared else t("each image has its own"),
         ),
-        (
-            t("Temperature range"),
-            t("no °C known: relative values")
-            if temperature is None
-            else f"{_span([temperature.min_c, temperature.max_c], 1, t)} °C",
-        ),
+        (t("Temperature range"), _range(scene.temperature, t)),
         (t("Lengths"), _lengths(scene.world, t)),
         *_record_rows(scene.records, survey, t),
     ]
+
+
+def _range(temperature: TemperatureRange | None, t: Texts) -> str:
+    if temperature is None:
+        return t("no °C known: relative values")
+    low, high = (t.number(number_text(end, 1)) for end in (temperature.min_c, temperature.max_c))
+    return t("{low} to {high}", low=low, high=high) + " °C"
 
 
 def _lengths(world: WorldFrame, t: Texts) -> str:
@@ -106,7 +110,6 @@ def thermal_pixel_m(scene: Scene) -> float | None:
 
 def _record_rows(records: Sequence[PhotoRecord], survey: Survey, t: Texts) -> list[tuple[str, str]]:
     """What the thermal camera noted: itself, the time, and the settings of the temperatures."""
-    known = [record.parameters for record in records if record.parameters is not None]
     cameras = {f"{each.camera} {each.serial}".strip() for each in records} - {""}
     cameras = cameras or {f"{survey.camera or ''} {survey.camera_serial or ''}".strip()} - {""}
     times = sorted(record.taken for record in records if record.taken is not None)
@@ -115,33 +118,11 @@ def _record_rows(records: Sequence[PhotoRecord], survey: Survey, t: Texts) -> li
     if times:
         first, last = f"{t.date(times[0])} {times[0]:%H:%M}", f"{times[-1]:%H:%M}"
         taken = t("{low} to {high}", low=first, high=last)
-    settings = "; ".join(
-        f"{t(label)} {_span([getattr(each, name) for each in known], decimals, t)}{unit}"
-        for name, label, unit, decimals in _SETTINGS
-    )
     return [
         (t("Thermal camera, serial number"), ", ".join(sorted(cameras)) or missing),
         (t("Photos taken"), taken),
-        (t("Settings of the temperatures"), settings if known else missing),
+        known_row(settings_of(records), t),
     ]
-
-
-_SETTINGS = (
-    ("emissivity", "emissivity", "", 2),
-    ("reflected_c", "reflected temperature", " °C", 1),
-    ("distance_m", "distance", " m", 1),
-    ("atmospheric_c", "air", " °C", 1),
-    ("humidity", "relative humidity", "", 2),
-)
-"""Parameters of a photo, their names, units and decimals in the report."""
-
-
-def _span(values: Sequence[float], decimals: int, t: Texts) -> str:
-    """The values' range, or the one value that all have."""
-    if not values:
-        return ""
-    low, high = (t.number(f"{each:.{decimals}f}") for each in (min(values), max(values)))
-    return low if low == high else t("{low} to {high}", low=low, high=high)
 
 
 def training_rows(run: Run, t: Texts) -> list[tuple[str, str]]:

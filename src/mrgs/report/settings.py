@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from mrgs.pictures.settings import Setting
 from mrgs.report.texts import Texts
@@ -47,10 +47,20 @@ def air_sentence(settings: Mapping[str, Setting], t: Texts) -> str:
     )
 
 
+def known_row(settings: Mapping[str, Setting], t: Texts) -> tuple[str, str]:
+    """A row of the settings that are known."""
+    known = _listed((each for each in settings.values() if each.value), t)
+    return t("Settings of the temperatures"), known or t("not in the scene's files")
+
+
 def given_rows(settings: Mapping[str, Setting], t: Texts) -> list[tuple[str, str]]:
     """A row of the settings that are the user's; none without any."""
-    given = [f"{t(each.label)} {_range(each, t)}" for each in settings.values() if each.given]
-    return [(t("Of these, given by the user"), "; ".join(given))] if given else []
+    given = _listed((each for each in settings.values() if each.given), t)
+    return [(t("Of these, given by the user"), given)] if given else []
+
+
+def _listed(settings: Iterable[Setting], t: Texts) -> str:
+    return "; ".join(f"{t(each.label)} {_range(each, t)}" for each in settings)
 
 
 def _value(setting: Setting, t: Texts) -> str:
