@@ -61,10 +61,8 @@ def _distances(points: Float[Tensor, "n 3"], scene: Scene) -> Float[Tensor, " m"
     sees any."""
     seen = []
     for camera in (camera for view in scene.train for camera in view.cameras.values()):
-        x, y, z = (points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).unbind(dim=1)
-        u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
-        inside = (z > 0) & (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
-        seen.append((points[inside] - camera.position).norm(dim=1))
+        pixels, _ = camera.project(points)
+        seen.append((points[camera.contains(pixels)] - camera.position).norm(dim=1))
     distances = torch.cat(seen)
     if len(distances) == 0:
         distances = (points - scene.train[0].camera.position).norm(dim=1)

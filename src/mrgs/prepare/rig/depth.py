@@ -68,13 +68,10 @@ def _project(
 ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
     """Pixel positions and inverse depths of the points inside the image; of points at one position,
     one."""
-    viewmat, K = camera.viewmat.numpy(), camera.K.numpy()
-    inside = np.einsum("ij,nj->ni", viewmat[:3, :3], points) + viewmat[:3, 3]
-    inside = inside[inside[:, 2] > 1e-9]
-    uv = inside[:, :2] / inside[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
-    seen = ((uv > 0) & (uv < (camera.width, camera.height))).all(axis=1)
-    uv, first = np.unique(uv[seen], axis=0, return_index=True)
-    return uv, 1.0 / inside[seen, 2][first]
+    pixels, depth = camera.project(points)
+    seen = camera.contains(pixels)
+    uv, first = np.unique(pixels[seen].numpy(), axis=0, return_index=True)
+    return uv, 1.0 / depth[seen].numpy()[first]
 
 
 def _unhidden(

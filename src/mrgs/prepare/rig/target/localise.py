@@ -114,7 +114,7 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Targ
     assert width is not None
     poses = [stationary.get(index, orderings[0]) for index, orderings in enumerate(views)]
     depths = [
-        _in_camera(pose.sighting, board.corners(plane))[:, 2]
+        pose.sighting.camera.project(board.corners(plane))[1].numpy()
         if board is not None and index in stationary
         else width * (np.einsum("j,nj->n", pose.motion[2, :2], plane) + pose.motion[2, 3])
         for index, pose in enumerate(poses)
@@ -198,13 +198,10 @@ def _consistent(
 
 def _reprojection_squares(sighting: Sighting, corners: Float[np.ndarray, "n 3"]) -> float:
     """The median reprojection error of the corners in the photo, as a share of a square."""
-    inside = _in_camera(sighting, corners)
-    if inside[:, 2].min() <= 0:
+    pixels, _ = sighting.camera.project(corners)
+    if pixels.isnan().any():  # a corner is behind the camera
         return np.inf
-    errors_px = (
-        np.linalg.norm(inside[:, :2] / inside[:, 2:] - sighting.rays, axis=1)
-        * sighting.camera.K[0, 0].item()
-    )
+    errors_px = np.linalg.norm(pixels.numpy() - sighting.photo.pixels, axis=1)
     return float(np.median(errors_px) / np.median(sighting.photo.spacing))
 
 
@@ -235,9 +232,3 @@ def _fitted(
     return moved(fit.x), float(
         np.sqrt(variance * np.linalg.pinv(np.einsum("ka,kb->ab", fit.jac, fit.jac))[6, 6])
     )
-
-
-def _in_camera(sighting: Sighting, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Points of the world in the axes of the photo's camera."""
-    viewmat = sighting.camera.viewmat.numpy()
-    return np.einsum("ij,nj->ni", viewmat[:3, :3], points) + viewmat[:3, 3]
