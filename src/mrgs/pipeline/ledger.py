@@ -12,7 +12,7 @@ from mrgs.data.files import visible_files
 from mrgs.errors import RunError
 from mrgs.prepare.cache import stamp_of
 from mrgs.prepare.contents import Contents
-from mrgs.system.atomic import replacing
+from mrgs.system.atomic import write_text
 
 LEDGER = "pipeline.json"
 CONTENTS = "contents.json"
@@ -102,8 +102,7 @@ class Ledger:
         return found
 
     def _write(self) -> None:
-        with replacing(self._file) as temporary:
-            temporary.write_text(json.dumps(self._stages, indent=1), encoding="utf-8")
+        write_text(self._file, json.dumps(self._stages, indent=1))
 
 
 def _read(file: Path) -> dict[str, dict[str, Any]]:
