@@ -16,9 +16,9 @@ from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, durati
 from mrgs.app.style import say_note, say_warning, styled
 from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
-from mrgs.pipeline.computer import free_disk
 from mrgs.prepare import PrepareOptions, StageReport
 from mrgs.scene import Scene
+from mrgs.system.room import free_disk
 from mrgs.training.driver import Statistics
 from mrgs.training.run_folder import RunConfig
 

@@ -1,11 +1,9 @@
-"""What this computer can do now: cores, their speed, free memory, a disk's free space."""
+"""What this computer can do now: cores, their speed, free memory."""
 
 from __future__ import annotations
 
-import shutil
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 
@@ -69,10 +67,3 @@ def _work(left: torch.Tensor, indices: torch.Tensor) -> None:
     product = left @ left
     values = torch.exp(-product.abs()).reshape(-1)
     torch.zeros_like(values).index_add_(0, indices, values)
-
-
-def free_disk(folder: Path) -> int:
-    """Free bytes where a folder lies, or will lie."""
-    while not folder.exists():
-        folder = folder.parent
-    return shutil.disk_usage(folder).free

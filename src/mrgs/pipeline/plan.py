@@ -9,13 +9,14 @@ from pathlib import Path
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.export.las import require_laspy
-from mrgs.pipeline.computer import Computer, free_disk
+from mrgs.pipeline.computer import Computer
 from mrgs.pipeline.costs import Cost, Workload, reduced
 from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.quality import Quality
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.process import check_version, installed_version
 from mrgs.scene import THERMAL
+from mrgs.system.room import free_disk
 from mrgs.training.memory import training_bytes
 from mrgs.training.photos import bytes_per_pixel
 

@@ -1,4 +1,4 @@
-"""Whether the disk has room for what a long run will write."""
+"""How much room a disk has, and whether that is enough for what a long run will write."""
 
 from __future__ import annotations
 
@@ -6,6 +6,12 @@ import shutil
 from pathlib import Path
 
 from mrgs.system.callers import warn
+
+
+def free_disk(folder: Path) -> int:
+    """Free bytes where a folder lies, or will lie."""
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    return shutil.disk_usage(existing).free
 
 
 def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
@@ -22,8 +28,7 @@ def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
     Warns:
         MrgsWarning: there is less.
     """
-    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    free = shutil.disk_usage(existing).free
+    free = free_disk(folder)
     if free < needed_bytes:
         warn(
             f"{what} will take about {_size(needed_bytes)}, and the disk of {folder} has "
