@@ -27,6 +27,19 @@ def test_ends_are_the_bounds(temperature):
     assert temperature.span_c == pytest.approx(temperature.max_c - temperature.min_c)
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "whole"),
+    [
+        (-3.2, 20.1, (-4.0, 21.0)),
+        (5.0, 7.0, (5.0, 7.0)),
+        (5.0, 5.0, (5.0, 6.0)),
+        (5.2, 5.3, (5.0, 6.0)),
+    ],
+)
+def test_a_range_around_temperatures_has_whole_degrees(low, high, whole):
+    assert TemperatureRange.around(low, high) == TemperatureRange(*whole)
+
+
 @pytest.mark.parametrize("make", [torch.tensor, np.array])
 def test_whole_images_are_converted(make):
     temperature = TemperatureRange(10.0, 30.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from jaxtyping import Bool, Float32
@@ -46,7 +46,7 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         low, high = high, low
         used = f"{low:g} °C to {high:g} °C".replace("-", "−")
         notes.repair(f"{path.name} has its bounds swapped; {used} is used.")
-    return _range(low, high, path)
+    return _range(TemperatureRange, low, high, path)
 
 
 def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
@@ -64,8 +64,7 @@ def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
         if not known.abs().max() <= MAX_MAGNITUDE:
             raise scene_error(path, "holds a temperature that is not plausible; replace the file")
         low, high = min(low, known.min().item()), max(high, known.max().item())
-    low, high = float(math.floor(low)), float(math.ceil(high))
-    return _range(low, max(high, low + 1.0), paths[0].parent)
+    return _range(TemperatureRange.around, low, high, paths[0].parent)
 
 
 def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: ReadingNotes) -> Kind:
@@ -121,8 +120,10 @@ def decode_thermal(
     return values, valid
 
 
-def _range(low: float, high: float, file: Path) -> TemperatureRange:
+def _range(
+    make: Callable[[float, float], TemperatureRange], low: float, high: float, file: Path
+) -> TemperatureRange:
     try:
-        return TemperatureRange(low, high)
+        return make(low, high)
     except ValueError as error:
         raise scene_error(file, f"{error}; correct the temperatures") from None

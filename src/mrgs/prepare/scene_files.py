@@ -3,7 +3,6 @@ bounds."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from mrgs.prepare.contract import ConvertedView, Reconstruction
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.thermal_camera import EXTRINSICS
 from mrgs.prepare.work import Work
-from mrgs.scene import THERMAL, Modality, PointCloud
+from mrgs.scene import THERMAL, Modality, PointCloud, TemperatureRange
 from mrgs.system.atomic import remove
 
 
@@ -130,11 +129,10 @@ def _write_bounds(
     """ThermoScenes' file; none where no temperature is known."""
     ranges = [view.range_c for view in views if view.range_c is not None]
     if given is None and ranges:
-        low, high = (
-            math.floor(min(low for low, _ in ranges)),
-            math.ceil(max(high for _, high in ranges)),
+        around = TemperatureRange.around(
+            min(low for low, _ in ranges), max(high for _, high in ranges)
         )
-        given = float(low), float(max(high, low + 1))
+        given = around.min_c, around.max_c
     if given is None:
         remove(path)  # what an earlier call wrote would be wrong now
         return

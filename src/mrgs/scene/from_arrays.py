@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import zip_longest
@@ -86,9 +85,9 @@ def range_of(thermal: Sequence[Tensor | None]) -> TemperatureRange | None:
     limits = [image[image.isfinite()].aminmax() for image in thermal if image is not None]
     if not limits:
         return None
-    low = math.floor(min(low.item() for low, _ in limits))
-    high = math.ceil(max(high.item() for _, high in limits))
-    return TemperatureRange(low, max(high, low + 1))
+    return TemperatureRange.around(
+        min(low.item() for low, _ in limits), max(high.item() for _, high in limits)
+    )
 
 
 def warn_of_kelvin(thermal: Sequence[Tensor | None]) -> None:

@@ -36,6 +36,17 @@ class TemperatureRange:
         if not -ZERO_CELSIUS_K <= self.min_c < self.max_c < math.inf:
             raise ValueError(f"not a temperature range in °C: {self.min_c} to {self.max_c}")
 
+    @classmethod
+    def around(cls, low: float, high: float) -> TemperatureRange:
+        """The range of these temperatures, °C, rounded outwards to whole degrees, and at least one
+        degree wide.
+
+        Raises:
+            ValueError: they are no temperatures in °C.
+        """
+        first = math.floor(low)
+        return cls(float(first), float(max(math.ceil(high), first + 1)))
+
     def __str__(self) -> str:
         return f"{self.min_c:g} to {self.max_c:g} °C".replace("-", "−")
 
