@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from mrgs.data import load_scene
+from mrgs.method.camera_model.image_model import SMALLEST_LEARNED_PX
 from mrgs.method.losses import terms as terms_module
 from mrgs.method.losses.photometric import LossConfig, photometric_loss
 from mrgs.method.losses.term import LossContext, SceneScale, Term
@@ -65,6 +66,16 @@ def test_a_step_moves_every_parameter_that_the_method_has(method, make_start):
     for name, tensor in before.items():
         if tensor.numel() > 0 and not name.startswith(frame):
             assert not torch.equal(after[name], tensor), name
+
+
+def test_a_step_moves_the_point_spread_to_no_width_that_has_no_gradient(make_start):
+    config = short_config("mrgs-plus")
+    _, state = make_start(config)
+    spread = state.image_model.point_spread
+    spread.log_sigma.data.fill_(math.log(SMALLEST_LEARNED_PX))
+    spread.log_sigma.grad = torch.ones(())
+    state.move(config, torch.tensor(True))
+    assert spread.sigma_px.item() == pytest.approx(SMALLEST_LEARNED_PX)
 
 
 def test_the_loss_is_the_weighted_sum_of_its_terms(make_start):

@@ -135,7 +135,8 @@ class TrainingState:
         return are_finite(loss, self.gaussian_optimizer.gradients() + present)
 
     def move(self, config: TrainConfig, finite: Bool[Tensor, ""]) -> None:
-        """Adam's step of all parameters; nothing moves where ``finite`` is False."""
+        """Adam's step of all parameters, within their limits; nothing moves where ``finite`` is
+        False."""
         progress = self.step / config.max_steps
         if (movable := self.strategy.movable(self.model.gaussians)) is not None:
             self.gaussian_optimizer.hold(~movable)
@@ -143,6 +144,7 @@ class TrainingState:
         self.layer_optimizer.set_rates(config.optimizer.slowdown_at(progress))
         self.layer_optimizer.step(finite)
         self.layer_optimizer.zero_grad()
+        self.image_model.limit()
 
     def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
         """Undo a step that failed before it moved anything.

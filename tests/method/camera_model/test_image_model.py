@@ -64,7 +64,18 @@ def test_the_width_of_a_spread_is_found_from_photos(start_px):
         adam.zero_grad()
         (found(sharp) - photo).abs().mean().backward()
         adam.step()
+        found.limit()
     assert found.sigma_px.item() == pytest.approx(1.3, abs=0.01)
+
+
+def test_what_cameras_write_does_not_change_their_model():
+    model = ImageModel(ALL, CAPTURE)
+    model.point_spread = point_spread(0.1)
+    before = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+    model(rendering(), torch.tensor([1]))
+    model.expected(rendering(), camera_at(0.3))
+    after = model.state_dict()
+    assert [name for name in before if not torch.equal(after[name], before[name])] == []
 
 
 def test_nothing_is_done_unless_it_is_asked_for():

@@ -165,10 +165,13 @@ class PointSpread(nn.Module):
             image: the rendered temperatures.
             pixel_size: of the image, in pixels of the photos.
         """
-        with torch.no_grad():
-            self.log_sigma.clamp_(min=math.log(SMALLEST_LEARNED_PX))
         sigma = (self.sigma_px / pixel_size).clamp_min(SMALLEST_POINT_SPREAD_PX)
         return blur(image[:, :, 0], sigma)[:, :, None]
+
+    @torch.no_grad()
+    def limit(self) -> None:
+        """Widen the spread to ``SMALLEST_LEARNED_PX`` if it is narrower."""
+        self.log_sigma.clamp_(min=math.log(SMALLEST_LEARNED_PX))
 
 
 class ImageModel(nn.Module):
@@ -271,6 +274,12 @@ class ImageModel(nn.Module):
         """
         assert self.thermal_drift is not None
         self.thermal_drift.learn(view, residual, finite)
+
+    def limit(self) -> None:
+        """Bring parameters that an optimizer has moved too far back to where they have a
+        gradient."""
+        if self.point_spread is not None:
+            self.point_spread.limit()
 
     def _written(
         self,
