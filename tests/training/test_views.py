@@ -83,3 +83,10 @@ def test_the_view_that_comes_twice_in_a_round_is_another_one_each_time():
     rounds = [[number for _ in range(3) for number in views.next()] for _ in range(20)]
     twice = {number for each in rounds for number in each if each.count(number) == 2}
     assert twice == {1, 3}
+
+
+def test_views_in_groups_are_dealt_from_all():
+    """The rest of a round must be found in its groups when a training resumes."""
+    views = ViewSampler(6, torch.Generator(), groups=2)
+    with pytest.raises(ValueError, match="groups of views cannot be restricted"):
+        views.restrict([1, 3, 5])

@@ -30,7 +30,13 @@ class ViewSampler:
         self._waiting = torch.empty(0, dtype=torch.int64)
 
     def restrict(self, views: Sequence[int]) -> None:
-        """From the next round on, show only these."""
+        """From the next round on, show only these.
+
+        Raises:
+            ValueError: there are several groups, which are dealt from all views.
+        """
+        if self._groups > 1:
+            raise ValueError("groups of views cannot be restricted")
         self._views = torch.tensor(views)
 
     def next(self) -> list[int]:
