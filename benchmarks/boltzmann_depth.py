@@ -2,6 +2,9 @@
 
 Gives L_boltz a perfect thermal image and several depths, for each reading of the paper, on scenes
 whose exact depths and temperatures are known (``mrgs synth``). Prints a table for each scene.
+
+As published, t_GT is in kelvin and what radiates has the same area everywhere. What a pixel sees
+grows with the square of its depth.
 """
 
 from __future__ import annotations
@@ -67,8 +70,9 @@ def losses(scene: Scene, folder: Path, temperatures: str, area: str) -> dict[str
                 change(exact),
                 scene.extent,
                 scale if temperatures == "kelvin" else None,
-                exact if area == "pixel" else None,
             )
+            if area == "pixel":
+                radiation = radiation * exact.square()
             radiation = normalise_radiation(radiation, valid)
             loss = boltzmann_loss(image, radiation, torch.zeros_like(image), valid)
             found[name].append(loss.item())

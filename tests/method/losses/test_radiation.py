@@ -206,22 +206,6 @@ def test_weight_decays_between_its_ends():
         assert boltzmann_weight(step, config) == pytest.approx(weight)
 
 
-def test_the_weight_may_end_with_the_densification():
-    config = RadiationConfig(only_while_densifying=True)
-    assert boltzmann_weight(14_999, config) > 0.0099
-    assert boltzmann_weight(15_000, config) == 0
-
-
-def test_a_surface_radiates_the_same_from_any_distance():
-    target, depth = plane(), 1 + plane(seed=1)
-    near, far = (
-        thermal_radiation(target, factor * depth, 1.0, RANGE, factor * depth) for factor in (1, 3)
-    )
-    torch.testing.assert_close(near, far)
-    expected = STEFAN_BOLTZMANN * RANGE.to_kelvin(target) ** 4
-    torch.testing.assert_close(near, expected)
-
-
 def test_impossible_schedules_are_named():
     with pytest.raises(
         ConfigError, match=r"the weights of L_boltz must be positive, not 0\.0 and 0\.01"
@@ -229,5 +213,3 @@ def test_impossible_schedules_are_named():
         RadiationConfig(start=0.0)
     with pytest.raises(ConfigError, match="L_boltz cannot decay from step 500 to step 500"):
         RadiationConfig(decay_until=500)
-    with pytest.raises(ConfigError, match="L_boltz does nothing without image_gradient and depth"):
-        RadiationConfig(image_gradient=False, depth_gradient=False)

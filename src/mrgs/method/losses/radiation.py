@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -34,30 +33,19 @@ SAMPLED_PIXELS = 5_000
 @dataclass(frozen=True)
 class RadiationConfig:
     """L_boltz: its weight λ_boltz over the steps (Sec. Implementation Details: decayed from 0.05 to
-    0.01 during densification), and how the paper's equations are read where they leave it open.
+    0.01 during densification).
 
     Attributes:
         start: λ_boltz up to ``decay_from``.
         end: λ_boltz from ``decay_until`` on.
         decay_from: the step at which the decay starts.
         decay_until: the step at which it ends, with the densification.
-        temperatures: t_GT of Eq. 13 in kelvin, or as it is stored, between 0 and 1.
-        area: what radiates in Eq. 13: a patch of constant area, or the one that a pixel sees, which
-            grows with the square of the surface's depth in the RGB image.
-        image_gradient: L_boltz moves the rendered temperatures I_t.
-        depth_gradient: L_boltz moves the rendered depth D_t.
-        only_while_densifying: L_boltz ends at ``decay_until``.
     """
 
     start: float = 0.05
     end: float = 0.01
     decay_from: int = 500
     decay_until: int = 15_000
-    temperatures: Literal["kelvin", "normalised"] = "kelvin"
-    area: Literal["constant", "pixel"] = "constant"
-    image_gradient: bool = True
-    depth_gradient: bool = True
-    only_while_densifying: bool = False
 
     def __post_init__(self) -> None:
         if not (self.start > 0 and self.end > 0):
@@ -69,18 +57,16 @@ class RadiationConfig:
             raise ConfigError(
                 f"L_boltz cannot decay from step {self.decay_from} to step {self.decay_until}"
             )
-        if not (self.image_gradient or self.depth_gradient):
-            raise ConfigError("L_boltz does nothing without image_gradient and depth_gradient")
 
 
 def boltzmann_weight(step: int, config: RadiationConfig) -> float:
     """λ_boltz of Eq. 20 (final_loss) at a step: log-linear between its two ends, constant
-    outside, but 0 after the densification if it is only for that."""
+    outside."""
     progress = (step - config.decay_from) / (config.decay_until - config.decay_from)
     if progress <= 0:
         return config.start
     if progress >= 1:
-        return 0.0 if config.only_while_densifying else config.end
+        return config.end
     return math.exp((1 - progress) * math.log(config.start) + progress * math.log(config.end))
 
 
@@ -89,31 +75,20 @@ def thermal_radiation(
     depth: Float[Tensor, "h w"],
     extent: float,
     temperature: TemperatureRange | None,
-    surface: Float[Tensor, "h w"] | None = None,
 ) -> Float[Tensor, "h w"]:
     """E_r, the radiation that arrives at the camera, up to a constant.
 
     Eq. 13 (stefan_boltzmann), Sec. Depth-aware Thermal Radiation: τ t_GT⁴ / D_t². Differentiable in
     the depth where it exceeds its floor of 1e-3 extents.
 
-    The paper's patch has the same area everywhere. What a pixel sees grows with the square of its
-    distance, so that the radiance of a surface does not depend on it: with the area D_c² of the
-    surface that the RGB image shows, E_r is τ t_GT⁴ (D_c / D_t)², the photo's own pattern exactly
-    where heat comes from that surface.
-
     Args:
         target: normalised temperatures of the photo.
         depth: rendered thermal depth D_t in scene units.
         extent: the scene's extent in scene units.
         temperature: turns the target into kelvin; without it the normalised values stand for t_GT.
-        surface: D_c, depth of the surface in the RGB image in scene units; None for a patch of
-            constant area.
     """
     kelvin = target if temperature is None else temperature.to_kelvin(target)
-    floor = DEPTH_FLOOR * extent
-    root = math.sqrt(STEFAN_BOLTZMANN) * kelvin**2 / depth.clamp_min(floor)
-    if surface is not None:
-        root = root * surface.clamp_min(floor)
+    root = math.sqrt(STEFAN_BOLTZMANN) * kelvin**2 / depth.clamp_min(DEPTH_FLOOR * extent)
     return root * root  # differentiated at a third of the cost of a power
 
 

@@ -27,7 +27,7 @@ from mrgs.method.losses.radiation import (
 from mrgs.method.losses.smoothness import Similarity, similarity_of, smoothness_loss
 from mrgs.method.losses.term import LossContext, Term
 from mrgs.rasterizer.inverse_depth import inverse_depths
-from mrgs.scene import RGB, THERMAL, Blend, Modality
+from mrgs.scene import RGB, THERMAL, Modality
 
 
 def configured_terms(
@@ -208,7 +208,7 @@ class Boltzmann(Term):
         return boltzmann_weight(step, self._config)
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
-        photo, scale, config = context.photos.get(THERMAL), context.scale, self._config
+        photo, scale = context.photos.get(THERMAL), context.scale
         if photo is None:
             return None
         image, depth, alpha = context.observed[THERMAL]
@@ -216,23 +216,10 @@ class Boltzmann(Term):
         valid = alpha.detach() >= HALF_COVERED
         if photo.valid is not None:
             valid = valid & photo.valid
-        radiation = thermal_radiation(
-            photo.values[..., 0],
-            depth if config.depth_gradient else depth.detach(),
-            scale.extent,
-            scale.temperature if config.temperatures == "kelvin" else None,
-            _surface_depth(context.colors_by_thermal_camera) if config.area == "pixel" else None,
-        )
+        target = photo.values[..., 0]
+        radiation = thermal_radiation(target, depth, scale.extent, scale.temperature)
         # u judges the depth and does not shape it: it would grow without end to make u small.
         uncertainty = self._uncertainty(depth.detach(), scale.extent)
         return boltzmann_loss(
-            (image if config.image_gradient else image.detach())[..., 0],
-            normalise_radiation(radiation, valid),
-            uncertainty,
-            valid,
+            image[..., 0], normalise_radiation(radiation, valid), uncertainty, valid
         )
-
-
-def _surface_depth(blend: Blend) -> Float[Tensor, "h w"]:
-    """Depth of the surface that a blend shows, in scene units, without gradient."""
-    return blend.depth.detach() / blend.alpha.detach().clamp_min(HALF_COVERED)
