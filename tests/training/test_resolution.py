@@ -13,7 +13,7 @@ from mrgs.method.camera_model.image_model import PointSpread
 from mrgs.method.config import make_config
 from mrgs.render import render
 from mrgs.scene import RGB, THERMAL, Camera, Pixels
-from mrgs.training import resolution, train, view_pass
+from mrgs.training import resolution, train, trainer, view_pass
 from mrgs.training.resolution import coarse_size, coarser, pixel_sizes
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.training import short_config
@@ -92,6 +92,7 @@ def test_a_training_begins_on_coarse_photos_and_resumes_there(small_scene, tmp_p
 
     monkeypatch.setattr(resolution, "SMALLEST_PX", 7)
     monkeypatch.setattr(view_pass, "render", spy)
+    monkeypatch.setattr(trainer, "check_kernels", lambda *_: None)  # it renders a view of its own
     config = replace(short_config(max_steps=8), coarse_until=0.5)
     whole = train(small_scene, tmp_path / "whole", config)
     assert widths == [[10, 10]] + [[20, 20]] * 2 + [[40, 40]] * 5

@@ -58,19 +58,15 @@ def _compile_losses(config: TrainConfig) -> None:
         }
     )
     capture = Capture((), 1.0, True)
-    observed = ImageModel(config.image_model, capture)(rendering, 0)
-    cameras = dict.fromkeys(BUILT_IN, camera)
-    gaussians = _random_gaussians(config, generator)
-    scale = SceneScale(1.0, TemperatureRange(0.0, 1.0), thermal_noise=0.1)
     context = LossContext(
-        rendering,
-        observed,
-        photos,
-        cameras,
-        gaussians,
-        config.dilation_of(capture),
-        scale,
-        lambda cameras: rendering,
+        rendering=rendering,
+        observed=ImageModel(config.image_model, capture)(rendering, 0),
+        photos=photos,
+        cameras=dict.fromkeys(BUILT_IN, camera),
+        gaussians=_random_gaussians(config, generator),
+        dilation=config.dilation_of(capture),
+        scale=SceneScale(1.0, TemperatureRange(0.0, 1.0), thermal_noise=0.1),
+        render=lambda cameras: rendering,
     )
     term_values(configured_terms(config), context)
 

@@ -13,12 +13,13 @@ from torch import Tensor
 from mrgs.field import nearest_neighbours
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
-from mrgs.method.losses.term import LossContext, SceneScale
+from mrgs.method.losses.term import SceneScale
 from mrgs.method.losses.terms import term_values
-from mrgs.render import Model, render, renderer, rows_in_view
-from mrgs.scene import THERMAL, Camera, Gaussians, Pixels, Scene, View
+from mrgs.render import Model, render, rows_in_view
+from mrgs.scene import NOT_COARSER, Camera, Gaussians, Pixels, Scene, View
 from mrgs.system.operation import checking
 from mrgs.training.state import TrainingState
+from mrgs.training.view_pass import ViewInputs, rendered
 
 SAMPLED_GAUSSIANS = 300
 WIDTH_PX = 48
@@ -65,24 +66,20 @@ def check_kernels(
             seen = rows_in_view(state.model, next(iter(cameras.values())))
             model = _sampled(state.model, seen, config.sh_degree_at(config.max_steps))
             last = (config.max_steps - 1, config.max_steps)  # one of them goes without harmonics
-            degrees = {THERMAL: max(map(config.temperature_sh_degree_at, last))}
-            rendering, _ = render(model, cameras, degrees)
             photos = {
                 modality: random_photo(camera, modality.channels, generator, state.device)
                 for modality, camera in cameras.items()
             }
-            number_there = torch.full((1,), number, device=state.device)
-            observed = state.image_model(rendering, number_there)
-            context = LossContext(
-                rendering,
-                observed,
-                photos,
-                cameras,
-                model.gaussians,
-                model.dilation,
-                scale,
-                renderer(model, degrees),
+            inputs = ViewInputs(
+                number=torch.full((1,), number, device=state.device),
+                cameras=cameras,
+                photos=photos,
+                pixel_sizes=NOT_COARSER,
+                terms=state.terms,
+                weights={},  # the values are compared one by one
+                temperature_degree=max(map(config.temperature_sh_degree_at, last)),
             )
+            context, _ = rendered(model, state.image_model, inputs, scale)
             whole = {modality: Pixels(photo.values) for modality, photo in photos.items()}
             for each in (context, replace(context, photos=whole)):
                 term_values(state.terms, each)

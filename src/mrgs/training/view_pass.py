@@ -9,11 +9,12 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.photometric import total_loss
 from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.method.losses.terms import term_values
-from mrgs.render import ScreenPoints, render, renderer
+from mrgs.render import Model, ScreenPoints, render, renderer
 from mrgs.scene import THERMAL, Camera, Modality, Pixels, Rendering, View
 from mrgs.training.resolution import coarser, pixel_sizes
 from mrgs.training.state import TrainingState
@@ -100,20 +101,7 @@ def temperature_degree(state: TrainingState, config: TrainConfig) -> int:
 def forward_backward(state: TrainingState, inputs: ViewInputs, scale: SceneScale) -> ViewMeasures:
     """Render a view, compare it with its photos, and add the gradients of its loss to those of the
     parameters."""
-    degrees = {THERMAL: inputs.temperature_degree}
-    cameras = state.image_model.refined(inputs.cameras, inputs.number)
-    rendering, passes = render(state.model, cameras, degrees)
-    observed = state.image_model(rendering, inputs.number, inputs.pixel_sizes)
-    context = LossContext(
-        rendering,
-        observed,
-        inputs.photos,
-        cameras,
-        state.model.gaussians,
-        state.model.dilation,
-        scale,
-        renderer(state.model, degrees),
-    )
+    context, passes = rendered(state.model, state.image_model, inputs, scale)
     values = term_values(inputs.terms, context)
     loss = total_loss(values, inputs.weights)
     loss.backward()
@@ -121,9 +109,33 @@ def forward_backward(state: TrainingState, inputs: ViewInputs, scale: SceneScale
     thermal_error = residual = None
     if THERMAL in inputs.photos:
         photo = inputs.photos[THERMAL]
-        thermal_error = _thermal_error(observed, photo)
-        residual = state.image_model.thermal_residual(inputs.number, observed, photo)
+        thermal_error = _thermal_error(context.observed, photo)
+        residual = state.image_model.thermal_residual(inputs.number, context.observed, photo)
     return ViewMeasures(loss.detach(), terms, thermal_error, residual, passes)
+
+
+def rendered(
+    model: Model, image_model: ImageModel, inputs: ViewInputs, scale: SceneScale
+) -> tuple[LossContext, Sequence[ScreenPoints]]:
+    """Render a view as its cameras would have recorded it.
+
+    Returns:
+        what the terms of the loss may look at, and the projected centres.
+    """
+    degrees = {THERMAL: inputs.temperature_degree}
+    cameras = image_model.refined(inputs.cameras, inputs.number)
+    rendering, passes = render(model, cameras, degrees)
+    context = LossContext(
+        rendering=rendering,
+        observed=image_model(rendering, inputs.number, inputs.pixel_sizes),
+        photos=inputs.photos,
+        cameras=cameras,
+        gaussians=model.gaussians,
+        dilation=model.dilation,
+        scale=scale,
+        render=renderer(model, degrees),
+    )
+    return context, passes
 
 
 def _thermal_error(rendering: Rendering, photo: Pixels) -> Float[Tensor, ""]:
