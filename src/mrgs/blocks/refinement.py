@@ -141,12 +141,13 @@ class Refinement:
         generator = torch.Generator().manual_seed(config.seed)
         start = start_points(replace(scene, points=points, train=views), config)
         start = start.at_most(self.density.max_gaussians, generator)
-        model = self.start.model
-        apart = tuple(model.gaussians.opacity_logits)
+        field = self.start.model.field
+        apart = tuple(self.start.model.gaussians.opacity_logits)
         degree = config.temperature_sh_degree_of(Capture.of(scene))
-        found = initial_gaussians(start, model.field, apart, degree)
+        found = initial_gaussians(start, field, apart, degree)
         if config.fitted_residuals > 0:
-            leave_the_rest(model.field, found, start.values[THERMAL])
+            neighbours = field.neighbours_of(found.means)
+            leave_the_rest(field, found, start.values[THERMAL], neighbours)
         return found
 
 

@@ -17,7 +17,7 @@ from mrgs.field.appearance import (
     color_residuals,
 )
 from mrgs.field.encoding import fourier_embedding, position_frame
-from mrgs.field.heat import FourierHeatTransformation
+from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
 from mrgs.field.rows import take
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, shade, up_to_degree
 from mrgs.scene import RGB, THERMAL, Gaussians, Modality
@@ -265,6 +265,12 @@ class RadianceField(nn.Module):
         refined = self.heat(features, gaussians.opacity(THERMAL), neighbours)
         t_hat = self.config.temperature_scale * self.temperature_output(refined)
         return take(t_hat, rows)
+
+    def neighbours_of(self, means: Float[Tensor, "n 3"]) -> Int64[Tensor, "n k"] | None:
+        """The neighbours of Gaussians at these positions, as ``temperatures`` takes them; None if
+        the field exchanges no heat."""
+        k = self.config.neighbours_k
+        return nearest_neighbours(means, k) if k > 0 else None
 
     def checked_neighbours(
         self, neighbours: Int64[Tensor, "n k"] | None, count: int

@@ -13,7 +13,7 @@ import warnings
 import torch
 
 from mrgs.errors import MrgsWarning
-from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.field import RadianceField
 from mrgs.field.spherical_harmonics import MAX_DEGREE, shade
 from mrgs.method.camera_model.image_model import Capture, ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
@@ -77,8 +77,7 @@ def _compile_thermal_branch(config: TrainConfig) -> None:
     field = RadianceField(config.field)
     gaussians = _random_gaussians(config, torch.Generator().manual_seed(0))
     field.set_frame(gaussians.means)
-    k = config.field.neighbours_k
-    neighbours = nearest_neighbours(gaussians.means, k) if k > 0 else None
+    neighbours = field.neighbours_of(gaussians.means)
     field.temperature_residuals(gaussians, neighbours, torch.arange(len(gaussians)), 0)
 
 

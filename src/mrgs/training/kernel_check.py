@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from mrgs.field import nearest_neighbours
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
@@ -150,11 +149,10 @@ def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> 
             for name, tensor in found.tensors().items()
         }
     )
-    k = model.field.config.neighbours_k
     return replace(
         model,
         gaussians=gaussians,
-        neighbours=nearest_neighbours(gaussians.means, k) if k > 0 else None,
+        neighbours=model.field.neighbours_of(gaussians.means),
         sh_degree=sh_degree,
         temperature_residuals=None,
     )

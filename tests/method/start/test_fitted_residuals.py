@@ -49,7 +49,7 @@ def test_gaussians_that_are_added_later_have_the_temperatures_of_the_photos_too(
     gaussians.means = gaussians.means + 0.1
     gaussians.embedding = field.initial_embedding(gaussians.means)
     assert (temperatures_of(field, gaussians) - temperatures)[:-10].abs().max() > 0.01
-    leave_the_rest(field, gaussians, temperatures)
+    leave_the_rest(field, gaussians, temperatures, field.neighbours_of(gaussians.means))
     found = temperatures_of(field, gaussians)
     torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.errors import KernelWarning
-from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.field import RadianceField
 from mrgs.field.spherical_harmonics import C0
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.scene import THERMAL, Gaussians
@@ -47,8 +47,7 @@ def fit_residuals(
     known = target[:, 0].isfinite().nonzero()[:, 0]
     if not field.config.residuals or steps == 0 or len(known) == 0:
         return
-    k = field.config.neighbours_k
-    neighbours = nearest_neighbours(gaussians.means, k) if k > 0 else None
+    neighbours = field.neighbours_of(gaussians.means)
 
     def residuals_of(rows: Int64[Tensor, " v"] | None) -> Float[Tensor, "v 1"]:
         found: Tensor = field.temperature_residuals(gaussians, neighbours, rows, 0)
@@ -65,18 +64,26 @@ def fit_residuals(
         (residuals_of(chosen) - target[chosen]).abs().mean().backward()
         adam.step()
         adam.zero_grad()
-    leave_the_rest(field, gaussians, temperatures)
+    leave_the_rest(field, gaussians, temperatures, neighbours)
 
 
 @torch.no_grad()
 def leave_the_rest(
-    field: RadianceField, gaussians: Gaussians, temperatures: Float[Tensor, "n 1"]
+    field: RadianceField,
+    gaussians: Gaussians,
+    temperatures: Float[Tensor, "n 1"],
+    neighbours: Int64[Tensor, "n k"] | None,
 ) -> None:
-    """Leave in t_i what t̂ does not say of the Gaussians' temperatures; see ``fit_residuals``."""
+    """Leave in t_i what t̂ does not say of the Gaussians' temperatures; see ``fit_residuals``.
+
+    Args:
+        field: without residuals nothing is done.
+        gaussians: their temperature coefficients of degree 0 are changed in place.
+        temperatures: of the Gaussians, as for ``fit_residuals``.
+        neighbours: of the Gaussians, from ``field.neighbours_of``.
+    """
     if not field.config.residuals:
         return
-    k = field.config.neighbours_k
-    neighbours = nearest_neighbours(gaussians.means, k) if k > 0 else None
     residuals = field.temperature_residuals(gaussians, neighbours, None, 0)
     own = (temperatures - 0.5 - residuals).nan_to_num(nan=0.0)
     gaussians.sh_dc[THERMAL].copy_((own / C0)[:, None])
@@ -85,8 +92,7 @@ def leave_the_rest(
 def _check_kernel(field: RadianceField, sample: Gaussians) -> None:
     """Compare the kernel with the plain definition, on few Gaussians: that takes memory for all
     that it is given."""
-    k = field.config.neighbours_k
-    neighbours = nearest_neighbours(sample.means, k) if k > 0 else None
+    neighbours = field.neighbours_of(sample.means)
     with checking(), warnings.catch_warnings():
         warnings.simplefilter("ignore", KernelWarning)  # the training's own check names the kernel
         field.temperature_residuals(sample, neighbours, torch.arange(len(sample)), 0)
