@@ -65,7 +65,7 @@ class StepStatistics:
 
     @property
     def terms(self) -> dict[str, float]:
-        """L_c ("rgb"), L_t ("thermal"), L_smooth, L_boltz, unweighted."""
+        """Every term of the loss by its name, unweighted."""
         return dict(zip(self._names, self._read()[3:], strict=True))
 
     def _read(self) -> list[float]:
