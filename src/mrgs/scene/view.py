@@ -100,8 +100,12 @@ class View:
 
     def shares_camera(self, one: Modality, other: Modality) -> bool:
         """Whether both images are there, from one camera."""
-        cameras = self.cameras
-        return one in cameras and other in cameras and cameras[one].coincides_with(cameras[other])
+        return share_camera(self.cameras, one, other)
+
+
+def share_camera(cameras: Mapping[Modality, Camera], one: Modality, other: Modality) -> bool:
+    """Whether both modalities have a camera, the same one."""
+    return one in cameras and other in cameras and cameras[one].coincides_with(cameras[other])
 
 
 def evenly_spaced(count: int, most: int = 5) -> list[int]:

@@ -197,8 +197,9 @@ class ImageModel(nn.Module):
             cameras: of the view.
             view: its place among the training views, on the model's device.
         """
-        if self.poses is None or not self.poses.moves:
+        if not self.moves_poses:
             return cameras
+        assert self.poses is not None
         return self.poses.refined(cameras, view)
 
     @property

@@ -29,6 +29,7 @@ from mrgs.scene import (
     Scene,
     TemperatureRange,
 )
+from mrgs.scene.view import share_camera
 
 INTERPOLATED_PX = 3
 """Pixels of a thermal photo this far apart come from detector pixels of their own."""
@@ -97,9 +98,7 @@ class LossContext:
     @property
     def shares_pixels(self) -> bool:
         """Whether a pixel of the thermal image is the same pixel of the RGB image."""
-        cameras = self.cameras
-        both = RGB in cameras and THERMAL in cameras
-        return both and cameras[RGB].coincides_with(cameras[THERMAL])
+        return share_camera(self.cameras, RGB, THERMAL)
 
     @cached_property
     def colors_by_thermal_camera(self) -> Blend:
