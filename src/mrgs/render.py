@@ -87,8 +87,8 @@ class Model:
                 camera_position,
                 degree,
                 rows,
-                self.temperature_residuals,
-                self.sh_degree,
+                residuals=self.temperature_residuals,
+                color_degree=self.sh_degree,
             )
         return self.field.intensities(modality, self.gaussians, camera_position, degree, rows)
 

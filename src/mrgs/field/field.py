@@ -150,15 +150,12 @@ class RadianceField(nn.Module):
         Raises:
             IndexError: rows on the CPU that do not exist.
         """
-        _check_indices("rows", rows, len(gaussians))
-        means, camera_position = gaussians.means, camera_position.to(gaussians.means)
-        dc, rest = gaussians.sh_dc[RGB], gaussians.sh_rest[RGB]
-        c = shade(means, dc, rest, camera_position, sh_degree, rows)
+        c = self.intensities(RGB, gaussians, camera_position, sh_degree, rows)
         if not self.config.residuals:
             return c
-        return c + color_residuals(
-            self.color_head, gaussians.embedding, means, camera_position, rows
-        )
+        means, position = gaussians.means, camera_position.to(gaussians.means)
+        c_hat = color_residuals(self.color_head, gaussians.embedding, means, position, rows)
+        return c + c_hat
 
     def temperatures(
         self,
@@ -167,6 +164,7 @@ class RadianceField(nn.Module):
         camera_position: Float[Tensor, "3"],
         sh_degree: int,
         rows: Int64[Tensor, " v"] | None = None,
+        *,
         residuals: Float[Tensor, "n 1"] | None = None,
         color_degree: int = MAX_DEGREE,
     ) -> Float[Tensor, "v 1"]:
@@ -194,18 +192,18 @@ class RadianceField(nn.Module):
                 another shape.
             IndexError: rows or neighbours on the CPU that do not exist.
         """
-        _check_indices("rows", rows, len(gaussians))
-        means, camera_position = gaussians.means, camera_position.to(gaussians.means)
-        dc, rest = gaussians.sh_dc[THERMAL], gaussians.sh_rest[THERMAL]
         if not self.config.residuals:
-            return shade(means, dc, rest, camera_position, sh_degree, rows)
+            return self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows)
         if gaussians.depends_on_view(THERMAL):
-            t = shade(means, dc, rest, camera_position, sh_degree, rows, floor=-math.inf)
+            t = self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows, -math.inf)
         else:
-            t = C0 * take(dc, rows)[:, 0] + 0.5
+            _check_indices("rows", rows, len(gaussians))
+            t = C0 * take(gaussians.sh_dc[THERMAL], rows)[:, 0] + 0.5
         if residuals is None:
-            return t + self.temperature_residuals(gaussians, neighbours, rows, color_degree)
-        return t + take(residuals, rows)
+            t_hat = self.temperature_residuals(gaussians, neighbours, rows, color_degree)
+        else:
+            t_hat = take(residuals, rows)
+        return t + t_hat
 
     def intensities(
         self,
@@ -214,8 +212,10 @@ class RadianceField(nn.Module):
         camera_position: Float[Tensor, "3"],
         sh_degree: int,
         rows: Int64[Tensor, " v"] | None = None,
+        floor: float = 0.0,
     ) -> Float[Tensor, "v c"]:
-        """Any other modality's values: its spherical harmonics, clamped at 0; not in the paper.
+        """A modality's spherical harmonics, SH2RGB of Eq. 4: c of RGB, and all there is of a
+        modality that is not in the paper.
 
         Args:
             modality: one that the Gaussians have, of C channels.
@@ -223,6 +223,7 @@ class RadianceField(nn.Module):
             camera_position: centre of projection in world coordinates.
             sh_degree: highest degree of the spherical harmonics in use.
             rows: distinct Gaussians to evaluate; all if None (V = N).
+            floor: smallest value; −∞ for no clamp.
 
         Raises:
             IndexError: rows on the CPU that do not exist.
@@ -230,7 +231,7 @@ class RadianceField(nn.Module):
         _check_indices("rows", rows, len(gaussians))
         dc, rest = gaussians.sh_dc[modality], gaussians.sh_rest[modality]
         position = camera_position.to(gaussians.means)
-        return shade(gaussians.means, dc, rest, position, sh_degree, rows)
+        return shade(gaussians.means, dc, rest, position, sh_degree, rows, floor)
 
     @operation
     def temperature_residuals(
