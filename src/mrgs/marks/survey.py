@@ -28,7 +28,7 @@ class PhotoSurvey:
     """
 
     def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
-        self.chosen = evenly_spaced(len(cameras), MAX_VIEWS) if cameras else []
+        self.chosen = evenly_spaced(len(cameras), MAX_VIEWS)
         self._render = render
         self.cameras = [cameras[index] for index in self.chosen]
         self._maps: list[DepthMap] = []

@@ -32,9 +32,7 @@ def photo_noise(photos: Sequence[PosedImage], distance_px: int = 1) -> float:
             by interpolation, and the noise of one detector pixel is that of several pixels of the
             photo, which neighbours do not tell.
     """
-    chosen = (
-        [photos[index].load() for index in evenly_spaced(len(photos), PHOTOS)] if photos else []
-    )
+    chosen = [photos[index].load() for index in evenly_spaced(len(photos), PHOTOS)]
     responses = [_second_differences(photo, distance_px).abs() for photo in chosen]
     found = (
         torch.cat([each[each.isfinite()] for each in responses]) if responses else torch.empty(0)

@@ -150,7 +150,7 @@ def _stationary_board(
     place, which leaves the distance open."""
     couples = list(combinations(range(len(views)), 2))
     most: dict[int, _BoardPose] = {}
-    for couple in evenly_spaced(len(couples), _MOST_HYPOTHESES) if couples else []:
+    for couple in evenly_spaced(len(couples), _MOST_HYPOTHESES):
         first, second = (views[index] for index in couples[couple])
         guess = _from_two(first[0], second)
         consistent = {} if guess is None else _consistent(guess, views, plane, _ROUGH_SQUARES)
