@@ -13,10 +13,10 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Reach, Scene
+from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
 from mrgs.viewer.annotation import SCALE_FROM_PX
-from mrgs.viewer.fields import SOLID_ALPHA
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.opening import board_of
 from mrgs.viewer.settings import Mode, Settings

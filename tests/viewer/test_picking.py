@@ -8,7 +8,7 @@ import torch
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.scene import RGB, THERMAL
-from mrgs.viewer.fields import SOLID_ALPHA
+from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.viewer.picking import read_point
 from tests.helpers.subjects import subject_of
 

@@ -17,7 +17,6 @@ from mrgs.marks.resolution import RESOLVED_PX, Resolution
 from mrgs.marks.surface import (
     SeenSurface,
     SurfaceRenderer,
-    celsius_or_value,
     disc_mask,
     has_flat_outline,
     measuring_camera,
@@ -25,6 +24,7 @@ from mrgs.marks.surface import (
     outline_mask,
     pixels_of,
     see,
+    thermal_values,
 )
 from mrgs.marks.survey import PhotoSurvey
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
@@ -234,8 +234,9 @@ class MarkMeter:
         return [(reading.high_at, 1), (reading.low_at, -1)]
 
     def _values(self, surface: SeenSurface) -> Float[np.ndarray, "h w"] | None:
-        values = celsius_or_value(surface.rendering)
-        return None if values is None else in_unit(THERMAL, values, self._temperature)
+        if THERMAL not in surface.rendering:
+            return None
+        return in_unit(THERMAL, thermal_values(surface.rendering), self._temperature)
 
     def _with_photos(self, reading: MarkReading, places: Float[np.ndarray, "n 3"]) -> MarkReading:
         """With the number of photos that see it; without a temperature where none does."""

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
-from mrgs.marks.surface import SurfaceRenderer, celsius_or_value
+from mrgs.marks.surface import SurfaceRenderer, thermal_values
 from mrgs.marks.survey import PhotoSurvey
 
 RESOLVED_PX = 3.0
@@ -108,9 +108,7 @@ class Resolution:
     def _image(self, photo: int) -> Float[np.ndarray, "h w"]:
         """The model as a photo's camera sees it, normalised."""
         if photo not in self._images:
-            values = celsius_or_value(self._render(self._survey.cameras[photo]))
-            assert values is not None
-            self._images[photo] = values
+            self._images[photo] = thermal_values(self._render(self._survey.cameras[photo]))
         self._images.move_to_end(photo)
         if len(self._images) > KEPT_IMAGES:
             self._images.popitem(last=False)

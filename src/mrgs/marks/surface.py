@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark, Place
-from mrgs.scene import THERMAL, Camera, Rendering, Scene, metric_first
+from mrgs.scene import THERMAL, Camera, Rendering, Scene
 from mrgs.system.message import Message
 
 SurfaceRenderer = Callable[[Camera], Rendering]
@@ -36,7 +36,6 @@ the photos' views, which the model is fitted to."""
 WIDEST_SLOPE = 5.0
 """Tangent of the largest angle between the middle of a mark and its corners, seen from the eye."""
 
-SOLID_ALPHA = 0.5
 FEWEST_PIXELS = 12
 """To fit a surface to."""
 
@@ -124,20 +123,12 @@ def see(render: SurfaceRenderer, camera: Camera) -> SeenSurface:
 
 
 def seen_depth(rendering: Rendering) -> Float[np.ndarray, "h w"]:
-    """z-depth of the visible surface in double precision, [H, W]; NaN where no modality covers a
-    pixel by half. The temperatures' own surface comes first."""
-    found = None
-    for modality in metric_first(rendering):
-        depth = rendering.surface_depth(modality, SOLID_ALPHA)
-        found = depth if found is None else torch.where(found.isnan(), depth, found)
-    assert found is not None
-    return found.cpu().double().numpy()
+    """z-depth of the visible surface (``Rendering.visible_depth``) in double precision, [H, W]."""
+    return rendering.visible_depth().cpu().double().numpy()
 
 
-def celsius_or_value(rendering: Rendering) -> Float[np.ndarray, "h w"] | None:
-    """The normalised thermal image, [H, W]; None without one."""
-    if THERMAL not in rendering:
-        return None
+def thermal_values(rendering: Rendering) -> Float[np.ndarray, "h w"]:
+    """The normalised thermal image in double precision, [H, W]."""
     values: Float[np.ndarray, "h w"] = rendering[THERMAL].image[..., 0].cpu().double().numpy()
     return values
 

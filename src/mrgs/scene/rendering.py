@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache, partial
+from functools import cache, partial, reduce
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
@@ -12,8 +12,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.scene.camera import Camera
-from mrgs.scene.modality import Modality
+from mrgs.scene.modality import Modality, metric_first
 from mrgs.scene.preview import preview_png
+
+SOLID_ALPHA = 0.5
+"""A pixel that is covered less shows no surface."""
 
 
 class Blend(NamedTuple):
@@ -99,7 +102,7 @@ class Rendering(Mapping[Modality, Blend]):
         return first if first in known else next(iter(known), None)
 
     def surface_depth(
-        self, modality: Modality, min_alpha: float = 0.5, max_step: float | None = None
+        self, modality: Modality, min_alpha: float = SOLID_ALPHA, max_step: float | None = None
     ) -> Float[Tensor, "h w"]:
         """z-depth of the surface that a pixel of a modality shows: the median depth, or where that
         was not asked for D / A, the blended depth without the share of the background.
@@ -121,6 +124,15 @@ class Rendering(Mapping[Modality, Blend]):
         if max_step is None:
             return surface
         return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
+
+    def visible_depth(self) -> Float[Tensor, "h w"]:
+        """z-depth of the visible surface, scene units, [H, W]; NaN where no modality shows one.
+
+        It is that of the first modality that covers the pixel, those with a unit first: over a
+        black background the coldest things may well be transparent in the thermal image.
+        """
+        depths = map(self.surface_depth, metric_first(self))
+        return reduce(lambda first, second: torch.where(first.isnan(), second, first), depths)
 
     def _median_depth(self, modality: Modality) -> Float[Tensor, "h w"] | None:
         """A median depth, found now if it was not yet; None if it was not asked for."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
 from typing import TypeAlias
 
 import numpy as np
@@ -16,12 +15,8 @@ from torch import Tensor
 from mrgs.marks.regions import Regions
 from mrgs.pictures.files import shown_values, to_array, to_rgb8
 from mrgs.render import Model, render
-from mrgs.scene import Camera, Modality, PosedImage, Rendering, TemperatureRange, metric_first
+from mrgs.scene import Camera, Modality, PosedImage, TemperatureRange
 from mrgs.viewer.settings import Subject
-
-SOLID_ALPHA = 0.5
-"""Pixels that no modality of the model covers by this alpha are empty: they have no value and no
-depth."""
 
 ShownImage: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
 """Colours, or the values of a one-channel modality in its unit."""
@@ -64,7 +59,7 @@ def render_pane(
     with torch.no_grad():
         cameras = subject.cameras(camera)
         rendering, _ = render(model, cameras, with_median_depth=bool(regions))
-    depth = to_array(surface_depth(rendering))
+    depth = to_array(rendering.visible_depth())
     if as_photo_of is not None:
         rendering = subject.camera_response(rendering, as_photo_of)
     if regions is not None:
@@ -74,19 +69,6 @@ def render_pane(
         for modality, blend in rendering.items()
     }
     return PaneImages(images, depth, np.isfinite(depth))
-
-
-def surface_depth(rendering: Rendering) -> Float[Tensor, "h w"]:
-    """z-depth of the visible surface (``Rendering.surface_depth``), [H, W]; NaN where no modality
-    covers a pixel by half.
-
-    It is that of the first modality that covers the pixel, those with a unit first: over a black
-    background the coldest things may well be transparent in the thermal image.
-    """
-    depths = [
-        rendering.surface_depth(modality, SOLID_ALPHA) for modality in metric_first(rendering)
-    ]
-    return reduce(lambda first, second: torch.where(first.isnan(), second, first), depths)
 
 
 def shown_image(

@@ -17,7 +17,7 @@ from mrgs.pictures.values import in_unit, range_of
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model, render
 from mrgs.scene import Camera, Modality, Rendering, metric_first
-from mrgs.viewer.fields import SOLID_ALPHA, surface_depth
+from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.viewer.settings import Subject
 
 
@@ -82,7 +82,7 @@ def read_point(
     )
     with torch.no_grad():
         rendering = render_surface(model, camera, subject)
-        depth = surface_depth(rendering)[row, column].item()
+        depth = rendering.visible_depth()[row, column].item()
         if not math.isfinite(depth):
             return None
         if regions is not None:

@@ -12,8 +12,9 @@ from torch import Tensor
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model
 from mrgs.scene import THERMAL, Blend, Camera, TemperatureRange
+from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.fields import SOLID_ALPHA, PaneImages
+from mrgs.viewer.fields import PaneImages
 from mrgs.viewer.source import Source
 
 LEAST_SEEN = 0.5

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 from PIL import Image
 from torch import Tensor
 
-from mrgs.marks.surface import SurfaceRenderer, seen_depth
+from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
 from mrgs.marks.uncertainty.photo_parts import (
     BLURRED,
     CHANNELS,
@@ -25,7 +25,7 @@ from mrgs.marks.uncertainty.photo_parts import (
     SightingSums,
 )
 from mrgs.marks.uncertainty.rounding import OF_ONE_VALUE, block_variances, of_mean
-from mrgs.scene import THERMAL, CameraResponse, Rendering, TemperatureRange, View, evenly_spaced
+from mrgs.scene import THERMAL, CameraResponse, TemperatureRange, View, evenly_spaced
 from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
 from mrgs.system.pieces import pieces
 
@@ -155,8 +155,8 @@ class PhotoWitnesses:
         thermal = rendering[THERMAL].image
         # Constant images separate the photo's gain and offset from its blur.
         even = [rendering.with_images({THERMAL: torch.full_like(thermal, v)}) for v in (0, 1)]
-        model = _values(rendering)
-        recorded, offset, with_gain = (_values(record(each)) for each in (rendering, *even))
+        model = thermal_values(rendering)
+        recorded, offset, with_gain = (thermal_values(record(each)) for each in (rendering, *even))
         difference = _reduced(_photo_values(view), model.shape) - recorded
         image = np.empty((*model.shape, CHANNELS), np.float32)
         # The photo without the camera's blur and drift, as far as the model knows them.
@@ -167,11 +167,6 @@ class PhotoWitnesses:
         change = (recorded - offset) / (with_gain - offset) - model
         image[..., BLURRED] = self._span * _blurring(change, shifted)
         return DepthMap(camera, seen_depth(rendering).astype(np.float32), image)
-
-
-def _values(rendering: Rendering) -> Float[np.ndarray, "h w"]:
-    values: Float[np.ndarray, "h w"] = rendering[THERMAL].image[..., 0].cpu().double().numpy()
-    return values
 
 
 def _photo_values(view: View) -> Float[Tensor, "h w"]:
