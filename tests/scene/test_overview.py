@@ -4,18 +4,14 @@ import numpy as np
 import torch
 
 from mrgs.scene import Camera
-from mrgs.scene.camera_paths import look_at
 from mrgs.scene.overview import best_view
-from mrgs.scene.rotations import rigid_transform
 
 POINTS = torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (500, 3)))
 K = torch.tensor([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]], dtype=torch.float64)
 
 
 def camera(position: tuple[float, ...], target: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Camera:
-    place = np.array(position, dtype=float)
-    rotation = look_at(place, np.array(target, dtype=float), np.array([0.0, 0.0, 1.0]))
-    return Camera(K, rigid_transform(rotation, -rotation @ place), 80, 60)
+    return Camera(K, torch.eye(4), 80, 60).look_at(position, target)
 
 
 def test_the_view_that_shows_most_is_best():

@@ -15,6 +15,7 @@ from mrgs.data.oddities import far_off
 from mrgs.prepare.page.previews import views_text
 from mrgs.rasterizer.near_plane import too_near
 from mrgs.scene import Camera, Modality, Scene, View
+from mrgs.scene.camera import field_of_view
 from mrgs.scene.modality import in_order
 from mrgs.scene.rotations import OPENGL_FROM_OPENCV
 from mrgs.scene.view import evenly_spaced
@@ -294,7 +295,7 @@ def _intrinsics(scene: Scene) -> list[Problem]:
 
 def _odd_intrinsics(camera: Camera) -> str:
     fx, fy = camera.K[0, 0].item(), camera.K[1, 1].item()
-    wide = math.degrees(2 * math.atan(0.5 * camera.width / fx))
+    wide = math.degrees(field_of_view(camera.width, fx))
     x, y = camera.K[0, 2].item() / camera.width, camera.K[1, 2].item() / camera.height
     if not _FIELD_OF_VIEW_DEG[0] <= wide <= _FIELD_OF_VIEW_DEG[1]:
         return f"a field of view of {wide:.1f}°"

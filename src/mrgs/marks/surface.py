@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark, Place
 from mrgs.scene import THERMAL, Camera, Rendering, Scene
+from mrgs.scene.camera import viewmat_towards
 from mrgs.system.message import Message
 
 SurfaceRenderer = Callable[[Camera], Rendering]
@@ -142,8 +143,8 @@ def measuring_camera(mark: Mark) -> Camera:
     """
     points, eye = np.array(mark.points), np.array(mark.eye)
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    camera = _towards(eye, target)
-    in_camera = (points - eye) @ camera.viewmat[:3, :3].numpy().T
+    viewmat = _upright_viewmat(eye, target)
+    in_camera = (points - eye) @ viewmat[:3, :3].numpy().T
     slopes = np.abs(in_camera[:, :2] / np.maximum(in_camera[:, 2:], 1e-12))
     if not in_camera[:, 2].min() > 0 or not slopes.max() <= WIDEST_SLOPE:
         raise ConfigError(
@@ -161,17 +162,18 @@ def measuring_camera(mark: Mark) -> Camera:
     around = min(round(2 * focal * math.tan(FIELD_OF_VIEW / 2)), WIDEST_PX)
     size = max(pixels + 2 * MARGIN_PX, around)
     K = [[focal, 0.0, size / 2], [0.0, focal, size / 2], [0.0, 0.0, 1.0]]
-    return Camera(K, camera.viewmat, size, size)
+    return Camera(K, viewmat, size, size)
 
 
-def _towards(eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Camera:
-    """A camera at the eye with its axis through the target."""
-    base = Camera.from_fov(2, 2, 90.0)
+def _upright_viewmat(
+    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]
+) -> Float64[torch.Tensor, "4 4"]:
+    """World to camera of a camera at the eye with its axis through the target."""
     forward = target - eye
     if not np.linalg.norm(forward) > 0:
         raise ConfigError("a mark must not lie where it was drawn from")
     upright = abs(forward[2]) < 0.99 * np.linalg.norm(forward)
-    return base.look_at(eye, target, [0.0, 0.0, 1.0] if upright else [0.0, 1.0, 0.0])
+    return viewmat_towards(eye, target, [0.0, 0.0, 1.0] if upright else [0.0, 1.0, 0.0])
 
 
 def pixels_of(camera: Camera, points: Float[np.ndarray, "n 3"]) -> PixelPlaces:

@@ -10,6 +10,7 @@ from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, Reconstruction, StageSummary
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.scene import THERMAL, Modality
+from mrgs.scene.camera import field_of_view
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.system.wording import counted
 
@@ -91,7 +92,7 @@ def summarize_thermal_camera(
         return StageSummary(
             ("There are only thermal images." if alone else "One camera took both images.",)
         )
-    width_deg = math.degrees(2 * math.atan(0.5 * rig.lens.width / rig.lens.fx))
+    width_deg = math.degrees(field_of_view(rig.lens.width, rig.lens.fx))
     baseline = float(rig.extrinsics[:3, 3].norm())
     scale = rig.target.metres_per_unit if rig.target is not None and not metric else None
     offset = (

@@ -104,22 +104,10 @@ class Camera:
             ValueError: not three finite numbers each, the target is the position, or ``up`` points
                 along the axis.
         """
-        here, there, upwards = (
-            as_finite(value, (3,), name)
-            for value, name in ((position, "position"), (target, "target"), (up, "up"))
-        )
-        forward = there - here
-        right = torch.linalg.cross(forward, upwards)
-        if not right.norm() > 1e-9 * forward.norm() * upwards.norm():
-            raise ValueError("up must not point along the viewing direction, nor either be zero")
-        axes = torch.stack([right, torch.linalg.cross(forward, right), forward])
-        rotation = axes / axes.norm(dim=1, keepdim=True)
-        viewmat = torch.eye(4, dtype=torch.float64)
-        viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ here
-        return Camera(self.K, viewmat, self.width, self.height)
+        return Camera(self.K, viewmat_towards(position, target, up), self.width, self.height)
 
     def __repr__(self) -> str:
-        fov = math.degrees(2 * math.atan(self.width / 2 / self.K[0, 0].item()))
+        fov = math.degrees(field_of_view(self.width, self.K[0, 0].item()))
         x, y, z = self.position.tolist()
         return f"Camera({self.width}×{self.height}, {fov:.0f}° wide, at {x:.3g}, {y:.3g}, {z:.3g})"
 
@@ -264,6 +252,30 @@ class Camera:
             and torch.equal(self.K, other.K)
             and torch.equal(self.viewmat, other.viewmat)
         )
+
+
+def field_of_view(pixels: float, focal_px: float) -> float:
+    """Angle that so many pixels about the optical axis see at a focal length, radians."""
+    return 2 * math.atan(0.5 * pixels / focal_px)
+
+
+def viewmat_towards(
+    position: Array, target: Array, up: Array = (0.0, 0.0, 1.0)
+) -> Float64[Tensor, "4 4"]:
+    """World to camera of a camera at a place, its axis through a target; see ``Camera.look_at``."""
+    here, there, upwards = (
+        as_finite(value, (3,), name)
+        for value, name in ((position, "position"), (target, "target"), (up, "up"))
+    )
+    forward = there - here
+    right = torch.linalg.cross(forward, upwards)
+    if not right.norm() > 1e-9 * forward.norm() * upwards.norm():
+        raise ValueError("up must not point along the viewing direction, nor either be zero")
+    axes = torch.stack([right, torch.linalg.cross(forward, right), forward])
+    rotation = axes / axes.norm(dim=1, keepdim=True)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ here
+    return viewmat
 
 
 class MovedCamera(Camera):

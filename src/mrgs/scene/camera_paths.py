@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from mrgs.errors import ConfigError
@@ -36,7 +35,9 @@ def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     target, up = focus_point(cameras), _mean_up(cameras)
     path = centre + np.sqrt(2) * (circle * spread) @ axes[:2]
-    return [_posed(cameras[0], look_at(position, target, up), position) for position in path]
+    return [
+        cameras[0].look_at(position, target, _upright(target - position, up)) for position in path
+    ]
 
 
 def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
@@ -72,25 +73,9 @@ def _mean_up(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
     return -np.stack([camera.viewmat[1, :3].numpy() for camera in cameras]).mean(axis=0)
 
 
-def look_at(
-    position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3 3"]:
-    """World-to-camera rotation [3, 3] of a camera at ``position`` that looks at ``target``; its
-    rows are the camera's right, down and forward in the world.
-
-    Where ``up`` is the viewing direction itself, any upright is taken.
-    """
-    forward = target - position
+def _upright(forward: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """``up``, or any upright where that is the viewing direction itself."""
     forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6:
-        right = np.cross(forward, np.eye(3)[np.abs(forward).argmin()])
-    right = right / np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward])
-
-
-def _posed(camera: Camera, rotation: np.ndarray, position: np.ndarray) -> Camera:
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, :3] = torch.from_numpy(np.ascontiguousarray(rotation))
-    viewmat[:3, 3] = torch.from_numpy(-rotation @ position)
-    return Camera(camera.K, viewmat, camera.width, camera.height)
+    if np.linalg.norm(np.cross(forward, up)) < 1e-6:
+        return np.eye(3)[np.abs(forward).argmin()]
+    return up

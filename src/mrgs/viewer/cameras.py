@@ -15,11 +15,10 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera, View
-from mrgs.scene.camera_paths import look_at
+from mrgs.scene.camera import field_of_view
 from mrgs.scene.rotations import (
     matrix_from_quaternion,
     opengl_camera_to_world,
-    quaternion_from_matrix,
     rigid_transform,
 )
 from mrgs.system.atomic import write_text
@@ -51,7 +50,7 @@ def pinhole(
 
 def vertical_fov(camera: Camera) -> float:
     """Vertical field of view of a camera, radians."""
-    return 2 * math.atan(0.5 * camera.height / camera.K[1, 1].item())
+    return field_of_view(camera.height, camera.K[1, 1].item())
 
 
 def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
@@ -66,9 +65,8 @@ def camera_around(means: Float[np.ndarray, "n 3"]) -> Camera:
     centre = np.median(means, axis=0).astype(np.float64)
     radius = float(np.median(np.linalg.norm(means - centre, axis=1))) or 1.0
     position = centre + 2.5 * radius * np.array([1.0, -1.0, 0.6])
-    rotation = look_at(position, centre, np.array([0.0, 0.0, 1.0]))
-    wxyz = quaternion_from_matrix(rotation.T)
-    return pinhole(wxyz, position, math.radians(50), 800, 600)
+    at_origin = pinhole(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), math.radians(50), 800, 600)
+    return at_origin.look_at(position, centre)
 
 
 def nearest_view(

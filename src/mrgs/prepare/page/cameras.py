@@ -13,6 +13,7 @@ from torch import Tensor
 from mrgs.data.lens import Lens
 from mrgs.prepare.contract import Georeference
 from mrgs.prepare.rig.contract import RigCalibration
+from mrgs.scene.camera import field_of_view
 from mrgs.system.wording import counted
 
 
@@ -41,7 +42,7 @@ def lens_rows(lenses: Mapping[str, Lens], what: str) -> list[tuple[str, str]]:
 def lens_text(lens: Lens) -> str:
     """Size, field of view, focal length, principal point and distortion, in a sentence."""
     wide, high = (
-        math.degrees(2 * math.atan(0.5 * pixels / focal))
+        math.degrees(field_of_view(pixels, focal))
         for pixels, focal in ((lens.width, lens.fx), (lens.height, lens.fy))
     )
     text = (

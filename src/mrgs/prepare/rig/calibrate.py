@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -27,6 +28,7 @@ from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
 from mrgs.prepare.rig.target.observed import ObservedTarget, observe_target
 from mrgs.scene import PointCloud
+from mrgs.scene.camera import field_of_view
 from mrgs.scene.rotations import matrix_from_rotvec, rotvec_from_matrix
 from mrgs.scene.view import evenly_spaced
 
@@ -140,9 +142,7 @@ def _guess(
         return target.guess(*size)
     field_of_view_deg = options.field_of_view_deg
     if options.thermal_lens is not None:
-        field_of_view_deg = float(
-            np.degrees(2 * np.arctan(0.5 * size[0] / options.thermal_lens.fx))
-        )
+        field_of_view_deg = math.degrees(field_of_view(size[0], options.thermal_lens.fx))
     chosen = [pairs[index] for index in evenly_spaced(len(pairs), _SEARCH_PAIRS)]
     found = first_guess(
         chosen,
