@@ -1,1 +1,1 @@
-"""Devices, atomic files, child processes, and the security policy of web pages."""
+"""Devices, atomic files, child processes, and operations that kernels may compute."""
