@@ -19,6 +19,7 @@ from mrgs.viewer import texts
 from mrgs.viewer.annotation import SCALE_FROM_PX
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.opening import board_of
+from mrgs.viewer.saving import render_video, save_keyframes, save_screenshot
 from mrgs.viewer.settings import Mode, Settings
 from tests.helpers.scenes import write_scene
 from tests.helpers.subjects import MODES, subject_of
@@ -202,9 +203,9 @@ def test_a_surface_with_its_own_emissivity_is_shown_with_it(inspection, camera, 
 
 def test_screenshots_are_numbered(inspection, camera, subject):
     with pytest.raises(ConfigError, match="wait for the first picture"):
-        inspection.screenshot()
+        save_screenshot(inspection)
     image = inspection.picture(camera).pixels
-    paths = [inspection.screenshot(), inspection.screenshot()]
+    paths = [save_screenshot(inspection), save_screenshot(inspection)]
     assert [path.relative_to(subject.folder).as_posix() for path in paths] == [
         "renders/screenshots/0001.png",
         "renders/screenshots/0002.png",
@@ -219,7 +220,7 @@ def test_what_cannot_be_written_is_named(subject, camera):
     (subject.folder / "renders").write_text("in the way")
     inspection.picture(camera)
     with pytest.raises(RunError, match=r"0001\.png cannot be written"):
-        inspection.screenshot()
+        save_screenshot(inspection)
 
 
 def test_nothing_is_written_beside_a_run_that_is_gone(subject, camera):
@@ -227,16 +228,17 @@ def test_nothing_is_written_beside_a_run_that_is_gone(subject, camera):
     inspection = Inspection(replace(subject, folder=gone))
     inspection.picture(camera)
     with pytest.raises(RunError, match=r"run is gone: nothing can be saved until it is back"):
-        inspection.screenshot()
+        save_screenshot(inspection)
     assert not gone.parent.exists()
 
 
 @pytest.mark.parametrize("with_mp4", [True, False])
-def test_a_path_becomes_a_video(inspection, balls, with_mp4):
+def test_a_path_becomes_a_video(inspection, balls, with_mp4, monkeypatch):
+    monkeypatch.setattr("mrgs.viewer.saving.can_write_mp4", lambda: with_mp4)
     for view in balls.train[:2]:
         inspection.picture(view.camera.resized(80, 60))
         inspection.add_keyframe()
-    *progress, (_, _, path) = inspection.render_video(0.25, mp4=with_mp4)
+    *progress, (_, _, path) = render_video(inspection, 0.25)
     folder = path.with_suffix("")
     assert (path.name, path.is_file()) == (("0001.mp4", True) if with_mp4 else ("0001", False))
     assert [path.name for path in sorted(folder.iterdir())] == [
@@ -245,7 +247,7 @@ def test_a_path_becomes_a_video(inspection, balls, with_mp4):
     with Image.open(folder / "00000.png") as first:
         assert first.size == (80, 60)
     assert [each.done for each in progress] == [1, 2, 3, 4, 5, 6]
-    document = json.loads(inspection.save_path(0.25).read_text())
+    document = json.loads(save_keyframes(inspection, 0.25).read_text())
     assert len(document["camera_path"]) == 2
 
 
@@ -253,10 +255,10 @@ def test_a_video_needs_a_free_camera_and_two_keyframes(inspection, camera):
     with pytest.raises(ConfigError, match="wait for the first picture"):
         inspection.add_keyframe()
     with pytest.raises(ConfigError, match="at least two keyframes"):
-        next(inspection.render_video(1.0))
+        next(render_video(inspection, 1.0))
     inspection.settings = Settings(MODES["photos"])
     with pytest.raises(ConfigError, match="a video needs a free camera"):
-        next(inspection.render_video(1.0))
+        next(render_video(inspection, 1.0))
 
 
 def test_without_celsius_values_are_called_normalised(small_run, balls, camera, tmp_path):

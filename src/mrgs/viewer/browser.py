@@ -18,7 +18,7 @@ from mrgs.viewer import texts
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import fitted_size
 from mrgs.viewer.facts import hello_facts, marks_facts, picture_message
-from mrgs.viewer.inspection import Inspection, VideoProgress
+from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.messages import (
     Act,
     AddMark,
@@ -37,6 +37,7 @@ from mrgs.viewer.messages import (
     decode,
     encode,
 )
+from mrgs.viewer.saving import VideoProgress, render_video, save_keyframes, save_screenshot
 from mrgs.viewer.settings import Settings, Start, Subject
 from mrgs.viewer.worker import Worker
 
@@ -131,7 +132,9 @@ class Browser:
             case GoToPhoto():
                 self.inspection.view_index = self._view_index(message.index)
             case SavePath():
-                self._do("save", lambda: self._saved(self.inspection.save_path(message.seconds)))
+                self._do(
+                    "save", lambda: self._saved(save_keyframes(self.inspection, message.seconds))
+                )
             case RenderVideo():
                 self._do("video", lambda: self._begin_video(message.seconds))
             case Act():
@@ -144,7 +147,7 @@ class Browser:
             case "undo":
                 self._edit(lambda: self._board.undo())
             case "screenshot":
-                self._do("screenshot", lambda: self._saved(self.inspection.screenshot()))
+                self._do("screenshot", lambda: self._saved(save_screenshot(self.inspection)))
             case "add_keyframe":
                 self.inspection.add_keyframe()
                 self._path_changed()
@@ -300,7 +303,7 @@ class Browser:
         self._tell("keyframes", text=texts.keyframes(len(self.inspection.keyframes)))
 
     def _begin_video(self, seconds: float) -> None:
-        self._go_on(self.inspection.render_video(seconds))
+        self._go_on(render_video(self.inspection, seconds))
 
     def _go_on(self, video: Iterator[VideoProgress]) -> None:
         """Render the next frame; then the other jobs have their turn before the one after it."""

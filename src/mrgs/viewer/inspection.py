@@ -1,13 +1,11 @@
-"""State and actions of one viewer session, without a browser: pictures, readings, marks, camera
-paths."""
+"""State and actions of one viewer session, without a browser: pictures, readings, marks,
+keyframes."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -18,21 +16,17 @@ from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import box_corners, eye_of, picked_places, spot_radius
 from mrgs.marks.texts import label_text
-from mrgs.pictures.files import write_png
 from mrgs.pictures.limits import rounded
-from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera, Modality, View
-from mrgs.system.atomic import require_folder
 from mrgs.viewer.annotation import Outline, PointLabel, annotate
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.cameras import fitted_size, nearest_view, save_path, smooth_path
+from mrgs.viewer.cameras import nearest_view
 from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
 from mrgs.viewer.layout import Pane, Place, panes_of, place_at
 from mrgs.viewer.painting import Scales, compose, measure_scales
 from mrgs.viewer.picking import Reading, read_point
 from mrgs.viewer.settings import Settings, Subject
 
-VIDEO_SIDE_PX = 960
 PHOTOS_KEPT = 4
 
 
@@ -79,20 +73,6 @@ class PointReading:
     def value(self) -> float | None:
         """The value of ``modality`` in its unit."""
         return None if self.modality is None else self.reading.values[self.modality].value
-
-
-class VideoProgress(NamedTuple):
-    """How far a video is.
-
-    Attributes:
-        done: frames that are written.
-        total: frames of the video.
-        path: the finished mp4, or the folder of the frames; None before the end.
-    """
-
-    done: int
-    total: int
-    path: Path | None = None
 
 
 class Inspection:
@@ -370,76 +350,12 @@ class Inspection:
             raise ConfigError("wait for the first picture, then add a keyframe")
         self.keyframes = (*self.keyframes, self.drawn.camera)
 
-    def screenshot(self) -> Path:
-        """Write the current view, sharp and with its marks, into ``renders/screenshots``; returns
-        the file.
-
-        Raises:
-            ConfigError: no picture has been drawn yet.
-            RunError: the file cannot be written.
-        """
-        if self.drawn is None:
-            raise ConfigError("wait for the first picture, then take a screenshot")
-        folder = self._folder("screenshots")
-        drawn = self.picture(self.drawn.camera)
-        image = annotate(
-            drawn.pixels, drawn.panes, drawn.images, drawn.scales, self.marks(), self.outlines()
-        )
-        return write_png(_next_free(folder, ".png"), image)
-
-    def save_path(self, seconds: float) -> Path:
-        """Write the keyframes into ``renders/paths``, in nerfstudio's format; returns the file.
-
-        Raises:
-            ConfigError: there are no keyframes.
-            RunError: the file cannot be written.
-        """
-        folder = self._folder("paths")
-        return save_path(_next_free(folder, ".json"), self.keyframes, seconds, VIDEO_FPS)
-
-    def render_video(self, seconds: float, mp4: bool | None = None) -> Iterator[VideoProgress]:
-        """Render the path with the current settings into ``renders/videos``, frame by frame.
-
-        The colour scale is the current one throughout, and so are the marks.
+    def annotated_pictures(self, cameras: Sequence[Camera]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        """Pictures of a path with their marks, by the current settings and scales throughout.
 
         Args:
-            seconds: length of the video.
-            mp4: whether to write one; None writes it if imageio-ffmpeg is installed.
-
-        Yields:
-            After each frame how far it is; the last time, with the mp4 or the frames' folder.
-
-        Raises:
-            ConfigError: fewer than two keyframes, or a mode that is bound to photos.
-            RunError: a file cannot be written.
+            cameras: of the path, each at the size of its picture.
         """
-        if self.settings.mode.shows_photos:
-            raise ConfigError(
-                "a video needs a free camera: choose another picture than those with photos"
-            )
-        path = smooth_path(self.keyframes, round(seconds * VIDEO_FPS))
-        size = fitted_size(path[0].width, path[0].height, VIDEO_SIDE_PX)
-        folder = self._folder("videos")
-        target = _next_free(folder, "")
-        mp4 = can_write_mp4() if mp4 is None else mp4
-        with frame_writer(folder, target.name, size, mp4=mp4) as add:
-            frames = self._video_frames([camera.resized(*size) for camera in path])
-            for number, frame in enumerate(frames, start=1):
-                add(frame)
-                yield VideoProgress(number, len(path))
-        written = target.with_suffix(".mp4") if mp4 else target
-        yield VideoProgress(len(path), len(path), written)
-
-    def _folder(self, name: str) -> Path:
-        """Where files of a kind are written.
-
-        Raises:
-            WriteError: the run's folder is gone.
-        """
-        require_folder(self.subject.folder)
-        return self.subject.folder / "renders" / name
-
-    def _video_frames(self, cameras: Sequence[Camera]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         self.point = None
         settings, scales = self.settings, self._scales
         marks, outlines = self.marks(), self.outlines()
@@ -469,11 +385,3 @@ def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
 
 def _first_readable(modalities: Sequence[Modality]) -> Modality | None:
     return next((each for each in modalities if each.channels == 1), None)
-
-
-def _next_free(folder: Path, suffix: str) -> Path:
-    """``FOLDER/0001`` with the first number that no file or folder has."""
-    number = 1
-    while any(folder.glob(f"{number:04d}*")):
-        number += 1
-    return folder / f"{number:04d}{suffix}"
