@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float32
 
-from mrgs.export.splats import to_float32
 from mrgs.marks.regions import Regions
+from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, evenly_spaced
 
@@ -55,4 +55,4 @@ def _errors_c(
     exact = regions.applied_to(plain, camera)[THERMAL].image
     blended = corrected.render({THERMAL: camera})[THERMAL].image
     own = exact != plain[THERMAL].image
-    return to_float32(uncorrected.temperature.span_c * (blended - exact)[own].abs())
+    return to_array(uncorrected.temperature.span_c * (blended - exact)[own].abs())

@@ -11,7 +11,8 @@ from jaxtyping import Float, Float32
 from mrgs.data.ply import write_ply
 from mrgs.export.job import ExportJob, described
 from mrgs.export.sidecar import comment_lines
-from mrgs.export.splats import SplatArrays, base_values, to_float32, value_names
+from mrgs.export.splats import SplatArrays, base_values, value_names
+from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB
 
@@ -66,7 +67,7 @@ def write_combined_ply(
     columns = splat_columns(shown)
     for modality in baked.modalities:
         if modality != RGB:
-            columns[f"opacity_{modality}"] = logit(to_float32(baked.opacities[modality]))
+            columns[f"opacity_{modality}"] = logit(to_array(baked.opacities[modality]))
             values = base_values(baked, modality)
             columns |= dict(zip(value_names(baked, modality), values.T, strict=True))
     return write_ply(path, {"vertex": columns}, comments)

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from mrgs.errors import RunError
-from mrgs.export.splats import to_bytes, to_float32, value_names
+from mrgs.export.splats import to_bytes, value_names
+from mrgs.pictures.files import to_array
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, Camera, Modality, Reach, Scene
@@ -61,8 +62,8 @@ def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: Reach
     rendering = baked.render(camera, surface)
     depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)
     images = [
-        to_float32(in_unit(modality, blend.image, baked.temperature))
+        to_array(in_unit(modality, blend.image, baked.temperature))
         for modality, blend in rendering.items()
     ]
-    distant = to_float32(ball.without_background(camera, depth))
+    distant = to_array(ball.without_background(camera, depth))
     return DepthMap(camera, distant, np.concatenate(images, axis=2))

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.field.spherical_harmonics import C0
+from mrgs.pictures.files import to_array
 from mrgs.pictures.palette import PaletteName, palette_table
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
@@ -142,7 +143,7 @@ def shaded_splats(baked: BakedModel, modality: Modality) -> SplatArrays:
     sh = baked.sh(modality)
     if modality.channels != 3:
         sh = sh.mean(dim=2, keepdim=True).expand(-1, -1, 3)
-    return _splats(baked, baked.opacities[modality], to_float32(sh))
+    return _splats(baked, baked.opacities[modality], to_array(sh))
 
 
 def thermal_splats(baked: BakedModel, scale: ThermalScale) -> SplatArrays:
@@ -178,7 +179,7 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedMod
 def base_values(baked: BakedModel, modality: Modality) -> Float32[np.ndarray, "n c"]:
     """The part of each splat's values that does not depend on the view, [N, C]; temperatures in °C
     where the scene has a range."""
-    return to_float32(in_unit(modality, baked.base_values(modality), baked.temperature))
+    return to_array(in_unit(modality, baked.base_values(modality), baked.temperature))
 
 
 def value_names(baked: BakedModel, modality: Modality) -> list[str]:
@@ -206,11 +207,6 @@ def to_bytes(values: Float32[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape
     return np.rint(values.clip(0, 1) * 255).astype(np.uint8)
 
 
-def to_float32(tensor: Tensor) -> Float32[np.ndarray, "..."]:
-    """A tensor as a float32 array in main memory."""
-    return tensor.detach().float().cpu().numpy()
-
-
 def _mean_values(
     baked: BakedModel, modality: Modality, cameras: Sequence[Camera]
 ) -> Float[Tensor, "n c"]:
@@ -228,6 +224,6 @@ def _mean_values(
 def _splats(baked: BakedModel, opacity: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> SplatArrays:
     rotations = torch.nn.functional.normalize(baked.quats, dim=1)
     means, quats, scales, opacities = (
-        to_float32(tensor) for tensor in (baked.means, rotations, baked.scales, opacity)
+        to_array(tensor) for tensor in (baked.means, rotations, baked.scales, opacity)
     )
     return SplatArrays(means, quats, scales, opacities, sh)

@@ -12,7 +12,7 @@ from jaxtyping import Float32, UInt8
 
 from mrgs.errors import RunError
 from mrgs.export.rendered import depth_maps, value_columns
-from mrgs.export.splats import to_float32
+from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
 from mrgs.scene.depth_map import SURFACE_DEPTH, carry_over
@@ -51,14 +51,14 @@ def surface_points(baked: BakedModel, scene: Scene) -> SurfacePoints:
     Raises:
         RunError: there is no such splat.
     """
-    opacities = to_float32(torch.stack(list(baked.opacities.values())).amax(dim=0))
+    opacities = to_array(torch.stack(list(baked.opacities.values())).amax(dim=0))
     rows = np.flatnonzero(opacities >= MIN_OPACITY)
     if not len(rows):
         raise RunError(
             f"no splat has an opacity of {MIN_OPACITY} or more, so there are no points: train it "
             f"longer"
         )
-    positions = to_float32(baked.means)[rows]
+    positions = to_array(baked.means)[rows]
     values, seen = carry_over(depth_maps(baked, scene), positions, 0.0, SURFACE_DEPTH)
     if not seen.any():
         raise RunError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
 from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from torch import Tensor
@@ -89,7 +89,7 @@ def shown_depth(
     )
 
 
-def to_array(tensor: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
+def to_array(tensor: Float[Tensor, "..."]) -> Float32[np.ndarray, "..."]:
     """A tensor as a float32 array in main memory, detached."""
     return tensor.detach().float().cpu().numpy()
 

@@ -18,9 +18,9 @@ from mrgs.export.maps.photos import (
     photo_map,
 )
 from mrgs.export.maps.shown import ShownPlaces
-from mrgs.export.splats import to_float32
 from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Scene
 from mrgs.scene.depth_map import DepthMap
@@ -100,7 +100,7 @@ def draw_map(
             f"than {MAX_PIXELS:,}; choose larger pixels",
             options=("pixel_size_m",),
         )
-    means = to_float32(baked.means)
+    means = to_array(baked.means)
     drawn = torch.from_numpy(grid.inside(means.astype(np.float64)) & on_seen_surface(maps, means))
     # All others become transparent: a copy of the splats to draw would take more memory.
     opacities = {each: opacity * drawn for each, opacity in baked.opacities.items()}
@@ -145,7 +145,7 @@ def _draw_part(
     size = camera.height, camera.width
     colors, points = (np.full(shape, np.nan, np.float32) for shape in ((3, *size), (*size, 3)))
     # The mean would lose digits from as far away as a map's camera stands.
-    depth = to_float32(splats.median_depth(scene.modalities[0], camera))
+    depth = to_array(splats.median_depth(scene.modalities[0], camera))
     depth = shown.depth_of_part(part, camera, depth)
     surface = np.isfinite(depth)
     points[surface] = unprojected(camera, depth)[surface]
@@ -153,5 +153,5 @@ def _draw_part(
         blend = splats.render({RGB: camera})[RGB]
         # The light that gets through gaps between splats is black: it is no colour of a surface.
         opaque = blend.image / blend.alpha.clamp_min(LEAST_ALPHA)[..., None]
-        colors[:, surface] = 255 * to_float32(opaque).clip(0, 1)[surface].T
+        colors[:, surface] = 255 * to_array(opaque).clip(0, 1)[surface].T
     return colors, points

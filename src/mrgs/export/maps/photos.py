@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32
 
 from mrgs.errors import RunError
 from mrgs.export.maps.grid import MapGrid
-from mrgs.export.splats import to_float32
+from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, PosedImage, Rendering, Scene
 from mrgs.scene.depth_map import MIN_ALPHA, DepthMap
@@ -124,8 +124,8 @@ def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
     camera, pixels = image.camera, image.load()
     surface = scene.modalities[0]
     rendering = baked.render(dict.fromkeys({surface, THERMAL}, camera), surface)
-    rendered = to_float32(baked.temperature.to_celsius(rendering[THERMAL].image[..., 0]))
-    measured = to_float32(scene.temperature.to_celsius(pixels.values[..., 0]))
+    rendered = to_array(baked.temperature.to_celsius(rendering[THERMAL].image[..., 0]))
+    measured = to_array(scene.temperature.to_celsius(pixels.values[..., 0]))
     if pixels.valid is not None:
         measured = np.where(pixels.valid.numpy(), measured, np.float32(np.nan))
     both = np.stack([rendered, measured], axis=2)
@@ -138,4 +138,4 @@ def _surface_depth(
     """The depth of the first modality of which there are photos, infinite where it shows the
     background."""
     depth = rendering.surface_depth(scene.modalities[0], MIN_ALPHA)
-    return to_float32(scene.reach.without_background(camera, depth))
+    return to_array(scene.reach.without_background(camera, depth))

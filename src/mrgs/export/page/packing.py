@@ -24,6 +24,7 @@ import torch
 from jaxtyping import Float, Float32, Int64, UInt8, UInt16, UInt32
 
 from mrgs.errors import ConfigError
+from mrgs.pictures.files import to_array
 from mrgs.rasterizer.contract import ALPHA_MIN
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Modality
@@ -73,12 +74,12 @@ def pack_in_order(
         modalities: to pack.
         sh_limits: see ``harmonics_limits``.
     """
-    low, high, positions = _chunked_positions(_array(baked.means))
-    scales, scale_limits = _quantise(np.log(_array(baked.scales)), 1023)
+    low, high, positions = _chunked_positions(to_array(baked.means))
+    scales, scale_limits = _quantise(np.log(to_array(baked.scales)), 1023)
     planes: dict[str, np.ndarray] = {
         "chunk_low": low,
         "chunk_high": high,
-        "rotations": smallest_three(_array(baked.quats)),
+        "rotations": smallest_three(to_array(baked.quats)),
         "scales": _three_in_one(scales),
         "positions": positions.T,
     }
@@ -87,9 +88,9 @@ def pack_in_order(
         planes[f"opacity_{modality}"] = _opacity_plane(baked, modality)
         if modality in sh_limits:
             limits["sh"][modality.name] = bands = sh_limits[modality]
-            planes[f"sh_{modality}"] = _harmonics_plane(_array(baked.sh(modality)), bands)
+            planes[f"sh_{modality}"] = _harmonics_plane(to_array(baked.sh(modality)), bands)
         else:
-            values, ends = _quantise(_array(baked.base_values(modality))[:, 0], 65535)
+            values, ends = _quantise(to_array(baked.base_values(modality))[:, 0], 65535)
             limits["values"][modality.name] = ends
             planes[f"values_{modality}"] = values.astype(np.uint16)
     # Wide numbers first, so that each plane starts at a multiple of its width.
@@ -115,8 +116,8 @@ def curve_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np.nd
     Raises:
         ConfigError: there are none.
     """
-    means = _array(baked.means)
-    opacity = np.max([_array(baked.opacities[each]) for each in modalities], axis=0)
+    means = to_array(baked.means)
+    opacity = np.max([to_array(baked.opacities[each]) for each in modalities], axis=0)
     rows = np.flatnonzero((opacity >= ALPHA_MIN) & np.isfinite(means).all(axis=1))
     if not rows.size:
         raise ConfigError(
@@ -139,7 +140,7 @@ def harmonics_limits(
     limits = {}
     for modality in modalities:
         if modality in baked.sh_dc:
-            sh = _array(
+            sh = to_array(
                 torch.cat([baked.sh_dc[modality][some], baked.sh_rest[modality][some]], dim=1)
             )
             bands = range(math.isqrt(sh.shape[1]))
@@ -149,7 +150,7 @@ def harmonics_limits(
 
 def _opacity_plane(baked: BakedModel, modality: Modality) -> np.ndarray:
     kind = np.uint16 if modality.channels == 1 else np.uint8
-    return np.rint(_array(baked.opacities[modality]) * np.iinfo(kind).max).astype(kind)
+    return np.rint(to_array(baked.opacities[modality]) * np.iinfo(kind).max).astype(kind)
 
 
 def _harmonics_plane(
@@ -193,10 +194,6 @@ def smallest_three(quats: Float32[np.ndarray, "n 4"]) -> UInt32[np.ndarray, " n"
     small = np.take_along_axis(quats * sign, others, axis=1)
     codes = np.rint((small * math.sqrt(0.5) + 0.5) * 1023).clip(0, 1023)
     return largest.astype(np.uint32) << 30 | _three_in_one(codes)
-
-
-def _array(tensor: Any) -> Float32[np.ndarray, "..."]:
-    return tensor.detach().float().cpu().numpy()
 
 
 def _chunked_positions(
