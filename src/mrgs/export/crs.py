@@ -18,6 +18,7 @@ from jaxtyping import Float64
 
 from mrgs.errors import ConfigError
 from mrgs.scene import EarthPosition, Scene
+from mrgs.system.optional import optional_package
 
 UTM_LATITUDES_DEG = (-80.0, 84.0)
 """UTM is defined between these."""
@@ -180,13 +181,7 @@ def require_pyproj() -> ModuleType:
     Raises:
         ConfigError: it is not installed.
     """
-    try:
-        import pyproj
-    except ImportError:
-        raise ConfigError(
-            'map coordinates need the package pyproj: pip install "mrgs[export]"'
-        ) from None
-    return pyproj
+    return optional_package("pyproj", "map coordinates", "export")
 
 
 def _utm(pyproj: ModuleType, origin: EarthPosition) -> Any:

@@ -8,13 +8,13 @@ from types import ModuleType
 
 import numpy as np
 
-from mrgs.errors import ConfigError
 from mrgs.export.crs import CoordinateSystem, coordinate_system
 from mrgs.export.job import ExportJob, described
 from mrgs.export.rendered import COLORS
 from mrgs.export.surface_points import SurfacePoints
 from mrgs.scene import Scene
 from mrgs.system.atomic import replacing
+from mrgs.system.optional import optional_package
 
 POINT_FORMAT, WITH_COLORS = 6, 7
 """Formats of LAS 1.4 without and with RGB."""
@@ -100,8 +100,4 @@ def require_laspy() -> ModuleType:
     Raises:
         ConfigError: it is not installed.
     """
-    try:
-        import laspy
-    except ImportError:
-        raise ConfigError('LAS files need the package laspy: pip install "mrgs[export]"') from None
-    return laspy
+    return optional_package("laspy", "LAS files", "export")

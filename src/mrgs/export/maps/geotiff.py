@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 
-from mrgs.errors import ConfigError
 from mrgs.export.maps.draw import BANDS, OrthographicMap
 from mrgs.system.atomic import replacing
+from mrgs.system.optional import optional_package
 
 TILE_PX = 256
 
@@ -19,11 +19,7 @@ def require_rasterio() -> ModuleType:
     Raises:
         ConfigError: it is not installed.
     """
-    try:
-        import rasterio
-    except ImportError:
-        raise ConfigError('maps need the package rasterio: pip install "mrgs[export]"') from None
-    return rasterio
+    return optional_package("rasterio", "maps", "export")
 
 
 def write_geotiff(path: Path, drawn: OrthographicMap, wkt: str, tags: Mapping[str, str]) -> Path:
