@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from mrgs.comparison import child
-from mrgs.comparison.methods import Variant, configure, to_text
+from mrgs.comparison.methods import Variant, configure
 from mrgs.errors import KernelWarning, MrgsWarning
+from mrgs.system.strict_yaml import write_yaml
 from tests.helpers.comparison import tiny_options
 
 
@@ -26,7 +27,7 @@ def request_for(tmp_path: Path):
     def make(scene: Path) -> dict[str, str | None]:
         config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
         return {
-            "scene": str(scene), "folder": str(tmp_path / "run"), "config": to_text(config),
+            "scene": str(scene), "folder": str(tmp_path / "run"), "config": write_yaml(config),
             "device": "cpu", "lpips_weights": None,
         }  # fmt: skip
 

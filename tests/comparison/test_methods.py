@@ -4,9 +4,9 @@ from dataclasses import asdict
 
 import pytest
 
-from mrgs.comparison.methods import Variant, configure, from_text, read_config, to_text, train_run
+from mrgs.comparison.methods import Variant, configure, from_text, read_config, train_run
 from mrgs.errors import ConfigError
-from mrgs.system.strict_yaml import flat
+from mrgs.system.strict_yaml import flat, write_yaml
 from mrgs.training.run_folder import RunFolder
 from tests.helpers.comparison import tiny_options
 
@@ -66,7 +66,7 @@ def test_a_variant_has_the_resolution_of_all(method):
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt", "thermonerf"])
 def test_a_configuration_survives_its_text(method):
     config = configure(Variant(method, method), tiny_options(), 1)
-    assert from_text(to_text(config)) == config
+    assert from_text(write_yaml(config)) == config
     with pytest.raises(ConfigError, match="the request must hold the fields of a configuration"):
         from_text("3")
 

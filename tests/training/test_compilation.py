@@ -9,8 +9,9 @@ import pytest
 import torch
 from numba.extending import is_jitted
 
-from mrgs.method.config import make_config, to_yaml
+from mrgs.method.config import make_config
 from mrgs.system.child import Child
+from mrgs.system.strict_yaml import write_yaml
 from mrgs.training import compilation
 from mrgs.training.compilation import (
     CHILD,
@@ -86,13 +87,13 @@ def test_another_process_helps_where_there_is_a_core_and_something_to_do(
     monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
     config = make_config("mrgs")
     with shared_compiling(config):
-        assert started == [to_yaml(config)] * starts
-    assert started == [to_yaml(config), "closed"] * starts
+        assert started == [write_yaml(config)] * starts
+    assert started == [write_yaml(config), "closed"] * starts
 
 
 def test_the_child_compiles_half_and_ends_with_its_parent(tmp_path):
     config = make_config("mrgs-plus", "fast")
-    child = Child(CHILD, {"config": to_yaml(config)}, tmp_path / "log")
+    child = Child(CHILD, {"config": write_yaml(config)}, tmp_path / "log")
     assert list(child.messages()) == []
     assert child.failure() is None
     assert child.end == {"end": "compiled"}

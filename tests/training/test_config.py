@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
 from mrgs.method.camera_model.image_model import ImageModelConfig
-from mrgs.method.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config, to_yaml
+from mrgs.method.config import METHODS, PRESETS, TrainConfig, from_yaml, make_config
 from mrgs.method.density import AdaptiveDensityControl
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
+from mrgs.system.strict_yaml import write_yaml
 
 COUNTS = st.integers(1, 10**9)
 WEIGHTS = st.floats(0, 1e6, allow_subnormal=True)
@@ -48,11 +49,11 @@ CONFIGS = st.builds(
 @pytest.mark.filterwarnings("ignore:Do not use the `random` module")  # the type checker's samples
 @given(CONFIGS)
 def test_yaml_gives_back_the_same_configuration(config):
-    assert from_yaml(to_yaml(config), "config.yaml") == config
+    assert from_yaml(write_yaml(config), "config.yaml") == config
 
 
 def test_yaml_shows_every_field():
-    text = to_yaml(TrainConfig())
+    text = write_yaml(TrainConfig())
     names = [field.name for field in dataclasses.fields(TrainConfig)]
     names += [field.name for field in dataclasses.fields(AdaptiveDensityControl)]
     assert all(f"{name}:" in text for name in names)
@@ -152,7 +153,7 @@ def test_every_method_and_preset_is_valid(method, preset):
     assert (config.method, config.preset) == (method, preset)
     schedule = config.densification
     assert 0 < schedule.start < schedule.stop < config.max_steps
-    assert from_yaml(to_yaml(config), "config.yaml") == config
+    assert from_yaml(write_yaml(config), "config.yaml") == config
 
 
 def test_methods_are_the_rows_of_the_ablation_table():
@@ -296,7 +297,7 @@ def test_what_must_be_whole_numbers_is_named(name, value):
 
 def test_whole_numbers_may_be_of_any_type():
     config = make_config("mrgs", max_steps=np.int64(7), seed=np.uint8(3))
-    assert from_yaml(to_yaml(config), "config.yaml") == config
+    assert from_yaml(write_yaml(config), "config.yaml") == config
 
 
 def test_steps_of_several_views_are_fewer_and_longer():

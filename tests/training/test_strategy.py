@@ -19,10 +19,11 @@ import mrgs
 from mrgs import Method, Strategy, Term, load_run, make_config, open_run, register
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation import evaluate_run
-from mrgs.method.config import METHODS, to_yaml
+from mrgs.method.config import METHODS
 from mrgs.method.density import DensityUpdate
 from mrgs.runs import registry
 from mrgs.runs.registry import find_method, registered_methods
+from mrgs.system.strict_yaml import write_yaml
 from mrgs.training import train
 from mrgs.training.checkpoint_file import read_file, write_file
 from tests.helpers.training import short_config
@@ -183,7 +184,7 @@ def test_settings_of_the_configuration_may_be_changed_in_its_file(small_scene, t
     config = short_config(max_steps=3)
     train(small_scene, tmp_path, config, stop_at=1)
     fewer = replace(config, densification=replace(config.densification, max_gaussians=40))
-    (tmp_path / "config.yaml").write_text(to_yaml(fewer))
+    (tmp_path / "config.yaml").write_text(write_yaml(fewer))
     train(small_scene, tmp_path, config, resume=True)
 
 

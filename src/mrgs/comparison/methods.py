@@ -11,7 +11,7 @@ from mrgs.errors import ConfigError
 from mrgs.runs.open import method_of
 from mrgs.runs.registry import find_method
 from mrgs.system.gpu import DeviceName
-from mrgs.system.strict_yaml import parse_yaml, write_yaml
+from mrgs.system.strict_yaml import parse_yaml
 from mrgs.training.run_folder import RunConfig, RunFolder
 
 DEFAULT_METHODS = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
@@ -138,13 +138,8 @@ def train_run(
     )
 
 
-def to_text(config: RunConfig) -> str:
-    """A configuration of any method as YAML."""
-    return write_yaml(config)
-
-
 def from_text(text: str) -> RunConfig:
-    """The configuration that ``to_text`` wrote.
+    """The configuration of any method that ``write_yaml`` wrote.
 
     Raises:
         ConfigError: it is not a configuration.

@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mrgs.comparison.methods import to_text
 from mrgs.comparison.plan import PlannedRun
 from mrgs.system.child import OUT_OF_MEMORY, Child, Message
 from mrgs.system.gpu import DeviceName
+from mrgs.system.strict_yaml import write_yaml
 from mrgs.system.threads import available_cores
 
 CHILD = ("-m", "mrgs.comparison.child")
@@ -94,7 +94,7 @@ def _start(
     request = {
         "scene": str(job.scene.absolute()),  # the child runs in another folder
         "folder": str(job.folder.absolute()),
-        "config": to_text(job.config),
+        "config": write_yaml(job.config),
         "device": device,
         "lpips_weights": None if lpips_weights is None else str(lpips_weights.absolute()),
     }

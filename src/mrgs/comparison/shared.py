@@ -9,12 +9,13 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from mrgs.comparison.methods import from_text, to_text
+from mrgs.comparison.methods import from_text
 from mrgs.comparison.plan import PlannedRun
 from mrgs.comparison.processes import Message, run_jobs
 from mrgs.distributed.processes import Processes
 from mrgs.distributed.work_queue import Piece, WorkQueue
 from mrgs.system.gpu import DeviceName
+from mrgs.system.strict_yaml import write_yaml
 from mrgs.training.peers import require_same_version
 
 ORPHAN_S = 60.0
@@ -137,7 +138,7 @@ def _to_json(job: PlannedRun) -> dict[str, Any]:
         "scene_name": job.scene_name,
         "method": job.method,
         "seed": job.seed,
-        "config": to_text(job.config),
+        "config": write_yaml(job.config),
         "folder": str(job.folder.absolute()),
     }
 

@@ -19,7 +19,7 @@ from mrgs.method.optimizer import OptimizerConfig
 from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.rasterizer.dilation import LEAST_DILATION_PX2, Dilation
 from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within, whole_number
-from mrgs.system.strict_yaml import read_yaml, write_yaml
+from mrgs.system.strict_yaml import read_yaml
 
 Preset = Literal["fast", "default", "paper"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
@@ -375,13 +375,9 @@ def _with_batch(config: TrainConfig, batch: int) -> TrainConfig:
     )
 
 
-def to_yaml(config: TrainConfig) -> str:
-    """The configuration as YAML, every field written out."""
-    return write_yaml(config)
-
-
 def from_yaml(text: str, source: str, base: TrainConfig | None = None) -> TrainConfig:
-    """The configuration that ``to_yaml`` wrote, or a part of one over another; see ``read_yaml``.
+    """The configuration that ``write_yaml`` wrote, or a part of one over another; see
+    ``read_yaml``.
 
     Raises:
         ConfigError: not YAML, a field that does not exist, or a value of the wrong type.

@@ -13,7 +13,7 @@ from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.export import FORMATS, export
 from mrgs.marks.store import judged_content
-from mrgs.method.config import DEFAULT_METHOD, to_yaml
+from mrgs.method.config import DEFAULT_METHOD
 from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.ledger import Ledger, file_stamp
 from mrgs.pipeline.monitor import Monitor
@@ -26,6 +26,7 @@ from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
 from mrgs.survey import SURVEY_FILE
 from mrgs.system.gpu import DeviceName
+from mrgs.system.strict_yaml import write_yaml
 from mrgs.system.wording import counted
 from mrgs.training.driver import Statistics
 from mrgs.training.run_folder import RunFolder
@@ -128,7 +129,7 @@ class Job:
         return fingerprint(stamps(self.intake.source), options, files, poses)
 
     def _made_from_scene(self) -> str:
-        return fingerprint(self._held_by_scene(), to_yaml(self.config))
+        return fingerprint(self._held_by_scene(), write_yaml(self.config))
 
     def _made_from_model(self) -> str:
         newest = RunFolder(self.model).newest_checkpoint()

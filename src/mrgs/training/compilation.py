@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 
 import torch
 
-from mrgs.method.config import TrainConfig, to_yaml
+from mrgs.method.config import TrainConfig
 from mrgs.system.child import Child
+from mrgs.system.strict_yaml import write_yaml
 
 CHILD = ("-m", "mrgs.training.compile_child")
 
@@ -78,7 +79,7 @@ def shared_compiling(config: TrainConfig) -> Iterator[None]:
         yield
         return
     with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
-        child = Child(CHILD, {"config": to_yaml(config)}, Path(folder, "stderr.txt"))
+        child = Child(CHILD, {"config": write_yaml(config)}, Path(folder, "stderr.txt"))
         try:
             yield
         finally:

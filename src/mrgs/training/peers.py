@@ -16,11 +16,11 @@ import torch
 
 from mrgs.distributed.processes import Processes
 from mrgs.errors import ConfigError, RunError
-from mrgs.method.config import TrainConfig, to_yaml
+from mrgs.method.config import TrainConfig
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.scene import Scene
-from mrgs.system.strict_yaml import first_difference, flat, parse_yaml
+from mrgs.system.strict_yaml import first_difference, flat, parse_yaml, write_yaml
 from mrgs.training import checkpoint
 from mrgs.training.facts import CheckpointFacts, differences
 from mrgs.training.run_folder import RunConfig, RunFolder
@@ -107,7 +107,7 @@ class Peers:
             ConfigError: there are more of them than views in a step.
         """
         own = version("mrgs")
-        first, text, resume = self.processes.share_json([own, to_yaml(config), resume])
+        first, text, resume = self.processes.share_json([own, write_yaml(config), resume])
         problem = _other_version(self.processes, own, first)
         if not resume:
             problem = problem or _other_configuration(self.processes, text, config)
@@ -165,7 +165,7 @@ def require_alike(processes: Processes, config: TrainConfig, scene: Scene) -> No
     """
     require_same_version(processes)
     seen = CheckpointFacts.at_start(scene).to_json() if processes.is_first else None
-    text, header = processes.share_json([to_yaml(config), seen])
+    text, header = processes.share_json([write_yaml(config), seen])
     problem = _other_configuration(processes, text, config)
     if problem is None:
         problem = _other_scene(processes, CheckpointFacts.from_json(header), scene)
@@ -191,7 +191,7 @@ def _other_version(processes: Processes, own: str, first: str) -> str | None:
 
 def _other_configuration(processes: Processes, text: str, config: TrainConfig) -> str | None:
     """What is wrong if this process differs from the first one in a value."""
-    theirs, ours = (flat(parse_yaml(each, "")) for each in (text, to_yaml(config)))
+    theirs, ours = (flat(parse_yaml(each, "")) for each in (text, write_yaml(config)))
     name = first_difference(theirs, ours)
     if name is None:
         return None
