@@ -194,7 +194,7 @@ def densify(
     chosen = _within_budget(gradients, config, len(gaussians))
     is_large = sizes > config.clone_below * extent
     cloned, split = (chosen & ~is_large).nonzero()[:, 0], (chosen & is_large).nonzero()[:, 0]
-    added = _concatenate(gaussians.rows(cloned), _split(gaussians.rows(split), generator))
+    added = gaussians.rows(cloned).followed_by(_split(gaussians.rows(split), generator))
     survives = ~_is_superfluous(gaussians, config, extent, prunes_large)
     added_survives = ~_is_superfluous(added, config, extent, prunes_large)
     pruned = int((~survives).sum() + (~added_survives).sum())
@@ -260,10 +260,3 @@ def _rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float
     w, r = unit[:, :1], unit[:, 1:]
     crossed = torch.linalg.cross(r, vectors)
     return vectors + 2 * (w * crossed + torch.linalg.cross(r, crossed))
-
-
-def _concatenate(first: Gaussians, second: Gaussians) -> Gaussians:
-    others = second.tensors()
-    return first.with_tensors(
-        {name: torch.cat([tensor, others[name]]) for name, tensor in first.tensors().items()}
-    )
