@@ -157,46 +157,61 @@ def _seen(cameras: dict[str, Camera], points: Float64[Tensor, "n 3"]) -> list[Pr
     """Poses that do not see the points, and points that no camera sees."""
     seen = seen_shares(list(cameras.values()), points)
     shares = seen.mean(dim=1)
+    return (
+        _other_convention(list(cameras.values()), points, shares)
+        or _other_world(shares)
+        or [*_looking_away(list(cameras), shares), *_outside_all_views(seen)]
+    )
+
+
+def _other_convention(
+    cameras: Sequence[Camera], points: Float64[Tensor, "n 3"], shares: Float64[Tensor, " v"]
+) -> list[Problem]:
+    """Poses that would see the points if the file meant something else by its matrices."""
+    better, remedy, share = _better_convention(cameras, points, shares.mean().item())
+    if not better:
+        return []
+    text = (
+        f"The cameras do not look at the points: they see {shares.mean():.0%} of them, and "
+        f"would see {share:.0%} "
+        f"if the file held {better}."
+    )
+    return [Problem("error", text, remedy)]
+
+
+def _other_world(shares: Float64[Tensor, " v"]) -> list[Problem]:
+    """Poses of which most see next to no points."""
+    if not shares.median().item() < _LOST:
+        return []
+    text = (
+        f"The cameras do not look at the points: half of them see less than {_LOST:.0%} of these."
+    )
+    remedy = "Check that poses and points come from one reconstruction, in one world."
+    return [Problem("error", text, remedy)]
+
+
+def _looking_away(names: Sequence[str], shares: Float64[Tensor, " v"]) -> list[Problem]:
+    """Poses that see next to nothing of what is usual."""
     usual = shares.median().item()
-    better, remedy, share = _better_convention(list(cameras.values()), points, shares.mean().item())
-    if better:
-        text = (
-            f"The cameras do not look at the points: they see {shares.mean():.0%} of them, and "
-            f"would see {share:.0%} "
-            f"if the file held {better}."
-        )
-        return [Problem("error", text, remedy)]
-    if usual < _LOST:
-        text = (
-            f"The cameras do not look at the points: half of them see less than {_LOST:.0%} of "
-            f"these."
-        )
-        return [
-            Problem(
-                "error",
-                text,
-                "Check that poses and points come from one reconstruction, in one world.",
-            )
-        ]
-    found = []
-    if lost := [
-        name for name, own in zip(cameras, shares.tolist(), strict=True) if own < _LOST * usual
-    ]:
-        text = f"The camera of {views_text(lost)} looks away from the points that the others see."
-        found.append(
-            Problem(
-                "warning", text, "Their poses may be wrong: leave them out, or find them again."
-            )
-        )
+    lost = [name for name, own in zip(names, shares.tolist(), strict=True) if own < _LOST * usual]
+    if not lost:
+        return []
+    text = f"The camera of {views_text(lost)} looks away from the points that the others see."
+    remedy = "Their poses may be wrong: leave them out, or find them again."
+    return [Problem("warning", text, remedy)]
+
+
+def _outside_all_views(seen: Float64[Tensor, "v n"]) -> list[Problem]:
+    """Points that no camera sees, if they are many."""
     unseen = (seen.sum(dim=0) == 0).double().mean().item()
-    if unseen > _UNSEEN:
-        text = f"{unseen:.0%} of the points lie outside all views."
-        remedy = (
-            "Check that points and poses are in one world, and that the points are not those "
-            "of a larger scene."
-        )
-        found.append(Problem("warning", text, remedy))
-    return found
+    if not unseen > _UNSEEN:
+        return []
+    text = f"{unseen:.0%} of the points lie outside all views."
+    remedy = (
+        "Check that points and poses are in one world, and that the points are not those "
+        "of a larger scene."
+    )
+    return [Problem("warning", text, remedy)]
 
 
 def _better_convention(
