@@ -13,7 +13,7 @@ from torch import Tensor
 from mrgs.data.colmap import read_colmap
 from mrgs.data.colmap_model import MODEL_FOLDERS, find_model
 from mrgs.data.files import scene_error
-from mrgs.data.images import probe
+from mrgs.data.images import Kind, probe
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_image
 from mrgs.data.sources import SceneSource, ViewSource
@@ -21,7 +21,7 @@ from mrgs.data.splits import Split, assign_splits
 from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.errors import ConfigError
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
-from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
+from mrgs.scene.point_cloud import RANDOM_POINTS, PointCloud, random_points
 from mrgs.system.callers import warn
 from mrgs.system.collector import collector_paused
 from mrgs.system.message import Message
@@ -87,37 +87,16 @@ def _recognise(path: Path) -> SceneSource:
 
 
 def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int) -> Scene:
-    thermal_kinds = []
-    probed = cache(probe)
-    for view in source.views:
-        for modality, image in view.images.items():
-            kind = check_files(image, probed).kind
-            if modality == THERMAL:
-                thermal_kinds.append((image.path, kind))
-    splits = assign_splits([view.key for view in source.views], source.lists, source.notes)
-    if "train" not in splits:
-        raise scene_error(
-            source.file, "no view is left for training; check the split lists and the file names"
-        )
-    temperature = None
-    if thermal_kinds:
-        temperature = read_bounds(source.root, source.notes)
-        kind = check_kinds(thermal_kinds, temperature is not None, source.notes)
-        if kind == "float" and temperature is None:
-            temperature = _measured_range(source, splits)
+    thermal_kinds = _checked_thermal_files(source)
+    splits = _checked_splits(source)
+    temperature = _temperature_range(source, thermal_kinds, splits) if thermal_kinds else None
     names = _unique_names([view.key for view in source.views])
     views = [
         _view(name, view, temperature, resolution)
         for name, view in zip(names, source.views, strict=True)
     ]
     train = tuple(view for view, split in zip(views, splits, strict=True) if split == "train")
-    points = source.points
-    if points is None:
-        source.notes.decide(
-            f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras."
-        )
-        cameras = [camera for view in train for camera in view.cameras.values()]
-        points = random_points(cameras, seed)
+    points = _start_points(source, train, seed) if source.points is None else source.points
     return Scene(
         name=source.root.name,
         train=train,
@@ -129,6 +108,47 @@ def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int
         resolution=resolution,
         world=source.world,
     )
+
+
+def _checked_thermal_files(source: SceneSource) -> list[tuple[Path, Kind]]:
+    """The files of thermal images and their kinds, after the headers of all images are checked."""
+    thermal_kinds = []
+    probed = cache(probe)
+    for view in source.views:
+        for modality, image in view.images.items():
+            kind = check_files(image, probed).kind
+            if modality == THERMAL:
+                thermal_kinds.append((image.path, kind))
+    return thermal_kinds
+
+
+def _checked_splits(source: SceneSource) -> list[Split]:
+    """The split of each view; some are for training."""
+    splits = assign_splits([view.key for view in source.views], source.lists, source.notes)
+    if "train" not in splits:
+        raise scene_error(
+            source.file, "no view is left for training; check the split lists and the file names"
+        )
+    return splits
+
+
+def _temperature_range(
+    source: SceneSource, thermal_kinds: Sequence[tuple[Path, Kind]], splits: Sequence[Split]
+) -> TemperatureRange | None:
+    """The range of the thermal images; None where they are normalised and no file gives it."""
+    temperature = read_bounds(source.root, source.notes)
+    kind = check_kinds(thermal_kinds, temperature is not None, source.notes)
+    if kind == "float" and temperature is None:
+        return _measured_range(source, splits)
+    return temperature
+
+
+def _start_points(source: SceneSource, train: Sequence[View], seed: int) -> PointCloud:
+    """Random points before the training cameras, in place of those that the files lack."""
+    source.notes.decide(
+        f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras."
+    )
+    return random_points([camera for view in train for camera in view.cameras.values()], seed)
 
 
 def _measured_range(source: SceneSource, splits: Sequence[Split]) -> TemperatureRange:
