@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import time
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,8 @@ from mrgs.app.together import FollowingProgress
 from mrgs.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
+    import torch
+
     from mrgs.distributed.processes import Processes
     from mrgs.runs.registry import Method
     from mrgs.scene import Scene
@@ -39,43 +41,23 @@ def train(command: Train, processes: Processes | None) -> int:
         MrgsError: what was asked for cannot be done.
         Interrupted: the training was interrupted, and has saved a checkpoint.
     """
-    from mrgs.runs.open import method_of
-    from mrgs.runs.registry import find_method
-    from mrgs.system.gpu import HOST, choose_device
-    from mrgs.training.run_folder import RunFolder
+    from mrgs.system.gpu import choose_device
 
     if processes is not None:
         processes.connect()
     leads = processes is None or processes.is_first
     output = _output(command)
-    goes_on = command.resume and leads and command.blocks is None
-    name = method_of(RunFolder(output)).name if goes_on else command.method
-    method = find_method(name if processes is None else processes.share_json(name))
-    _require_possible(command, method, processes)
-    if goes_on:
-        _require_own_settings(command, method, RunFolder(output))
-    require_blocks(command)
-    together = 1 if processes is None or command.blocks is not None else processes.count
-    batch = command.batch or together
-    config = _configured(command, method, command.max_steps, batch)
+    method = _possible_method(command, output, processes, leads)
     device = command.device if method.uses_gpu else "cpu"
-    if command.minutes is not None:
-        steps = _steps_in_time(command, method, config, device)
-        config = _configured(command, method, steps, batch)
-        if config.max_steps != steps:
-            raise ConfigError(
-                f"--minutes chooses the steps: leave max_steps out of {command.config}"
-            )
+    config = _configuration(command, method, processes, device)
     chosen = choose_device(device)
     if command.blocks is not None:
         train_in_blocks(command, output, config, device, processes)
         return 0
-    progress: TrainingProgress | FollowingProgress = FollowingProgress()
-    if leads:
-        note_gpu(chosen)
-        progress = TrainingProgress(compiles=chosen == HOST and not command.plain)
-    shows = command.view and leads
-    with progress, _live_view(output, command.port) if shows else nullcontext() as live:
+    progress: TrainingProgress | FollowingProgress = (
+        _progress(command, chosen) if leads else FollowingProgress()
+    )
+    with progress, _live_view(command, output, leads) as live:
         method.train(
             command.scene,
             output,
@@ -93,6 +75,43 @@ def train(command: Train, processes: Processes | None) -> int:
     elif interrupts.received is not None:
         raise Interrupted
     return 0
+
+
+def _possible_method(
+    command: Train, output: Path, processes: Processes | None, leads: bool
+) -> Method:
+    """The method to train with, which can follow the options; of a resumed run, its own.
+
+    Raises:
+        ConfigError: it cannot, or they are not those of the resumed run.
+        DeviceError: it cannot use a GPU.
+    """
+    from mrgs.runs.open import method_of
+    from mrgs.runs.registry import find_method
+    from mrgs.training.run_folder import RunFolder
+
+    goes_on = command.resume and leads and command.blocks is None
+    name = method_of(RunFolder(output)).name if goes_on else command.method
+    method = find_method(name if processes is None else processes.share_json(name))
+    _require_possible(command, method, processes)
+    if goes_on:
+        _require_own_settings(command, method, RunFolder(output))
+    require_blocks(command)
+    return method
+
+
+def _configuration(command: Train, method: Method, processes: Processes | None, device: str) -> Any:
+    """The configuration that the options ask for, with the steps that fit into the minutes."""
+    together = 1 if processes is None or command.blocks is not None else processes.count
+    batch = command.batch or together
+    config = _configured(command, method, command.max_steps, batch)
+    if command.minutes is None:
+        return config
+    steps = _steps_in_time(command, method, config, device)
+    config = _configured(command, method, steps, batch)
+    if config.max_steps != steps:
+        raise ConfigError(f"--minutes chooses the steps: leave max_steps out of {command.config}")
+    return config
 
 
 def _configured(command: Train, method: Method, max_steps: int | None, batch: int) -> Any:
@@ -215,10 +234,24 @@ def _say_what_next(
     print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
 
 
-def _live_view(output: Path, port: int) -> LiveView:
+def _progress(command: Train, device: torch.device) -> TrainingProgress:
+    """The terminal's line, below the name of the GPU if one is used."""
+    from mrgs.system.gpu import HOST
+
+    note_gpu(device)
+    return TrainingProgress(compiles=device == HOST and not command.plain)
+
+
+def _live_view(
+    command: Train, output: Path, leads: bool
+) -> LiveView | AbstractContextManager[None]:
+    """The view of the training, if it is asked for; one process of several shows it."""
+    if not (command.view and leads):
+        return nullcontext()
+
     from mrgs.viewer import LiveView
 
-    return LiveView(output, port=port, on_ready=print_viewer_address)
+    return LiveView(output, port=command.port, on_ready=print_viewer_address)
 
 
 def _hooks(progress: TrainingProgress | FollowingProgress, live: LiveView | None) -> dict[str, Any]:
