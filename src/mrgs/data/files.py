@@ -222,14 +222,35 @@ class ImageFinder:
             path = contained(self._root, folder, named_in)
             links: dict[str, bool] = {}
             by_stem: dict[str, list[str]] = {}
-            for entry in sorted(os.scandir(path), key=_name_of) if path.is_dir() else ():
+            for entry in _entries(path):
                 stem = without_image_suffix(entry.name)
-                if stem != entry.name and entry.is_file():
+                if stem != entry.name and _is_image_file(entry):
                     links[entry.name] = entry.is_symlink()
                     by_stem.setdefault(stem, []).append(entry.name)
             self._listings[folder] = _Listing(path, links, by_stem)
         return self._listings[folder]
 
 
-def _name_of(entry: os.DirEntry[str]) -> str:
-    return entry.name
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    """What lies in a folder, by name; nothing if there is no such folder.
+
+    Raises:
+        SceneError: it cannot be listed.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(entries, key=lambda entry: entry.name)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise scene_error(
+            folder, f"cannot be read ({error.strerror}); check its name, and that it is readable"
+        ) from None
+
+
+def _is_image_file(entry: os.DirEntry[str]) -> bool:
+    """Whether there is a file under a name; False for a link that leads to itself."""
+    try:
+        return entry.is_file()
+    except OSError:
+        return False
