@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from mrgs.system.child import OUT_OF_MEMORY, Child
+from mrgs.system.isolation import CHILD_FOLDER
 
 SCRIPT = "from mrgs.system.child import read_request, send, when_asked_to_stop\n"
 
@@ -48,6 +49,35 @@ def test_a_failure_has_a_reason(start, script, reason):
     child = start(script)
     list(child.messages())
     assert child.failure() == reason
+
+
+@pytest.mark.parametrize("line", ["5", "[1]", "null", '"end"'])
+def test_only_objects_are_messages(start, line):
+    child = start(f"print({line!r}); send(end='done')")
+    assert list(child.messages()) == []
+    assert child.failure() is None
+
+
+def test_a_child_runs_apart_from_the_users_folder_and_keyboard(start):
+    child = start(
+        "import os; send(folder=os.getcwd(), group=os.getsid(0) != os.getsid(os.getppid()), "
+        "wait=os.environ['OMP_WAIT_POLICY']); send(end='done')"
+    )
+    (told,) = child.messages()
+    assert told == {"folder": str(CHILD_FOLDER.resolve()), "group": True, "wait": "PASSIVE"}
+
+
+def test_a_child_whose_parent_hears_nothing_any_more_goes_on(start, tmp_path):
+    done = tmp_path / "done"
+    child = start(
+        "import sys; from pathlib import Path; sys.stdin.read(); send(step=1); "
+        f"send(step=2); Path({str(done)!r}).write_text('')"
+    )
+    child._process.stdout.close()
+    child.stop()
+    assert child._process.wait(60) == 0
+    assert done.exists()
+    assert child.log.read_text() == ""
 
 
 def test_a_child_can_be_asked_to_stop(start):

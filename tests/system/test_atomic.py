@@ -1,11 +1,24 @@
 from __future__ import annotations
 
+import errno
+import json
+import os
 from pathlib import Path
 
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.system.atomic import replacing
+from mrgs.system import atomic
+from mrgs.system.atomic import (
+    TEMPORARY,
+    remove,
+    remove_abandoned,
+    replacing,
+    write_error,
+    write_text,
+)
+
+on_posix = pytest.mark.skipif(atomic.fcntl is None, reason="no locks on folders here")
 
 
 def test_a_whole_file_appears_in_a_new_folder(tmp_path: Path) -> None:
@@ -41,3 +54,78 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         replacing(path) as temporary,
     ):
         temporary.write_text("x")
+
+
+def test_a_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, monkeypatch) -> None:
+    done: list[str] = []
+    flush, move = os.fsync, os.replace
+    monkeypatch.setattr(os, "fsync", lambda file: (done.append("flush"), flush(file)))
+    monkeypatch.setattr(os, "replace", lambda *paths: (done.append("move"), move(*paths)))
+    write_text(tmp_path / "file.txt", "whole")
+    assert done == ["flush", "move"]
+
+
+@on_posix
+def test_nobody_else_can_read_what_is_being_written(tmp_path: Path) -> None:
+    with replacing(tmp_path / "file.txt") as temporary:
+        assert temporary.parent.stat().st_mode & 0o777 == 0o700
+        temporary.write_text("whole")
+
+
+@on_posix
+def test_only_what_dead_processes_left_is_removed(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(atomic, "_swept", set())
+    (tmp_path / f"{TEMPORARY}dead").mkdir()
+    (tmp_path / f"{TEMPORARY}dead" / "file.txt").write_text("half")
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / f"{TEMPORARY}dead").mkdir()
+    (tmp_path / f"{TEMPORARY}link").symlink_to(tmp_path / "kept")
+    with replacing(tmp_path / "a.txt") as temporary:
+        assert not (tmp_path / f"{TEMPORARY}dead").exists()
+        temporary.write_text("a")
+        atomic._swept.clear()
+        write_text(tmp_path / "b.txt", "b")
+        remove_abandoned(tmp_path)
+        assert temporary.read_text() == "a"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        f"{TEMPORARY}link", "a.txt", "b.txt", "kept",
+    ]  # fmt: skip
+    assert list((tmp_path / "kept").iterdir()) == []
+
+
+def test_names_that_are_not_utf_8_come_back_from_json(tmp_path: Path) -> None:
+    text = json.dumps({"name": "\udcff é"}, ensure_ascii=False)
+    path = write_text(tmp_path / "file.json", text)
+    assert json.loads(path.read_text(encoding="utf-8")) == {"name": "\udcff é"}
+
+
+@on_posix
+def test_a_name_as_long_as_may_be_can_be_written(tmp_path: Path) -> None:
+    path = tmp_path / f"a.{'x' * 253}"
+    assert write_text(path, "whole").read_text() == "whole"
+    with pytest.raises(RunError, match=r"cannot be written .*: choose a shorter name"):
+        write_text(tmp_path / ("a" * 256), "whole")
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.EACCES, "choose a place that you may write to"),
+        (errno.EPERM, "choose a place that you may write to"),
+        (errno.EROFS, "choose a place that you may write to"),
+        (errno.ENAMETOOLONG, "choose a shorter name"),
+        (errno.ENOSPC, "make room, or choose another place"),
+    ],
+)
+def test_an_error_says_what_can_be_done(number: int, remedy: str) -> None:
+    error = write_error(Path("file.txt"), OSError(number, "reason"))
+    assert str(error) == f"file.txt cannot be written (reason): {remedy}"
+
+
+def test_a_file_that_is_not_there_need_not_be_removed(tmp_path: Path) -> None:
+    path = write_text(tmp_path / "file.txt", "whole")
+    remove(path)
+    remove(path)
+    assert not path.exists()
+    with pytest.raises(RunError, match="cannot be removed"):
+        remove(tmp_path)

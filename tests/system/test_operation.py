@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import warnings
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,10 @@ def test_kernels_can_be_turned_off(monkeypatch):
         assert energy(*inputs()) != "kernel"
     with plainly(False):
         assert energy(*inputs()) == "kernel"
+    with plainly():
+        with plainly():
+            pass
+        assert energy(*inputs()) != "kernel"
     monkeypatch.setenv("MRGS_PLAIN", "1")
     assert energy(*inputs()) != "kernel"
     monkeypatch.setenv("MRGS_PLAIN", "0")
@@ -131,6 +136,79 @@ def test_a_later_check_gives_a_kernel_another_chance(monkeypatch):
     with checking():
         energy(*inputs())
     assert not energy.rejected
+
+
+def test_a_kernel_that_differs_once_is_not_used_because_it_passes_elsewhere(monkeypatch):
+    def right_for_five(x, layer):
+        return by_a_product(x, layer) if len(x) == 5 else 1.1 * by_a_product(x, layer)
+
+    energy = make_operation(monkeypatch, right_for_five)
+    x, layer = inputs()
+    with pytest.warns(MrgsWarning), checking():
+        [energy(each, layer) for each in (x[:3], x)]
+    assert energy.rejected == {right_for_five}
+
+
+def test_a_check_without_gradients_leaves_out_what_was_rejected(monkeypatch):
+    called = []
+
+    def without_gradient(x, layer):
+        called.append(x)
+        return by_a_product(x, layer).detach()
+
+    energy = make_operation(monkeypatch, without_gradient)
+    with pytest.warns(MrgsWarning), checking():
+        energy(*inputs())
+    called.clear()
+    with checking(gradients=False):
+        energy(*inputs())
+    assert energy.rejected == {without_gradient}
+    assert not called
+
+
+def of_two(monkeypatch, plain, kernel) -> Operation:
+    """An operation on two tensors, and its kernel for the CPU."""
+    made = operation(plain)
+    entry = Kernel(made.name, "tests.kernel", "cpu", (torch.float32,))
+    monkeypatch.setattr(module, "_table", lambda: {(made.name, "cpu"): entry})
+    monkeypatch.setattr(module, "_imported", lambda name: kernel)
+    return made
+
+
+@pytest.mark.parametrize(("share", "passes"), [(1e-7, True), (0.5, False)])
+def test_a_gradient_that_vanishes_beside_the_others_may_be_rounding_noise(
+    monkeypatch, share, passes
+):
+    made = of_two(
+        monkeypatch,
+        lambda a, b: a.sum() + share * b.sum(),
+        lambda a, b: a.sum() + 1.5 * share * b.sum(),
+    )
+    a, b = torch.ones(4, requires_grad=True), torch.full((4,), 1e-6, requires_grad=True)
+    with warnings.catch_warnings(), checking():
+        warnings.simplefilter("ignore")
+        made(a, b)
+    assert (not made.rejected) == passes
+
+
+def test_a_kernel_may_take_the_other_side_of_a_kink(monkeypatch):
+    made = of_two(
+        monkeypatch,
+        lambda a, b: (a.clamp(max=1) * b).sum(),
+        lambda a, b: (torch.where(a < 1, a, 1) * b).sum(),
+    )
+    a, b = (torch.ones(4, requires_grad=True) for _ in range(2))
+    with checking():
+        made(a, b)
+    assert not made.rejected
+
+
+def test_an_argument_that_changes_nothing_has_no_gradient(monkeypatch):
+    made = of_two(monkeypatch, lambda a, b: a.square().sum(), lambda a, b: (a * a).sum())
+    a, b = (torch.ones(4, requires_grad=True) for _ in range(2))
+    with checking():
+        made(a, b)
+    assert not made.rejected
 
 
 def test_the_kernel_of_another_device_is_judged_apart(monkeypatch):
