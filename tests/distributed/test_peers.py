@@ -150,17 +150,18 @@ def test_more_processes_than_views_in_a_step_are_refused(tmp_path):
     assert "a batch of 2 views, which is not enough for 3 processes: start at most 2" in str(first)
 
 
-def test_models_that_differ_become_the_first_ones(small_scene):
+@pytest.mark.parametrize(("count", "odd"), [(2, 1), (3, 1), (3, 2)])
+def test_models_that_differ_become_the_first_ones(small_scene, count, odd):
     scene = load_scene(small_scene)
 
     def train(processes):
         state = initial_state(scene, CONFIG)
         before = align_replicas(processes, state)
-        if processes.rank == 1:
+        if processes.rank == odd:
             with torch.no_grad():
                 state.model.gaussians.means[3, 1] += 1e-6
         return before, align_replicas(processes, state), state.model.gaussians.means.detach()
 
-    found = together(train, 2)
-    assert [(before, after) for before, after, _ in found] == [(False, True)] * 2
-    assert torch.equal(found[0][2], found[1][2])
+    found = together(train, count)
+    assert [(before, after) for before, after, _ in found] == [(False, True)] * count
+    assert all(torch.equal(found[0][2], means) for _, _, means in found)
