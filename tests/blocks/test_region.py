@@ -1,13 +1,24 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
-from mrgs.blocks.region import Region, cells, parse_grid, plane_of, shape_for, without_empty
+from mrgs.blocks.region import (
+    Region,
+    Ring,
+    ScenePlane,
+    cells,
+    parse_grid,
+    plane_of,
+    shape_for,
+    without_empty,
+)
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError
+from mrgs.scene import PointCloud, WorldFrame
 from tests.helpers.scenes import write_scene
 
 PLACES = torch.rand(1000, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
@@ -52,6 +63,55 @@ def test_empty_cells_are_joined_with_their_neighbours():
     assert without_empty(columns, lambda cell: True) == [Region((-math.inf,) * 2, (math.inf,) * 2)]
 
 
+def test_an_empty_column_is_joined_with_the_one_before_it():
+    columns = cells(PLACES, 2, 3)
+    left, right = columns[1][0].low[0], columns[1][0].high[0]
+    kept = without_empty(columns, lambda cell: cell.low[0] == left and cell.high[0] == right)
+    assert [each.low[0] for each in kept] == [-math.inf, -math.inf, right, right]
+    assert [each.high[0] for each in kept] == [right, right, math.inf, math.inf]
+
+
+def test_what_reaches_out_of_a_region_does_not_lie_in_it_and_grows_with_its_margin():
+    region = Region((0.0, 0.0), (4.0, 2.0))
+    places = torch.tensor([[0.5, 1.0], [3.5, 1.0], [2.0, 1.6], [2.0, 1.0]])
+    reach = torch.tensor([0.6, 0.4, 0.6, 0.9])
+    assert region.contains(places).all()
+    assert region.contains(places, reach).tolist() == [False, True, False, True]
+    grown = region.grown(0.5)
+    assert grown == Region((-0.5, -0.5), (4.5, 2.5))
+    assert grown.contains(places, reach).all()
+
+
+def test_a_ring_holds_what_reaches_neither_out_of_it_nor_into_its_hole():
+    ring = Ring(Region((-2.0, -2.0), (2.0, 2.0)), Region((-1.0, -1.0), (1.0, 1.0)))
+    places = torch.tensor([[1.5, 0.0], [1.1, 0.0], [0.9, 0.0], [0.0, -1.5]])
+    assert ring.contains(places).tolist() == [True, True, False, True]
+    reach = torch.tensor([0.4, 0.2, 0.2, 0.6])
+    assert ring.contains(places, reach).tolist() == [True, False, False, False]
+
+
+def test_a_region_counts_as_far_as_it_lies_in_the_scene():
+    plane = ScenePlane(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), (-3.0, -1.0), (5.0, 2.0))
+    assert plane.sides == (8.0, 3.0)
+    endless = Region((-math.inf, -math.inf), (1.0, math.inf))
+    assert plane.clipped(endless) == (4.0, 3.0)
+    assert plane.clipped(Region((0.0, 0.0), (9.0, 1.0))) == (5.0, 1.0)
+
+
+def test_where_the_horizontal_is_known_a_scene_is_cut_upright(tmp_path):
+    """A tower: most of it spreads upwards."""
+    scene = load_scene(write_scene(tmp_path))
+    tower = torch.randn(2000, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor(
+        [0.3, 0.2, 0.9]
+    )
+    scene = replace(scene, points=PointCloud(tower, torch.zeros(2000, 3)))
+    assert abs(plane_of(scene).axes[0][2]) > 0.9
+    north = replace(scene, world=WorldFrame(metric=True, north=True))
+    for axis in plane_of(north).axes:
+        assert axis[2] == pytest.approx(0.0, abs=1e-9)
+        assert max(axis, key=abs) > 0
+
+
 def test_a_region_survives_json():
     region = Region((-math.inf, 1.5), (2.0, math.inf))
     assert Region.from_json(region.to_json()) == region
@@ -74,7 +134,7 @@ def test_cells_are_about_square(count, sides, shape):
     assert shape_for(count, sides) == shape
 
 
-@pytest.mark.parametrize("text", ["2", "x3", "0x2", "2x-1", "axb", "1e3x2"])
+@pytest.mark.parametrize("text", ["2", "x3", "0x2", "2x-1", "axb", "1e3x2", "101x100"])
 def test_other_numbers_of_blocks_are_refused(text):
     with pytest.raises(ConfigError, match="blocks are auto, or ROWSxCOLUMNS such as 2x3"):
         parse_grid(text)
@@ -83,3 +143,4 @@ def test_other_numbers_of_blocks_are_refused(text):
 def test_numbers_of_blocks_are_read():
     assert parse_grid("auto") is None
     assert parse_grid("2x3") == (2, 3)
+    assert parse_grid("100x100") == (100, 100)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+import math
 import shutil
 from contextlib import contextmanager
 from dataclasses import replace
@@ -11,8 +13,9 @@ import torch
 from safetensors.torch import load_file
 
 from mrgs.blocks import refinement
+from mrgs.blocks.coverage import Surveyor, counted_places, views_of
 from mrgs.blocks.density import Part
-from mrgs.blocks.plan import BlockOptions, read_plan
+from mrgs.blocks.plan import BlockOptions, make_plan, read_plan
 from mrgs.blocks.refinement import SEAM_WIDTH
 from mrgs.blocks.region import Region, Ring, ScenePlane
 from mrgs.blocks.together import train_together
@@ -315,6 +318,64 @@ def test_a_plan_that_is_none_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(RunError, match="choose another folder"):
         read_plan(path)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"format": 2},
+        {"cells": []},
+        {"cells": [{"region": [[None, None], [None, None]], "views": []}]},
+        {"cells": [{"region": [[None, None], [None, None]], "views": [-1]}]},
+        {"cells": [{"region": [[None, None], [None, None]], "views": [math.inf]}]},
+        {"cells": [{"region": [[None, None]], "views": [0]}]},
+        {"overlap": -1.0},
+        {"overlap": math.inf},
+        {"overlap": math.nan},
+        {"overlap": 10**400},
+        {"plane": {"axes": [[1, 0, 0], [0, 1]], "low": [0, 0], "high": [1, 1]}},
+        {"options": {"blocks": "1x2", "rows": 1}},
+    ],
+)
+def test_a_plan_that_was_damaged_is_refused(joined, tmp_path, damage):
+    content = json.loads((joined / "blocks/plan.json").read_text(encoding="utf-8"))
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    assert read_plan(path) == read_plan(joined / "blocks/plan.json")
+    path.write_text(json.dumps(content | damage), encoding="utf-8")
+    with pytest.raises(RunError, match=r"plan\.json .* choose another folder"):
+        read_plan(path)
+
+
+def test_blocks_of_a_scene_that_had_more_photos_are_refused(joined, scene):
+    start = training(joined, scene)
+    views = max(view for cell in start.plan.cells for view in cell.views)
+    fewer = replace(start.scene, train=start.scene.train[:views])
+    with pytest.raises(RunError, match=rf"other options \(views {views + 1}, not {views}\)"):
+        start.plan.require_same(joined / "blocks/plan.json", fewer, start.config, start.options)
+
+
+def test_the_photos_of_a_block_are_those_that_show_it_with_its_margin(joined, scene):
+    done = training(joined, scene)
+    plan = done.plan
+    places = counted_places(Surveyor(done.coarse.model, done.scene, plan.plane), done.scene)
+    for cell in plan.cells:
+        assert cell.views == views_of(cell.region.grown(plan.overlap), places)
+
+
+def test_the_margin_is_a_share_of_the_narrowest_block(joined, scene):
+    done, options = training(joined, scene), BlockOptions("1x2", None)
+    plan = make_plan(done.coarse.model, done.scene, {}, options, lambda line: None)
+    narrowest = min(min(plan.plane.clipped(cell.region)) for cell in plan.cells)
+    assert plan.overlap == pytest.approx(0.15 * narrowest)
+
+
+def test_a_joined_run_counts_what_all_its_parts_took(joined):
+    parts = [load_run(path.parent).facts for path in joined.glob("blocks/*/config.yaml")]
+    assert len(parts) >= 4  # coarse, two blocks, what lies along their cut
+    facts = load_run(joined).facts
+    assert facts.train_seconds == pytest.approx(sum(each.train_seconds for each in parts))
+    assert facts.peak_memory_bytes == max(each.peak_memory_bytes for each in parts)
 
 
 def test_an_overlap_that_does_not_fit_is_refused(scene, tmp_path):

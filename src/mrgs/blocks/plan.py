@@ -199,7 +199,7 @@ def read_plan(path: Path) -> BlockPlan | None:
                 options=("output",),
             )
         return _from_json(content)
-    except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, OSError, RecursionError) as error:
         raise RunError(
             f"{path} is not a plan of blocks: restore it, or choose another folder",
             options=("output",),
