@@ -11,6 +11,7 @@ from string import ascii_lowercase
 from mrgs.comparison.results import kind_of
 from mrgs.comparison.table import Mark, Table, marks, printed
 from mrgs.pictures.markdown import escape_markdown
+from mrgs.pictures.spreadsheet import escape_cell
 
 MARKDOWN_GROUPS = 3
 LATEX_GROUPS = 5
@@ -72,7 +73,7 @@ def to_latex(table: Table) -> str:
 
 def to_csv(table: Table) -> str:
     """One line per figure, with all decimals: the labels, group, figure, unit, mean, std, seeds,
-    mark, note."""
+    mark, note. Names and notes that a spreadsheet would run as formulas are quoted."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     fields = ("group", "figure", "unit", "mean", "std", "seeds", "mark", "note")
@@ -84,15 +85,15 @@ def to_csv(table: Table) -> str:
             kind = kind_of(name)
             writer.writerow(
                 [
-                    *row.labels,
-                    group,
+                    *map(escape_cell, row.labels),
+                    escape_cell(group),
                     kind.heading,
                     kind.unit,
                     mean,
                     std,
                     cell.seeds or "",
                     mark,
-                    cell.note or "",
+                    escape_cell(cell.note or ""),
                 ]
             )
     return text.getvalue()

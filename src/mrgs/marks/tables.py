@@ -18,6 +18,7 @@ from mrgs.marks.mark import Mark, Place
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.uncertainty import COVERAGE, Uncertainty
 from mrgs.pictures.numbers import number_text
+from mrgs.pictures.spreadsheet import escape_cell
 from mrgs.pictures.values import decimals_of, unit_label
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
 from mrgs.system.atomic import write_text
@@ -302,8 +303,7 @@ def _cell(value: Any) -> Any:
     """A cell; a text that a spreadsheet would run as a formula is quoted."""
     if isinstance(value, float):
         return f"{value:.6g}"
-    is_formula = isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t"))
-    return f"'{value}" if is_formula else value
+    return escape_cell(value) if isinstance(value, str) else value
 
 
 def _line(text: str) -> str:
