@@ -133,6 +133,10 @@ def test_what_is_stated_is_shown_in_its_language(language, row):
 def test_the_inspectors_words_are_not_translated_but_a_side_is():
     t = Texts("de")
     assert t("Clouds") != "Clouds"
-    rows = stated_rows(Survey(client="Clouds", side="inside"), t)
-    assert rows == [(t("Client"), "Clouds"), (t("Photographed from"), t("inside"))]
+    rows = stated_rows(Survey(client="Clouds", parts_observed="inside", side="inside"), t)
+    assert rows == [
+        (t("Client"), "Clouds"),
+        (t("Parts observed"), "inside"),
+        (t("Photographed from"), t("inside")),
+    ]
     assert t("inside") != "inside"

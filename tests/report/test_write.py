@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -25,8 +26,9 @@ from mrgs.report.spots import find_spots
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import THERMAL
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
-from mrgs.survey import Survey
+from mrgs.survey import Survey, write_survey
 from mrgs.training import make_config, train
+from mrgs.training.run_folder import RunFolder
 from tests.helpers.scenes import write_scene
 
 METRICS = {
@@ -105,6 +107,14 @@ def test_without_scores_it_says_how_to_get_them(run, tmp_path):
     assert text.count(f"mrgs eval {run.folder.path}") == 2
     assert "Not scored yet" in text
     assert "No contact sheet yet" in text
+
+
+def test_commands_in_the_report_can_be_pasted_whatever_the_folder_is_called(run, tmp_path):
+    folder = tmp_path / "my $(run)"
+    shutil.copytree(run.folder.path, folder)
+    moved = replace(run, folder=RunFolder(folder))
+    text = Page(write_report(moved, run.load_scene(), tmp_path / "report.html")).text
+    assert text.count(f"mrgs eval '{folder}'") == 2
 
 
 def test_scores_and_contact_sheet_are_shown(run, tmp_path):
@@ -198,6 +208,29 @@ def test_names_from_files_are_escaped(run, tmp_path):
     page = Page(write_report(run, scene, tmp_path / "report.html"))
     assert "script" not in page.tags
     assert page.text.count("alert(1)") >= 3
+
+
+def test_the_inspectors_words_are_escaped(run, tmp_path):
+    evil = "\"><img src=x onerror=alert(1)></td></title><script>alert(2)</script>'&amp;"
+    texts = [
+        name for name, field in Survey.__dataclass_fields__.items() if field.type == "str | None"
+    ]
+    assert len(texts) > 15
+    survey = replace(Survey(standard="EN 13187"), **dict.fromkeys(texts, evil))
+    write_survey(run.folder.path / "survey.yaml", survey)
+    marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
+    name = '"><script>x</script>'
+    marks.line(camera, [(15, 15), (25, 15)], name=name, note=evil, severity="<img onerror=x>")
+    marks.spot(camera, (20, 15))
+    marks.refer_to(name)
+    path = write_report(run, run.load_scene(), tmp_path / "report.html")
+    page, html = Page(path), path.read_text(encoding="utf-8")
+    assert "script" not in page.tags
+    assert all(source.startswith("data:image/") for source in page.images)
+    assert "onerror=alert(1)>" not in html
+    assert " ".join(page.words).count("onerror=alert(1)>") >= len(texts)
+    assert "<img onerror=x>" in page.text
+    assert f"to {name}" in page.text
 
 
 @pytest.mark.usefixtures("certain")

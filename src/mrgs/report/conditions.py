@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from datetime import date
 from decimal import Decimal
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 from mrgs.marks.tables import digits
 from mrgs.report.texts import Texts
-from mrgs.survey import Side, Survey
+from mrgs.survey import Survey
 
 LEAST_DIFFERENCE_K = 10.0
 MOST_WIND_BUILDING_M_S = 5.0
@@ -162,7 +162,8 @@ def stated_rows(survey: Survey, t: Texts) -> list[tuple[str, str]]:
     for name, (label, unit) in LABELS.items():
         value = getattr(survey, name)
         if value is not None:
-            rows.append((t(label), _stated(value, unit, t)))
+            text = _stated(value, unit, t)
+            rows.append((t(label), t(text) if name == "side" else text))
     return rows
 
 
@@ -171,8 +172,7 @@ def _stated(value: object, unit: str, t: Texts) -> str:
         return t.number(_given(value, unit))
     if isinstance(value, date):
         return t.date(value)
-    text = str(value)
-    return t(text) if text in get_args(Side) else text
+    return str(value)
 
 
 LABELS: Mapping[str, tuple[str, str]] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
@@ -208,6 +209,7 @@ def write_report(
         conditions=conditions_of(survey, thermal_pixel_m(scene)),
         styles=[PAGE_STYLE, "report/report.css"],
         run_folder=run.folder.path,
+        quoted=lambda text: shlex.quote(str(text)),
         step=run.facts.step,
         has_thermal=has_thermal,
         temperature=scene.temperature,
