@@ -48,6 +48,15 @@ def test_on_the_network_addresses_are_own_and_names_are_not():
     assert not gate.is_own_host(["evil.example:8080"])
 
 
+def test_where_only_this_computer_is_served_its_name_in_the_network_is_foreign(monkeypatch):
+    monkeypatch.setattr(socket, "gethostname", lambda: "Office")
+    assert not Gate("127.0.0.1").is_own_host(["office:8080"])
+    assert not Gate("localhost").is_own_host(["office:8080"])
+    assert not Gate("localhost").is_own_host(["192.168.0.7:8080"])
+    assert Gate("192.168.0.7").is_own_host(["office:8080"])
+    assert Gate("Office.example").is_own_host(["office.example:8080"])
+
+
 @pytest.mark.parametrize(
     ("origins", "own"),
     [
@@ -84,6 +93,8 @@ def test_the_token_is_found_in_address_and_cookie(gate):
     for other in ('prefs={"theme":"dark","n":1}', "x[y]=1", "abc", 'q="a', "=;;"):
         for jar in ([f"{other}; {name}={gate.token}"], [f"{name}={gate.token};{other}"]):
             assert gate.has_cookie(jar, 8080)
+    for jar in ([f"other={gate.token}"], [f"x{name}={gate.token}"]):
+        assert not gate.has_cookie(jar, 8080)
     for jar in ([], [f"{name}=wrong"], ["\x00;;;=", f"{name}"]):
         assert not gate.has_cookie(jar, 8080)
     assert {"HttpOnly", "SameSite=Strict"} <= set(gate.cookie(8080).split("; "))

@@ -80,6 +80,39 @@ def test_what_is_no_message_is_refused(data):
         decode(data)
 
 
+@pytest.mark.parametrize(
+    ("message", "wrong"),
+    [
+        ({"type": "hover", "x": 1, "y": 0}, {"x": 1.001}),
+        ({"type": "read", "x": 0, "y": 1}, {"y": -0.001}),
+        ({"type": "add_mark", "kind": "line", "points": [[0, 0]] * 200}, {"points": []}),
+        ({"type": "add_mark", "kind": "spot", "points": [[1, 1]]}, {"points": [[0, 0]] * 201}),
+        ({"type": "add_mark", "kind": "spot", "points": [[1, 1]]}, {"points": [[0, 1.5]]}),
+        ({"type": "photo", "index": 0}, {"index": -1}),
+        ({"type": "delete_mark", "mark": 10**9}, {"mark": 10**9 + 1}),
+        ({"type": "judge", "mark": "a" * 10_000, "accept": True}, {"mark": "a" * 10_001}),
+        ({"type": "video", "seconds": 0.5}, {"seconds": 0.49}),
+        ({"type": "save_path", "seconds": 600}, {"seconds": 600.1}),
+        ({"type": "act", "what": "undo"}, {"what": "close"}),
+        ({"type": "act", "what": "undo"}, {"where": "/etc"}),
+    ],
+)
+def test_numbers_and_lengths_have_ends(message, wrong):
+    decode(json.dumps(message))
+    with pytest.raises(ValueError, match="does not understand"):
+        decode(json.dumps(message | wrong))
+
+
+def test_a_change_has_the_fields_that_were_sent_and_no_others():
+    change = {"type": "change_mark", "mark": 3, "note": "", "emissivity": None}
+    assert decode(json.dumps(change)).fields == {"note": "", "emissivity": None}
+
+
+def test_the_principal_point_and_both_focal_lengths_arrive():
+    camera = decode(look(focal=[100, 110], centre=[80, 60])).camera()
+    assert camera.K.tolist() == [[100, 0, 80], [0, 110, 60], [0, 0, 1]]
+
+
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=4),
@@ -103,6 +136,15 @@ def test_whatever_a_look_says_it_gives_a_finite_camera_or_is_refused(changed):
 def test_what_is_not_understood_is_said_in_words():
     with pytest.raises(ValueError, match="does not understand what the page sent: reload the page"):
         decode('{"type": "change_mark", "mark": 1, "note": 5}')
+
+
+def test_a_name_that_is_not_utf_8_is_sent_as_far_as_it_can_be_read():
+    facts = {"name": "caf\udce9", "views": ({"name": "é \udcff"}, 1.5, None), "far": math.inf}
+    assert json.loads(encode(facts)) == {
+        "name": "caf?", "views": [{"name": "é ?"}, 1.5, None], "far": None,
+    }  # fmt: skip
+    note = Message("{name} is new.", name="\udcff")
+    assert json.loads(encode([note])) == ["? is new."]
 
 
 def test_a_text_with_values_is_sent_as_text():

@@ -227,8 +227,23 @@ def decode(data: str | bytes) -> AnyMessage:
 
 
 def encode(value: object) -> str:
-    """A message to a browser as JSON."""
-    return msgspec.json.encode(value, enc_hook=_plain_text).decode()
+    """A message to a browser as JSON; ? stands for what is not UTF-8 in the name of a file."""
+    try:
+        return msgspec.json.encode(value, enc_hook=_plain_text).decode()
+    except UnicodeEncodeError:
+        return msgspec.json.encode(_with_valid_texts(value)).decode()
+
+
+def _with_valid_texts(value: Any) -> Any:
+    """Plain values, with ? for what is not UTF-8 in their texts."""
+    match value:
+        case str():
+            return value.encode("utf-8", "replace").decode()
+        case list() | tuple():
+            return [_with_valid_texts(each) for each in value]
+        case dict():
+            return {name: _with_valid_texts(each) for name, each in value.items()}
+    return value
 
 
 def _plain_text(value: object) -> str:
