@@ -141,6 +141,22 @@ def test_all_text_is_escaped(baked, cameras, tmp_path):
     assert Elements(text).texts["title"] == evil
 
 
+def test_whatever_marks_and_modalities_are_called_the_facts_stay_one_element(
+    baked, cameras, tmp_path
+):
+    evil = "</script><!--<script>'\"\u2028&lt; <img src=x onerror=alert(1)>"
+    mark = {"name": evil, "note": f"{evil}\n{evil}", "label": evil, "points": [[0.0, 0.0, 0.0]]}
+    text = write_page(
+        baked, cameras, "t", tmp_path / "page.html", marks=[mark], settings=evil
+    ).read_text(encoding="utf-8")  # fmt: skip
+    page = Elements(text)
+    assert json.loads(page.texts["facts"])["marks"] == [mark]
+    assert "<img" not in text
+    assert "<!--" not in text
+    assert evil in page.texts["li"]
+    assert [tag for tag, _ in page.tags].count("script") == 4
+
+
 def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path):
     notes = " ".join(page.texts[name] for name in ("li", "h2"))
     for word in ("emissivity", "shiny", "unreliable", "−10 to 90 °C"):
