@@ -173,8 +173,7 @@ def _other_convention(
         return []
     text = (
         f"The cameras do not look at the points: they see {shares.mean():.0%} of them, and "
-        f"would see {share:.0%} "
-        f"if the file held {better}."
+        f"would see {share:.0%} if the file held {better}."
     )
     return [Problem("error", text, remedy)]
 
