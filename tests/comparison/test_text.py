@@ -57,6 +57,13 @@ def test_latex_marks_escapes_and_notes(table):
     assert [row.count("&") for row in rows] == [8, 8]
 
 
+@pytest.mark.parametrize(("label", "escaped"), [("[7] theirs", "{[}7] theirs"), ("*", "{*}")])
+def test_latex_takes_no_name_for_a_part_of_the_row_before(label, escaped):
+    rows = tuple(Row((name,), (Cell(1.0),)) for name in ("ours", label))
+    text = to_latex(Table("t", "c", ("",), (Group("s", ("thermal.psnr",)),), rows))
+    assert f"\n{escaped} & " in text
+
+
 def test_plain_text_is_aligned_and_marked(table):
     blocks = to_plain(table).split("\n\n")
     assert blocks[0] == "A caption."

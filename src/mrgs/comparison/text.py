@@ -22,6 +22,7 @@ LEGEND = "Bold: the best, underlined: the second best of what was measured here.
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
     "{": r"\{", "}": r"\}",
+    "[": "{[}", "*": "{*}",  # which behind the end of a row would belong to it
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "°": r"$^{\circ}$", "±": r"$\pm$",
     "–": "--",
     "↑": r"$\uparrow$", "↓": r"$\downarrow$", "✓": r"\checkmark{}", "²": r"$^{2}$",
