@@ -59,6 +59,25 @@ def test_names_of_many_marks_cover_neither_each_other_nor_a_mark(plates: list[Bo
     assert all(box[2] <= SIZE[0] and box[3] <= SIZE[1] for box in plates)
 
 
+@pytest.mark.parametrize("size", [(900, 300), (300, 900)])
+def test_names_at_the_edges_of_a_picture_stay_within_it(plates: list[Box], size: tuple[int, int]):
+    width, height = size
+    where = {
+        f"S{x}{y}": (x * width + 30.0 * (1 - 2 * x), y * height + 30.0 * (1 - 2 * y))
+        for x in (0, 1)
+        for y in (0, 1)
+    }
+    draw_names(Image.new("RGB", size), where)
+    assert len(plates) == 4
+    for (x, y), (left, top, right, bottom) in zip(where.values(), plates, strict=True):
+        assert left >= 0
+        assert top >= 0
+        assert right <= width
+        assert bottom <= height
+        assert left - 60 < x < right + 60
+        assert top - 60 < y < bottom + 60
+
+
 def test_a_name_costs_no_more_among_hundreds(plates: list[Box]):
     """All boxes compared with each other, 500 names took 41 million calls."""
     calls = 0

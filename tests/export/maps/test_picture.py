@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.export.maps.picture import MARGIN, frame_map
+from mrgs.export.maps import picture
+from mrgs.export.maps.draw import OrthographicMap
+from mrgs.export.maps.grid import MapGrid
+from mrgs.export.maps.picture import MARGIN, frame_map, map_body
 from mrgs.pictures.drawing import PAPER, Scale
 
 SIZE = 600
@@ -23,3 +26,35 @@ def test_the_n_of_the_arrow_lies_towards_north(angle):
     assert tip.sum() > 20
     found = np.degrees(np.arctan2(x[tip].mean(), -y[tip].mean()))
     assert abs((found - angle + 180) % 360 - 180) < 4
+
+
+@pytest.mark.parametrize(("width", "shown"), [(60, 900), (901, 901), (4800, 2400)])
+def test_a_pixel_of_the_picture_is_as_wide_as_it_is_said_to_be(width, shown):
+    grid = MapGrid(np.eye(3), 1.0, np.zeros(2), 0.0, 0.0, 0.05, width, 20, (-1.0, 1.0))
+    drawn = OrthographicMap(grid, np.ones((7, 20, width), np.float32))
+    body, metres_per_px = map_body(drawn, Scale("grey", 0.0, 2.0, "°C"))
+    assert body.width == shown
+    assert metres_per_px * body.width == pytest.approx(0.05 * width)
+
+
+@pytest.mark.parametrize(
+    ("metres_per_px", "labels", "length_px"),
+    [
+        (0.01, ["0.0", "0.5", "1.0 m"], 100),
+        (0.03, ["0", "2", "4 m"], 400 / 3),
+        (0.002, ["0", "10", "20 cm"], 100),
+        (0.00002, ["0", "1", "2 mm"], 100),
+    ],
+)
+def test_the_scale_bar_has_a_round_length_and_its_unit(
+    monkeypatch, metres_per_px, labels, length_px
+):
+    texts = []
+    monkeypatch.setattr(
+        picture, "draw_text", lambda image, place, text, *rest, **more: texts.append((place, text))
+    )
+    body, scale = Image.new("RGB", (SIZE, SIZE), PAPER), Scale("grey", 0.0, 1.0, "°C")
+    frame_map(body, metres_per_px, scale, None)
+    assert [text for _, text in texts] == labels
+    (first, _), _, (last, _) = (place for place, _ in texts)
+    assert last - first == pytest.approx(length_px)

@@ -49,4 +49,23 @@ def test_an_area_says_what_it_is_corrected_for_as_a_spot_within_it_does():
         world=WorldFrame(),
     )
     shown, _ = page_marks(marks)
-    assert ["corrected for ε 0.5, T_refl −10.0 °C" in each["lines"] for each in shown] == [True] * 2
+    said = "corrected for ε 0.5, T_refl −10.0 °C"
+    assert [each["lines"].count(said) for each in shown] == [1, 1]
+
+
+def test_what_is_assumed_of_the_surface_is_said_where_an_area_has_an_emissivity():
+    corners = tuple((x, 0.0, z) for x, z in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)))
+    area = Mark("B1", "box", corners, SPOT.eye, emissivity=0.5, reflected_c=-10.0)
+    capture = CaptureSettings.of(None)
+    assert capture.notes
+
+    def notes(*drawn: Mark) -> tuple[str, ...]:
+        readings = [MarkReading(mark, mean=0.5) for mark in drawn]
+        meter = SimpleNamespace(measure=lambda _: readings, uncertainty=None, capture=capture)
+        run = SimpleNamespace(temperature=RANGE)
+        return page_marks(
+            SimpleNamespace(marks=Marks(drawn), run=run, meter=meter, world=WorldFrame())
+        )[1]
+
+    assert notes(SPOT) == ()
+    assert notes(SPOT, area) == capture.notes

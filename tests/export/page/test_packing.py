@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.export.page.packing import morton_order, smallest_three
+from mrgs.export.page.packing import curve_rows, morton_order, smallest_three
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.packed import as_model, pack, unpack
@@ -94,6 +94,16 @@ def test_splats_that_no_pixel_can_show_are_left_out(baked):
     assert pack(both).header["count"] == 500
     one = replace(baked, opacities={**baked.opacities, RGB: opacity})
     assert pack(one).header["count"] > 500
+
+
+def test_a_splat_is_packed_from_the_opacity_on_that_a_pixel_can_show(baked):
+    opacity = torch.zeros(len(baked))
+    opacity[:3] = torch.tensor([0.9, 1.0, 1.1]) / 255
+    faint = replace(baked, opacities={RGB: opacity, THERMAL: torch.zeros(len(baked))})
+    rows = curve_rows(faint, (RGB, THERMAL))
+    assert sorted(rows.tolist()) == [1, 2]
+    with pytest.raises(ConfigError):
+        curve_rows(faint, (THERMAL,))
 
 
 def test_a_splat_far_away_costs_only_its_chunk_precision(baked):

@@ -98,6 +98,11 @@ def test_areas_have_their_depths_where_the_model_shows_them():
     assert (codes > 0).mean() > 0.99
     depths = area["nearest"] * np.exp(area["step"] * (codes[codes > 0] - 1.0))
     np.testing.assert_allclose(depths, 5.0, rtol=1e-3)
+    for side, focal, middle in (("width", "fx", "cx"), ("height", "fy", "cy")):
+        ends = (np.array([0, area["camera"][side]]) - area["camera"][middle]) / area["camera"][
+            focal
+        ]
+        np.testing.assert_allclose(5.0 * ends, [-0.5, 0.5], atol=0.1)
     assert area["gain"] == 0.95 / 0.5
     assert area_facts(Regions(Marks((aside,)), render_wall, RANGE, capture)) is None
 
