@@ -243,9 +243,8 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
     except (FileNotFoundError, NotADirectoryError):
         return []
     except OSError as error:
-        raise scene_error(
-            folder, f"cannot be read ({error.strerror}); check its name, and that it is readable"
-        ) from None
+        what = "permissions" if isinstance(error, PermissionError) else "name"
+        raise scene_error(folder, f"cannot be read ({error.strerror}); check its {what}") from None
 
 
 def _is_image_file(entry: os.DirEntry[str]) -> bool:
