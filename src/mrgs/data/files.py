@@ -49,8 +49,8 @@ def contained(root: Path, relative: str, named_in: Path | str) -> Path:
     return path
 
 
-def is_file(path: Path) -> bool:
-    """``Path.is_file``, False for names that the file system refuses."""
+def is_file(path: Path | os.DirEntry[str]) -> bool:
+    """``Path.is_file``, False for names that the file system refuses and links to themselves."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -224,7 +224,7 @@ class ImageFinder:
             by_stem: dict[str, list[str]] = {}
             for entry in _entries(path):
                 stem = without_image_suffix(entry.name)
-                if stem != entry.name and _is_image_file(entry):
+                if stem != entry.name and is_file(entry):
                     links[entry.name] = entry.is_symlink()
                     by_stem.setdefault(stem, []).append(entry.name)
             self._listings[folder] = _Listing(path, links, by_stem)
@@ -245,11 +245,3 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
     except OSError as error:
         what = "permissions" if isinstance(error, PermissionError) else "name"
         raise scene_error(folder, f"cannot be read ({error.strerror}); check its {what}") from None
-
-
-def _is_image_file(entry: os.DirEntry[str]) -> bool:
-    """Whether there is a file under a name; False for a link that leads to itself."""
-    try:
-        return entry.is_file()
-    except OSError:
-        return False
