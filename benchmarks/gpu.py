@@ -83,7 +83,7 @@ def _measure(options: argparse.Namespace, budget: Budget) -> Results:
     """All parts, one after the other; gpu.json is written after each. Without a device there are no
     parts."""
     plan = "trial" if options.device == "cpu" else "quick" if options.quick else "full"
-    parts: dict[str, Any] = {}
+    parts = kept_parts(options.output / "gpu.json", plan) if options.only else {}
     results: Results = {"plan": plan, "parts": parts}
     with ExitStack() as stack:
         build: GsplatBuild | None = None
@@ -107,9 +107,23 @@ def _measure(options: argparse.Namespace, budget: Budget) -> Results:
     return results
 
 
+def kept_parts(file: Path, plan: str) -> dict[str, Any]:
+    """What an earlier run of the same plan measured, each part with its device.
+
+    Args:
+        file: the results of that run; where there are none, nothing is kept.
+        plan: of this run.
+    """
+    earlier = json.loads(file.read_text()) if file.exists() else {"plan": None}
+    if earlier["plan"] != plan:
+        return {}
+    device = earlier["parts"].pop("device").get("rows", [])
+    return {name: {"device": device, **part} for name, part in earlier["parts"].items()}
+
+
 def is_bad(results: Results) -> bool:
-    """Whether a part failed, or a result differs from its oracle."""
-    parts = results["parts"].values()
+    """Whether a part of this run failed, or a result differs from its oracle."""
+    parts = [part for part in results["parts"].values() if "device" not in part]
     rows = [row for part in parts for row in part.get("rows", [])]
     return any("failed" in result or not result.get("ok", True) for result in (*parts, *rows))
 
@@ -122,7 +136,11 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--quick", action="store_true", help="fewer sizes, a short training: about three minutes"
     )
     parser.add_argument(
-        "--only", action="append", choices=PARTS, metavar="PART", help=", ".join(PARTS)
+        "--only",
+        action="append",
+        choices=PARTS,
+        metavar="PART",
+        help=f"{', '.join(PARTS)}; what the results hold of others is kept",
     )
     parser.add_argument(
         "--gsplat",

@@ -30,8 +30,9 @@ def to_markdown(results: dict[str, Any]) -> str:
 
 
 def _part(name: str, part: dict[str, Any], device: Rows) -> list[str]:
-    rows = part.get("rows", [])
-    lines = [_TABLES[name](rows, device)] if rows else []
+    rows, earlier = part.get("rows", []), part.get("device", [])
+    lines = [_other_run(each) for each in earlier]
+    lines += [_TABLES[name](rows, earlier or device)] if rows else []
     return lines + [
         f"{kind.capitalize()}: {part[kind]}." for kind in ("skipped", "failed") if kind in part
     ]
@@ -59,6 +60,14 @@ def _head(device: dict[str, Any], results: dict[str, Any]) -> str:
         f"small operation of torch "
         f"in {1e6 * d['launch_s']:.1f} µs. Times are medians in milliseconds; in brackets a "
         f"quarter and three quarters."
+    )
+
+
+def _other_run(device: dict[str, Any]) -> str:
+    """Above a part that an earlier run has measured."""
+    return (
+        f"From another run, {device['date']}: {device['device']}, torch {device['torch']}, one "
+        f"small operation of torch in {1e6 * device['launch_s']:.1f} µs."
     )
 
 

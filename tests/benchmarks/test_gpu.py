@@ -308,6 +308,31 @@ def test_gsplat_needs_a_gpu(monkeypatch, tmp_path):
     assert run_gpu(tmp_path, "--only", "gsplat")[1]["gsplat"] == {"skipped": "needs a GPU"}
 
 
+def test_what_an_earlier_run_measured_is_kept_with_its_device(monkeypatch, tmp_path):
+    """Also where that run was wrong: only the parts that were asked for decide on the status."""
+    device = {"device": "H200", "date": "2026-11-01", "torch": "2.11", "launch_s": 3e-6}
+    wrong = {"rows": [{"of": "image", "error": 0.5, "limit": 0.1, "ok": False}]}
+    earlier = {"plan": "trial", "parts": {"device": {"rows": [device]}, "correctness": wrong}}
+    (tmp_path / "gpu.json").write_text(json.dumps(earlier))
+    answer(monkeypatch, [])
+    for _ in range(2):
+        status, parts = run_gpu(tmp_path, "--only", "rasterizer")
+        assert status == 0
+        assert parts["correctness"] == {"device": [device], **wrong}
+        assert "device" not in parts["rasterizer"]
+    text = (tmp_path / "gpu.md").read_text()
+    assert "From another run, 2026-11-01: H200, torch 2.11, one small operation" in text
+    assert "in 3.0 µs.\n\n|  | cases |" in text
+
+
+def test_nothing_is_kept_of_another_plan_or_without_only(monkeypatch, tmp_path):
+    answer(monkeypatch, [])
+    for plan, arguments in ("full", ["--only", "rasterizer"]), ("trial", []):
+        earlier = {"plan": plan, "parts": {"device": {}, "correctness": {"rows": [{"of": "old"}]}}}
+        (tmp_path / "gpu.json").write_text(json.dumps(earlier))
+        assert "old" not in str(run_gpu(tmp_path, *arguments)[1])
+
+
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 @pytest.mark.slow
 def test_without_a_gpu_nothing_is_measured_and_the_remedy_is_told(tmp_path):
