@@ -13,6 +13,7 @@ import time
 import warnings
 import zipfile
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from types import SimpleNamespace
 
 import pytest
@@ -351,6 +352,35 @@ def test_a_wheel_is_unpacked_once_and_found_by_the_children(monkeypatch, tmp_pat
     assert gpu._unpacked(wheel) == gpu._unpacked(folder) == folder
     assert str(folder) in gpu.environment(folder)["PYTHONPATH"].split(os.pathsep)
     assert gpu._unpacked(None) is None
+
+
+def test_a_process_beside_the_parts_is_waited_for_and_ended(tmp_path):
+    done = tmp_path / "done"
+    with gpu.Beside(["-c", f"open({str(done)!r}, 'w')"], gpu.environment(None)) as short:
+        assert short.done_within(60.0)
+        assert done.exists()
+    with gpu.Beside(["-c", "import time; time.sleep(600)"], gpu.environment(None)) as endless:
+        assert not endless.done_within(0.0)
+    assert endless.done_within(0.0)
+
+
+def test_nothing_is_compiled_beside_what_is_timed(monkeypatch, tmp_path):
+    """The comparison with the oracles, which is not timed, does not wait."""
+    asked = answer(monkeypatch, [])
+    waited_before = []
+
+    class Compilation(AbstractContextManager):
+        def done_within(self, seconds: float) -> bool:
+            waited_before.append(list(asked))
+            return True
+
+        def __exit__(self, *_):
+            return None
+
+    monkeypatch.setattr(gpu, "scoring_compilation", lambda folder: Compilation())
+    only = ["--only", "correctness", "--only", "step", "--only", "training"]
+    assert gpu.main(["--output", str(tmp_path), *only]) == 0
+    assert waited_before == [["device", "correctness"]]
 
 
 def test_the_children_never_interpret_the_kernels(monkeypatch):
