@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -47,8 +48,13 @@ def long_report(run: Run, tmp_path: Path) -> Path:
 @pytest.fixture
 def sheets(long_report: Path) -> list[Any]:
     """The pages of the report on paper, as boxes."""
-    weasyprint = require_weasyprint()
-    document = weasyprint.HTML(string=long_report.read_text(encoding="utf-8")).render()
+    return sheets_of(long_report.read_text(encoding="utf-8"))
+
+
+@cache
+def sheets_of(html: str) -> list[Any]:
+    """Laid out once for all tests: it takes ten seconds."""
+    document = require_weasyprint().HTML(string=html).render()
     return [page._page_box for page in document.pages]
 
 

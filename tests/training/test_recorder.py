@@ -20,6 +20,7 @@ from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning
 from mrgs.field import field as field_module
 from mrgs.method.config import make_config
+from mrgs.method.losses.photometric import photometric_loss
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Photometric
 from mrgs.scene import RGB, THERMAL, Camera, Pixels
@@ -301,9 +302,11 @@ def test_terms_that_must_be_called_are_not_recorded(kept):
 @pytest.fixture
 def train(small_scene, gpu_device, monkeypatch):
     """Takes steps on three views; returns losses and the state."""
-    for place, name in ((field_module, "_check_indices"), (render_module, "rows_in_view")):
-        if gpu_device == "cpu":  # where they stand for a GPU's tensors
+    if gpu_device == "cpu":  # where tensors stand for a GPU's
+        for place, name in ((field_module, "_check_indices"), (render_module, "rows_in_view")):
             monkeypatch.setattr(place, name, lambda *_: None)
+        # Interpreted, its kernel takes most of a step.
+        monkeypatch.setattr(photometric_loss, "kernel", lambda _: None)
 
     def taken(
         recorder: Recorder | None,
