@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,18 @@ def test_entries_that_are_no_images_do_not_hide_the_others(tmp_path):
     assert list(finder.tree(root / "images")) == ["a"]
     with pytest.raises(SceneError, match=r"cannot be read .*; check its name"):
         finder.find("a" * 300 + "/a.jpg", "f")
+
+
+def test_a_folder_of_images_that_may_not_be_listed_is_named(tmp_path, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    root = tmp_path.resolve()
+    (root / "images").mkdir()
+    for name in ("scandir", "listdir"):
+        monkeypatch.setattr(os, name, refuse)
+    with pytest.raises(SceneError, match=r"images: cannot be read \(Permission denied\); check"):
+        ImageFinder(root).tree(root / "images")
 
 
 def test_hidden_files_are_skipped_and_linked_folders_not_entered(tmp_path):

@@ -199,11 +199,14 @@ class ImageFinder:
 
     def tree(self, folder: Path) -> dict[str, Path]:
         """Images in ``folder`` and its direct subfolders: path below ``folder`` without extension
-        -> file, sorted."""
-        if not folder.is_dir():
-            return {}
+        -> file, sorted.
+
+        Raises:
+            SceneError: a folder cannot be listed, or an image leads out of the scene's folder.
+        """
         found: dict[str, Path] = {}
-        for directory in [folder, *sorted(child for child in folder.iterdir() if child.is_dir())]:
+        inside = [folder / entry.name for entry in _entries(folder)]
+        for directory in [folder, *(path for path in inside if path.is_dir())]:
             listing = self._listing(directory.relative_to(self._root).as_posix(), folder)
             below = directory.relative_to(folder)
             for stem, names in listing.by_stem.items():
