@@ -14,7 +14,6 @@ from torch import Tensor
 from mrgs.blocks.density import Part
 from mrgs.blocks.plan import BlockPlan
 from mrgs.blocks.refinement import WholeModel
-from mrgs.field import nearest_neighbours
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.start.start_points import model_modalities
@@ -86,15 +85,13 @@ def save(
     Raises:
         RunError: it cannot be written.
     """
-    gaussians = joined.whole.model.gaussians
-    neighbours = None
-    if config.field.neighbours_k > 0:
-        neighbours = nearest_neighbours(gaussians.means, config.field.neighbours_k)
+    model = joined.whole.model
+    neighbours = model.field.neighbours_of(model.gaussians.means)
     with seeded(config.seed):
-        terms = configured_terms(config, (), gaussians.modalities)
+        terms = configured_terms(config, (), model.gaussians.modalities)
     generator = torch.Generator().manual_seed(config.seed)
     state = TrainingState.around(
-        replace(joined.whole.model, neighbours=neighbours), terms, config.densification, config,
+        replace(model, neighbours=neighbours), terms, config.densification, config,
         joined.facts[0].capture, generator,
     )  # fmt: skip
     state.image_model.load_state_dict(joined.whole.image_model.state_dict())

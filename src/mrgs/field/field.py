@@ -176,8 +176,8 @@ class RadianceField(nn.Module):
 
         Args:
             gaussians: N Gaussians.
-            neighbours: what ``nearest_neighbours`` returns for ``config.neighbours_k``; not read if
-                that is 0, or if t̂ is known.
+            neighbours: what ``neighbours_of`` returns; not read if the field exchanges no heat, or
+                if t̂ is known.
             camera_position: centre of projection in world coordinates; not read where t is of
                 degree 0.
             sh_degree: highest degree of the temperature's spherical harmonics in use.
@@ -248,8 +248,7 @@ class RadianceField(nn.Module):
 
         Args:
             gaussians: N Gaussians.
-            neighbours: what ``nearest_neighbours`` returns for ``config.neighbours_k``; not read if
-                that is 0.
+            neighbours: what ``neighbours_of`` returns; not read if the field exchanges no heat.
             rows: distinct Gaussians to evaluate; all if None (V = N).
             color_degree: highest degree of the colour's spherical harmonics in use; the extraction
                 takes those of higher degrees as 0, and gives them no gradient.

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from mrgs.field import RadianceField
 from mrgs.field.appearance import color_residuals
-from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
+from mrgs.field.heat import FourierHeatTransformation
 from mrgs.render import Model
 from mrgs.scene import TemperatureRange
 
@@ -55,9 +55,8 @@ def part_spreads(model: Model, camera_position: Float[Tensor, "3"]) -> PartSprea
     """
     if not model.field.config.residuals or len(model.gaussians) < 2:
         return None
-    k = model.field.config.neighbours_k
-    if model.neighbours is None and k > 0:
-        model = replace(model, neighbours=nearest_neighbours(model.gaussians.means, k))
+    if model.neighbours is None:
+        model = replace(model, neighbours=model.field.neighbours_of(model.gaussians.means))
     residual = _temperature_residuals(model, model.field)
     alone = _temperature_residuals(model, without_heat_exchange(model.field))
     position = camera_position.to(model.gaussians.means)

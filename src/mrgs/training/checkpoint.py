@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from mrgs.errors import DamagedCheckpointError, RunError
-from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.field import RadianceField
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import Strategy
@@ -142,10 +142,8 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
         _load_module(image_model, below(tensors, "image_model."))
     except UNFIT as error:
         raise unfit(path, error) from error
-    if (
-        model.neighbours is None and config.field.neighbours_k > 0
-    ):  # saved right after a densification
-        model.neighbours = nearest_neighbours(model.gaussians.means, config.field.neighbours_k)
+    if model.neighbours is None:  # saved right after a densification
+        model.neighbours = model.field.neighbours_of(model.gaussians.means)
     return model, facts, image_model
 
 

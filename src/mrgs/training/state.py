@@ -10,7 +10,7 @@ from jaxtyping import Bool, Int64
 from torch import Tensor, nn
 
 from mrgs.errors import NotFiniteError
-from mrgs.field import RadianceField, nearest_neighbours
+from mrgs.field import RadianceField
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.camera_model.image_model import Capture, ImageModel
 from mrgs.method.config import TrainConfig
@@ -108,16 +108,16 @@ class TrainingState:
         Raises:
             NotFiniteError: a position is not finite.
         """
-        k, every = config.field.neighbours_k, config.neighbours_every
+        every = config.neighbours_every
         due = self.step % every == 0 and self.step + every <= config.max_steps
-        if k == 0 or not (self.model.neighbours is None or due):
+        if config.field.neighbours_k == 0 or not (self.model.neighbours is None or due):
             return
         means = self.model.gaussians.means
         if not means.isfinite().all():
             raise NotFiniteError(
                 f"gaussians.means holds values that are not finite at step {self.step}"
             )
-        self.model.neighbours = nearest_neighbours(means, k)
+        self.model.neighbours = self.model.field.neighbours_of(means)
 
     def scale_gradients(self, factor: float) -> None:
         """Multiply all gradients by a factor."""
