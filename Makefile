@@ -2,13 +2,15 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# The versions that everything here is tested with; CONSTRAINTS=/dev/null takes the newest.
+CONSTRAINTS ?= constraints.txt
 # Packages are compiled to bytecode when they are first imported: without it, each start of the
 # program takes three times as long.
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
-	--constraint constraints.txt
+	--constraint $(CONSTRAINTS)
 
-.PHONY: demo test tests faults bench bench-quality docs install dist clean
+.PHONY: demo test tests faults bench bench-quality docs install dist pins clean
 
 # What the demo needs, and no more.
 demo: $(VENV)/.installed
@@ -49,12 +51,21 @@ install: $(VENV)/.installed
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --editable .
+	$(PIP) hatchling hatch-fancy-pypi-readme
+	$(PIP) --no-build-isolation --editable .
 	@touch $@
 
 $(VENV)/.%-installed: $(VENV)/.installed
-	$(PIP) --editable ".[$*]"
+	$(PIP) --no-build-isolation --editable ".[$*]"
 	@touch $@
+
+# Pins every package that `make` can install, the indirect ones too, for every supported Python.
+# What is pinned stays; `make pins ARGS=--upgrade` takes the newest versions that pyproject.toml allows.
+pins: $(VENV)/.installed
+	$(PIP) uv
+	$(BIN)/uv pip compile pyproject.toml --extra dev --extra docs --extra bench $(ARGS) \
+		--universal --python-version 3.10 --no-header --no-annotate --no-emit-index-url \
+		--output-file constraints.txt
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache

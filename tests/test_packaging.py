@@ -10,9 +10,12 @@ import tarfile
 import zipfile
 from email import message_from_bytes
 from email.message import Message
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import mrgs
 from tests.helpers.runs import made_once
@@ -145,3 +148,46 @@ def test_one_version_everywhere() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == mrgs.__version__
     assert re.search(r"^## \[(.*?)\]", changelog, re.MULTILINE)[1] == mrgs.__version__
+
+
+def pinned() -> dict[str, str]:
+    """Package and version, of the lines of constraints.txt that are meant for this machine."""
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = [Requirement(line) for line in lines]
+    return {
+        canonicalize_name(pin.name): str(pin.specifier).removeprefix("==")
+        for pin in pins
+        if pin.marker is None or pin.marker.evaluate()
+    }
+
+
+def installed_with(package: str, extras: frozenset[str], seen: dict[str, str]) -> dict[str, str]:
+    """Everything installed that ``package[extras]`` requires, directly or not, with its version."""
+    for text in requires(package) or []:
+        needed = Requirement(text)
+        name = canonicalize_name(needed.name)
+        wanted = needed.marker is None or any(
+            needed.marker.evaluate({"extra": extra}) for extra in extras | {""}
+        )
+        if not wanted or (name in seen and not needed.extras):
+            continue
+        try:
+            seen[name] = version(name).partition("+")[0]  # 2.13.0+cpu is a build of 2.13.0
+        except PackageNotFoundError:
+            continue  # of an extra that is not installed
+        installed_with(name, frozenset(needed.extras), seen)
+    return seen
+
+
+@pytest.mark.pins
+def test_what_is_installed_is_what_is_pinned() -> None:
+    """`make pins` pins what is new; `pytest -m "not pins"` is for other versions."""
+    found = installed_with("mrgs", frozenset(FOR_DEVELOPERS), {})
+    found.pop("mrgs", None)
+    assert len(found) > 50
+    assert found.items() - pinned().items() == set()
+
+
+def test_pins_name_packages_and_no_places() -> None:
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    assert not re.search(r"://|^-|@", text, re.MULTILINE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +12,27 @@ from PIL import ImageFile
 from mrgs.errors import ConfigError
 from mrgs.system.atomic import replacing
 
+_OR = "or print the page from a browser"
+
 
 def require_weasyprint() -> Any:
     """Import the package weasyprint, without what it changes in Pillow: photos that are cut off
-    would be read as if they were whole.
+    would be read as if they were whole. Without HarfBuzz-Subset it makes larger files, and warns.
 
     Raises:
         ConfigError: it is not installed, or the library Pango that it needs.
     """
     reads_truncated = ImageFile.LOAD_TRUNCATED_IMAGES
     try:
-        import weasyprint
-    except (ImportError, OSError) as error:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", category=DeprecationWarning, module="weasyprint")
+            import weasyprint
+    except ImportError:
+        raise ConfigError(f'a PDF needs weasyprint: pip install "mrgs[report]"; {_OR}') from None
+    except OSError as error:
         raise ConfigError(
-            f'a PDF needs the package weasyprint: pip install "mrgs[report]", and the library '
-            f"Pango ({str(error).splitlines()[0]:.80}); or print the page from a browser"
+            "a PDF needs the library Pango: apt install libpango-1.0-0 libpangoft2-1.0-0 "
+            f"libharfbuzz-subset0 ({str(error).splitlines()[0]:.80}); {_OR}"
         ) from None
     finally:
         ImageFile.LOAD_TRUNCATED_IMAGES = reads_truncated
