@@ -10,22 +10,28 @@ unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
 	--constraint $(CONSTRAINTS)
 
-.PHONY: demo test tests faults bench bench-quality docs install dist pins clean
+.PHONY: demo test tests test-all faults bench bench-quality docs install dist pins clean
 
 # What the demo needs, and no more.
 demo: $(VENV)/.installed
 	$(BIN)/mrgs demo
+
+# Of the tests, `make test` leaves out the slow ones (docs/testing.md); `make test-all` leaves none.
+SELECT = -m "not slow"
 
 # The types are checked while the tests run; what is said of them comes at the end.
 test: $(VENV)/.dev-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	@$(BIN)/mypy > $(VENV)/types.log 2>&1 & types=$$!; \
-	$(MAKE) --no-print-directory tests; tests=$$?; \
+	$(MAKE) --no-print-directory tests SELECT='$(SELECT)'; tests=$$?; \
 	wait $$types; types=$$?; cat $(VENV)/types.log; exit $$((tests | types))
 
 tests: $(VENV)/.dev-installed
-	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 40
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 40 $(SELECT)
+
+test-all: SELECT =
+test-all: test
 
 # Attacks for two hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes one.
 faults: $(VENV)/.dev-installed
