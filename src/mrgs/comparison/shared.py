@@ -33,6 +33,7 @@ def lead_jobs(
     on_message: OnMessage,
     on_tick: Callable[[], None],
     device: DeviceName = "auto",
+    run: Callable[..., dict[PlannedRun, str]] = run_jobs,
 ) -> dict[PlannedRun, str]:
     """Execute all runs on all processes; called by the first one, see ``run_jobs``.
 
@@ -43,6 +44,7 @@ def lead_jobs(
         on_message: called with each message of a run, on whichever process.
         on_tick: called about once a second.
         device: where they train and render.
+        run: executes one of them; called as ``run_jobs``.
 
     Returns:
         of each job that failed, why: one line.
@@ -67,14 +69,17 @@ def lead_jobs(
             hear(message)
         on_tick()
 
-    _work(queue, processes, lpips_weights, tick, device)
+    _work(queue, processes, lpips_weights, tick, device, run)
     for message in queue.messages(on_tick):
         hear(message)
     return failures
 
 
 def follow_jobs(
-    processes: Processes, lpips_weights: Path | None, device: DeviceName = "auto"
+    processes: Processes,
+    lpips_weights: Path | None,
+    device: DeviceName = "auto",
+    run: Callable[..., dict[PlannedRun, str]] = run_jobs,
 ) -> None:
     """Execute runs of the comparison that the first process leads, until none is left.
 
@@ -84,7 +89,7 @@ def follow_jobs(
     queue = WorkQueue(processes, _QUEUE)
     queue.wait_until_filled()  # the first process may still end with an error of its own
     require_same_version(processes)
-    _work(queue, processes, lpips_weights, lambda: None, device)
+    _work(queue, processes, lpips_weights, lambda: None, device, run)
 
 
 def _work(
@@ -93,9 +98,10 @@ def _work(
     lpips_weights: Path | None,
     on_tick: Callable[[], None],
     device: DeviceName,
+    run: Callable[..., dict[PlannedRun, str]],
 ) -> None:
     while (piece := queue.take()) is not None:
-        queue.finish(piece, _execute(queue, piece, processes, lpips_weights, on_tick, device))
+        queue.finish(piece, _execute(queue, piece, processes, lpips_weights, on_tick, device, run))
 
 
 def _execute(
@@ -105,11 +111,12 @@ def _execute(
     lpips_weights: Path | None,
     on_tick: Callable[[], None],
     device: DeviceName,
+    run: Callable[..., dict[PlannedRun, str]],
 ) -> str | None:
     """Execute a run; returns why it failed, if it did."""
     job = _from_json(piece.content)
     _wait_for_orphan(job.folder)
-    failures = run_jobs(
+    failures = run(
         [job],
         1,
         lpips_weights,
