@@ -136,7 +136,7 @@ def test_cells_are_about_square(count, sides, shape):
 
 @pytest.mark.parametrize("text", ["2", "x3", "0x2", "2x-1", "axb", "1e3x2", "101x100"])
 def test_other_numbers_of_blocks_are_refused(text):
-    with pytest.raises(ConfigError, match="blocks are auto, or ROWSxCOLUMNS such as 2x3"):
+    with pytest.raises(ConfigError, match=r"auto, .*ROWSxCOLUMNS"):
         parse_grid(text)
 
 

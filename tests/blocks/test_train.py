@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,7 +14,7 @@ import torch
 from safetensors.torch import load_file
 
 from mrgs.blocks import refinement
-from mrgs.blocks.coverage import views_of
+from mrgs.blocks.coverage import Surveyor, counted_places, views_of
 from mrgs.blocks.density import Part
 from mrgs.blocks.plan import BlockOptions, make_plan, read_plan
 from mrgs.blocks.refinement import SEAM_WIDTH
@@ -225,7 +226,7 @@ def test_single_blocks_are_trained_for_job_arrays_and_joined_later(scene, tmp_pa
     folder = copy_of(joined, tmp_path / "run", "coarse", "001")
     started = training(folder, scene)
     with RunFolder(folder / "blocks/002").locked():
-        with pytest.raises(FolderInUseError, match="is in use by another run"):
+        with pytest.raises(FolderInUseError, match="in use"):
             started.train_block(2)
         assert not started.train_all()
         assert started.unfinished() == [2]
@@ -234,7 +235,7 @@ def test_single_blocks_are_trained_for_job_arrays_and_joined_later(scene, tmp_pa
     assert not RunFolder(folder).checkpoints()
     assert started.train_all()
     assert load_run(folder).gaussian_count == load_run(joined).gaussian_count
-    with pytest.raises(ConfigError, match="there is no block 3: the scene has 2, from 1"):
+    with pytest.raises(ConfigError, match=r"block 3: .* 2"):
         started.train_block(3)
 
 
@@ -251,10 +252,10 @@ def test_a_method_with_heads_gives_the_same_bits_whatever_was_drawn_before(scene
     assert [name for name in found[0] if not torch.equal(found[0][name], found[1][name])] == []
 
 
-def test_another_density_control_is_refused(scene, tmp_path, monkeypatch):
+def test_another_density_control_is_refused(scene, tmp_path):
     other = replace(training(tmp_path / "run", scene).config)
     object.__setattr__(other, "densification", SimpleNamespace(name="prune-only"))
-    with pytest.raises(ConfigError, match="density control 'adaptive', not 'prune-only'"):
+    with pytest.raises(ConfigError, match=r"'adaptive', .*'prune-only'"):
         training(tmp_path / "run", scene, config=other).train_all()
     assert not (tmp_path / "run").exists()
 
@@ -262,14 +263,14 @@ def test_another_density_control_is_refused(scene, tmp_path, monkeypatch):
 def test_blocks_of_something_else_are_refused(joined, scene, tmp_path):
     start = training(joined, scene)
     for changed, message in (
-        ({"config": replace(start.config, max_steps=9)}, r"other options \(max steps 8, not 9\)"),
-        ({"options": BlockOptions("2x2", 0.2)}, r"other options \(blocks 1x2, not 2x2\)"),
-        ({"options": BlockOptions("1x2", 0.3)}, r"other options \(overlap 0.2, not 0.3\)"),
+        ({"config": replace(start.config, max_steps=9)}, r"max steps 8\b"),
+        ({"options": BlockOptions("2x2", 0.2)}, r"blocks 1x2\b"),
+        ({"options": BlockOptions("1x2", 0.3)}, r"overlap 0\.2\b"),
     ):
         with pytest.raises(RunError, match=message):
             replace(start, **changed).train_all()
     other = load_scene(write_scene(tmp_path / "other"))
-    with pytest.raises(RunError, match=r"holds blocks made with other options \(scene "):
+    with pytest.raises(RunError, match=r"\(scene "):
         replace(start, scene=other).train_all()
 
 
@@ -281,10 +282,8 @@ def test_a_block_without_a_photo_is_left_to_its_neighbour(scene, tmp_path):
     said: list[str] = []
     start = replace(start, scene=replace(start.scene, points=both), say=said.append)
     assert start.train_all()
-    assert said[-2:] == [
-        "1 of 2 blocks have no photo and are merged with their neighbours",
-        "1 block of 6 photos",
-    ]
+    assert "1 of 2" in said[-2]
+    assert "6 photos" in said[-1]
     assert [len(cell.views) for cell in start.plan.cells] == [6]
 
 
@@ -298,7 +297,7 @@ def test_processes_that_see_another_scene_train_no_block(scene, tmp_path):
     first, second = together(start, 2)
     assert isinstance(first, RunError)
     assert "process 1 on" in str(first)
-    assert "sees another scene than the first one" in str(first)
+    assert "another scene" in str(first)
     assert isinstance(second, PeerError)
     assert not (tmp_path / "run").exists()
 
@@ -308,21 +307,32 @@ def test_a_folder_that_holds_another_run_is_refused(joined, scene, tmp_path):
     (folder / "checkpoints").mkdir(parents=True)
     (folder / "config.yaml").write_text("method: mrgs\n")
     (folder / "checkpoints/step_000001.safetensors").write_bytes(b"")
-    with pytest.raises(RunError, match="already holds a run"):
+    with pytest.raises(RunError, match="already holds"):
         training(folder, scene).train_all()
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": 2}'])
-def test_a_plan_that_is_none_is_refused(tmp_path, text):
-    path = tmp_path / "plan.json"
-    path.write_text(text)
-    with pytest.raises(RunError, match="choose another folder"):
+def refusal(path: Path) -> str:
+    """Why a plan is refused; empty if it is read."""
+    try:
         read_plan(path)
+    except RunError as error:
+        return str(error)
+    return ""
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
+def test_a_plan_that_is_none_is_refused(tmp_path):
+    path = tmp_path / "plan.json"
+    for text in ("", "[]", "{}", '{"format": 2}'):
+        path.write_text(text)
+        assert re.search(r"plan\.json .*folder", refusal(path)), text
+
+
+def test_a_plan_that_was_damaged_is_refused(joined, tmp_path):
+    content = json.loads((joined / "blocks/plan.json").read_text(encoding="utf-8"))
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    assert read_plan(path) == read_plan(joined / "blocks/plan.json")
+    for damage in (
         {"format": 2},
         {"cells": []},
         {"cells": [{"region": [[None, None], [None, None]], "views": []}]},
@@ -335,37 +345,28 @@ def test_a_plan_that_is_none_is_refused(tmp_path, text):
         {"overlap": 10**400},
         {"plane": {"axes": [[1, 0, 0], [0, 1]], "low": [0, 0], "high": [1, 1]}},
         {"options": {"blocks": "1x2", "rows": 1}},
-    ],
-)
-def test_a_plan_that_was_damaged_is_refused(joined, tmp_path, damage):
-    content = json.loads((joined / "blocks/plan.json").read_text(encoding="utf-8"))
-    path = tmp_path / "plan.json"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    assert read_plan(path) == read_plan(joined / "blocks/plan.json")
-    path.write_text(json.dumps(content | damage), encoding="utf-8")
-    with pytest.raises(RunError, match=r"plan\.json .* choose another folder"):
-        read_plan(path)
+    ):
+        path.write_text(json.dumps(content | damage), encoding="utf-8")
+        assert re.search(r"plan\.json .*folder", refusal(path)), damage
 
 
 def test_blocks_of_a_scene_that_had_more_photos_are_refused(joined, scene):
     start = training(joined, scene)
     views = max(view for cell in start.plan.cells for view in cell.views)
     fewer = replace(start.scene, train=start.scene.train[:views])
-    with pytest.raises(RunError, match=rf"other options \(views {views + 1}, not {views}\)"):
+    with pytest.raises(RunError, match=rf"views {views + 1}\b"):
         start.plan.require_same(joined / "blocks/plan.json", fewer, start.config, start.options)
 
 
-def test_the_photos_of_a_block_are_those_that_show_it_with_its_margin(joined, scene, monkeypatch):
-    asked: list[Region] = []
-
-    def counted(region, places):
-        asked.append(region)
-        return views_of(region, places)
-
-    monkeypatch.setattr("mrgs.blocks.plan.views_of", counted)
-    done, options = training(joined, scene), BlockOptions("1x2", 0.2)
+def test_the_photos_of_a_block_are_those_that_show_it_with_its_margin(joined, scene):
+    done, options = training(joined, scene), BlockOptions("3x3", 0.1)
     plan = make_plan(done.coarse.model, done.scene, {}, options, lambda line: None)
-    assert asked[-2:] == [cell.region.grown(0.2) for cell in plan.cells]
+    places = counted_places(Surveyor(done.coarse.model, done.scene, plan.plane), done.scene)
+    regions = [cell.region for cell in plan.cells]
+    assert [cell.views for cell in plan.cells] == [
+        views_of(region.grown(0.1), places) for region in regions
+    ]
+    assert [cell.views for cell in plan.cells] != [views_of(region, places) for region in regions]
 
 
 def test_the_margin_is_a_share_of_the_narrowest_block(joined, scene):
@@ -384,7 +385,7 @@ def test_a_joined_run_counts_what_all_its_parts_took(joined):
 
 
 def test_an_overlap_that_does_not_fit_is_refused(scene, tmp_path):
-    with pytest.raises(ConfigError, match=r"an overlap of 5 scene units does not fit blocks"):
+    with pytest.raises(ConfigError, match=r"overlap .*\b5 "):
         training(tmp_path, scene, options=BlockOptions("1x2", 5.0)).train_all()
 
 
@@ -392,5 +393,5 @@ def test_a_scene_that_has_changed_is_refused(joined, scene, tmp_path):
     start = training(joined, scene)
     views = start.scene.train
     changed = replace(start.scene, train=(*views[1:], views[0]))
-    with pytest.raises(RunError, match="has changed since the run began"):
+    with pytest.raises(RunError, match="has changed"):
         replace(start, scene=changed).train_all()

@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 import json
+import signal
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from mrgs.comparison import child
 from mrgs.comparison.methods import Variant, configure
+from mrgs.comparison.single import run_one
 from mrgs.errors import KernelWarning, MrgsWarning
 from mrgs.system.strict_yaml import write_yaml
 from tests.helpers.comparison import tiny_options
 
 
 @pytest.fixture(autouse=True)
-def at_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave this process's signals and standard input alone."""
-    monkeypatch.setattr(child.signal, "signal", lambda *_: None)
-    monkeypatch.setattr(child, "when_asked_to_stop", lambda action: None)
+def at_home() -> Iterator[None]:
+    """This process's signals are as before when a test has ended."""
+    names = [name for name in ("SIGINT", *child.REQUESTS) if hasattr(signal, name)]
+    handlers = {number: signal.getsignal(number) for number in (getattr(signal, n) for n in names)}
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+def deaf(action: Callable[[], None]) -> None:
+    """Leave this process's standard input alone."""
 
 
 @pytest.fixture
@@ -38,54 +49,62 @@ def said(capsys: pytest.CaptureFixture[str]) -> list[dict]:
     return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
-def test_a_kernel_that_differs_is_reported(small_scene, request_for, capsys, monkeypatch):
-    def run_one(*_: object, **__: object) -> bool:
-        warnings.warn("shade: the kernel differs", KernelWarning, stacklevel=1)
+def test_a_kernel_that_differs_is_reported(small_scene, request_for, capsys):
+    def run(*_: object, **__: object) -> bool:
+        warnings.warn("shade differs", KernelWarning, stacklevel=1)
         warnings.warn("the scene has no points", MrgsWarning, stacklevel=1)
         return True
 
-    monkeypatch.setattr(child, "run_one", run_one)
-    assert child.main(request_for(small_scene)) == 0
-    assert said(capsys)[0] == {"warning": "shade: the kernel differs"}
+    assert child.main(request_for(small_scene), run, listen=deaf) == 0
+    assert said(capsys)[0] == {"warning": "shade differs"}
 
 
 def test_a_run_is_followed_to_its_scores(small_scene, request_for, capsys):
-    assert child.main(request_for(small_scene)) == 0
+    assert child.main(request_for(small_scene), listen=deaf) == 0
     messages = said(capsys)
     assert messages[0]["step"] == 1
     assert messages[-3:] == [{"scored": 1, "of": 2}, {"scored": 2, "of": 2}, {"end": "scored"}]
 
 
 def test_what_the_user_can_mend_is_said_in_one_message(tmp_path, request_for, capsys):
-    assert child.main(request_for(tmp_path / "nowhere")) == 2
+    assert child.main(request_for(tmp_path / "nowhere"), listen=deaf) == 2
     (message,) = said(capsys)
     assert message["end"] == "error"
-    assert "nowhere: not a folder" in message["message"]
+    assert "nowhere: not" in message["message"]
 
 
-def test_the_end_of_input_stops_the_training_with_a_checkpoint(
-    small_scene, request_for, capsys, monkeypatch
-):
-    monkeypatch.setattr(child, "when_asked_to_stop", lambda action: action())
+def asked_to_stop(request: dict[str, str | None], after: str) -> int:
+    """Have a child asked to stop once it has done its first step, or scored its first view."""
+    stop: list[Callable[[], None]] = []
+
+    def run(*arguments: Any, on_step: Any, on_score: Any, **options: Any) -> bool:
+        def step(statistics: Any) -> bool:
+            on_step(statistics)
+            if after == "step":
+                stop[0]()
+            return on_step(statistics)
+
+        def score(done: int, total: int) -> None:
+            if after == "score":
+                stop[0]()
+            on_score(done, total)
+
+        return run_one(*arguments, on_step=step, on_score=score, **options)
+
+    return child.main(request, run, listen=stop.append)
+
+
+def test_the_end_of_input_stops_the_training_with_a_checkpoint(small_scene, request_for, capsys):
     request = request_for(small_scene)
-    assert child.main(request) == 0
+    assert asked_to_stop(request, after="step") == 0
     assert said(capsys)[-1] == {"end": "stopped"}
     assert [path.name for path in (Path(request["folder"]) / "checkpoints").iterdir()] == [
         "step_000001.safetensors"
     ]
 
 
-def test_the_end_of_input_stops_the_scoring(small_scene, request_for, capsys, monkeypatch):
-    send, stop = child.send, []
-
-    def end_with_the_first_view(**message):
-        send(**message)
-        if message.get("scored") == 1:
-            stop[0]()
-
-    monkeypatch.setattr(child, "send", end_with_the_first_view)
-    monkeypatch.setattr(child, "when_asked_to_stop", stop.append)
+def test_the_end_of_input_stops_the_scoring(small_scene, request_for, capsys):
     request = request_for(small_scene)
-    assert child.main(request) == 0
+    assert asked_to_stop(request, after="score") == 0
     assert said(capsys)[-2:] == [{"scored": 1, "of": 2}, {"end": "stopped"}]
     assert not (Path(request["folder"]) / "eval").exists()

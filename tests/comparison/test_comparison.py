@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from mrgs.comparison import comparison, single
+from mrgs.comparison import comparison
 from mrgs.comparison.comparison import compare
 from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import PlannedRun, plan
@@ -21,20 +21,21 @@ from mrgs.comparison.single import run_one
 from mrgs.errors import MrgsError
 from mrgs.runs.open import TrainedRun, open_run
 from mrgs.training import train
+from mrgs.training.run_folder import RunFolder
 from tests.helpers.comparison import tiny_options
 
 
 @pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Do the runs in this process; the list tells which were done."""
-    done: list[str] = []
+def here(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """Do the runs in this process; the list tells the scene and method of those that were done."""
+    done: list[tuple[str, str]] = []
 
     def run_jobs(
         jobs: Sequence[PlannedRun], count: int, weights: Path | None, *_: Any
     ) -> dict[PlannedRun, str]:
         failures = {}
         for job in jobs:
-            done.append(str(job))
+            done.append((job.scene_name, job.method))
             try:
                 run_one(job.scene, job.folder, job.config, lpips_weights=weights)
             except MrgsError as error:
@@ -52,6 +53,10 @@ def twin(small_scene: Path, tmp_path: Path) -> Path:
 
 def read(path: Path) -> str:
     return path.read_text(encoding="utf-8")
+
+
+def numbers(line: str) -> list[int]:
+    return [int(number) for number in re.findall(r"\d+", line)]
 
 
 def files_in(folder: Path) -> set[str]:
@@ -83,7 +88,7 @@ def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twi
     result = compare([small_scene, twin], tmp_path / "out", options, say=said.append)
     assert len(here) == 8
     assert result.failures == {}
-    assert said == ["8 runs, 0 of them scored already"]
+    assert [numbers(line) for line in said] == [[8, 0]]
     out = tmp_path / "out"
     assert files_in(out / "tables") == {
         f"{name}{suffix}"
@@ -106,20 +111,12 @@ def test_two_methods_on_two_scenes_with_two_seeds(here, opened, small_scene, twi
     assert opened == ["mrgs-fourier", "mrgs"] * 2
 
 
-def test_what_is_scored_is_not_done_again_and_read_once(here, small_scene, tmp_path, monkeypatch):
+def test_what_is_scored_is_not_done_again(here, small_scene, tmp_path):
     first = compare([small_scene], tmp_path / "out", tiny_options(methods=("3dgs-rgbt",)))
     said: list[str] = []
-    read_folders: list[Path] = []
-
-    def read_metrics(folder: Path) -> Any:
-        read_folders.append(folder)
-        return json.loads(read(folder / "metrics.json")) if folder.is_dir() else None
-
-    monkeypatch.setattr(single, "read_metrics", read_metrics)
     second = compare([small_scene], tmp_path / "out", tiny_options(), say=said.append)
-    assert read_folders.count(tmp_path / "out/runs/balls/3dgs-rgbt/seed_0/eval") == 1
-    assert here == ["balls, 3dgs-rgbt, seed 0", "balls, mrgs, seed 0"]
-    assert said == ["2 runs, 1 of them scored already"]
+    assert here == [("balls", "3dgs-rgbt"), ("balls", "mrgs")]
+    assert [numbers(line) for line in said] == [[2, 1]]
     assert second.tables[0].rows[0].cells == first.tables[0].rows[0].cells
 
 
@@ -130,11 +127,9 @@ def test_a_scene_that_has_changed_is_named_before_anything_runs(here, twin, tmp_
     bounds = json.loads(read(twin / "temperature_bounds.json"))
     bounds["absolute_max_temperature"] += 10
     (twin / "temperature_bounds.json").write_text(json.dumps(bounds))
-    with pytest.raises(
-        MrgsError, match=r"3dgs-rgbt/seed_0 holds a run of other data than twin has now \(it has "
-    ):
+    with pytest.raises(MrgsError, match=r"3dgs-rgbt/seed_0 .*temperature range"):
         compare([twin], out, tiny_options(methods=("mrgs", "3dgs-rgbt")))
-    assert here == ["twin, 3dgs-rgbt, seed 0"]
+    assert here == [("twin", "3dgs-rgbt")]
     assert read(out / "tables" / "thermal.md") == tables
     assert len(compare([twin], tmp_path / "new", tiny_options(methods=("mrgs",))).tables) == 2
 
@@ -149,7 +144,7 @@ def test_other_held_out_photos_are_scored_without_training(here, twin, tmp_path)
             Image.new(photo.mode, photo.size, "white").save(path)
     said: list[str] = []
     second = compare([twin], out, options, say=said.append)
-    assert said == ["1 runs, 0 of them scored already"]
+    assert [numbers(line) for line in said] == [[1, 0]]
     assert read(folder / "log.jsonl") == log
     thermal, rgb = (
         [result.tables[number].rows[0].cells[0].mean for result in (first, second)]
@@ -158,7 +153,7 @@ def test_other_held_out_photos_are_scored_without_training(here, twin, tmp_path)
     assert thermal[0] == thermal[1]
     assert rgb[0] > rgb[1] + 3
     compare([twin], out, options, say=said.append)
-    assert said[1:] == ["1 runs, 1 of them scored already"]
+    assert [numbers(line) for line in said[1:]] == [[1, 1]]
 
 
 def test_a_run_that_was_cut_off_is_continued(here, small_scene, tmp_path):
@@ -170,17 +165,16 @@ def test_a_run_that_was_cut_off_is_continued(here, small_scene, tmp_path):
     assert json.loads(read(job.folder / "eval" / "metrics.json"))["steps"] == 3
 
 
-def test_a_run_that_fails_leaves_a_dash_with_its_reason(
-    here, small_scene, twin, tmp_path, monkeypatch
-):
+def test_a_run_that_fails_leaves_a_dash_with_its_reason(here, small_scene, twin, tmp_path):
     for path in (twin / "images").glob("*train_00003*"):
         path.write_bytes(path.read_bytes()[:200])
     options = tiny_options(methods=("3dgs-rgbt",), max_steps=20)
     result = compare([small_scene, twin], tmp_path / "out", options)
-    assert list(result.failures) == ["twin, 3dgs-rgbt, seed 0"]
+    (failed,) = result.failures
+    assert failed.startswith("twin, 3dgs-rgbt")
     text = read(tmp_path / "out" / "tables" / "thermal.md")
     assert "–<sup>a</sup>" in text
-    assert re.search(r"<sup>a</sup> the run failed: .*cannot be decoded", text)
+    assert re.search(r"<sup>a</sup> .*decoded", text)
     assert (tmp_path / "out" / "figures" / "qualitative.png").is_file()
 
 
@@ -225,9 +219,11 @@ def test_held_out_photos_that_cannot_be_decoded_are_the_reason_of_every_dash(her
     for path in (twin / "images").glob("*eval*"):
         path.write_bytes(path.read_bytes()[:200])
     result = compare([twin], tmp_path / "out", options, renders={"Other": tmp_path / "other"})
-    assert list(result.failures) == ["twin, 3dgs-rgbt, seed 0", "twin, Other"]
-    assert all("cannot be decoded" in reason for reason in result.failures.values())
-    assert "cannot be decoded" in read(tmp_path / "out" / "tables" / "thermal.md")
+    ours, theirs = result.failures
+    assert ours.startswith("twin, 3dgs-rgbt")
+    assert theirs == "twin, Other"
+    assert all("decoded" in reason for reason in result.failures.values())
+    assert "decoded" in read(tmp_path / "out" / "tables" / "thermal.md")
     assert files_in(tmp_path / "out" / "figures") == set()  # no photo to show
 
 
@@ -248,21 +244,13 @@ def test_a_method_of_the_neighbours_may_stand_in_the_depth_figure(
     assert opened == ["mrgs-fourier", "mrgs"]
 
 
-def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(
-    here, small_scene, tmp_path, monkeypatch
-):
-    do_all = comparison.run_jobs
-
-    def run_jobs(jobs: Sequence[PlannedRun], *arguments: Any) -> dict[PlannedRun, str]:
-        lost = [job for job in jobs if job.method == "3dgs-rgbt"]
-        return do_all([job for job in jobs if job not in lost], *arguments) | dict.fromkeys(
-            lost, "it crashed"
-        )
-
-    monkeypatch.setattr(comparison, "run_jobs", run_jobs)
+def test_a_scene_whose_methods_failed_is_left_out_of_the_figure(here, small_scene, tmp_path):
     options = tiny_options(methods=("3dgs-rgbt",), neighbours=(1,))
-    result = compare([small_scene], tmp_path / "out", options)
-    assert list(result.failures) == ["balls, 3dgs-rgbt, seed 0"]
+    busy = RunFolder(tmp_path / "out" / "runs" / "balls" / "3dgs-rgbt" / "seed_0")
+    with busy.locked():  # as if another process trained there
+        result = compare([small_scene], tmp_path / "out", options)
+    (failed,) = result.failures
+    assert failed.startswith("balls, 3dgs-rgbt")
     assert not (tmp_path / "out" / "figures").exists()
 
 
@@ -310,19 +298,10 @@ def test_a_scored_run_without_checkpoints_is_left_out_of_the_figure(here, small_
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"jobs": 0}, "the number of jobs must be at least 1, not 0"),
-        (
-            {"renders": {"mrgs": Path("x")}},
-            "mrgs: a method has this name already; choose another",
-        ),
-        (
-            {"renders": {"a/b": Path("x")}},
-            "a/b: the name must be usable as a folder's name; choose another",
-        ),
-        (
-            {"lpips_weights": Path("none")},
-            "none: no such file; give a safetensors file",
-        ),
+        ({"jobs": 0}, "jobs .* 0"),
+        ({"renders": {"mrgs": Path("x")}}, "mrgs: .*already"),
+        ({"renders": {"a/b": Path("x")}}, "a/b: .*usable"),
+        ({"lpips_weights": Path("none")}, "none: .*safetensors"),
     ],
 )
 def test_arguments_that_are_not_allowed(arguments, message, small_scene, tmp_path):
@@ -337,7 +316,7 @@ def test_a_variant_has_a_row_of_its_own(here, small_scene, tmp_path):
         [small_scene], tmp_path / "out", tiny_options(methods=("mrgs",), variants=(few,))
     )
     assert [row.labels for row in result.tables[0].rows] == [("mrgs",), ("few",)]
-    with pytest.raises(MrgsError, match="few: a method has this name already"):
+    with pytest.raises(MrgsError, match=r"few: .*already"):
         compare(
             [small_scene], tmp_path / "out", tiny_options(methods=("mrgs",), variants=(few, few))
         )
@@ -350,7 +329,8 @@ def test_in_a_process_of_its_own(small_scene, tmp_path):
         [small_scene], tmp_path / "out", tiny_options(methods=("3dgs-rgbt",)), say=said.append
     )
     assert result.failures == {}
-    assert said[0] == "1 runs, 0 of them scored already"
-    assert said[1] == "starts: balls, 3dgs-rgbt, seed 0"
-    assert said[-1] == "scored: balls, 3dgs-rgbt, seed 0 | 1 of 1 done"
+    assert numbers(said[0]) == [1, 0]
+    assert said[1].startswith("starts: balls")
+    assert said[-1].startswith("scored: balls")
+    assert "1 of 1" in said[-1]
     assert isinstance(result.tables[0].rows[0].cells[0].mean, float)

@@ -38,14 +38,12 @@ def test_a_variant_of_thermonerf():
 
 @pytest.mark.parametrize("text", ["3", "{seed: 1}", "{method: 3}"])
 def test_a_variant_names_its_method(text):
-    with pytest.raises(
-        ConfigError, match=r"wide.yaml does not say which method it changes: add a line such as"
-    ):
+    with pytest.raises(ConfigError, match=r"wide\.yaml .*method: mrgs"):
         Variant.from_text("wide", text, "wide.yaml")
 
 
 def test_a_misspelt_value_of_a_variant():
-    with pytest.raises(ConfigError, match=r"wide.yaml: there is no field 'sed'"):
+    with pytest.raises(ConfigError, match=r"wide\.yaml: .*'sed'"):
         configure(
             Variant.from_text("wide", "{method: mrgs, sed: 1}", "wide.yaml"), tiny_options(), 0
         )
@@ -55,10 +53,7 @@ def test_a_misspelt_value_of_a_variant():
 def test_a_variant_has_the_resolution_of_all(method):
     variant = Variant.from_text("small", f"{{method: {method}, resolution: 20}}", "small.yaml")
     for resolution in (None, 30):
-        with pytest.raises(
-            ConfigError,
-            match=r"^small.yaml has a resolution of its own, but all runs are compared at",
-        ):
+        with pytest.raises(ConfigError, match=r"^small\.yaml .*resolution"):
             configure(variant, tiny_options(resolution=resolution), 0)
     assert configure(variant, tiny_options(resolution=20), 0).resolution == 20
 
@@ -67,7 +62,7 @@ def test_a_variant_has_the_resolution_of_all(method):
 def test_a_configuration_survives_its_text(method):
     config = configure(Variant(method, method), tiny_options(), 1)
     assert from_text(write_yaml(config)) == config
-    with pytest.raises(ConfigError, match="the request must hold the fields of a configuration"):
+    with pytest.raises(ConfigError, match=r"request .*fields"):
         from_text("3")
 
 

@@ -59,9 +59,6 @@ def test_ablation_and_neighbours():
 
 
 def test_what_the_paper_does_not_say():
-    assert (
-        cell("thermal", "tabletop", "MrGS", "thermal.psnr").note
-        == "the paper has no figures of this scene"
-    )
-    assert cell("thermal", "trees", "ThermoNeRF", "gaussians_k").note == "the paper does not say"
+    assert "this scene" in cell("thermal", "tabletop", "MrGS", "thermal.psnr").note
+    assert "does not say" in cell("thermal", "trees", "ThermoNeRF", "gaussians_k").note
     assert mean_cell("thermal", ("trees", "tabletop"), "MrGS", "thermal.psnr").mean is None

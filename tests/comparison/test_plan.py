@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 
 import pytest
@@ -20,9 +21,9 @@ def test_every_seed_is_done_for_all_before_the_next(small_scene, tmp_path):
         tmp_path / "out",
         tiny_options(seeds=2, neighbours=(1, 3)),
     )
-    assert [str(job) for job in jobs[:4]] == [
-        "balls, 3dgs-rgbt, seed "
-        "0", "balls, mrgs, seed 0", "balls, mrgs-n1, seed 0", "scene, 3dgs-rgbt, seed 0",
+    assert [(job.scene_name, job.method, job.seed) for job in jobs[:4]] == [
+        ("balls", "3dgs-rgbt", 0), ("balls", "mrgs", 0), ("balls", "mrgs-n1", 0),
+        ("scene", "3dgs-rgbt", 0),
     ]  # fmt: skip
     assert len(jobs) == 2 * 2 * 3
     assert jobs[-1].folder == tmp_path / "out" / "runs" / "scene" / "mrgs-n1" / "seed_1"
@@ -56,11 +57,11 @@ def test_the_neighbours_alone_need_no_method(small_scene, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"seeds": 0}, "the number of seeds must be at least 1, not 0"),
-        ({"methods": ()}, "there is nothing to compare: name at least one method"),
-        ({"methods": ("magic",)}, "unknown method 'magic'; choose one of"),
-        ({"preset": "slow"}, "unknown preset 'slow'; choose one of"),
-        ({"neighbours": (0,)}, "neighbours_n must be at least 1"),
+        ({"seeds": 0}, "seeds .* 0"),
+        ({"methods": ()}, "one method"),
+        ({"methods": ("magic",)}, "method 'magic'"),
+        ({"preset": "slow"}, "preset 'slow'"),
+        ({"neighbours": (0,)}, "neighbours_n"),
     ],
 )
 def test_options_that_are_not_allowed(changes, message, small_scene, tmp_path):
@@ -70,15 +71,13 @@ def test_options_that_are_not_allowed(changes, message, small_scene, tmp_path):
 
 
 def test_at_least_one_scene(tmp_path):
-    with pytest.raises(ConfigError, match="nothing to compare: name at least one scene"):
+    with pytest.raises(ConfigError, match="one scene"):
         plan([], tmp_path, tiny_options())
 
 
 def test_scenes_of_one_name_are_told_apart_by_the_user(small_scene, tmp_path):
     twin = shutil.copytree(small_scene, tmp_path / "elsewhere" / small_scene.name)
-    with pytest.raises(
-        ConfigError, match=rf"balls and .*{twin.parent.name}/balls have the same name: rename one"
-    ):
+    with pytest.raises(ConfigError, match=rf"{twin.parent.name}/balls .*rename"):
         plan([small_scene, twin], tmp_path / "out", tiny_options())
     assert len(plan([small_scene, small_scene], tmp_path / "out", tiny_options())) == 2
 
@@ -86,16 +85,10 @@ def test_scenes_of_one_name_are_told_apart_by_the_user(small_scene, tmp_path):
 def test_a_name_stands_for_one_folder_over_time(small_scene, tmp_path):
     twin = shutil.copytree(small_scene, tmp_path / "elsewhere" / small_scene.name)
     plan([small_scene], tmp_path / "out", tiny_options())
-    with pytest.raises(
-        ConfigError,
-        match=r"out holds runs of .*balls under the name balls: choose another folder",
-    ):
+    with pytest.raises(ConfigError, match=rf"of {re.escape(str(small_scene))} .*scenes\.json"):
         plan([twin], tmp_path / "out", tiny_options())
     (tmp_path / "out" / "scenes.json").write_text("[1]")
-    with pytest.raises(
-        ConfigError,
-        match=r"scenes\.json cannot be read: choose another folder, or remove the file",
-    ):
+    with pytest.raises(ConfigError, match=r"scenes\.json .*remove"):
         plan([small_scene], tmp_path / "out", tiny_options())
 
 
@@ -104,7 +97,7 @@ def test_a_scene_without_held_out_views(tmp_path):
     content = json.loads((scene / "transforms.json").read_text())
     content["train_filenames"] = [frame["file_path"] for frame in content["frames"]]
     (scene / "transforms.json").write_text(json.dumps(content))
-    with pytest.raises(SceneError, match="no views are held out, so there is nothing to score"):
+    with pytest.raises(SceneError, match="held out"):
         plan([scene], tmp_path, tiny_options())
 
 
@@ -113,10 +106,7 @@ def test_a_folder_with_another_run_is_found_before_anything_runs(small_scene, tm
     (job,) = plan([small_scene], tmp_path, options)
     train(small_scene, job.folder, job.config)
     plan([small_scene], tmp_path, options)
-    with pytest.raises(
-        ConfigError,
-        match=r"seed_0 holds a run with another configuration \(max_steps is 3 there and",
-    ):
+    with pytest.raises(ConfigError, match=r"seed_0 .*max_steps is 3"):
         plan([small_scene], tmp_path, tiny_options(methods=("3dgs-rgbt",), max_steps=4))
 
 
@@ -125,5 +115,5 @@ def test_a_scene_that_is_odd_is_said_before_anything_runs(small_scene, tmp_path)
     for photo in (scene / "images").iterdir():
         with Image.open(photo) as image:
             Image.new(image.mode, image.size).save(photo)
-    with pytest.warns(MrgsWarning, match=r"^odd: .* RGB photos looked at are black"):
+    with pytest.warns(MrgsWarning, match=r"^odd: .*black"):
         plan([scene], tmp_path / "out", tiny_options())

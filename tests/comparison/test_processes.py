@@ -6,31 +6,33 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from mrgs.comparison import processes
 from mrgs.comparison.plan import PlannedRun
-from mrgs.comparison.processes import run_jobs, threads_each
+from mrgs.comparison.processes import CHILD, run_jobs, threads_each
 from mrgs.training import make_config
 
-SPEAK = """
+PRETEND = """
 import json, os, sys
 request = json.loads(sys.argv[1])
 def say(**message):
     print(json.dumps(message), flush=True)
+with open(request["scene"]) as script:
+    exec(script.read())
 """
 
 
 @pytest.fixture
-def make_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[PlannedRun]]:
-    """Jobs whose children run a script; ``request`` and ``say`` are known in it."""
+def make_jobs(tmp_path: Path) -> Callable[..., list[PlannedRun]]:
+    """Jobs whose scene is a script that their children run, see ``run``; ``request`` and ``say``
+    are known in it."""
 
     def make(script: str, count: int = 1) -> list[PlannedRun]:
-        monkeypatch.setattr(processes, "CHILD", ("-c", SPEAK + script))
+        (tmp_path / "scene").write_text(script)
         config = make_config("mrgs", "fast", max_steps=3)
         return [
             PlannedRun(tmp_path / "scene", "scene", "mrgs", seed, config, tmp_path / f"seed_{seed}")
@@ -40,13 +42,21 @@ def make_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
     return make
 
 
+def run(
+    jobs: list[PlannedRun],
+    on_message: Callable[[PlannedRun, dict], None],
+    count: int = 1,
+    weights: Path | None = None,
+    child: Sequence[str] = ("-c", PRETEND),
+) -> dict[PlannedRun, str]:
+    return run_jobs(jobs, count, weights, on_message, lambda: None, child=child)
+
+
 def do(
     jobs: list[PlannedRun], count: int = 1
 ) -> tuple[dict[PlannedRun, str], list[tuple[int, dict]]]:
     heard: list[tuple[int, dict]] = []
-    failures = run_jobs(
-        jobs, count, None, lambda job, message: heard.append((job.seed, message)), lambda: None
-    )
+    failures = run(jobs, lambda job, message: heard.append((job.seed, message)), count)
     return failures, heard
 
 
@@ -76,13 +86,7 @@ def test_the_request_holds_absolute_paths(make_jobs, tmp_path, monkeypatch):
     (job,) = make_jobs("say(**request); say(end='scored')")
     job = replace(job, scene=Path("scene"), folder=Path("seed_0"))
     heard: list[dict] = []
-    run_jobs(
-        [job],
-        1,
-        Path("lpips.safetensors"),
-        lambda job, message: heard.append(message),
-        lambda: None,
-    )
+    run([job], lambda job, message: heard.append(message), weights=Path("lpips.safetensors"))
     paths = [heard[1][key] for key in ("scene", "folder", "lpips_weights")]
     assert paths == [str(tmp_path / name) for name in ("scene", "seed_0", "lpips.safetensors")]
 
@@ -101,7 +105,7 @@ def test_a_poisoned_current_folder_is_not_imported_from(tmp_path, monkeypatch):
         make_config("mrgs", "fast", max_steps=3),
         Path("seed_0"),
     )
-    (reason,) = do([job])[0].values()
+    (reason,) = run([job], lambda job, message: None, child=CHILD).values()
     assert reason.startswith(str(tmp_path / "missing"))
 
 
@@ -115,13 +119,13 @@ def test_cores_are_divided(make_jobs):
     assert threads_each(10_000) == 1
 
 
-def test_fewer_runs_than_processes_have_all_cores(make_jobs, monkeypatch):
-    monkeypatch.setattr(processes, "threads_each", lambda count: 12 // count)
+def test_fewer_runs_than_processes_have_all_cores(make_jobs):
     jobs = make_jobs(
         "say(step=0, threads=os.environ['NUMBA_NUM_THREADS']); say(end='scored')", count=2
     )
-    assert do(jobs[:1], 3)[1][1][1]["threads"] == "12"
-    assert {message["threads"] for _, message in do(jobs, 3)[1] if "threads" in message} == {"6"}
+    for started in (1, 2):
+        told = [message["threads"] for _, message in do(jobs[:started], 3)[1] if "step" in message]
+        assert told == [str(threads_each(started))] * started
 
 
 def test_only_so_many_run_at_a_time(make_jobs):
@@ -150,22 +154,22 @@ def test_a_crash_is_told_with_its_last_line_and_its_whole_output_kept(make_jobs,
     jobs = make_jobs("raise RuntimeError('it broke')")
     (reason,) = do(jobs)[0].values()
     kept = tmp_path / "seed_0.stderr.txt"
-    assert reason == f"the process ended with status 1 (RuntimeError: it broke); see {kept}"
+    assert "status 1" in reason
+    assert "RuntimeError: it broke" in reason
+    assert reason.endswith(str(kept))
     assert "Traceback" in kept.read_text()
 
 
 def test_a_child_that_says_nothing_has_failed(make_jobs):
     (reason,) = do(make_jobs("pass"))[0].values()
-    assert reason.startswith("the process ended with status 0 (no message)")
+    assert "status 0" in reason
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
 def test_a_child_that_the_system_ended(make_jobs):
     (reason,) = do(make_jobs("os.kill(os.getpid(), 9)"))[0].values()
-    assert (
-        reason == "the system ended the process (signal 9), most likely for want of memory: run "
-        "fewer at a time"
-    )
+    assert "signal 9" in reason
+    assert "fewer" in reason
 
 
 def interrupt(when: Callable[[], bool], times: int = 1) -> None:
@@ -187,7 +191,7 @@ def test_ctrl_c_closes_the_childs_input_and_waits_for_it(make_jobs):
     heard: list[dict] = []
     interrupt(lambda: {"step": 1, "gaussians": 1} in heard)
     with pytest.raises(KeyboardInterrupt):
-        run_jobs(jobs, 1, None, lambda job, message: heard.append(message), lambda: None)
+        run(jobs, lambda job, message: heard.append(message))
     assert heard == [
         {"start": True},
         {"step": 1, "gaussians": 1},
@@ -201,7 +205,7 @@ def test_a_second_ctrl_c_ends_a_child_that_does_not_listen(make_jobs, tmp_path):
     heard: list[dict] = []
     interrupt(lambda: len(heard) > 1, times=2)
     with pytest.raises(KeyboardInterrupt):
-        run_jobs(jobs, 1, None, lambda job, message: heard.append(message), lambda: None)
+        run(jobs, lambda job, message: heard.append(message))
     with pytest.raises(ProcessLookupError):
         os.kill(heard[1]["step"], 0)
 
@@ -213,7 +217,7 @@ def test_a_real_child_stops_with_a_checkpoint(small_scene, tmp_path):
     heard: list[dict] = []
     interrupt(lambda: any("step" in message for message in heard))
     with pytest.raises(KeyboardInterrupt):
-        run_jobs([job], 1, None, lambda job, message: heard.append(message), lambda: None)
+        run([job], lambda job, message: heard.append(message), child=CHILD)
     assert heard[-1] == {"end": "stopped"}
     (checkpoint,) = (job.folder / "checkpoints").glob("*.safetensors")
     assert 1 <= int(checkpoint.stem.removeprefix("step_")) < 2_000

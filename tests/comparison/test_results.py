@@ -25,7 +25,7 @@ def test_figures_of_a_document():
 def test_a_missing_figure_keeps_the_reason_of_the_document():
     figures = outcome("board", "mrgs", 0, metrics_document()).figures
     assert figures["rgb.lpips"] == Missing("no weights")
-    assert figures["truth.ratio"] == Missing("the scene has no exact truth")
+    assert "exact truth" in figures["truth.ratio"].reason
 
 
 def test_a_ratio_needs_both_of_its_figures():
@@ -34,18 +34,13 @@ def test_a_ratio_needs_both_of_its_figures():
     )
     assert outcome("a", "b", 0, document).figures["truth.ratio"] == Missing("no thermal image")
     document = metrics_document(truth=TRUTH | {"camera_mae_c": 0.0})
-    assert outcome("a", "b", 0, document).figures["truth.ratio"] == Missing(
-        "the camera makes no error"
-    )
+    assert "camera" in outcome("a", "b", 0, document).figures["truth.ratio"].reason
 
 
 def test_a_document_of_another_shape_has_no_figures():
     figures = outcome("a", "b", 0, {"mean": [1], "gaussians": True, "reasons": 3}).figures
-    assert (
-        figures["thermal.psnr"]
-        == figures["gaussians_k"]
-        == Missing("metrics.json does not hold it")
-    )
+    assert figures["thermal.psnr"] == figures["gaussians_k"]
+    assert "metrics.json" in figures["gaussians_k"].reason
 
 
 def test_all_figures_of_a_failed_run_have_its_reason():
@@ -64,7 +59,9 @@ def test_mean_and_sample_standard_deviation_over_seeds():
 
 def test_seeds_that_are_missing_are_noted():
     cell = over_seeds([1.0, Missing("it crashed"), 3.0])
-    assert (cell.mean, cell.seeds, cell.note) == (2.0, 2, "2 of 3 seeds; the others: it crashed")
+    assert (cell.mean, cell.seeds) == (2.0, 2)
+    assert "2 of 3" in cell.note
+    assert "it crashed" in cell.note
     assert over_seeds([Missing("x"), Missing("x")]) == (None, None, 0, "x")
 
 
@@ -75,18 +72,19 @@ def test_the_deviation_of_a_mean_over_scenes_is_that_over_seeds():
 
 
 def test_a_mean_over_scenes_needs_all_of_them():
-    assert over_scenes([[1.0], [Missing("it crashed")]], ["a", "b"]).note == (
-        "no mean, because the figure is missing for b"
-    )
+    assert "missing for b" in over_scenes([[1.0], [Missing("it crashed")]], ["a", "b"]).note
     assert over_scenes([[Missing("no °C")], [Missing("no °C")]], ["a", "b"]).note == "no °C"
 
 
 def test_seeds_that_lack_a_scene_are_noted():
     lost = Missing("it crashed")
     cell = over_scenes([[1.0, 2.0, 4.0], [3.0, lost, 8.0]], ["a", "b"])
-    assert (cell.mean, cell.seeds, cell.note) == (4.0, 2, "2 of 3 seeds; the others lack a scene")
+    assert (cell.mean, cell.seeds) == (4.0, 2)
+    assert "2 of 3" in cell.note
+    assert "scene" in cell.note
     one_seed = over_scenes([[1.0, 2.0], [3.0, lost]], ["a", "b"])
-    assert one_seed == (2.0, None, 1, "1 of 2 seeds; the others lack a scene")
+    assert one_seed[:3] == (2.0, None, 1)
+    assert "1 of 2" in one_seed.note
     assert over_scenes([[1.0, 2.0], [3.0, 4.0]], ["a", "b"]).note is None
 
 

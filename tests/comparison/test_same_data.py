@@ -113,9 +113,9 @@ def test_a_folder_without_a_run_is_of_any_scene(scene, tmp_path):
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (train_photo, r"photos of \S+ \(rgb\)"),
-        (train_pose, r"poses of \S+ \(rgb\), \S+ \(thermal\)"),
-        (temperature_range, "it has another temperature range"),
+        (train_photo, r"photos .*\(rgb\)"),
+        (train_pose, r"poses .*\(thermal\)"),
+        (temperature_range, "temperature range"),
     ],
 )
 @pytest.mark.parametrize("is_scored", [True, False])
@@ -123,11 +123,7 @@ def test_other_data_for_training_are_named(change: Change, named, is_scored, sce
     change(scene)
     if not is_scored:
         shutil.rmtree(folder / "eval")
-    with pytest.raises(
-        ConfigError,
-        match=rf"run holds a run of other data than balls has now \({named}\): choose another "
-        r"folder, or remove this one$",
-    ) as caught:
+    with pytest.raises(ConfigError, match=rf"balls .*{named}") as caught:
         require_same_data(folder, data_of(scene), run_scores(folder))
     assert caught.value.options == ("output",)
 
@@ -144,15 +140,15 @@ def test_other_held_out_images_make_the_scores_stale(change: Change, scene, fold
     ("change", "named"),
     [
         (train_photo, "training photos"),
-        (held_out_photo, r"photos of \S+ \(rgb\)"),
-        (held_out_pose, r"poses of \S+ \(rgb\), \S+ \(thermal\)"),
-        (temperature_range, "it has another temperature range"),
+        (held_out_photo, r"photos .*\(rgb\)"),
+        (held_out_pose, r"poses .*\(thermal\)"),
+        (temperature_range, "temperature range"),
     ],
 )
 def test_scores_without_a_checkpoint_are_of_the_same_data(change: Change, named, scene, folder):
     change(scene)
     shutil.rmtree(folder / "checkpoints")
-    with pytest.raises(ConfigError, match=rf"other data than balls has now \({named}\)"):
+    with pytest.raises(ConfigError, match=rf"balls .*{named}"):
         require_same_data(folder, data_of(scene), run_scores(folder))
 
 
@@ -161,8 +157,7 @@ def test_images_of_another_modality_are_named(scene, folder, near_infrared):
     view, *others = loaded.train
     more = replace(view, images={**view.images, near_infrared: view.images[RGB]})
     changed = replace(loaded, train=(more, *others))
-    began_without = rf"\(it has images that the run began without \({near_infrared.name}\)\)"
-    with pytest.raises(ConfigError, match=began_without):
+    with pytest.raises(ConfigError, match=rf"images .*\({near_infrared.name}\)"):
         require_same_data(folder, SceneData(changed), run_scores(folder))
 
 
@@ -174,7 +169,7 @@ def test_runs_of_an_older_version_count_as_far_as_they_say(scene, folder):
     require_same_data(folder, data, run_scores(folder))
     assert not are_stale(run_scores(folder), data)
     temperature_range(scene)
-    with pytest.raises(ConfigError, match="it has another temperature range"):
+    with pytest.raises(ConfigError, match="temperature range"):
         require_same_data(folder, data_of(scene), run_scores(folder))
 
 

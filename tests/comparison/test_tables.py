@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -58,7 +59,7 @@ def test_a_mean_leaves_out_scenes_where_no_method_has_the_figure():
     runs = [outcome_of("a", "mrgs"), outcome_of("b", "mrgs", mean=NO_CELSIUS)]
     thermal = tables_of(gathered(*runs))["thermal"]
     assert thermal.rows[0].cells[-2].mean == 0.5
-    assert "The mean MAE leaves out b, which has none." in thermal.remarks
+    assert any(re.search(r"MAE .*\bb\b", remark) for remark in thermal.remarks)
 
 
 def test_a_scene_without_celsius_has_the_matched_psnr_in_place_of_the_mae():
@@ -70,9 +71,7 @@ def test_a_scene_without_celsius_has_the_matched_psnr_in_place_of_the_mae():
     assert [cell.mean for cell in thermal.rows[0].cells[4:8]] == pytest.approx(
         [20.0, 26.0, 0.9, 12.34]
     )
-    assert any(
-        remark.startswith("PSNR matched, for scenes without °C: ") for remark in thermal.remarks
-    )
+    assert any(remark.startswith("PSNR matched") for remark in thermal.remarks)
     alone = [outcome_of(scene, "mrgs", mean=NO_CELSIUS) for scene in "bc"]
     assert [group.figures for group in tables_of(gathered(*alone))["thermal"].groups] == [
         without
@@ -96,7 +95,7 @@ def test_a_method_whose_run_failed_has_no_mean():
     mrgs, x = tables_of(gathered(*runs))["thermal"].rows
     assert mrgs.cells[8].mean == 30.0
     assert x.cells[4].note == "crash"
-    assert x.cells[8].note == "no mean, because the figure is missing for b"
+    assert "missing for b" in x.cells[8].note
 
 
 def test_the_ablation_checks_what_each_method_has():
@@ -114,7 +113,9 @@ def test_the_ablation_checks_what_each_method_has():
 def test_the_neighbours_have_minutes_and_stay_out_of_the_other_tables():
     runs = [outcome_of("a", method) for method in ("mrgs", "mrgs-n1", "mrgs-n5")]
     tables = tables_of(gathered(*runs, neighbours={5: "mrgs-n5", 1: "mrgs-n1", 3: "mrgs"}))
-    assert labels(tables["neighbours"]) == [("a", "n = 1"), ("a", "n = 3"), ("a", "n = 5")]
+    assert [(scene, label[-1]) for scene, label in labels(tables["neighbours"])] == [
+        ("a", "1"), ("a", "3"), ("a", "5"),
+    ]  # fmt: skip
     assert tables["neighbours"].rows[0].cells[-1].mean == pytest.approx(1.5)
     assert labels(tables["thermal"]) == [("mrgs",)]
 
@@ -135,10 +136,10 @@ def test_a_scene_with_exact_depths_alone_is_in_the_table_of_exact_truth():
     cells = table.rows[0].cells
     assert (cells[4].mean, cells[4].note) == (None, "no °C")
     assert [cells[index].mean for index in (7, 8, 11)] == pytest.approx([2.5, 0.2, 2.0])
-    assert table.remarks[-3:] == tuple(
-        f"The mean {heading} leaves out lidar, which has none."
-        for heading in ("MAE to exact", "camera's own MAE", "ratio")
-    )
+    headings = ("MAE to exact", "camera's own MAE", "ratio")
+    for heading, remark in zip(headings, table.remarks[-3:], strict=True):
+        assert heading in remark
+        assert "lidar" in remark
 
 
 def test_the_names_of_all_tables_are_known():
@@ -160,10 +161,11 @@ def test_scenes_with_wrong_poses_have_scores_with_aligned_ones_too():
     wrong, fits = (row.cells for row in table.rows)
     assert [cell.mean for cell in wrong] == [1.7, 44.0, 30.0, 0.3, 0.2]
     assert [cell.mean for cell in fits] == [0.1, None, None, None, None]
-    assert fits[1].note == "the poses of the held-out photos are right, as far as this model tells"
+    assert "poses" in fits[1].note
+    assert "right" in fits[1].note
     assert "aligned" not in tables_of(gathered(*runs[2:]))
     unknown = {"error_px": None}
-    reasons = {"poses.error_px": "the model is not clear enough to tell"}
+    reasons = {"poses.error_px": "not clear"}
     (row,) = tables_of(
         gathered(
             outcome_of("a", "mrgs", poses=ALIGNED),
@@ -178,7 +180,7 @@ def test_scenes_with_wrong_poses_have_scores_with_aligned_ones_too():
             outcome_of("a", "mrgs", poses=unknown, reasons=reasons),
         )
     )["aligned"].rows[1]
-    assert told.cells[1].note == "the model is not clear enough to tell"
+    assert told.cells[1].note == "not clear"
 
 
 def test_the_papers_figures_stand_beside_ours_on_its_scenes():
@@ -195,11 +197,10 @@ def test_the_papers_figures_stand_beside_ours_on_its_scenes():
         "Hot Water Cup",
         "mean",
     ]
-    assert labels(thermal)[2:] == [
-        ("ThermoNeRF (paper)",),
-        ("3DGS_RGB-T (paper)",),
-        ("MrGS (paper)",),
-    ]
+    assert [label.removesuffix(" (paper)") for (label,) in labels(thermal)[2:]] == [
+        "ThermoNeRF", "3DGS_RGB-T", "MrGS",
+    ]  # fmt: skip
+    assert [row.published for row in thermal.rows] == [False] * 2 + [True] * 3
     assert [thermal.rows[-1].cells[index].mean for index in (0, 4, 8)] == pytest.approx(
         [30.02, 31.44, 30.73]
     )
@@ -207,10 +208,7 @@ def test_the_papers_figures_stand_beside_ours_on_its_scenes():
         "Building (Winter) (paper)"
     ] * 5
     cup = [row for row in tables["neighbours"].rows if row.published]
-    assert [(row.labels[1], row.cells[-1].mean) for row in cup] == [
-        ("n = 1", 17.0),
-        ("n = 3", 27.0),
-    ]
+    assert [(row.labels[1][-1], row.cells[-1].mean) for row in cup] == [("1", 17.0), ("3", 27.0)]
 
 
 def test_other_scenes_have_no_rows_of_the_paper():

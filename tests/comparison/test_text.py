@@ -94,10 +94,10 @@ def test_csv_has_a_line_per_figure_with_all_decimals(table):
 
 
 def test_a_spreadsheet_runs_nothing_that_a_folder_is_named_or_an_error_says():
-    rows = (Row(("=1+1",), (Cell(-1.5, note="-2: no such file"),)),)
+    rows = (Row(("=1+1",), (Cell(-1.5, note="-2: gone"),)),)
     table = Table("t", "c", ("",), (Group("@scene", ("thermal.psnr",)),), rows)
     (row,) = csv.DictReader(io.StringIO(to_csv(table)))
-    assert (row["method"], row["group"], row["note"]) == ("'=1+1", "'@scene", "'-2: no such file")
+    assert (row["method"], row["group"], row["note"]) == ("'=1+1", "'@scene", "'-2: gone")
     assert row["mean"] == "-1.5"
 
 

@@ -55,7 +55,7 @@ def test_known_errors() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["warm", "cold"])
-@pytest.mark.parametrize("away_px", [6, 2], ids=["small", "most of the photo"])
+@pytest.mark.parametrize("away_px", [6, 2], ids=["small", "large"])
 def test_the_foreground_is_the_square_in_the_middle_warm_or_cold(sign: float, away_px: int) -> None:
     pixels = torch.full((20, 30, 1), 0.5)
     square = torch.zeros(20, 30, dtype=torch.bool)
@@ -121,7 +121,8 @@ def test_masked_pixels_do_not_count() -> None:
 def test_a_view_without_valid_pixels_has_no_figures() -> None:
     valid = torch.zeros(18, 24, dtype=torch.bool)
     metrics = evaluate([ramp_view(valid=valid)], perfect, CELSIUS)
-    assert set(metrics.mean[THERMAL].values()) == {Missing("no pixel of the photo is valid")}
+    (figure,) = set(metrics.mean[THERMAL].values())
+    assert "valid" in figure.reason
 
 
 def test_missing_figures_say_why() -> None:
@@ -145,7 +146,7 @@ def test_images_too_small_for_lpips() -> None:
     cut = Pixels(photo.load().values[:15])
     small = View("small", {THERMAL: PosedImage(photo.camera, lambda: cut)})
     metrics = evaluate([small], perfect, CELSIUS, ConstantLpips())
-    assert metrics.mean[THERMAL]["lpips"] == Missing("the images are smaller than 16 pixels")
+    assert "16 pixels" in metrics.mean[THERMAL]["lpips"].reason
 
 
 def test_a_missing_modality() -> None:
@@ -184,8 +185,7 @@ def test_the_memory_of_each_view_is_given_back(monkeypatch) -> None:
 
 
 def test_no_views_is_an_error() -> None:
-    remedies = r"no views to score: put 'eval' into their file names, .* arrays, give eval_every="
-    with pytest.raises(SceneError, match=remedies):
+    with pytest.raises(SceneError, match=r"'eval' .*eval_every="):
         evaluate([], perfect, None)
 
 
@@ -234,6 +234,4 @@ def test_a_third_modality_is_scored() -> None:
     assert tuple(metrics.mean[NEAR_INFRARED]) == figure_names(NEAR_INFRARED) == figure_names(RGB)
     assert metrics.mean[NEAR_INFRARED]["psnr"] == pytest.approx(40.0, abs=1e-3)
     assert metrics.mean[NEAR_INFRARED]["lpips"] == pytest.approx(0.01, abs=1e-6)
-    assert metrics.views[1].figures[NEAR_INFRARED]["ssim"] == Missing(
-        "the view has no near infrared image, or the model does not render it"
-    )
+    assert "near infrared" in metrics.views[1].figures[NEAR_INFRARED]["ssim"].reason

@@ -13,7 +13,7 @@ def test_the_mean_leaves_out_what_is_missing() -> None:
 
 def test_the_mean_of_nothing_is_missing_with_the_first_reason() -> None:
     assert mean_figure([Missing("first"), Missing("second")]) == Missing("first")
-    assert mean_figure([]) == Missing("no view to score")
+    assert isinstance(mean_figure([]), Missing)
 
 
 def test_an_infinite_figure_is_not_dropped_from_the_mean() -> None:
@@ -22,16 +22,18 @@ def test_an_infinite_figure_is_not_dropped_from_the_mean() -> None:
 
 
 @pytest.mark.parametrize(
-    ("figure", "reason"),
+    ("figure", "keyword"),
     [
         (Missing("why"), "why"),
-        (math.inf, "infinite: the images are identical"),
-        (-math.inf, "not finite: the rendering overflows"),
-        (math.nan, "not a number: the rendering holds NaN"),
+        (math.inf, "identical"),
+        (-math.inf, "overflows"),
+        (math.nan, "NaN"),
     ],
 )
-def test_what_json_cannot_hold_becomes_a_reason(figure: float | Missing, reason: str) -> None:
-    assert to_json(figure) == (None, reason)
+def test_what_json_cannot_hold_becomes_a_reason(figure: float | Missing, keyword: str) -> None:
+    number, reason = to_json(figure)
+    assert number is None
+    assert keyword in reason
 
 
 def test_a_number_stays() -> None:

@@ -6,8 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs.evaluation import held_out_poses
-from mrgs.evaluation.held_out_poses import aligned_view, held_out_error, looked_at_first
+from mrgs.evaluation.held_out_poses import (
+    MOST_VIEWS,
+    aligned_view,
+    held_out_error,
+    looked_at_first,
+)
 from mrgs.render import Model, render
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Pixels, PosedImage, Rendering, View
 from tests.helpers.colored_ball import colored_ball, orbit, photographed
@@ -67,15 +71,15 @@ def test_a_model_of_something_else_tells_nothing():
     assert error.photo_px is None
 
 
-def test_the_error_is_in_pixels_of_the_photo(monkeypatch):
-    monkeypatch.setattr("mrgs.training.pose_check.MOST_PIXELS", 96 * 72)
-    monkeypatch.setattr("mrgs.training.resolution.SMALLEST_PX", 16)
-    views = photographed(wrong_px=4.0, width=192, height=144).train
+def test_the_error_is_in_pixels_of_the_photo():
+    """In photos so large that they are looked at in larger pixels."""
+    width, height = 656, 480
+    views = photographed(wrong_px=8.0, width=width, height=height, views=4).train
     error = held_out_error(BALL, views)
     assert error is not None
     assert error.pixel_size == 2
-    assert error.photo_px == pytest.approx(4.0, rel=0.2)
-    assert offset_px(aligned_view(BALL, views[0]).camera, orbit(192, 144)[0]) < 0.2
+    assert error.photo_px == pytest.approx(8.0, rel=0.2)
+    assert offset_px(aligned_view(BALL, views[0]).camera, orbit(width, height)[0]) < 0.4
 
 
 def test_where_nothing_is_shown_nothing_is_told():
@@ -107,11 +111,11 @@ def test_few_views_tell_nothing():
     assert held_out_error(BALL, views[:4]) is not None
 
 
-def test_of_many_views_some_are_looked_at(monkeypatch):
-    views = photographed(wrong_px=0.0).train
-    monkeypatch.setattr(held_out_poses, "MOST_VIEWS", 4)
-    assert looked_at_first(views) == [views[number] for number in (0, 6, 12, 18)]
-    assert looked_at_first(views[:4]) == list(views[:4])
+def test_of_many_views_some_are_looked_at():
+    few = photographed(wrong_px=0.0, views=4).train
+    views = [View(str(number), few[0].images) for number in range(3 * MOST_VIEWS)]
+    assert looked_at_first(views) == views[::3]
+    assert looked_at_first(few) == list(few)
     assert looked_at_first([]) == []
 
 

@@ -71,30 +71,27 @@ def test_grey_is_shown_in_three_channels(weights: dict[str, Tensor]) -> None:
 
 
 def test_a_small_image_is_refused(weights: dict[str, Tensor]) -> None:
-    with pytest.raises(ValueError, match="at least 16 pixels"):
+    with pytest.raises(ValueError, match="16 pixels"):
         Lpips(weights)(torch.rand(15, 40, 3), torch.rand(15, 40, 3))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=r"vgg\.safetensors: no such file"):
+    with pytest.raises(RunError, match=r"vgg\.safetensors: no such"):
         Lpips.from_file(tmp_path / "vgg.safetensors")
 
 
 def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
     path = tmp_path / "vgg.pth"
     path.write_bytes(b"not safetensors at all")
-    with pytest.raises(RunError, match=r"vgg\.pth: not a readable safetensors file"):
+    with pytest.raises(RunError, match=r"vgg\.pth: .*readable"):
         Lpips.from_file(path)
 
 
 @pytest.mark.parametrize(
     ("tensors", "message"),
     [
-        ({}, r"features\.0\.weight is missing; expected is \[64, 3, 3, 3\]"),
-        (
-            {"features.0.weight": torch.zeros(2, 3)},
-            r"features\.0\.weight is \[2, 3\]; expected is \[64, 3, 3, 3\]",
-        ),
+        ({}, r"features\.0\.weight .*missing"),
+        ({"features.0.weight": torch.zeros(2, 3)}, r"features\.0\.weight .*\[2, 3\]"),
     ],
 )
 def test_an_incompatible_file_says_which_tensor(

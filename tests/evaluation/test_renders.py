@@ -87,7 +87,7 @@ def test_a_modality_may_be_left_out(small_scene, renders):
     shutil.rmtree(renders / "rgb")
     metrics = evaluate_renders(small_scene, renders)
     assert metrics.mean[THERMAL]["psnr"] == np.inf
-    assert "does not render it" in metrics.mean[RGB]["psnr"].reason
+    assert "RGB" in metrics.mean[RGB]["psnr"].reason
 
 
 def test_grey_saved_in_colour_and_jpeg_are_read(small_scene, renders):
@@ -155,9 +155,7 @@ def test_a_sky_far_away_is_drawn_as_one_without_depth(renders, tmp_path):
 
 def test_images_of_other_views_are_left_out_with_a_warning(small_scene, renders):
     Image.new("RGB", (4, 4)).save(renders / "rgb" / "frame_train_00000.png")
-    with pytest.warns(
-        MrgsWarning, match=r"rgb holds 1 images that belong to no eval view \(frame_train_00000\)"
-    ):
+    with pytest.warns(MrgsWarning, match=r"rgb .*\(frame_train_00000\)"):
         evaluate_renders(small_scene, renders)
 
 
@@ -205,39 +203,23 @@ def empty(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (
-            resized,
-            rf"rgb/{NAMES[0]}\.png is 20×10 px, but its view is 40×30 px: render at the view's "
-            rf"size",
-        ),
-        (
-            coloured,
-            r"is pseudo-coloured, and temperatures cannot be read from colours: save 8-bit or "
-            r"16-bit grey",
-        ),
-        (transparent, r"has pixels that are transparent: every pixel is scored"),
-        (not_finite, r"has pixels that are not finite"),
-        (
-            two_images,
-            rf"several images of the view {NAMES[0]}: keep one of {NAMES[0]}\.jpg, {NAMES[0]}\.png",
-        ),
-        (float_colours, r"is a float image: save RGB with 8 bits per channel"),
-        (no_floats, r"holds no floats: save it as a one-channel float32 TIFF"),
+        (resized, rf"rgb/{NAMES[0]}\.png .*20×10 .*40×30"),
+        (coloured, rf"thermal/{NAMES[0]}\.png .*pseudo-coloured"),
+        (transparent, rf"rgb/{NAMES[0]}\.png .*transparent"),
+        (not_finite, rf"thermal/{NAMES[0]}\.tiff .*not finite"),
+        (two_images, rf"rgb .*{NAMES[0]}\.jpg, {NAMES[0]}\.png"),
+        (float_colours, rf"rgb/{NAMES[0]}\.tiff .*float image"),
+        (no_floats, rf"temperature_c/{NAMES[0]}\.tiff .*no floats"),
         (
             lambda folder: (folder / "thermal" / f"{NAMES[1]}.png").unlink(),
-            rf"thermal has no image of 1 of 2 eval views \({NAMES[1]}\): add them, named like the "
-            rf"views",
+            rf"thermal .*\({NAMES[1]}\)",
         ),
         (
             lambda folder: (folder / "rgb" / f"{NAMES[0]}.png").write_bytes(b"no image"),
-            rf"{NAMES[0]}\.png: cannot be decoded",
+            rf"rgb/{NAMES[0]}\.png: .*decoded",
         ),
-        (
-            empty,
-            rf"holds no renderings: put RGB images into .*named like the eval views \({NAMES[0]}, "
-            rf"{NAMES[1]}\)",
-        ),
-        (shutil.rmtree, r"is not a folder: give the folder that holds rgb/ and thermal/"),
+        (empty, rf"no renderings.* \({NAMES[0]}, {NAMES[1]}\)"),
+        (shutil.rmtree, r"not a folder"),
     ],
 )
 def test_what_cannot_be_scored_is_one_line(
@@ -258,16 +240,12 @@ def test_celsius_for_a_scene_without_a_range(renders, tmp_path):
             renders / "temperature_c" / f"{name}.tiff", np.zeros((30, 40), np.float32), "celsius"
         )
     assert load_scene(scene).temperature is None
-    with pytest.raises(
-        RunError, match=r"holds °C, but the scene has no temperature range: put normalised floats"
-    ):
+    with pytest.raises(RunError, match=r"°C.* thermal_normalised/"):
         evaluate_renders(scene, renders)
 
 
 def test_the_resolution_is_that_of_the_training(small_scene, renders):
-    with pytest.raises(
-        RunError, match=r"is 40×30 px, but its view is 20×15 px: .*choose the resolution"
-    ):
+    with pytest.raises(RunError, match=r"40×30 .*20×15 .*resolution"):
         evaluate_renders(small_scene, renders, resolution=20)
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 import torch
 
 from mrgs.errors import RunError
-from mrgs.evaluation.evaluate import Metrics, evaluate
+from mrgs.evaluation.evaluate import NO_LPIPS, Metrics, evaluate
 from mrgs.evaluation.figures import figure_names
 from mrgs.evaluation.report import RunFacts, format_figure, to_document, to_markdown, write_report
 from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
@@ -84,10 +85,10 @@ def test_what_json_cannot_hold(metrics: Metrics) -> None:
     document = to_document(FACTS, metrics)
     perfect, broken, no_rgb = document["views"]
     assert perfect["thermal"]["psnr"] is None
-    assert perfect["reasons"]["thermal.psnr"] == "infinite: the images are identical"
-    assert broken["reasons"]["thermal.mae_c"] == "not a number: the rendering holds NaN"
+    assert "identical" in perfect["reasons"]["thermal.psnr"]
+    assert "NaN" in broken["reasons"]["thermal.mae_c"]
     assert "no RGB image" in no_rgb["reasons"]["rgb.ssim"]
-    assert document["reasons"]["mean.thermal.mae_c"] == "not a number: the rendering holds NaN"
+    assert "NaN" in document["reasons"]["mean.thermal.mae_c"]
     assert document["truth"]["mae_c"] == 0.0
     assert document["mean"]["rgb"]["ssim"] == pytest.approx(1.0)
 
@@ -101,15 +102,13 @@ def test_truth_is_absent_where_the_scene_has_none() -> None:
 def test_markdown_tables_are_rectangular_and_explain_dashes(metrics: Metrics) -> None:
     text = to_markdown(FACTS, metrics)
     assert text.startswith("# mrgs on a\\|b\n")
-    assert (
-        "1,200 steps, 41,000 Gaussians, training 64 s, peak memory not measured, device cpu."
-        in text
-    )
+    for fact in ("1,200 steps", "41,000 Gaussians", "64 s", "device cpu"):
+        assert fact in text
     for block in text.split("\n\n"):
         if block.startswith("| |"):
             assert len({line.count("|") for line in block.splitlines()}) == 1
-    assert "## Against the exact truth" in text
-    assert "- LPIPS: no VGG-16 and LPIPS weights were given" in text
+    assert re.search(r"^## .*exact truth$", text, re.MULTILINE)
+    assert f"- LPIPS: {NO_LPIPS}" in text
 
 
 def test_figures_for_people() -> None:
@@ -123,7 +122,7 @@ def test_both_files_or_an_error_that_names_one(metrics: Metrics, tmp_path: Path)
     paths = write_report(tmp_path / "eval", FACTS, metrics)
     assert [path.name for path in paths] == ["metrics.json", "metrics.md"]
     (tmp_path / "taken").write_text("")
-    with pytest.raises(RunError, match=r"metrics\.json cannot be written"):
+    with pytest.raises(RunError, match=r"metrics\.json"):
         write_report(tmp_path / "taken", FACTS, metrics)
 
 

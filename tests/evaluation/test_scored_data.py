@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -40,13 +41,13 @@ def test_what_is_no_data_is_not_known(value):
 def test_what_has_changed_is_named(scene):
     data = ScoredData.of(scene, fingerprints(scene))
     warmer = data._replace(temperature=TemperatureRange(0.0, 99.0))
-    assert data.changes(warmer, scene) == "it has another temperature range"
+    assert "temperature range" in data.changes(warmer, scene)
     assert data.changes(data._replace(training_photos="0"), scene) == "training photos"
     fewer = data._replace(held_out=data.held_out[:3])
-    assert data.changes(fewer, scene) == "it has 3 held-out images, not 4"
+    assert re.search("3 held-out .*4", data.changes(fewer, scene))
     first, *others = data.held_out
     photo = data._replace(held_out=(first._replace(photo="0"), *others))
-    assert data.changes(photo, scene) == f"photos of {scene.eval[0].name} (rgb)"
+    assert data.changes(photo, scene).endswith(f"{scene.eval[0].name} (rgb)")
     rounded = tuple(number * (1 + 1e-8) for number in first.pose)
     moved = data._replace(held_out=(first._replace(pose=rounded), *others))
     assert data.changes(moved, scene) == ""

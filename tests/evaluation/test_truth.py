@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -45,15 +46,13 @@ def test_the_sky_has_no_depth(tmp_path: Path) -> None:
         tmp_path, torch.zeros(1, 8), torch.tensor([[2.2, 6.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0]])
     )
     assert figures["depth_median_relative_error"] == pytest.approx(0.1, abs=1e-6)
-    assert figures["mae_c"] == Missing("there is no truth/temperature/v.tiff")
+    assert "truth/temperature/v.tiff" in figures["mae_c"].reason
 
 
 def test_only_sky_is_missing(tmp_path: Path) -> None:
     write(tmp_path, "depth", np.full((2, 2), np.inf))
     figures = score(tmp_path, torch.zeros(2, 2), torch.ones(2, 2))
-    assert figures["depth_median_relative_error"] == Missing(
-        "no pixel of truth/depth/v.tiff has a depth"
-    )
+    assert "truth/depth/v.tiff" in figures["depth_median_relative_error"].reason
 
 
 def test_without_temperature_scale_or_depth(tmp_path: Path) -> None:
@@ -75,7 +74,8 @@ def test_a_smaller_rendering_sees_area_means(tmp_path: Path) -> None:
 def test_another_shape_is_missing_not_stretched(tmp_path: Path, shape: tuple[int, int]) -> None:
     write(tmp_path, "temperature", np.zeros((4, 6)))
     figure = score(tmp_path, torch.zeros(shape), None)["mae_c"]
-    assert figure == Missing(f"truth/temperature is 6×4, the rendering {shape[1]}×{shape[0]}")
+    assert isinstance(figure, Missing)
+    assert re.search(rf"6×4\b.*\b{shape[1]}×{shape[0]}$", figure.reason)
 
 
 def test_the_cameras_error_counts_valid_pixels_only(tmp_path: Path) -> None:
@@ -95,21 +95,19 @@ def test_a_name_that_leaves_the_scene(tmp_path: Path) -> None:
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "v.tiff"
     path.write_bytes(b"II*\0 not a tiff")
-    with pytest.raises(SceneError, match=r"v\.tiff: not a readable TIFF"):
+    with pytest.raises(SceneError, match=r"v\.tiff: .*readable"):
         read_float_tiff(path)
 
 
 def test_a_truncated_file_is_named(tmp_path: Path) -> None:
     path = write(tmp_path, "depth", np.ones((40, 40)))
     path.write_bytes(path.read_bytes()[:-2000])
-    with pytest.raises(SceneError, match=r"v\.tiff: not a readable TIFF"):
+    with pytest.raises(SceneError, match=r"v\.tiff: .*readable"):
         read_float_tiff(path)
 
 
 def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
     path = tmp_path / "v.tiff"
     Image.new("L", (4, 4)).save(path)
-    with pytest.raises(
-        SceneError, match="one-channel float32 TIFF is expected, the file's mode is L"
-    ):
+    with pytest.raises(SceneError, match=r"float32 .*mode is L"):
         read_float_tiff(path)

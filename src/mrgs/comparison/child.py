@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -38,14 +39,14 @@ class _StoppedError(KeyboardInterrupt):
 class Reporter:
     """Reports the progress of the run, and stops it on request."""
 
-    def __init__(self) -> None:
+    def __init__(self, listen: Callable[[Callable[[], None]], None]) -> None:
         self._stop = threading.Event()
         self._trains = False
         self._last = 0.0
         for name in REQUESTS:
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), self._on_signal)
-        when_asked_to_stop(self._ask_to_stop)
+        listen(self._ask_to_stop)
 
     def on_step(self, statistics: Any) -> bool:
         """Called after each training step; returns True to stop the training."""
@@ -78,17 +79,21 @@ def _send_warning(message: Warning | str, *_: object, **__: object) -> None:
     send(warning=str(message))
 
 
-def main(request: dict[str, Any]) -> int:
+def main(
+    request: dict[str, Any],
+    run: Callable[..., bool] = run_one,
+    listen: Callable[[Callable[[], None]], None] = when_asked_to_stop,
+) -> int:
     """Train and score the run of a request; returns the exit status."""
     # The parent decides what Ctrl-C means, also on systems without sessions.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the parent has read the same scene and shown its warnings
     warnings.simplefilter("always", KernelWarning)
     warnings.showwarning = cast(Any, _send_warning)
-    reporter = Reporter()
+    reporter = Reporter(listen)
     weights = request["lpips_weights"]
     try:
-        scored = run_one(
+        scored = run(
             Path(request["scene"]),
             Path(request["folder"]),
             from_text(request["config"]),

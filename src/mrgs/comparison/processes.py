@@ -39,6 +39,7 @@ def run_jobs(
     on_tick: Callable[[], None],
     device: DeviceName = "auto",
     threads: int | None = None,
+    child: Sequence[str] = CHILD,
 ) -> dict[PlannedRun, str]:
     """Execute all runs, ``count`` at a time.
 
@@ -52,6 +53,7 @@ def run_jobs(
         on_tick: called about once a second.
         device: where they train and render.
         threads: of each process, instead of the cores divided among them.
+        child: arguments of the Python process that does a run.
 
     Returns:
         of each job that failed, why: one line.
@@ -67,7 +69,7 @@ def run_jobs(
         while waiting or running:
             while waiting and len(running) < count:
                 job = waiting.pop(0)
-                running.append(_start(job, threads, device, lpips_weights, inbox))
+                running.append(_start(child, job, threads, device, lpips_weights, inbox))
                 on_message(job, {"start": True})
             _receive(inbox, running, failures, on_message)
             on_tick()
@@ -89,7 +91,12 @@ def threads_each(count: int) -> int:
 
 
 def _start(
-    job: PlannedRun, threads: int, device: DeviceName, lpips_weights: Path | None, inbox: _Inbox
+    child: Sequence[str],
+    job: PlannedRun,
+    threads: int,
+    device: DeviceName,
+    lpips_weights: Path | None,
+    inbox: _Inbox,
 ) -> _Run:
     request = {
         "scene": str(job.scene.absolute()),  # the child runs in another folder
@@ -101,7 +108,7 @@ def _start(
     log = job.folder.parent / f"{job.folder.name}.stderr.txt"
     log.parent.mkdir(parents=True, exist_ok=True)
     limits = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
-    run = _Run(job, Child(CHILD, request, log, **limits))
+    run = _Run(job, Child(child, request, log, **limits))
     threading.Thread(target=_listen, args=(run, inbox), daemon=True).start()
     return run
 

@@ -4,6 +4,7 @@ until none is left."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from mrgs.comparison.methods import from_text
 from mrgs.comparison.plan import PlannedRun
 from mrgs.comparison.processes import Message, run_jobs
 from mrgs.distributed.processes import Processes
-from mrgs.distributed.work_queue import Piece, WorkQueue
+from mrgs.distributed.work_queue import WorkQueue
 from mrgs.system.gpu import DeviceName
 from mrgs.system.strict_yaml import write_yaml
 from mrgs.training.peers import require_same_version
@@ -22,6 +23,7 @@ ORPHAN_S = 60.0
 """How long the run of a process that was killed may take to save a checkpoint."""
 
 OnMessage = Callable[[PlannedRun, Message], None]
+Execute = Callable[..., dict[PlannedRun, str]]
 
 _QUEUE = "comparison"
 
@@ -33,6 +35,7 @@ def lead_jobs(
     on_message: OnMessage,
     on_tick: Callable[[], None],
     device: DeviceName = "auto",
+    run: Execute = run_jobs,
 ) -> dict[PlannedRun, str]:
     """Execute all runs on all processes; called by the first one, see ``run_jobs``.
 
@@ -43,6 +46,7 @@ def lead_jobs(
         on_message: called with each message of a run, on whichever process.
         on_tick: called about once a second.
         device: where they train and render.
+        run: executes one of them, as ``run_jobs`` does.
 
     Returns:
         of each job that failed, why: one line.
@@ -67,14 +71,17 @@ def lead_jobs(
             hear(message)
         on_tick()
 
-    _work(queue, processes, lpips_weights, tick, device)
+    _work(queue, processes, lpips_weights, tick, device, run)
     for message in queue.messages(on_tick):
         hear(message)
     return failures
 
 
 def follow_jobs(
-    processes: Processes, lpips_weights: Path | None, device: DeviceName = "auto"
+    processes: Processes,
+    lpips_weights: Path | None,
+    device: DeviceName = "auto",
+    run: Execute = run_jobs,
 ) -> None:
     """Execute runs of the comparison that the first process leads, until none is left.
 
@@ -84,7 +91,7 @@ def follow_jobs(
     queue = WorkQueue(processes, _QUEUE)
     queue.wait_until_filled()  # the first process may still end with an error of its own
     require_same_version(processes)
-    _work(queue, processes, lpips_weights, lambda: None, device)
+    _work(queue, processes, lpips_weights, lambda: None, device, run)
 
 
 def _work(
@@ -93,32 +100,19 @@ def _work(
     lpips_weights: Path | None,
     on_tick: Callable[[], None],
     device: DeviceName,
+    run: Execute,
 ) -> None:
     while (piece := queue.take()) is not None:
-        queue.finish(piece, _execute(queue, piece, processes, lpips_weights, on_tick, device))
+        job = _from_json(piece.content)
+        _wait_for_orphan(job.folder)
+        report = partial(_report, queue, piece.number)
+        threads = processes.launch.threads
+        failures = run([job], 1, lpips_weights, report, on_tick, device, threads=threads)
+        queue.finish(piece, failures.get(job))
 
 
-def _execute(
-    queue: WorkQueue,
-    piece: Piece,
-    processes: Processes,
-    lpips_weights: Path | None,
-    on_tick: Callable[[], None],
-    device: DeviceName,
-) -> str | None:
-    """Execute a run; returns why it failed, if it did."""
-    job = _from_json(piece.content)
-    _wait_for_orphan(job.folder)
-    failures = run_jobs(
-        [job],
-        1,
-        lpips_weights,
-        lambda job, message: queue.report(job=piece.number, message=message),
-        on_tick,
-        device,
-        threads=processes.launch.threads,
-    )
-    return failures.get(job)
+def _report(queue: WorkQueue, number: int, _: PlannedRun, message: Message) -> None:
+    queue.report(job=number, message=message)
 
 
 def _wait_for_orphan(folder: Path) -> None:
