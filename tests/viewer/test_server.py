@@ -32,7 +32,7 @@ def test_a_run_is_served_until_it_is_stopped(small_run, balls, capsys):
 
     def ready(url):
         opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(CookieJar()))
-        seen.append((url, opener.open(url, timeout=10).status))
+        seen.append((url, opener.open(url, timeout=60).status))
         stop.set()
 
     view(small_run, balls, port=0, on_ready=ready, stop=stop)
@@ -40,7 +40,7 @@ def test_a_run_is_served_until_it_is_stopped(small_run, balls, capsys):
     assert url.startswith("http://127.0.0.1:")
     assert status == 200
     with pytest.raises(OSError, match=r"refused|reset"):
-        socket.create_connection(("127.0.0.1", urlsplit(url).port), timeout=5)
+        socket.create_connection(("127.0.0.1", urlsplit(url).port), timeout=60)
     assert capsys.readouterr().out == ""
 
 
@@ -126,7 +126,7 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
             small_scene, tmp_path / "run", make_config("mrgs", max_steps=6, max_gaussians=60),
             on_start=live.on_start, on_model=on_model, on_step=live.on_step,
         )  # fmt: skip
-        looker.join(10)
+        looker.join(60)
     assert urls[0].startswith("http://127.0.0.1:")
     assert "1 of 6" in browser.notes[0]
     assert values[0] > 0
