@@ -45,14 +45,14 @@ def test_coordinates_are_those_that_gis_expect(scene, crs, place):
 @pytest.mark.parametrize(
     ("crs", "place", "message"),
     [
-        ("EPSG:5513", PRAGUE, "counts towards south and west, so maps in it would be mirror"),
-        ("EPSG:2065", PRAGUE, "Krovak counts towards south and west"),
-        ("EPSG:3857", PRAGUE, r"not true to scale .* where a metre on the ground is 1\.56 m"),
-        ("EPSG:6933", PRAGUE, r"distorts the scene's place by \d\d%; choose another CRS"),
-        ("EPSG:32633", (50.08, 104.42), "does not cover the scene|no coordinates"),
-        ("EPSG:25832", (-30.0, 9.0), "does not cover the scene at -30"),
-        ("EPSG:3832", (0.0, -30.0), "does not cover the scene at 0"),
-        ("EPSG:3994", (-26.0, 170.0), r"where a metre on the ground is 0\.84 m"),
+        ("EPSG:5513", PRAGUE, "south and west.*mirror"),
+        ("EPSG:2065", PRAGUE, "Krovak.*mirror"),
+        ("EPSG:3857", PRAGUE, r"1\.56 m"),
+        ("EPSG:6933", PRAGUE, r"\d\d%"),
+        ("EPSG:32633", (50.08, 104.42), "cover|coordinates"),
+        ("EPSG:25832", (-30.0, 9.0), r"-30\.0000°"),
+        ("EPSG:3832", (0.0, -30.0), r" 0\.0000°"),
+        ("EPSG:3994", (-26.0, 170.0), r"0\.84 m"),
     ],
 )
 def test_a_crs_in_which_the_scene_would_be_another_is_refused(scene, crs, place, message):

@@ -101,7 +101,7 @@ def test_glb_files_hold_temperatures_and_say_whether_they_are_turned(
         assert [each for each in attributes if each.startswith("_")] == ["_TEMPERATURE_C"]
         facts = json.loads((tmp_path / f"{name}.glb.json").read_text(encoding="utf-8"))
         assert ("rotation" in content["nodes"][0]) is is_known
-        assert ("the node turns its up direction to +y" in facts["frame"]) is is_known
+        assert ("+y" in facts["frame"]) is is_known
 
 
 def test_a_run_is_baked_and_its_loss_is_written_down(tmp_path, run, scene):
@@ -120,9 +120,8 @@ def test_palette_and_range_are_the_caller_s(tmp_path, baked, scene):
     export(baked, scene, "ply", tmp_path, "grey", (15.0, 25.0))
     colors = json.loads((tmp_path / "thermal.ply.json").read_text(encoding="utf-8"))["colors"]
     assert colors == {"palette": "grey", "first": 15.0, "last": 25.0, "unit": "°C"}
-    assert any(
-        '"palette": "grey", "first": 15.0' in line for line in read_ply(tmp_path / "thermal.ply")[0]
-    )
+    comments = dict(line.split(": ", 1) for line in read_ply(tmp_path / "thermal.ply")[0])
+    assert json.loads(comments["colors"]).items() >= {"palette": "grey", "first": 15.0}.items()
 
 
 def test_a_modality_that_the_scene_has_not_is_left_out(tmp_path, baked, scene):
@@ -183,7 +182,7 @@ def test_without_rgb_photos_no_file_has_colours_of_its_own(tmp_path, solid, scen
 def test_splats_that_only_the_other_modality_shows_are_no_points(tmp_path, solid, scene):
     faint = torch.full_like(solid.opacities[RGB], 0.01)
     solid = replace(solid, opacities={RGB: faint, THERMAL: solid.opacities[RGB]})
-    with pytest.raises(RunError, match=r"no splat has an opacity of 0\.3 or more"):
+    with pytest.raises(RunError, match=r"0\.3 or more"):
         export(solid, photographed_in(RGB, scene), "points", tmp_path)
 
 
@@ -197,7 +196,7 @@ def test_a_run_s_loss_is_of_the_modalities_that_have_photos(tmp_path, run, scene
 def test_a_scene_of_other_modalities_alone_is_refused(tmp_path, baked, scene):
     _, more = with_infrared(baked, scene)
     views = tuple(View(v.name, {NEAR_INFRARED: v.images[NEAR_INFRARED]}) for v in more.train)
-    with pytest.raises(RunError, match="nothing that scene balls has photos of"):
+    with pytest.raises(RunError, match="balls has photos"):
         export(baked, replace(more, train=views), "ply", tmp_path)
 
 
@@ -288,22 +287,21 @@ def test_the_manual_lists_every_format():
 
 
 def test_an_unknown_format_is_named(tmp_path, baked, scene):
-    with pytest.raises(
-        ConfigError, match="unknown export format 'obj': choose one of ply, spz, glb"
-    ):
+    with pytest.raises(ConfigError, match="'obj'") as caught:
         export(baked, scene, "obj", tmp_path)
+    assert all(name in str(caught.value) for name in FORMATS)
 
 
 def test_a_missing_package_is_named_before_anything_is_done(tmp_path, baked, scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(ConfigError, match="LAS files need the package laspy"):
+    with pytest.raises(ConfigError, match="laspy"):
         export(baked, scene, "las", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_all_goes_on_without_the_package(tmp_path, solid, scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.warns(MrgsWarning, match="las is left out: LAS files need the package laspy"):
+    with pytest.warns(MrgsWarning, match="^las .*laspy"):
         names = {path.name for path in export(solid, scene, "all", tmp_path)}
     assert "points.las" not in names
     assert "points.ply" in names
@@ -318,7 +316,7 @@ def failing_mesh(monkeypatch: pytest.MonkeyPatch, error: MrgsError) -> None:
 
 def test_all_writes_what_can_be_written_and_says_what_cannot(tmp_path, solid, scene, monkeypatch):
     failing_mesh(monkeypatch, RunError("there are no surfaces: train it longer"))
-    with pytest.warns(MrgsWarning, match="mesh is left out: there are no surfaces: train it long"):
+    with pytest.warns(MrgsWarning, match="^mesh .*no surfaces"):
         names = {path.name for path in export(solid, scene, "all", tmp_path)}
     assert {"points.ply", "transforms.json", "page.html"} <= names
     with pytest.raises(RunError, match="no surfaces"):
@@ -332,7 +330,7 @@ def test_all_stops_where_nothing_more_can_be_written(tmp_path, solid, scene, mon
 
 
 def test_an_empty_model_and_a_file_in_the_folder_s_place_are_refused(tmp_path, scene):
-    with pytest.raises(RunError, match="the model has no splats"):
+    with pytest.raises(RunError, match="no splats"):
         export(make_baked(0), scene, "ply", tmp_path)
     (tmp_path / "out").write_text("")
     with pytest.raises(RunError, match="cannot be written"):

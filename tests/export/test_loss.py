@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 import torch
@@ -9,7 +9,7 @@ from mrgs.evaluation.metrics import psnr
 from mrgs.export import baking_loss_db
 from mrgs.render import render_view
 from mrgs.runs.open import Run
-from mrgs.scene import RGB, THERMAL, Camera, Pixels, Rendering, View
+from mrgs.scene import RGB, THERMAL, Pixels, Rendering, View
 
 
 def test_the_loss_is_the_mean_difference_to_the_photos(run, baked, scene):
@@ -57,16 +57,18 @@ def test_pixels_that_are_not_valid_do_not_count(run, baked, scene):
     assert found[RGB] == pytest.approx(psnr(full, photo) - psnr(plain, photo), abs=1e-4)
 
 
-def test_both_models_are_compared_as_the_cameras_would_have_recorded_them(
-    run, baked, scene, monkeypatch
-):
-    def darker(self: Run, rendering: Rendering, camera: Camera, *rest: object) -> Rendering:
+class DarkRun(Run):
+    """Its cameras record half of what there is."""
+
+    def camera_response(self, rendering: Rendering, *_: object) -> Rendering:
         return Rendering({
             each: blend._replace(image=0.5 * blend.image) for each, blend in rendering.items()
         })  # fmt: skip
 
-    monkeypatch.setattr(Run, "camera_response", darker)
-    loss = baking_loss_db(run, baked, replace(scene, eval=scene.eval[:1]))
+
+def test_both_models_are_compared_as_the_cameras_would_have_recorded_them(run, baked, scene):
+    darker = DarkRun(**{field.name: getattr(run, field.name) for field in fields(run)})
+    loss = baking_loss_db(darker, baked, replace(scene, eval=scene.eval[:1]))
     view = scene.eval[0]
     photo = view.images[RGB].load().values
     full = 0.5 * render_view(run.model, view)[RGB].image

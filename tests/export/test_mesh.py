@@ -56,13 +56,13 @@ def test_the_file_holds_a_temperature_per_vertex(tmp_path, globe, wide_scene):
 def test_haze_has_no_mesh(globe, wide_scene):
     haze = globe.map_tensors(torch.clone)
     haze.opacities[RGB].fill_(1e-3)
-    with pytest.raises(RunError, match="no view of the model is opaque enough to show a surface"):
+    with pytest.raises(RunError, match="opaque"):
         build_mesh(haze, wide_scene, resolution=24)
 
 
 def test_depths_that_agree_nowhere_have_no_mesh(globe, wide_scene):
     alone = replace(wide_scene, train=wide_scene.train[:1])
-    with pytest.raises(RunError, match="the depths of the model's views agree nowhere"):
+    with pytest.raises(RunError, match="agree nowhere"):
         build_mesh(globe, alone, resolution=24)
 
 

@@ -72,9 +72,7 @@ def test_each_point_has_the_opacity_of_its_splat(globe, wide_scene):
 
 def test_a_model_of_haze_has_no_points(globe, wide_scene):
     haze = torch.full_like(globe.opacities[RGB], 0.01)
-    with pytest.raises(
-        RunError, match=r"no splat has an opacity of 0\.3 or more, so there are no points"
-    ):
+    with pytest.raises(RunError, match=r"0\.3 or more"):
         surface_points(replace(globe, opacities=dict.fromkeys((RGB, THERMAL), haze)), wide_scene)
 
 
@@ -83,7 +81,7 @@ def test_splats_that_no_camera_sees_are_no_points(globe, wide_scene):
     thermal = torch.full_like(globe.opacities[THERMAL], 0.01)
     rgb = torch.full_like(globe.opacities[RGB], 0.29)
     thermal[-1] = 0.9
-    with pytest.raises(RunError, match="no opaque splat lies on a surface that a camera sees"):
+    with pytest.raises(RunError, match="camera sees"):
         surface_points(
             replace(globe, means=away, opacities={RGB: rgb, THERMAL: thermal}), wide_scene
         )
@@ -117,7 +115,5 @@ def test_the_las_file_reads_back(tmp_path, points, spread):
 
 def test_without_laspy_the_extra_is_named(tmp_path, points, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(
-        ConfigError, match=r'LAS files need the package laspy: pip install "mrgs\[export\]"'
-    ):
+    with pytest.raises(ConfigError, match=r"laspy.*mrgs\[export\]"):
         write_las(tmp_path / "points.las", points)

@@ -9,6 +9,7 @@ import torch
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.metrics import psnr
 from mrgs.export.splats import (
+    MEAN_OVER,
     require_exportable,
     shaded_splats,
     shown_temperatures,
@@ -47,9 +48,7 @@ def test_the_scale_is_the_scene_s_unless_it_is_given():
 
 
 def test_celsius_cannot_be_asked_of_a_model_without():
-    with pytest.raises(
-        ConfigError, match="a range in °C was given, but the scene has no temperature range"
-    ):
+    with pytest.raises(ConfigError, match="range in °C"):
         thermal_scale(make_baked(temperature=None), "inferno", (10.0, 30.0))
     assert temperature_name(make_baked(temperature=None)) == "temperature_normalised"
 
@@ -58,7 +57,7 @@ def test_celsius_cannot_be_asked_of_a_model_without():
     "limits", [(30.0, 10.0), (10.0, 10.0), (float("nan"), 20.0), (0.0, float("inf"))]
 )
 def test_a_range_ascends(limits):
-    with pytest.raises(ConfigError, match="is not ascending: give the lower end first"):
+    with pytest.raises(ConfigError, match="ascending"):
         thermal_scale(make_baked(), "inferno", limits)
 
 
@@ -68,7 +67,7 @@ def test_shown_temperatures_are_celsius_where_they_are_known():
 
 
 def test_an_empty_model_is_refused():
-    with pytest.raises(RunError, match="the model has no splats, so there is nothing to export"):
+    with pytest.raises(RunError, match="no splats"):
         require_exportable(make_baked(0))
 
 
@@ -89,7 +88,7 @@ def test_numbers_that_are_not_finite_are_refused(name):
     baked = make_baked().map_tensors(torch.clone)
     baked.tensors()[name][7] = float("nan")
     baked.tensors()[name][9] = float("inf")
-    with pytest.raises(RunError, match="2 of 50 splats hold NaN or infinity"):
+    with pytest.raises(RunError, match="2 of 50"):
         require_exportable(baked)
 
 
@@ -118,14 +117,17 @@ def test_a_colour_without_directions_is_that_of_the_cameras_which_see_the_splat(
     torch.testing.assert_close(flat, expected.clamp(0, 1), atol=4e-3, rtol=0)
 
 
-def test_of_many_cameras_some_are_taken_evenly(monkeypatch):
-    monkeypatch.setattr("mrgs.export.splats.MEAN_OVER", 2)
+def test_of_many_cameras_some_are_taken_evenly():
     baked, lens = make_baked(), Camera.from_fov(40, 30, 60)
-    cameras = [lens.look_at([x, -9.0, 3.0], [0.0, 0.0, 0.0]) for x in (-9.0, -8.9, 8.9, 9.0)]
-    both = [cameras[index] for index in evenly_spaced(4, 2)]
-    assert both != cameras[:2]
-    found, expected = (without_directions(baked, each).base_values(RGB) for each in (cameras, both))
+    places = np.linspace(-9, 9, 3 * MEAN_OVER)
+    cameras = [lens.look_at([x, -9.0, 3.0], [0.0, 0.0, 0.0]) for x in places]
+    some = [cameras[index] for index in evenly_spaced(len(cameras), MEAN_OVER)]
+    found, expected, first = (
+        without_directions(baked, each).base_values(RGB)
+        for each in (cameras, some, cameras[:MEAN_OVER])
+    )
     assert torch.equal(found, expected)
+    assert not torch.equal(found, first)
 
 
 def test_colours_without_directions_beat_dropping_the_directions(baked, scene):

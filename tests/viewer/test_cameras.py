@@ -59,7 +59,7 @@ def test_a_path_goes_through_its_keyframes(balls):
 
 
 def test_one_keyframe_is_no_path(camera):
-    with pytest.raises(ConfigError, match="a camera path needs at least two keyframes"):
+    with pytest.raises(ConfigError, match="two keyframes"):
         smooth_path([camera], 10)
 
 
@@ -79,6 +79,6 @@ def test_a_saved_path_is_nerfstudios(camera, tmp_path):
 
 
 def test_a_path_without_keyframes_is_not_saved(tmp_path):
-    with pytest.raises(ConfigError, match="there are no keyframes to save"):
+    with pytest.raises(ConfigError, match="no keyframes"):
         save_path(tmp_path / "path.json", [], 4.0, 24)
     assert not list(tmp_path.iterdir())

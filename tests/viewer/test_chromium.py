@@ -342,11 +342,12 @@ def test_what_cannot_be_is_refused_at_its_field(open_page, board):
     for text in ("8,5,1", "1.2", "lots"):
         emissivity.fill(text)
         page.keyboard.press("Tab")
-        assert said(row, "Emissivity") == "Not saved: Emissivity: a number from 0.01 to 1."
+        assert "0.01 to 1" in said(row, "Emissivity")
     name.fill("B1")
     page.keyboard.press("Tab")
     wait_until(lambda: said(row, "Name") != "", "it is refused", page)
-    assert said(row, "Name") == ("Not saved: two marks are named 'B1': choose another name.")
+    assert said(row, "Name").startswith("Not saved: ")
+    assert "'B1'" in said(row, "Name")
     assert name.get_attribute("aria-invalid") == "true"
     assert (name.input_value(), emissivity.input_value()) == ("B1", "lots")
     name.fill("Door")
@@ -473,7 +474,7 @@ def test_alarms_begin_with_what_the_survey_states(open_page, board):
     assert page.locator("#isotherm-said").inner_text().endswith("14.6 °C.")
     air.fill("-300")
     air.press("Enter")
-    assert page.locator("#isotherm-said").inner_text() == "Air, °C: a number from −45 to 60."
+    assert "−45 to 60" in page.locator("#isotherm-said").inner_text()
     survey.unlink()
     board.refresh()
 

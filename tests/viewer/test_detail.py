@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import threading
+from dataclasses import replace
+
 import torch
 
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.render import Model, rows_in_view
-from mrgs.scene import Camera
+from mrgs.scene import Camera, Gaussians
 from mrgs.viewer.detail import LEVEL_FACTOR, LevelsOfDetail
 from tests.helpers.gaussians import random_gaussians
 
@@ -34,10 +37,23 @@ def test_a_small_model_is_drawn_as_it_is():
     assert found.model_for(AROUND) is whole
 
 
-def test_until_the_levels_are_there_the_model_is_drawn(monkeypatch):
-    monkeypatch.setattr(LevelsOfDetail, "_make", lambda self: None)
+def test_until_the_levels_are_there_the_model_is_drawn():
+    go, here = threading.Event(), threading.current_thread()
+
+    class SlowGaussians(Gaussians):
+        """Holds up whoever makes levels of them."""
+
+        def __len__(self) -> int:
+            assert threading.current_thread() is here or go.wait(60)
+            return super().__len__()
+
     whole = model(60)
-    assert levels(whole, 50).model_for(AROUND) is whole
+    whole = replace(whole, gaussians=SlowGaussians(**vars(whole.gaussians)))
+    found = LevelsOfDetail(whole, 50)
+    assert found.model_for(AROUND) is whole
+    go.set()
+    found.maker.join()
+    assert found.model_for(AROUND) is not whole
 
 
 def test_the_whole_is_drawn_from_few_and_a_part_from_more():

@@ -48,12 +48,14 @@ def test_on_the_network_addresses_are_own_and_names_are_not():
     assert not gate.is_own_host(["evil.example:8080"])
 
 
-def test_where_only_this_computer_is_served_its_name_in_the_network_is_foreign(monkeypatch):
-    monkeypatch.setattr(socket, "gethostname", lambda: "Office")
-    assert not Gate("127.0.0.1").is_own_host(["office:8080"])
-    assert not Gate("localhost").is_own_host(["office:8080"])
+def test_where_only_this_computer_is_served_its_name_in_the_network_is_foreign():
+    office = socket.gethostname().swapcase()
+    if office == "LOCALHOST":
+        pytest.skip("this computer has no name in the network")
+    assert not Gate("127.0.0.1").is_own_host([f"{office}:8080"])
+    assert not Gate("localhost").is_own_host([f"{office}:8080"])
     assert not Gate("localhost").is_own_host(["192.168.0.7:8080"])
-    assert Gate("192.168.0.7").is_own_host(["office:8080"])
+    assert Gate("192.168.0.7").is_own_host([f"{office}:8080"])
     assert Gate("Office.example").is_own_host(["office.example:8080"])
 
 

@@ -164,18 +164,18 @@ def subject_of_same_folder(subject):
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_box_has_two_corners(count, inspection, camera):
     inspection.picture(camera)
-    with pytest.raises(ConfigError, match="draw a box from one corner to the opposite one"):
+    with pytest.raises(ConfigError, match="corner"):
         inspection.add_mark("box", [(0.5, 0.5)] * count)
 
 
 def test_a_mark_must_lie_within_one_picture(inspection, camera):
-    with pytest.raises(ConfigError, match="draw the mark within one picture"):
+    with pytest.raises(ConfigError, match="one picture"):
         inspection.add_mark("spot", [(0.5, 0.5)])  # no picture yet
     inspection.settings = Settings(MODES["side_by_side"])
     inspection.picture(camera)
-    with pytest.raises(ConfigError, match="draw the mark within one picture"):
+    with pytest.raises(ConfigError, match="one picture"):
         inspection.add_mark("line", [(0.25, 0.5), (0.75, 0.5)])
-    with pytest.raises(ConfigError, match="no surface at pixel"):
+    with pytest.raises(ConfigError, match="no surface"):
         inspection.add_mark("spot", [(0.01, 0.01)])
 
 
@@ -183,7 +183,7 @@ def test_without_a_board_there_are_no_marks(subject, camera):
     inspection = Inspection(replace(subject, board=None))
     inspection.picture(camera)
     assert inspection.marks() == inspection.outlines() == []
-    with pytest.raises(ConfigError, match="marks need the scene: open the run with it"):
+    with pytest.raises(ConfigError, match="scene"):
         inspection.add_mark("spot", [(0.5, 0.5)])
 
 
@@ -195,14 +195,14 @@ def test_a_surface_with_its_own_emissivity_is_shown_with_it(inspection, camera, 
     assert after.images[0].images[THERMAL][60, 80] > before + 1
     value = after.images[0].images[THERMAL][60, 80]
     assert inspection.click(0.5, 0.5).value == pytest.approx(value, abs=0.01)
-    assert any("taken as apparent ones" in note for note in subject.board.notes)
+    assert any("apparent" in note for note in subject.board.notes)
     inspection.settings = Settings(MODES["photos"])
     photo, model = inspection.picture(camera).images[-2:]
     assert np.nanmax(model.images[THERMAL]) < np.nanmax(photo.images[THERMAL]) + 3
 
 
 def test_screenshots_are_numbered(inspection, camera, subject):
-    with pytest.raises(ConfigError, match="wait for the first picture"):
+    with pytest.raises(ConfigError, match="first picture"):
         save_screenshot(inspection)
     image = inspection.picture(camera).pixels
     paths = [save_screenshot(inspection), save_screenshot(inspection)]
@@ -219,7 +219,7 @@ def test_what_cannot_be_written_is_named(subject, camera):
     inspection = Inspection(subject)
     (subject.folder / "renders").write_text("in the way")
     inspection.picture(camera)
-    with pytest.raises(RunError, match=r"0001\.png cannot be written"):
+    with pytest.raises(RunError, match=r"0001\.png"):
         save_screenshot(inspection)
 
 
@@ -227,18 +227,17 @@ def test_nothing_is_written_beside_a_run_that_is_gone(subject, camera):
     gone = subject.folder / "stick" / "run"
     inspection = Inspection(replace(subject, folder=gone))
     inspection.picture(camera)
-    with pytest.raises(RunError, match=r"run is gone: nothing can be saved until it is back"):
+    with pytest.raises(RunError, match="run is gone"):
         save_screenshot(inspection)
     assert not gone.parent.exists()
 
 
 @pytest.mark.parametrize("with_mp4", [True, False])
-def test_a_path_becomes_a_video(inspection, balls, with_mp4, monkeypatch):
-    monkeypatch.setattr("mrgs.viewer.saving.can_write_mp4", lambda: with_mp4)
+def test_a_path_becomes_a_video(inspection, balls, with_mp4):
     for view in balls.train[:2]:
         inspection.picture(view.camera.resized(80, 60))
         inspection.add_keyframe()
-    *progress, (_, _, path) = render_video(inspection, 0.25)
+    *progress, (_, _, path) = render_video(inspection, 0.25, mp4=with_mp4)
     folder = path.with_suffix("")
     assert (path.name, path.is_file()) == (("0001.mp4", True) if with_mp4 else ("0001", False))
     assert [path.name for path in sorted(folder.iterdir())] == [
@@ -252,12 +251,12 @@ def test_a_path_becomes_a_video(inspection, balls, with_mp4, monkeypatch):
 
 
 def test_a_video_needs_a_free_camera_and_two_keyframes(inspection, camera):
-    with pytest.raises(ConfigError, match="wait for the first picture"):
+    with pytest.raises(ConfigError, match="first picture"):
         inspection.add_keyframe()
-    with pytest.raises(ConfigError, match="at least two keyframes"):
+    with pytest.raises(ConfigError, match="two keyframes"):
         next(render_video(inspection, 1.0))
     inspection.settings = Settings(MODES["photos"])
-    with pytest.raises(ConfigError, match="a video needs a free camera"):
+    with pytest.raises(ConfigError, match="free camera"):
         next(render_video(inspection, 1.0))
 
 

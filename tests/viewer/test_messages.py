@@ -134,7 +134,7 @@ def test_whatever_a_look_says_it_gives_a_finite_camera_or_is_refused(changed):
 
 
 def test_what_is_not_understood_is_said_in_words():
-    with pytest.raises(ValueError, match="does not understand what the page sent: reload the page"):
+    with pytest.raises(ValueError, match="reload"):
         decode('{"type": "change_mark", "mark": 1, "note": 5}')
 
 
@@ -148,7 +148,5 @@ def test_a_name_that_is_not_utf_8_is_sent_as_far_as_it_can_be_read():
 
 
 def test_a_text_with_values_is_sent_as_text():
-    note = Message("The air is assumed to have {celsius} °C.", celsius="20")
-    assert json.loads(encode({"notes": (note,)})) == {
-        "notes": ["The air is assumed to have 20 °C."]
-    }
+    note = Message("{celsius} °C.", celsius="20")
+    assert json.loads(encode({"notes": (note,)})) == {"notes": ["20 °C."]}

@@ -32,7 +32,7 @@ def test_a_run_is_served_until_it_is_stopped(small_run, balls, capsys):
 
     def ready(url):
         opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(CookieJar()))
-        seen.append((url, opener.open(url, timeout=10).status))
+        seen.append((url, opener.open(url, timeout=60).status))
         stop.set()
 
     view(small_run, balls, port=0, on_ready=ready, stop=stop)
@@ -40,7 +40,7 @@ def test_a_run_is_served_until_it_is_stopped(small_run, balls, capsys):
     assert url.startswith("http://127.0.0.1:")
     assert status == 200
     with pytest.raises(OSError, match=r"refused|reset"):
-        socket.create_connection(("127.0.0.1", urlsplit(url).port), timeout=5)
+        socket.create_connection(("127.0.0.1", urlsplit(url).port), timeout=60)
     assert capsys.readouterr().out == ""
 
 
@@ -56,9 +56,7 @@ def test_a_port_in_use_is_named(small_run):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(
-            ConfigError, match=rf"cannot listen on 127\.0\.0\.1:{port} .*choose another port"
-        ):
+        with pytest.raises(ConfigError, match=rf"127\.0\.0\.1:{port}"):
             view(small_run, None, port=port)
         with pytest.raises(ConfigError, match=f"{port}"):
             LiveView("nowhere", port=port)
@@ -66,26 +64,24 @@ def test_a_port_in_use_is_named(small_run):
 
 def test_addresses_that_cannot_be_are_named(small_run):
     for port in (70000, -1):
-        with pytest.raises(ConfigError, match=f"from 1 to 65535, or 0 .*, not {port}"):
+        with pytest.raises(ConfigError, match=f"not {port}"):
             view(small_run, None, port=port)
-    with pytest.raises(ConfigError, match="the port must be from 1 to 65535, or 0 for any that"):
+    with pytest.raises(ConfigError, match="65535"):
         require_free("127.0.0.1", 70000)
-    with pytest.raises(ConfigError, match=r"cannot listen on no\.such\.invalid:8080"):
+    with pytest.raises(ConfigError, match=r"no\.such\.invalid:8080"):
         require_free("no.such.invalid", 8080)
 
 
 def test_an_empty_model_is_named(small_run):
     tensors = small_run.model.gaussians.tensors()
     empty = Gaussians.from_tensors({name: tensor[:0] for name, tensor in tensors.items()})
-    with pytest.raises(RunError, match="the model has no Gaussians, so there is nothing to see"):
+    with pytest.raises(RunError, match="no Gaussians"):
         view(replace(small_run, model=replace(small_run.model, gaussians=empty)), None, port=0)
 
 
 def test_a_run_still_training_is_shown_from_its_checkpoint(small_run):
     with small_run.folder.locked():
-        with pytest.warns(
-            MrgsWarning, match="is still training: showing its checkpoint of step 60 of 60"
-        ):
+        with pytest.warns(MrgsWarning, match="60 of 60"):
             viewer = open_viewer(small_run, None, "127.0.0.1", 0)
         assert "Still training" in viewer.note
         viewer.close()
@@ -130,9 +126,9 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
             small_scene, tmp_path / "run", make_config("mrgs", max_steps=6, max_gaussians=60),
             on_start=live.on_start, on_model=on_model, on_step=live.on_step,
         )  # fmt: skip
-        looker.join(10)
+        looker.join(60)
     assert urls[0].startswith("http://127.0.0.1:")
-    assert browser.notes[0] == "Training: step 1 of 6."
+    assert "1 of 6" in browser.notes[0]
     assert values[0] > 0
 
 
@@ -209,7 +205,7 @@ def test_a_burst_viewer_does_not_stop_the_training(small_scene, tmp_path, caplog
             small_scene, tmp_path / "run", make_config("mrgs", max_steps=4, max_gaussians=60),
             on_model=live.on_model, on_step=on_step,
         )  # fmt: skip
-    assert "training continues without its viewer: the browser burst" in caplog.text
+    assert "the browser burst" in caplog.text
     steps = [json.loads(line)["step"] for line in folder.log_file.read_text().splitlines()]
     assert steps[-1] == 4
 
@@ -221,8 +217,8 @@ def test_a_port_that_is_taken_meanwhile_does_not_stop_the_training(
     with socket.socket() as taken, caplog.at_level(logging.WARNING):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        live._port = taken.getsockname()[1]
+        live._port = port = taken.getsockname()[1]
         live.on_model(small_run.model, small_run.camera_response)
         live.on_step(StepStatistics(1, 0.0, {}, None, 10, False))
-    assert "training continues without its viewer" in caplog.text
+    assert f":{port}" in caplog.text
     live.close()

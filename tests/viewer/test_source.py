@@ -51,7 +51,7 @@ def test_the_training_runs_the_jobs_on_its_own_thread(small_run, pool):
     future = queued(source, pool, lambda model: (model, threading.get_ident()))
     assert not future.done()
     source.serve(small_run.model)
-    assert future.result(10) == (small_run.model, threading.get_ident())
+    assert future.result(60) == (small_run.model, threading.get_ident())
 
 
 def test_looking_never_takes_more_than_its_share(small_run, pool):
@@ -71,7 +71,7 @@ def test_looking_never_takes_more_than_its_share(small_run, pool):
         spent += clock.now - before
         if clock.now > before:
             pictures += 1
-            future.result(10)
+            future.result(60)
             future = queued(source, pool, job)
     assert pictures > 200
     assert spent <= LIVE_SHARE * clock.now + 0.03
@@ -90,7 +90,7 @@ def test_painting_counts_too(small_run, pool):
     assert not future.done()
     clock.now = 30.0
     source.serve(small_run.model)
-    assert future.result(10) == "drawn"
+    assert future.result(60) == "drawn"
 
 
 def test_unused_time_is_not_saved_for_a_hiccup(small_run, pool):
@@ -99,7 +99,7 @@ def test_unused_time_is_not_saved_for_a_hiccup(small_run, pool):
     clock.now = 1e6
     slow = queued(source, pool, lambda _: setattr(clock, "now", clock.now + 2 * MAX_CREDIT_S))
     source.serve(small_run.model)
-    slow.result(10)
+    slow.result(60)
     future = queued(source, pool, lambda _: None)
     clock.now += 1.0
     source.serve(small_run.model)
@@ -116,7 +116,7 @@ def test_a_job_that_fails_harms_only_itself(small_run, pool):
     future = queued(source, pool, fails)
     source.serve(small_run.model)
     with pytest.raises(ValueError, match="a broken picture"):
-        future.result(10)
+        future.result(60)
 
 
 def test_a_model_without_neighbours_waits_for_the_next_step(small_run, pool):
@@ -126,7 +126,7 @@ def test_a_model_without_neighbours_waits_for_the_next_step(small_run, pool):
     source.serve(replace(small_run.model, neighbours=None))
     assert not future.done()
     source.serve(small_run.model)
-    assert future.result(10) == "drawn"
+    assert future.result(60) == "drawn"
 
 
 def test_a_closed_source_lets_nobody_wait(small_run, pool):
@@ -135,4 +135,4 @@ def test_a_closed_source_lets_nobody_wait(small_run, pool):
     source.close()
     for waiting in (future, pool.submit(source.run, lambda _: None)):
         with pytest.raises(CancelledError):
-            waiting.result(10)
+            waiting.result(60)

@@ -8,7 +8,7 @@ import pytest
 
 from mrgs.viewer.worker import Worker
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 class Held:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -35,24 +36,32 @@ def export(job: ExportJob) -> list[Path]:
     that lies in the scene is in the sidecar.
     """
     drawn, facade = facade_map(job.baked, job.scene, job.maps, job.uncertainty, regions=job.regions)
+    caption, facts = caption_and_facts(job.scene, drawn, facade)
+    return write_map(job, "elevation", drawn, local_wkt(f"{job.scene.name} façade"), caption, facts)
+
+
+def caption_and_facts(
+    scene: Scene, drawn: OrthographicMap, facade: Facade
+) -> tuple[Caption, dict[str, Any]]:
+    """What is said of a façade in its picture, and in its sidecar."""
     grid = drawn.grid
     facts = {
         "map": "orthographic, of a façade",
         "map_crs": "metres to the right and upwards from the map's lower left corner",
     }
     facing = ""
-    if job.scene.world.north:
+    if scene.world.north:
         azimuth = float(np.degrees(np.arctan2(facade.axes[2, 0], facade.axes[2, 1])) % 360)
         facts |= {"faces_azimuth_deg": f"{azimuth:.1f}"}
         facing = f" · faces {COMPASS[round(azimuth / 45) % 8]} ({azimuth:.0f}°)"
     size = f"{grid.width * grid.pixel_m:.4g} × {grid.height * grid.pixel_m:.4g} m"
     caption = Caption(
-        f"{job.scene.name}: facade temperatures",
+        f"{scene.name}: facade temperatures",
         f"{size}{facing} · {grid.pixel_m * 100:g} cm per pixel",
         summary(drawn),
         None,
     )
-    return write_map(job, "elevation", drawn, local_wkt(f"{job.scene.name} façade"), caption, facts)
+    return caption, facts
 
 
 def require(scene: Scene, crs: str | None = None) -> None:

@@ -45,9 +45,17 @@ def export(job: ExportJob) -> list[Path]:
     drawn = map_from_above(
         job.baked, job.scene, system, job.maps, job.uncertainty, regions=job.regions
     )
+    caption, facts = caption_and_facts(job.scene.name, drawn, system)
+    return write_map(job, "ortho", drawn, system.wkt, caption, facts)
+
+
+def caption_and_facts(
+    name: str, drawn: OrthographicMap, system: CoordinateSystem
+) -> tuple[Caption, dict[str, Any]]:
+    """What is said of the map of a scene in its picture, and in its sidecar."""
     north = " · north is up" if system.north else ""
     caption = Caption(
-        f"{job.scene.name}: temperatures from above",
+        f"{name}: temperatures from above",
         f"{system.name}{north} · {drawn.grid.pixel_m * 100:g} cm per pixel",
         summary(drawn),
         system.north_deg,
@@ -59,7 +67,7 @@ def export(job: ExportJob) -> list[Path]:
     }
     if system.north_deg is not None:
         facts["map_north_clockwise_from_up_deg"] = round(system.north_deg, 3)
-    return write_map(job, "ortho", drawn, system.wkt, caption, facts)
+    return caption, facts
 
 
 def require(scene: Scene, crs: str | None = None) -> None:

@@ -30,10 +30,11 @@ class RememberingMeter(MarkMeter):
         """The parts of the surface with an emissivity of their own; the same object as long as
         they are the same."""
         own = [(mark.name, _surface_of(mark)) for mark in marks.marks if mark.has_settings]
-        known, before, self._own = self._regions, self._own, own
+        known, before = self._regions, self._own
         renamed = known is not None and known.problems and own != before  # they have names
         if known is None or renamed or [each for _, each in own] != [each for _, each in before]:
             known = self._regions = super().regions(marks)
+        self._own = own  # not before: where that fails, they are still to be found
         return known
 
     def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:

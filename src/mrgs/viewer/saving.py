@@ -65,7 +65,9 @@ def save_keyframes(inspection: Inspection, seconds: float) -> Path:
     return save_path(_next_free(folder, ".json"), inspection.keyframes, seconds, VIDEO_FPS)
 
 
-def render_video(inspection: Inspection, seconds: float) -> Iterator[VideoProgress]:
+def render_video(
+    inspection: Inspection, seconds: float, mp4: bool | None = None
+) -> Iterator[VideoProgress]:
     """Render the path with the current settings into ``renders/videos``, frame by frame; as an mp4
     too, if one can be written.
 
@@ -74,6 +76,7 @@ def render_video(inspection: Inspection, seconds: float) -> Iterator[VideoProgre
     Args:
         inspection: whose keyframes are gone through.
         seconds: length of the video.
+        mp4: as for ``frame_writer``.
 
     Yields:
         After each frame how far it is; the last time, with the mp4 or the frames' folder.
@@ -90,7 +93,7 @@ def render_video(inspection: Inspection, seconds: float) -> Iterator[VideoProgre
     size = fitted_size(path[0].width, path[0].height, VIDEO_SIDE_PX)
     folder = _folder(inspection, "videos")
     target = _next_free(folder, "")
-    mp4 = can_write_mp4()
+    mp4 = can_write_mp4() if mp4 is None else mp4
     with frame_writer(folder, target.name, size, mp4=mp4) as add:
         frames = inspection.annotated_pictures([camera.resized(*size) for camera in path])
         for number, frame in enumerate(frames, start=1):

@@ -16,9 +16,13 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, RunError, WriteError
 from mrgs.export import export
+from mrgs.export.crs import LOCAL_NAME, coordinate_system
+from mrgs.export.maps.draw import OrthographicMap
+from mrgs.export.maps.grid import MapGrid
 from mrgs.export.maps.options import MapOptions, parse_plane
 from mrgs.export.maps.photos import survey
 from mrgs.export.maps.write import pixel_size_m
+from mrgs.export.ortho import caption_and_facts
 from mrgs.scene import RGB, THERMAL, EarthPosition, View, WorldFrame
 from tests.export.maps.conftest import CELSIUS, GROUND_C, PIXEL, WALL_C, WINDOW_C, WINDOWS
 from tests.helpers.exports import read_ply
@@ -158,6 +162,7 @@ def test_from_above_the_map_lies_in_utm(ortho, front_scene):
     assert facts["crs"].startswith("EPSG:32632")
     assert facts["map_crs_residual_m"] < 1e-3
     assert facts["gps_residual_m"] == 0.8
+    assert abs(facts["map_north_clockwise_from_up_deg"]) < 5
     assert transform.a == PIXEL
 
 
@@ -196,7 +201,7 @@ def test_without_gps_coordinates_are_the_scene_s(tmp_path, front, front_scene):
         assert not file.crs.is_projected
         assert not file.crs.is_geographic
         assert file.bounds.left < -4 < 4 < file.bounds.right
-        assert file.tags()["map_crs"] == "the scene's own frame, metres"
+        assert file.tags()["map_crs"] == LOCAL_NAME
     las = laspy.read(tmp_path / "points.las")
     assert abs(las.xyz[:, 0].mean()) < 1
     assert las.header.vlrs.get("WktCoordinateSystemVlr")[0].string.startswith("LOCAL_CS")
@@ -205,23 +210,15 @@ def test_without_gps_coordinates_are_the_scene_s(tmp_path, front, front_scene):
 @pytest.mark.parametrize(
     ("changes", "options", "message"),
     [
-        ({"world": WorldFrame()}, {}, "front has no scale, so it has no coordinates in metres"),
-        ({"temperature": None}, {}, "front has no temperatures in °C, which a map shows"),
-        (
-            {"world": WorldFrame(metric=True)},
-            {"crs": "EPSG:25832"},
-            "front has no place on Earth, so EPSG:25832 cannot be used",
-        ),
-        ({}, {"crs": "EPSG:99999"}, "unknown CRS 'EPSG:99999'; give a code such as EPSG:25832"),
-        ({}, {"crs": "EPSG:4326"}, r"EPSG:4326 \(WGS 84\) is not a projected CRS in metres"),
-        ({}, {"crs": "EPSG:2263"}, "is not a projected CRS in metres"),
-        ({}, {"crs": "EPSG:32756"}, "does not cover the scene at 48.1370°, 11.5750°"),
-        ({}, {"pixel_size_m": 1e-5}, r"the map would have \d+×\d+ pixels of 1e-05 m, more than"),
-        (
-            {"world": WorldFrame(True, True, EarthPosition(-88.0, 0.0, None))},
-            {},
-            "UTM ends at -80° and 84° of latitude",
-        ),
+        ({"world": WorldFrame()}, {}, "no scale"),
+        ({"temperature": None}, {}, "no temperatures"),
+        ({"world": WorldFrame(metric=True)}, {"crs": "EPSG:25832"}, "no place"),
+        ({}, {"crs": "EPSG:99999"}, "unknown"),
+        ({}, {"crs": "EPSG:4326"}, "projected"),
+        ({}, {"crs": "EPSG:2263"}, "projected"),
+        ({}, {"crs": "EPSG:32756"}, "48.1370°, 11.5750°"),
+        ({}, {"pixel_size_m": 1e-5}, r"\d+×\d+ pixels"),
+        ({"world": WorldFrame(True, True, EarthPosition(-88.0, 0.0, None))}, {}, "84°"),
     ],
 )
 def test_what_does_not_fit_is_said_in_one_line(
@@ -236,6 +233,7 @@ def test_what_does_not_fit_is_said_in_one_line(
             maps=MapOptions(**{"pixel_size_m": 0.1, **options}),
         )
     assert "\n" not in str(caught.value)
+    assert all(f"{value}" in str(caught.value) for value in options.values())
     assert not list(tmp_path.iterdir())
 
 
@@ -244,7 +242,7 @@ def test_a_crs_that_does_not_fit_is_said_before_anything_is_baked(
     tmp_path, front, front_scene, format
 ):
     begun = []
-    with pytest.raises(ConfigError, match=r"EPSG:32756 [(].*[)] does not cover the scene"):
+    with pytest.raises(ConfigError, match="EPSG:32756"):
         export(
             front,
             front_scene,
@@ -276,22 +274,13 @@ def test_a_wanted_crs_is_used(tmp_path, front, front_scene):
         ("EPSG:3413", (70.0, 20.0), -65),
     ],
 )
-def test_north_is_said_to_be_up_only_where_it_is(
-    tmp_path, front, front_scene, monkeypatch, crs, place, north_deg
-):
+def test_north_is_said_to_be_up_only_where_it_is(front_scene, crs, place, north_deg):
     placed = replace(front_scene, world=WorldFrame(True, True, EarthPosition(*place, 0.0)))
-    captions = []
-
-    def picture(drawn, caption, scale):
-        captions.append(caption)
-        return Image.new("RGB", (1, 1))
-
-    monkeypatch.setattr("mrgs.export.maps.write.map_picture", picture)
-    export(front, placed, "ortho", tmp_path, maps=MapOptions(pixel_size_m=0.5, crs=crs))
-    (caption,) = captions
+    grid = MapGrid(np.eye(3), 1.0, np.zeros(2), 0.0, 2.0, 0.05, 60, 40, (-1.0, 1.0))
+    drawn = OrthographicMap(grid, np.ones((7, 40, 60), np.float32))
+    caption, facts = caption_and_facts("front", drawn, coordinate_system(placed, crs))
     assert abs((caption.north_deg - north_deg + 180) % 360 - 180) < 1
     assert ("north is up" in caption.subtitle) == (crs is None)
-    facts = json.loads((tmp_path / "ortho.tif.json").read_text(encoding="utf-8"))
     assert facts["map_north_clockwise_from_up_deg"] == pytest.approx(caption.north_deg, abs=1e-3)
 
 
@@ -315,7 +304,7 @@ def test_beyond_utm_maps_lie_in_a_polar_crs_or_in_none(tmp_path, front, front_sc
     arctic, options = replace(front_scene, world=world), MapOptions(pixel_size_m=0.5)
     export(front, arctic, "elevation", tmp_path, maps=options)
     begun = []
-    with pytest.raises(ConfigError, match=r"UTM ends .* such as EPSG:3413"):
+    with pytest.raises(ConfigError, match="EPSG:3413"):
         export(front, arctic, "las", tmp_path, progress=lambda *part: begun.append(part))
     assert not begun
     export(front, arctic, "ortho", tmp_path, maps=replace(options, crs="EPSG:3413"))
@@ -328,13 +317,13 @@ def test_beyond_utm_maps_lie_in_a_polar_crs_or_in_none(tmp_path, front, front_sc
 
 def test_a_scene_without_a_wall_has_no_elevation(tmp_path, front, front_scene):
     ground = front.subset(torch.nonzero(front.means[:, 2] < 0.05)[:, 0])
-    with pytest.raises(RunError, match=r"no façade was found: .* give three of its points"):
+    with pytest.raises(RunError, match="no façade"):
         export(ground, front_scene, "elevation", tmp_path, maps=OPTIONS)
 
 
 def test_a_plane_off_all_surfaces_is_refused(tmp_path, front, front_scene):
     away = tuple((x, y - 40.0, z) for x, y, z in PLANE)
-    with pytest.raises(RunError, match="no surface that the photos show lies on the plane"):
+    with pytest.raises(RunError, match="on the plane"):
         export(front, front_scene, "elevation", tmp_path, maps=replace(OPTIONS, plane=away))
 
 
@@ -344,7 +333,7 @@ def test_a_scene_whose_vertical_is_not_known_is_refused(tmp_path, front, front_s
         for k, view in enumerate(front_scene.train)
     )
     scene = replace(front_scene, train=views, world=WorldFrame(metric=True))
-    with pytest.raises(ConfigError, match="which way is up in this scene is not known"):
+    with pytest.raises(ConfigError, match="way is up"):
         export(front, scene, "ortho", tmp_path, maps=OPTIONS)
 
 
@@ -360,10 +349,10 @@ def rolled(camera, k):
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
-        (("1,2", "0,0,0", "1,1,1"), "'1,2' is not a point; write X,Y,Z"),
-        (("a,b,c", "0,0,0", "1,1,1"), "'a,b,c' is not a point"),
-        (("nan,0,0", "0,0,0", "1,1,1"), "'nan,0,0' is not a point"),
-        (("0,0,0", "1,1,1", "2,2,2"), "the three points of the plane lie on a line"),
+        (("1,2", "0,0,0", "1,1,1"), "'1,2'.*X,Y,Z"),
+        (("a,b,c", "0,0,0", "1,1,1"), "'a,b,c'"),
+        (("nan,0,0", "0,0,0", "1,1,1"), "'nan,0,0'"),
+        (("0,0,0", "1,1,1", "2,2,2"), "on a line"),
     ],
 )
 def test_points_that_span_no_plane_are_refused(texts, message):
@@ -385,15 +374,16 @@ def test_a_map_for_a_page_has_no_more_pixels_than_are_asked_for(front, front_sce
 
 
 def test_a_pixel_size_is_above_zero():
-    with pytest.raises(ConfigError, match="a pixel of 0 m is not possible; give a size above 0"):
+    with pytest.raises(ConfigError, match="of 0 m"):
         MapOptions(pixel_size_m=0.0)
 
 
 @pytest.mark.parametrize("package", ["rasterio", "pyproj"])
 def test_without_the_extra_it_is_named(tmp_path, front, front_scene, monkeypatch, package):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ConfigError, match=rf'{package}: pip install "{re.escape("mrgs[export]")}"'):
+    with pytest.raises(ConfigError, match=re.escape("mrgs[export]")) as caught:
         export(front, front_scene, "ortho", tmp_path)
+    assert package in str(caught.value)
 
 
 def test_a_folder_that_cannot_be_written_is_said(tmp_path, front, front_scene):

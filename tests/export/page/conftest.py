@@ -10,6 +10,7 @@ import torch
 
 from mrgs.export.page import write_page
 from mrgs.export.page.marks import PageMark
+from mrgs.export.page.parts import PART
 from mrgs.marks.regions import Regions
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel
@@ -100,11 +101,12 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
         modalities: tuple[Modality, ...] = (RGB, THERMAL),
         marks: Sequence[PageMark] = (),
         regions: Regions | None = None,
+        part_size: int = PART,
         **options: Any,
     ) -> Any:
         write_page(
             shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities,
-            marks=marks, regions=regions,
+            marks=marks, regions=regions, part_size=part_size,
         )  # fmt: skip
         page = new_page(browser, offline=True, **options)
         contexts.append(page.context)

@@ -152,7 +152,7 @@ def test_only_what_the_photos_have_at_the_end_of_their_range_is_doubted(opened, 
     assert told > table.temperature.max_c
     assert page.locator("#clipped").is_hidden()
     assert page.locator("#uncorrected").is_hidden()
-    assert "as in the figures of the marks" in page.locator("aside").inner_text()
+    assert "Marked areas" in page.locator("aside").inner_text()
 
 
 def test_a_browser_without_images_of_floats_says_so_and_reads_corrected_values(

@@ -32,7 +32,8 @@ def test_the_page_says_that_the_accuracy_of_the_camera_is_not_known():
     )
     (shown,), notes = page_marks(marks)
     assert shown["label"].startswith("S1  20.0 ± ")
-    assert notes == ("The accuracy of the thermal camera is not known, and not included.",)
+    (note,) = notes
+    assert "accuracy" in note
 
 
 def test_an_area_says_what_it_is_corrected_for_as_a_spot_within_it_does():
@@ -49,8 +50,9 @@ def test_an_area_says_what_it_is_corrected_for_as_a_spot_within_it_does():
         world=WorldFrame(),
     )
     shown, _ = page_marks(marks)
-    said = "corrected for ε 0.5, T_refl −10.0 °C"
-    assert [each["lines"].count(said) for each in shown] == [1, 1]
+    for each in shown:
+        (said,) = (line for line in each["lines"] if "ε 0.5" in line)
+        assert "−10.0 °C" in said
 
 
 def test_what_is_assumed_of_the_surface_is_said_where_an_area_has_an_emissivity():

@@ -120,9 +120,7 @@ def test_packing_is_deterministic(baked):
 
 def test_an_invisible_model_is_named(baked):
     nothing = torch.zeros_like(baked.opacities[RGB])
-    with pytest.raises(
-        ConfigError, match="no splat that can be seen, so there is nothing to show; train it longer"
-    ):
+    with pytest.raises(ConfigError, match="no splat"):
         pack(replace(baked, opacities=dict.fromkeys((RGB, THERMAL), nothing)))
 
 

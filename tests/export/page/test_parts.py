@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.export.page import parts
-from mrgs.export.page.parts import PageModel, PagePart
+from mrgs.export.page.parts import ROW, PageModel, PagePart
 from mrgs.scene import RGB, THERMAL
 
 PART = 150
@@ -20,9 +19,8 @@ MODALITIES = (THERMAL, RGB)
 
 
 @pytest.fixture
-def model(baked, cameras, monkeypatch) -> PageModel:
-    monkeypatch.setattr(parts, "PART", PART)
-    return PageModel(baked, MODALITIES, cameras["view 3"])
+def model(baked, cameras) -> PageModel:
+    return PageModel(baked, MODALITIES, cameras["view 3"], PART)
 
 
 def centres(part: PagePart) -> np.ndarray:
@@ -61,22 +59,21 @@ def test_each_part_replaces_the_coarse_splats_that_stand_for_it(model):
 
 def test_parts_lie_in_rows_of_their_own(model):
     places = [(part.first, part.first + part.packed.header["count"]) for part in model.parts()]
-    assert all(first % parts.ROW == 0 for first, _ in places)
+    assert all(first % ROW == 0 for first, _ in places)
     assert all(end <= first for (_, end), (first, _) in itertools.pairwise(places))
     dilation = {"px2": 0.1, "finest_focal_px": 107.0, "least_px2": 0.01}
     assert model.facts == {
-        "count": 600, "parts": 5, "slots": 5 * parts.ROW, "dilation": dilation
+        "count": 600, "parts": 5, "slots": 5 * ROW, "dilation": dilation
     }  # fmt: skip
     assert places[-1][1] <= model.facts["slots"]
 
 
-def test_the_parts_before_the_camera_come_first(baked, cameras, monkeypatch):
-    monkeypatch.setattr(parts, "PART", PART)
+def test_the_parts_before_the_camera_come_first(baked, cameras):
     means = baked.means.clone()
     camera = cameras["view 3"]
     away = torch.arange(600) % 2 == 0
     means[away] += (camera.position - 4 * camera.viewmat[2, :3]).float()  # behind the camera
-    _, *fine = PageModel(replace(baked, means=means), MODALITIES, camera).parts()
+    _, *fine = PageModel(replace(baked, means=means), MODALITIES, camera, PART).parts()
     seen = [camera.contains(camera.project(torch.tensor(centres(p)))[0]).sum() for p in fine]
     assert seen[0] > 0
     assert seen[-1] == 0

