@@ -37,12 +37,20 @@ settings.register_profile("mrgs", deadline=None, derandomize=True)
 settings.load_profile("mrgs")
 
 
+SLOW_FOLDERS = ("benchmarks", "synth")
+"""Tests of what is not shipped: they run with `make test-all`."""
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leaves out what needs a GPU, where there is none."""
-    if torch.cuda.is_available():
-        return
+    """Without a GPU, leaves out what needs one, and counts interpreted kernels as slow."""
+    tests = Path(__file__).parent
+    has_gpu = torch.cuda.is_available()
     for item in items:
-        if item.get_closest_marker("gpu"):
+        interpreted = not has_gpu and "gpu_device" in getattr(item, "fixturenames", ())
+        if interpreted or item.path.relative_to(tests).parts[0] in SLOW_FOLDERS:
+            item.add_marker(pytest.mark.slow)
+        if not has_gpu and item.get_closest_marker("gpu"):
             item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
 
 

@@ -1,0 +1,77 @@
+"""The tests let the code move: few of them pin whole sentences, and few reach inside to patch."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+TESTS = Path(__file__).parent
+FILES = sorted(TESTS.rglob("*.py"))
+
+MOST_SENTENCES = 250
+MOST_PATCHES = 100
+WORDS = 4
+"""A text of so many words is a sentence. An error is tested by its class, by the option, key or
+file that it names, and one keyword."""
+
+
+def text_of(node: ast.AST) -> str:
+    """The literal text in an expression, calls and their arguments apart."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else ""
+    if isinstance(node, ast.FormattedValue):
+        return "x"
+    if isinstance(node, ast.Call):
+        return ""
+    return "".join(map(text_of, ast.iter_child_nodes(node)))
+
+
+def texts_compared(tree: ast.AST) -> Iterator[str]:
+    """Of each ``match=`` and of each comparison in an assert, the text."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.keyword) and node.arg == "match":
+            yield text_of(node.value)
+        elif isinstance(node, ast.Assert):
+            for part in ast.walk(node.test):
+                if isinstance(part, ast.Compare):
+                    yield max(map(text_of, [part.left, *part.comparators]), key=len)
+
+
+def sentences(tree: ast.AST) -> list[str]:
+    return [text for text in texts_compared(tree) if len(text.split()) >= WORDS]
+
+
+def patches(tree: ast.AST) -> list[str]:
+    return [
+        ast.unparse(node)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and (node.func.attr == "setattr" or "mock.patch" in ast.unparse(node.func))
+    ]
+
+
+def found_by(count) -> dict[str, int]:
+    """How many there are in each file that has any."""
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+    found = {path.relative_to(TESTS).as_posix(): len(count(tree)) for path, tree in trees.items()}
+    return {name: number for name, number in found.items() if number}
+
+
+def test_few_assertions_pin_a_whole_sentence():
+    found = found_by(sentences)
+    assert sum(found.values()) <= MOST_SENTENCES, found
+
+
+def test_few_tests_patch_what_is_inside():
+    found = found_by(patches)
+    assert sum(found.values()) <= MOST_PATCHES, found
+
+
+def test_the_counts_can_fail():
+    pinned = (
+        "with raises(E, match='a b c d'):\n    pass\nassert text == f'a {b} c d'\nassert 'a b' in x"
+    )
+    assert len(sentences(ast.parse(pinned))) == 2
+    assert len(patches(ast.parse("monkeypatch.setattr(a, 'b', 1)\nmock.patch('a.b')"))) == 2
