@@ -4,12 +4,17 @@ import asyncio
 import re
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 from benchmarks.live_view import ALONE, PAUSES_S, Turn, looks, to_markdown, watch
+from mrgs.render import Model
 from mrgs.runs.open import load_run
 from mrgs.training import make_config, train
-from mrgs.viewer.opening import open_viewer
+from mrgs.viewer.opening import start_at, start_camera
+from mrgs.viewer.source import TrainedSource
+from mrgs.viewer.web import Viewer
 from tests.benchmarks.tables import rows
+from tests.helpers.subjects import subject_of
 
 
 class Watched(list):
@@ -25,13 +30,28 @@ class Watched(list):
         return super().__getitem__(number)
 
 
+class Charged(TrainedSource):
+    """Tells which threads account for the time that they use."""
+
+    def __init__(self, model: Model) -> None:
+        super().__init__(model)
+        self.threads: set[str] = set()
+
+    def charge(self) -> None:
+        self.threads.add(threading.current_thread().name)
+
+
 def test_the_onlooker_is_a_browser_to_the_viewer(small_scene, tmp_path):
-    """It is drawn for and receives pictures until the server goes."""
+    """It is drawn for and receives pictures until the server goes; painting and serving are
+    accounted for."""
     asked = Watched(looks(small_scene))
     run = load_run(
         train(small_scene, tmp_path / "run", make_config(max_steps=3, max_gaussians=60)).path
     )
-    viewer = open_viewer(run, run.load_scene(), "127.0.0.1", 0)
+    scene, source = run.load_scene(), Charged(run.model)
+    subject = replace(subject_of(run, scene, tmp_path), source=source)
+    start = start_at(start_camera(scene, run.model), scene)
+    viewer = Viewer(subject, start, "127.0.0.1", 0)
     with ThreadPoolExecutor(1) as pool:
         pictures = pool.submit(lambda: asyncio.run(watch(viewer.url, 0.1, asked)))
         try:
@@ -39,6 +59,7 @@ def test_the_onlooker_is_a_browser_to_the_viewer(small_scene, tmp_path):
         finally:
             viewer.close()
         assert pictures.result(20) >= 1
+    assert len(source.threads) == 2
 
 
 def test_the_table_compares_each_watched_training_with_the_one_alone_of_its_round():
