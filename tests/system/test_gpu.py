@@ -3,7 +3,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
-import sys
 import warnings
 from pathlib import Path
 
@@ -145,11 +144,9 @@ def test_a_gpu_that_can_be_used_is_used_unless_the_cpu_is_asked_for(machine):
     assert gpu.device_title(torch.device("cpu")) == "cpu"
 
 
-def test_this_machine_can_be_asked(machine):
-    here = gpu._this_machine()
-    assert here.platform == sys.platform
-    assert here.torch_version == torch.__version__
-    assert [type(value) for value in here[:2]] == [bool, bool]
+@pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")
+def test_this_machine_can_be_asked():
+    assert choose_device("auto").type in ("cpu", "cuda")
 
 
 @pytest.mark.parametrize(

@@ -18,13 +18,15 @@ from mrgs.system.operation import Operation, checking, operation, plainly
 SOURCE = Path(kernels.__file__).parents[1]
 
 
-def with_kernels(plain, **kernels) -> Operation:
+class WithKernels(Operation):
     """An operation, and its kernels for float32 by their devices."""
 
-    def find(name, device, dtype):
-        return kernels.get(device) if dtype == torch.float32 else None
+    def __init__(self, plain, **kernels) -> None:
+        super().__init__(plain)
+        self.kernels = kernels
 
-    return Operation(plain, find=find)
+    def listed(self, device, dtype):
+        return self.kernels.get(device) if dtype == torch.float32 else None
 
 
 def make_operation(kernel, **others) -> Operation:
@@ -33,7 +35,7 @@ def make_operation(kernel, **others) -> Operation:
     def energy(x: torch.Tensor, layer: torch.nn.Linear) -> torch.Tensor:
         return layer(x.square()).sum()
 
-    return with_kernels(energy, cpu=kernel, **others)
+    return WithKernels(energy, cpu=kernel, **others)
 
 
 def by_a_product(x, layer):
@@ -174,7 +176,7 @@ def test_a_check_without_gradients_leaves_out_what_was_rejected():
 
 @pytest.mark.parametrize(("share", "passes"), [(1e-7, True), (0.5, False)])
 def test_a_gradient_that_vanishes_beside_the_others_may_be_rounding_noise(share, passes):
-    made = with_kernels(
+    made = WithKernels(
         lambda a, b: a.sum() + share * b.sum(),
         cpu=lambda a, b: a.sum() + 1.5 * share * b.sum(),
     )
@@ -186,7 +188,7 @@ def test_a_gradient_that_vanishes_beside_the_others_may_be_rounding_noise(share,
 
 
 def test_a_kernel_may_take_the_other_side_of_a_kink():
-    made = with_kernels(
+    made = WithKernels(
         lambda a, b: (a.clamp(max=1) * b).sum(),
         cpu=lambda a, b: (torch.where(a < 1, a, 1) * b).sum(),
     )
@@ -197,7 +199,7 @@ def test_a_kernel_may_take_the_other_side_of_a_kink():
 
 
 def test_an_argument_that_changes_nothing_has_no_gradient():
-    made = with_kernels(lambda a, b: a.square().sum(), cpu=lambda a, b: (a * a).sum())
+    made = WithKernels(lambda a, b: a.square().sum(), cpu=lambda a, b: (a * a).sum())
     a, b = (torch.ones(4, requires_grad=True) for _ in range(2))
     with checking():
         made(a, b)

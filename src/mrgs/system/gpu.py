@@ -101,7 +101,9 @@ def choose_device(name: DeviceName, machine: Machine | None = None) -> torch.dev
         )
     if name == "cpu":
         return torch.device("cpu")
-    machine = machine or _this_machine()
+    machine = machine or Machine(
+        _driver_is_installed(), _has_triton(), _triton_version(), _has_compiler(), _header_folders()
+    )
     obstacle = _obstacle(machine)
     if obstacle is None:
         return torch.device("cuda", machine.cuda.current_device())
@@ -125,12 +127,6 @@ def lacks_memory(error: Exception) -> bool:
     message = str(error)
     return isinstance(error, RuntimeError) and (
         "out of memory" in message or "ALLOC_FAILED" in message
-    )
-
-
-def _this_machine() -> Machine:
-    return Machine(
-        _driver_is_installed(), _has_triton(), _triton_version(), _has_compiler(), _header_folders()
     )
 
 

@@ -65,23 +65,16 @@ class Operation(Generic[P, R]):
         plain: the plain torch definition.
         name: full name of the plain definition.
         measure: what is compared of a result, from the result and the arguments.
-        find: its kernel for a device and a type, by the operation's name; None if there is none.
         rejected: its kernels that were found to differ, so that they are not used.
     """
 
     __name__: str
 
-    def __init__(
-        self,
-        plain: Callable[P, R],
-        measure: Callable[..., Tensor] | None = None,
-        find: Callable[[str, Device, torch.dtype], Callable[..., Any] | None] | None = None,
-    ) -> None:
+    def __init__(self, plain: Callable[P, R], measure: Callable[..., Tensor] | None = None) -> None:
         update_wrapper(self, plain)
         self.plain = plain
         self.name = f"{plain.__module__}.{plain.__qualname__}"
         self.measure = measure
-        self.find = find or _listed
         self.rejected: set[Callable[..., Any]] = set()
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -113,7 +106,12 @@ class Operation(Generic[P, R]):
         device: Device | None = "gpu" if gpu.runs_triton(tensor) else None
         if device is None and tensor.is_cpu:
             device = "cpu"
-        return None if device is None else self.find(self.name, device, tensor.dtype)
+        return None if device is None else self.listed(device, tensor.dtype)
+
+    def listed(self, device: Device, dtype: torch.dtype) -> Callable[..., Any] | None:
+        """The kernel that the table has for a device and a type; None if there is none."""
+        entry = _table().get((self.name, device))
+        return None if entry is None or dtype not in entry.dtypes else _imported(entry.function)
 
     def _compare(
         self,
@@ -200,12 +198,6 @@ class _Check(NamedTuple):
 
 _plain_blocks = 0
 _check: ContextVar[_Check | None] = ContextVar("mrgs_check", default=None)
-
-
-def _listed(name: str, device: Device, dtype: torch.dtype) -> Callable[..., Any] | None:
-    """The kernel that the table lists."""
-    entry = _table().get((name, device))
-    return None if entry is None or dtype not in entry.dtypes else _imported(entry.function)
 
 
 @cache

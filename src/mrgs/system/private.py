@@ -20,12 +20,8 @@ def require_private(folder: Path, groups: Any = grp, users: Any = pwd) -> None:
     """Make a folder, if it is missing, and check that only this user can change what it holds.
 
     Neither the folder nor one above it may belong to anyone but this user and root, or be writable
-    by others, unless only the owner of a file may move it there, as in ``/tmp``.
-
-    Args:
-        folder: to check.
-        groups: the system's, as the module ``grp`` tells them.
-        users: the system's, as the module ``pwd`` tells them.
+    by others, unless only the owner of a file may move it there, as in ``/tmp``. Whether a group is
+    this user's own is asked of the given modules.
 
     Raises:
         PermissionError: another user can put files there.
