@@ -381,17 +381,20 @@ def test_a_warning_of_two_stages_counts_once_as_on_the_page(tmp_path, monkeypatc
 def test_photos_that_are_prepared_already_are_expected_to_take_no_time(prepared, tmp_path):
     photos, options = photos_in(tmp_path / "photos"), PrepareOptions(thermal_fov_deg=57.0)
 
-    def expected_s(new: PrepareOptions) -> float:
+    def expected(new: PrepareOptions) -> float:
+        """Beside the training: how fast the computer is changes with what else runs on it."""
         watcher = Watcher(accept=False)
         with pytest.raises(SceneError, match="at 1 warning"):
             run_pipeline(photos, quality="fast", options=new, monitor=watcher)
         assert watcher.plan is not None
-        assert not watcher.plan.stages[0].is_done
-        return watcher.plan.stages[0].seconds
+        first, *others = watcher.plan.stages
+        assert not first.is_done
+        (training,) = (stage for stage in others if stage.name == "train")
+        return first.seconds / training.seconds
 
-    first, again = expected_s(options), expected_s(options)
+    first, again = expected(options), expected(options)
     assert again < 0.1 * first
-    assert expected_s(PrepareOptions(thermal_fov_deg=50.0)) > 0.5 * first, "another thermal camera"
+    assert expected(PrepareOptions(thermal_fov_deg=50.0)) > 0.5 * first, "another thermal camera"
 
 
 def test_a_new_photo_is_prepared(prepared, tmp_path):
