@@ -24,7 +24,9 @@ def prepare(case: Case) -> Stages:
     return make(case)
 
 
-def result_of(case: Case, effort: Effort, base_bytes: int) -> dict[str, Any]:
+def result_of(
+    case: Case, effort: Effort, base_bytes: int, prepare: Callable[[Case], Stages] = prepare
+) -> dict[str, Any]:
     """Times, peak memory above ``base_bytes`` and notes of a case; or the reason why there are
     none."""
     from benchmarks.calibration import Calibration

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -72,20 +72,40 @@ class Budget:
         return time.perf_counter() - self._started
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+Children = Callable[..., "subprocess.CompletedProcess[str]"]
+"""``subprocess.run``, or what stands in for it."""
+
+
+def main(
+    arguments: Sequence[str] | None = None,
+    children: Children = subprocess.run,
+    compile_in: Callable[[Path], Beside] | None = None,
+) -> int:
     """Measure, write gpu.json and gpu.md, print the tables; 1 if a part failed or a result was
-    wrong."""
+    wrong.
+
+    Args:
+        arguments: of the command line.
+        children: runs a part.
+        compile_in: starts the compilation for the scoring; ``scoring_compilation`` by default.
+    """
     options = _parse(arguments)
     options.gsplat = _unpacked(options.gsplat)
     options.output.mkdir(parents=True, exist_ok=True)
-    results = _measure(options, Budget(options.seconds))
+    budget = Budget(options.seconds)
+    results = _measure(options, budget, children, compile_in or scoring_compilation)
     text = to_markdown(results)
     (options.output / "gpu.md").write_text(text)
     print(text)
     return 1 if is_bad(results) else 0
 
 
-def _measure(options: argparse.Namespace, budget: Budget) -> Results:
+def _measure(
+    options: argparse.Namespace,
+    budget: Budget,
+    children: Children,
+    compile_in: Callable[[Path], Beside],
+) -> Results:
     """All parts, one after the other; gpu.json is written after each. Without a device there are no
     parts."""
     plan = "trial" if options.device == "cpu" else "quick" if options.quick else "full"
@@ -102,14 +122,16 @@ def _measure(options: argparse.Namespace, budget: Budget) -> Results:
                 missing = "needs a GPU" if build is None else build.wait(limit)
             if part in TIMED and compilation is not None:
                 compilation.done_within(min(COMPILATION_SECONDS - budget.spent, budget.left))
-            parts[part] = {"skipped": missing} if missing else _run(part, plan, options, budget)
+            parts[part] = (
+                {"skipped": missing} if missing else _run(part, plan, options, budget, children)
+            )
             results["seconds"] = budget.spent
             (options.output / "gpu.json").write_text(json.dumps(results, indent=1) + "\n")
             if part == "device" and "failed" in parts[part]:
                 break
             if part == "device" and options.device == "cuda":
                 folder = stack.enter_context(tempfile.TemporaryDirectory())
-                compilation = stack.enter_context(scoring_compilation(Path(folder)))
+                compilation = stack.enter_context(compile_in(Path(folder)))
             if part == "device" and _wants_gsplat(options):
                 build = GsplatBuild(options.gsplat)
                 stack.enter_context(build)
@@ -171,19 +193,21 @@ def _wants_gsplat(options: argparse.Namespace) -> bool:
     return options.device == "cuda" and (not options.only or "gsplat" in options.only)
 
 
-def _unpacked(gsplat: Path | None) -> Path | None:
+def _unpacked(gsplat: Path | None, under: Path | None = None) -> Path | None:
     """The folder that holds gsplat; a wheel is unpacked where the next run finds it, with what was
-    built of it."""
+    built of it: under the system's temporary folder, or the given one."""
     if gsplat is None or gsplat.is_dir():
         return gsplat
-    folder = Path(tempfile.gettempdir()) / f"mrgs-{gsplat.stem}"
+    folder = (under or Path(tempfile.gettempdir())) / f"mrgs-{gsplat.stem}"
     if not folder.exists():
         with zipfile.ZipFile(gsplat) as wheel:
             wheel.extractall(folder)
     return folder
 
 
-def _run(part: str, plan: str, options: argparse.Namespace, budget: Budget) -> dict[str, Any]:
+def _run(
+    part: str, plan: str, options: argparse.Namespace, budget: Budget, children: Children
+) -> dict[str, Any]:
     """The part's rows and seconds; with why there are none, or no more, if it was "skipped" or
     "failed"."""
     started, rows, result = budget.spent, [], {}
@@ -191,14 +215,19 @@ def _run(part: str, plan: str, options: argparse.Namespace, budget: Budget) -> d
         if budget.left < LEAST_SECONDS[part]:
             result["skipped"] = f"{max(budget.left, 0):.0f} s of {budget.seconds:.0f} s were left"
             break
-        found = _child(part, plan, options, budget.left, method)
+        found = _child(part, plan, options, budget.left, method, children)
         rows += found.pop("rows")
         result |= found
     return {"rows": rows, "seconds": budget.spent - started, **result}
 
 
 def _child(
-    part: str, plan: str, options: argparse.Namespace, seconds: float, method: str
+    part: str,
+    plan: str,
+    options: argparse.Namespace,
+    seconds: float,
+    method: str,
+    children: Children,
 ) -> dict[str, Any]:
     """The rows that a process of its own leaves of a part, or of a method's training."""
     result: dict[str, Any] = {}
@@ -214,7 +243,7 @@ def _child(
         }
         command = [sys.executable, "-m", "benchmarks.gpu_part", json.dumps(request)]
         try:
-            child = subprocess.run(
+            child = children(
                 command,
                 env=environment(options.gsplat),
                 stderr=subprocess.PIPE,
@@ -294,14 +323,14 @@ class Beside:
             return False
         return True
 
-    def stop(self) -> None:
-        """End the process, if it is not done."""
+    def stop(self, patience_s: float = END_SECONDS) -> None:
+        """End the process, if it is not done; it is killed if it has not ended when asked."""
         if self._process.poll() is None:
             # Not killed at once: ninja, which builds gsplat, gives each compiler a group of its
             # own, and ends them when it is asked to end.
             os.killpg(self._process.pid, signal.SIGTERM)
             try:
-                self._process.communicate(timeout=END_SECONDS)
+                self._process.communicate(timeout=patience_s)
             except subprocess.TimeoutExpired:
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.communicate()
@@ -312,12 +341,15 @@ class GsplatBuild(Beside):
 
     Args:
         source: a folder that holds gsplat, or its wheel; None for the installed one.
+        arguments: of Python, which builds it.
     """
 
-    def __init__(self, source: Path | None) -> None:
+    def __init__(
+        self, source: Path | None, arguments: Sequence[str] = ("-m", "benchmarks.gpu_gsplat")
+    ) -> None:
         self._path = os.pathsep.join(["src", *([str(source)] if source else [])])
         jobs = {"MAX_JOBS": str(max(1, (os.cpu_count() or 1) - 2))}
-        super().__init__(["-m", "benchmarks.gpu_gsplat"], environment(source) | jobs)
+        super().__init__(arguments, environment(source) | jobs)
 
     def wait(self, seconds: float) -> str | None:
         """Until the build is done; why there is none, otherwise. A build that is not done in time

@@ -57,10 +57,11 @@ Comparison = Callable[[], Iterator[Finding]]
 def findings(device: torch.device, plan: Plan) -> Iterator[Finding]:
     """One comparison after the other; one that fails says so and leaves the others alone."""
     for name, compare in comparisons(device, plan):
-        yield from _attempt(name, compare)
+        yield from attempt(name, compare)
 
 
-def _attempt(name: str, compare: Comparison) -> Iterator[Finding]:
+def attempt(name: str, compare: Comparison) -> Iterator[Finding]:
+    """What is found; or, where the comparison fails, its name and why."""
     try:
         yield from compare()
     except Exception as error:
@@ -260,11 +261,16 @@ def boltzmann_truth(
     return masked_mean(dissimilarity / uncertainty.exp() + uncertainty, valid)
 
 
-def compare_neighbours(device: torch.device, count: int, k: int = 8) -> Iterator[Finding]:
+def compare_neighbours(
+    device: torch.device,
+    count: int,
+    k: int = 8,
+    search: Callable[[Tensor, int], Tensor] = nearest_neighbours,
+) -> Iterator[Finding]:
     """The distances to the found neighbours beside those of all pairs; which of two equally far
     ones may differ."""
     means = torch.randn(count, 3, generator=torch.Generator().manual_seed(count)).to(device)
-    found = nearest_neighbours(means, k)
+    found = search(means, k)
     exact = means.double()
     largest = 0.0
     for rows in torch.arange(count, device=device).split(max(1, 2**24 // count)):

@@ -17,7 +17,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -63,7 +63,11 @@ class CompilationError(Exception):
     """The kernels cannot be compiled; the message is the compiler's."""
 
 
-def compile_in_children(known: Mapping[str, Kernels] | None = None) -> dict[str, Any]:
+def compile_in_children(
+    known: Mapping[str, Kernels] | None = None,
+    child: Callable[..., dict[str, Any]] | None = None,
+    sources: Path = SOURCES,
+) -> dict[str, Any]:
     """Triton's version, the resources of every specialisation by its name and target, the digests
     of their sources, and the unlisted kernels.
 
@@ -72,13 +76,16 @@ def compile_in_children(known: Mapping[str, Kernels] | None = None) -> dict[str,
     Args:
         known: the committed table, by Triton's version; of kernels whose sources have not changed
             since it was written, its resources are returned. None compiles all.
+        child: answers as ``benchmarks.gpu_compile`` does, which it starts by default.
+        sources: file of the table's digests.
 
     Raises:
         CompilationError: a kernel cannot be compiled, or its list does not fit it.
     """
-    found = _child("sources")
+    child = child or _child
+    found = child("sources")
     old = (known or {}).get(found["triton"], {})
-    digests = _read(SOURCES).get(found["triton"], {})
+    digests = _read(sources).get(found["triton"], {})
     kernels = {
         name: old[name]
         for name, digest in found["sources"].items()
@@ -87,7 +94,7 @@ def compile_in_children(known: Mapping[str, Kernels] | None = None) -> dict[str,
     changed = [name for name in found["sources"] if name not in kernels]
     if changed:
         with ThreadPoolExecutor() as pool:
-            compiled = pool.map(lambda target: _child(str(target), *changed), TARGETS.values())
+            compiled = pool.map(lambda target: child(str(target), *changed), TARGETS.values())
             by_target = dict(zip(TARGETS, compiled, strict=True))
         kernels |= {
             name: {target: by_target[target][name] for target in TARGETS} for name in changed
@@ -96,29 +103,30 @@ def compile_in_children(known: Mapping[str, Kernels] | None = None) -> dict[str,
 
 
 def _child(*arguments: str) -> dict[str, Any]:
-    """What ``benchmarks.gpu_compile`` prints, without any of Triton's variables that are set
-    here."""
-    paths = [os.environ.get("PYTHONPATH", ""), str(ROOT / "src"), str(ROOT)]
-    environment = child_environment(PYTHONPATH=os.pathsep.join(filter(None, paths)))
-    environment = {
-        key: value for key, value in environment.items() if not key.startswith("TRITON_")
-    }
+    """What ``benchmarks.gpu_compile`` prints."""
     with (
         tempfile.TemporaryDirectory() as cache
     ):  # what Triton finds in its cache it does not compile
-        variables = {
-            "TRITON_CACHE_DIR": cache,
-            "TRITON_DUMP_PTXAS_LOG": "1",
-            "TRITON_DEFAULT_FP_FUSION": "1",
-        }
         child = subprocess.run(
             [sys.executable, "-m", "benchmarks.gpu_compile", *arguments],
-            env=environment | variables, capture_output=True, text=True, timeout=TIMEOUT_S,
+            env=environment(cache), capture_output=True, text=True, timeout=TIMEOUT_S,
         )  # fmt: skip
     if child.returncode != 0:
         raise CompilationError(child.stderr.strip() or f"exit status {child.returncode}")
     found: dict[str, Any] = json.loads(child.stdout)
     return found
+
+
+def environment(cache: str) -> dict[str, str]:
+    """Of the children: of Triton's variables, none that is set here, but its cache's folder and
+    what the measurement asks for."""
+    paths = [os.environ.get("PYTHONPATH", ""), str(ROOT / "src"), str(ROOT)]
+    variables = child_environment(PYTHONPATH=os.pathsep.join(filter(None, paths)))
+    return {key: value for key, value in variables.items() if not key.startswith("TRITON_")} | {
+        "TRITON_CACHE_DIR": cache,
+        "TRITON_DUMP_PTXAS_LOG": "1",
+        "TRITON_DEFAULT_FP_FUSION": "1",
+    }
 
 
 def worsened(found: Mapping[str, Any], tables: Mapping[str, Kernels]) -> list[str]:
@@ -207,9 +215,23 @@ def with_newest(document: str, kernels: Mapping[str, Kernels]) -> str:
     return f"{before}{MARKS[0]}\n\n{to_markdown(newest, kernels[newest])}\n\n{MARKS[1]}{after}"
 
 
-def read_table() -> dict[str, Kernels]:
+def read_table(path: Path = TABLE) -> dict[str, Kernels]:
     """The committed table, by Triton's version."""
-    return _read(TABLE)
+    return _read(path)
+
+
+def update(
+    found: Mapping[str, Any],
+    table: Path = TABLE,
+    sources: Path = SOURCES,
+    document: Path = DOCUMENT,
+) -> None:
+    """Write what ``compile_in_children`` returned over what the files hold of the same Triton."""
+    known = {**read_table(table), found["triton"]: found["kernels"]}
+    _write(table, known)
+    _write(sources, {**_read(sources), found["triton"]: found["sources"]})
+    text = with_newest(document.read_text(encoding="utf-8"), known)
+    document.write_text(text, encoding="utf-8")
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -230,16 +252,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--update", action="store_true", help="rewrite the table for the installed Triton"
     )
     options = parser.parse_args(arguments)
-    found, known = compile_in_children(), read_table()
+    found = compile_in_children()
     if options.update:
-        known[found["triton"]] = found["kernels"]
-        _write(TABLE, known)
-        _write(SOURCES, {**_read(SOURCES), found["triton"]: found["sources"]})
-        DOCUMENT.write_text(
-            with_newest(DOCUMENT.read_text(encoding="utf-8"), known), encoding="utf-8"
-        )
+        update(found)
     print(to_markdown(found["triton"], found["kernels"]))
-    lines = worsened(found, known)
+    lines = worsened(found, read_table())
     for line in lines:
         print(line, file=sys.stderr)
     return 1 if lines else 0

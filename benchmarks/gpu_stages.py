@@ -203,17 +203,21 @@ def _steps(clock: Clock, method: str, size: Size, plan: Plan) -> Row:
 
 
 def _rerecord_ms(
-    clock: Clock, run: Callable[[], object], recorder: Recorder, step_ms: float
+    clock: Clock,
+    run: Callable[[], object],
+    recorder: Recorder,
+    step_ms: float,
+    now: Callable[[], float] = time.perf_counter,
 ) -> float:
     """Cost of re-recording everything after the Gaussians have changed, without the change."""
     found = []
     for _ in range(RERECORD_REPEATS):
-        started = time.perf_counter()
+        started = now()
         recorder.forget()
         for _ in range(RERECORD_STEPS):
             run()
         clock.wait()
-        found.append(1e3 * (time.perf_counter() - started) - RERECORD_STEPS * step_ms)
+        found.append(1e3 * (now() - started) - RERECORD_STEPS * step_ms)
     return statistics.median(found)
 
 

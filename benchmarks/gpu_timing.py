@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import torch
@@ -121,6 +121,11 @@ def host_waits(run: Callable[[], object]) -> dict[str, int]:
     with warnings.catch_warnings(record=True) as caught, sync_debug_mode("warn"):
         warnings.simplefilter("always")
         run()
+    return waits_among(caught)
+
+
+def waits_among(caught: Iterable[warnings.WarningMessage]) -> dict[str, int]:
+    """Of torch's warnings those that tell of a wait: their lines of code, with how often."""
     waits = [w for w in caught if "called a synchronizing" in str(w.message)]
     return dict(Counter(f"{_short(w.filename)}:{w.lineno}" for w in waits).most_common())
 

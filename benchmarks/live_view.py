@@ -185,12 +185,12 @@ def look_on(orders: Connection) -> None:
         orders.send(asyncio.run(watch(*order, cameras)))
 
 
-def looks() -> list[dict[str, Any]]:
-    """Cameras around the scene, as the page asks for pictures from them."""
+def looks(scene: Path = SCENE) -> list[dict[str, Any]]:
+    """Cameras around a scene, as the page asks for pictures from them."""
     width, height = WINDOW_PX
     facts = [
         camera_facts(camera.resized(width, height))
-        for camera in orbit(load_scene(SCENE).train_cameras, PATH_CAMERAS)
+        for camera in orbit(load_scene(scene).train_cameras, PATH_CAMERAS)
     ]
     return [
         {

@@ -18,12 +18,19 @@ CHILD = ("-m", "benchmarks.child")
 TIMEOUT_S = 300.0
 
 
-def measure_case(case: Case, effort: Effort, threads: int) -> dict[str, Any]:
+def measure_case(
+    case: Case,
+    effort: Effort,
+    threads: int,
+    child: Sequence[str] = CHILD,
+    timeout_s: float = TIMEOUT_S,
+) -> dict[str, Any]:
     """The case's fields with "timings", "peak_bytes" and "notes", or with the reason why it was
     "skipped"."""
+    variables = GROUPS[case.group].environment
     return {
         **dataclasses.asdict(case),
-        **_run([case], effort, threads, GROUPS[case.group].environment),
+        **_run([case], effort, threads, variables, child, timeout_s),
     }
 
 
@@ -33,7 +40,12 @@ def warm_up(groups: Sequence[str], threads: int) -> None:
 
 
 def _run(
-    cases: Sequence[Case], effort: Effort, threads: int, variables: dict[str, str]
+    cases: Sequence[Case],
+    effort: Effort,
+    threads: int,
+    variables: dict[str, str],
+    arguments: Sequence[str] = CHILD,
+    timeout_s: float = TIMEOUT_S,
 ) -> dict[str, Any]:
     """Start the child and read its answer."""
     request = {
@@ -45,7 +57,7 @@ def _run(
     paths = (str(ROOT), os.environ.get("PYTHONPATH", ""))
     with TemporaryDirectory() as folder:
         child = Child(
-            CHILD, request, Path(folder) / "log.txt",
+            arguments, request, Path(folder) / "log.txt",
             PYTHONPATH=os.pathsep.join(filter(None, paths)), **counts, **variables,
         )  # fmt: skip
         late = Event()
@@ -54,7 +66,7 @@ def _run(
             late.set()
             child.kill()
 
-        timer = Timer(TIMEOUT_S, end)
+        timer = Timer(timeout_s, end)
         timer.start()
         try:
             for _ in child.messages():
@@ -64,5 +76,5 @@ def _run(
             child.close()
         reason = child.failure()
     if late.is_set():
-        return {"skipped": f"not done after {TIMEOUT_S} s"}
+        return {"skipped": f"not done after {timeout_s} s"}
     return {"failed": reason} if reason is not None else child.end["result"]

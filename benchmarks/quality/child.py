@@ -11,21 +11,23 @@ import os
 import shutil
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+
+def _now() -> tuple[float, float]:
+    return time.process_time(), time.perf_counter()
 
 
 class Clocks:
     """Processor and wall seconds, without the time between ``pause`` and ``go_on``."""
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], tuple[float, float]] = _now) -> None:
+        self._now = now
         self._away = (0.0, 0.0)
         self._start = self._now()
         self._paused_at = self._start
-
-    @staticmethod
-    def _now() -> tuple[float, float]:
-        return time.process_time(), time.perf_counter()
 
     def read(self) -> tuple[float, float]:
         """Processor seconds, wall seconds."""

@@ -44,37 +44,33 @@ def test_the_version_is_printed(capsys):
 
 
 @pytest.mark.parametrize(
-    ("typed", "message"),
-    [
-        ("tarin", "unknown command 'tarin'; did you mean train?"),
-        ("exprot", "unknown command 'exprot'; did you mean export?"),
-        ("photos", "unknown command 'photos'; `mrgs` lists the commands"),
-        ("--output", "--output must follow a command; `mrgs` lists them"),
-    ],
+    ("typed", "remedy"),
+    [("tarin", "train?"), ("exprot", "export?"), ("photos", "`mrgs`"), ("--output", "`mrgs`")],
 )
-def test_an_unknown_command_is_one_line(typed, message, capsys):
+def test_an_unknown_command_is_one_line(typed, remedy, capsys):
     ended(2, typed)
     printed = capsys.readouterr()
-    assert (printed.out, printed.err) == ("", f"mrgs: error: {message}\n")
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
+    assert line.startswith("mrgs: error: ")
+    assert typed in line
+    assert remedy in line
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            ("measure", "run", "--emissivity", "90%"),
-            "--emissivity 90%: leave the % out; a share is written as 0.9",
-        ),
-        (("prepare", "a", "b", "--emissivity=,9"), "--emissivity ,9: write a number, such as 0.9"),
-        (("prepare", "a", "b", "--bounds", "-5", "warm"), "--bounds warm: write a number, such as"),
-        (("train", "a", "--max-steps", "4.5"), "--max-steps 4.5: write a whole number"),
-        (("view", "a", "--port", "http"), "--port http: write a whole number"),
+        (("measure", "run", "--emissivity", "90%"), "--emissivity 90%: .*0.9"),
+        (("prepare", "a", "b", "--emissivity=,9"), "--emissivity ,9: .*0.9"),
+        (("prepare", "a", "b", "--bounds", "-5", "warm"), "--bounds warm: .*number"),
+        (("train", "a", "--max-steps", "4.5"), "--max-steps 4.5: .*whole"),
+        (("view", "a", "--port", "http"), "--port http: .*whole"),
     ],
 )
 def test_what_is_no_number_is_one_line(arguments, message, capsys):
     assert main([*arguments]) == 2
     printed = capsys.readouterr()
-    assert printed.err.startswith(f"mrgs: error: {message}")
+    assert re.match(f"mrgs: error: {message}", printed.err)
     assert printed.err.count("\n") == 1
 
 

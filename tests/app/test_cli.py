@@ -94,73 +94,70 @@ def hold_everything_out(content: dict) -> None:
 BAD_SCENES: dict[str, tuple[Damage, str]] = {
     "folder missing": (
         shutil.rmtree,
-        r"scene: not a folder; give the scene's folder",
+        r"scene: not a folder",
     ),
     "transforms missing": (
         lambda scene: (scene / "transforms.json").unlink(),
-        r"scene: no scene found; looked for transforms\.json.*give the folder that holds one",
+        r"scene: .*looked for transforms\.json",
     ),
     "transforms damaged": (
         lambda scene: (scene / "transforms.json").write_text("{"),
-        r"transforms\.json: is not valid JSON.*repair or export it again",
+        r"transforms\.json: .*JSON",
     ),
     "no frames": (
         transforms(lambda content: content.update(frames=[])),
-        r"\"frames\" is \[\].*export the file again",
+        r"\"frames\" is \[\]",
     ),
     "image missing": (
         lambda scene: (scene / "images" / TRAINED).unlink(),
-        rf"transforms\.json: the image 'images/{TRAINED}' of frame 3 is missing; restore it or "
-        rf"remove the frame",
+        rf"transforms\.json: .*'images/{TRAINED}' of frame 3 .*restore",
     ),
     "image truncated": (
         cut_off(f"images/{TRAINED}"),
-        rf"{TRAINED}: cannot be decoded.*truncated.*replace the file",
+        rf"{TRAINED}: .*truncated",
     ),
-    "thermal truncated": (cut_off(f"thermal/{TRAINED}"), rf"thermal/{TRAINED}: cannot be decoded"),
+    "thermal truncated": (cut_off(f"thermal/{TRAINED}"), rf"thermal/{TRAINED}: .*decoded"),
     "image of another size": (
         lambda scene: Image.new("RGB", (20, 10)).save(scene / "images" / TRAINED),
-        rf"{TRAINED}: is 20×10 px, but its intrinsics are for 40×30 px; resize the image or "
-        rf"correct the intrinsics",
+        rf"{TRAINED}: .*20×10 px.*40×30 px",
     ),
     "large image": (
         lambda scene: Image.new("1", (10_000, 9_500)).save(scene / "images" / TRAINED),
-        rf"{TRAINED}: has more than 80 megapixels; reduce it before use",
+        rf"{TRAINED}: .*80 megapixels",
     ),
     "decompression bomb": (
         lambda scene: Image.new("1", (20_000, 10_000)).save(scene / "images" / TRAINED),
-        rf"{TRAINED}: has more than 80 megapixels; reduce it before use",
+        rf"{TRAINED}: .*80 megapixels",
     ),
     "NaN in a pose": (
         set_pose(float("nan")),
-        r"transforms\.json: transform_matrix of frame 1 .*NaN.*correct it or remove the frame",
+        r"transforms\.json: transform_matrix of frame 1 .*NaN",
     ),
     "scaled pose": (
         set_pose(3.0),
-        r"transform_matrix of frame 1 .* is not a rotation and a translation",
+        r"transform_matrix of frame 1 .*rotation",
     ),
     "zero focal length": (
         transforms(lambda content: content.update(fl_x=0)),
-        r"transforms\.json: the focal length of frame 0 .*must be positive: correct it",
+        r"transforms\.json: .*focal length of frame 0 .*positive",
     ),
     "no training views": (
         transforms(hold_everything_out),
-        r"transforms\.json: no view is left for training; check the split lists and the file names",
+        r"transforms\.json: .*split lists",
     ),
     "path leaves": (
         transforms(lambda content: content["frames"][1].update(file_path="../../secret.png")),
-        r"the path '../../secret\.png' leaves the scene folder; put the file inside",
+        r"'../../secret\.png' leaves",
     ),
     "absolute path": (
         transforms(lambda content: content["frames"][1].update(file_path="/etc/secret.png")),
-        r"the path '/etc/secret\.png' leaves the scene folder",
+        r"'/etc/secret\.png' leaves",
     ),
     "one temperature": (
         lambda scene: edit_json(
             scene / "temperature_bounds.json", lambda c: c.update(absolute_min_temperature=30)
         ),
-        r"temperature_bounds\.json: not a temperature range in °C: 30\.0 to 30\.0; correct the "
-        r"temperatures",
+        r"temperature_bounds\.json: .*30\.0 to 30\.0",
     ),
     "start points damaged": (
         lambda scene: (scene / "sparse_pc.ply").write_text("ply\n"),
@@ -186,7 +183,7 @@ def test_what_stood_in_the_output_folder_stays(tmp_path, capsys):
     output.mkdir()
     for name, message in (
         ("survey.yaml", "cannot be decoded"),
-        ("notes.txt", r"run holds something else \(notes\.txt\): choose a new folder \(--output\)"),
+        ("notes.txt", r"\(notes\.txt\): .*\(--output\)"),
     ):
         (output / name).write_text("mine")
         refused(capsys, message, "train", scene, "--output", output, *TINY)
@@ -196,18 +193,18 @@ def test_what_stood_in_the_output_folder_stays(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--method", "nerf"), "unknown method 'nerf'; choose one of mrgs-plus, mrgs,"),
-        (("--preset", "slow"), "unknown preset 'slow'; choose one of fast, default, paper"),
-        (("--max-steps", 0), "max_steps must be at least 1, not 0"),
-        (("--max-gaussians", 0), "max_gaussians must be from 1 to 1,000,000,000"),
-        (("--resolution", 3), "resolution must be at least 16 px, not 3"),
-        (("--seed", -1), "seed must be at least 0, not -1"),
-        (("--seed", 2**70), "seed must be at most 4,294,967,295"),
+        (("--method", "nerf"), "method 'nerf'; .*mrgs-plus, mrgs,"),
+        (("--preset", "slow"), "preset 'slow'; .*fast, default, paper"),
+        (("--max-steps", 0), "max_steps .*at least 1,"),
+        (("--max-gaussians", 0), "max_gaussians .*1,000,000,000"),
+        (("--resolution", 3), "resolution .*16 px"),
+        (("--seed", -1), "seed .*at least 0,"),
+        (("--seed", 2**70), "seed .*4,294,967,295"),
         (
             ("--config", "nowhere.yaml"),
-            r"nowhere\.yaml: cannot be read as text \(No such file or directory\)",
+            r"nowhere\.yaml: .*No such file",
         ),
-        (("--config", "/"), r"/: cannot be read as text \(Is a directory\)"),
+        (("--config", "/"), r"/: .*Is a directory"),
     ],
 )
 def test_a_bad_option_is_one_line_and_leaves_nothing(
@@ -218,7 +215,7 @@ def test_a_bad_option_is_one_line_and_leaves_nothing(
 
 
 def test_a_malformed_option_is_refused_by_name(small_scene, capsys):
-    refused(capsys, "--max-steps many: write a whole", "train", small_scene, "--max-steps", "many")
+    refused(capsys, "--max-steps many: ", "train", small_scene, "--max-steps", "many")
     with pytest.raises(SystemExit, match="2"):
         run("train", small_scene, "--device", "many")
     assert "--device" in capsys.readouterr().err
@@ -229,9 +226,11 @@ def test_swapped_bounds_are_mended_and_said_once(tmp_path, capsys):
     bounds = {"absolute_min_temperature": 30.0, "absolute_max_temperature": 10.0}
     (scene / "temperature_bounds.json").write_text(json.dumps(bounds))
     assert run("train", scene, "--output", tmp_path / "run", *TINY) == 0
-    said = "scene: temperature_bounds.json has its bounds swapped; 10 °C to 30 °C is used."
     printed = capsys.readouterr()
-    assert printed.err == f"mrgs: note: {said}\n"
+    (note,) = printed.err.splitlines()
+    assert note.startswith("mrgs: note: ")
+    for part in ("temperature_bounds.json", "swapped", "10 °C to 30 °C"):
+        assert part in note
     assert "bounds swapped" not in printed.out
     assert " °C | " in printed.out
 
@@ -241,10 +240,8 @@ def test_without_bounds_it_trains_without_celsius_and_says_so(tmp_path, capsys):
     (scene / "temperature_bounds.json").unlink()
     assert run("train", scene, "--output", output, *TINY) == 0
     printed = capsys.readouterr()
-    assert (
-        "The thermal images hold no °C and no temperature_bounds.json states their range: values "
-        "are relative." in printed.err
-    )
+    assert "temperature_bounds.json" in printed.err
+    assert "relative" in printed.err
     assert re.search(r"thermal error \d\.\d{3} \(normalised\)", printed.out)
     assert run("eval", output) == 0
     assert "°C" not in capsys.readouterr().out
@@ -261,18 +258,13 @@ def test_an_output_folder_in_use_is_left_alone(small_scene, tmp_path, capsys):
     output = tmp_path / "run"
     output.mkdir()
     with FileLock(output / ".lock"):
-        message = (
-            r"run is in use by another run: wait for it, or choose another folder \(--output\)"
-        )
-        refused(capsys, message, "train", small_scene, "--output", output, *TINY)
+        refused(capsys, r"in use .*\(--output\)", "train", small_scene, "--output", output, *TINY)
     assert not (output / "config.yaml").exists()
 
 
 def test_an_output_folder_that_holds_a_run_is_left_alone(own_run, small_scene, capsys):
     before = (own_run / "log.jsonl").read_bytes()
-    message = (
-        r"own run already holds a run: resume it, or choose another folder \(--resume, --output\)"
-    )
+    message = r"own run already .*\(--resume, --output\)"
     refused(capsys, message, "train", small_scene, "--output", own_run, *TINY)
     assert (own_run / "log.jsonl").read_bytes() == before
 
@@ -287,7 +279,7 @@ def test_an_output_folder_that_holds_a_run_is_left_alone(own_run, small_scene, c
     ],
 )
 def test_a_resumed_run_takes_no_other_settings(options, flags, own_run, small_scene, capsys):
-    message = rf"own run is resumed with the settings that it was .* \({flags}, --output\)"
+    message = rf"own run is resumed .*\({flags}, --output\)"
     resume = ("train", small_scene, "--resume", "--output", own_run)
     refused(capsys, message, *resume, *options)
 
@@ -296,7 +288,7 @@ def test_a_finished_run_says_so_and_may_be_given_its_own_settings(own_run, small
     resume = ("train", small_scene, "--resume", "--output", own_run)
     for options in ((), TINY):
         assert run(*resume, *options) == 0
-        assert "already finished at step 3\n" in capsys.readouterr().out
+        assert "already finished" in capsys.readouterr().out
 
 
 def test_a_run_that_died_before_its_first_checkpoint_can_be_begun_anew(own_run, small_scene):
@@ -307,7 +299,7 @@ def test_a_run_that_died_before_its_first_checkpoint_can_be_begun_anew(own_run, 
 @pytest.mark.parametrize("name", ["file", "file/run"])
 def test_an_output_folder_that_cannot_be_made_is_named(name, small_scene, tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    message = rf"{name} cannot be written \(.*\): .*choose another place \(--output\)"
+    message = rf"{name} .*written .*\(--output\)"
     refused(capsys, message, "train", small_scene, "--output", tmp_path / name, *TINY)
 
 
@@ -319,35 +311,35 @@ def cut_checkpoint(folder: Path) -> None:
 BAD_RUNS: dict[str, tuple[Damage, str]] = {
     "missing": (
         shutil.rmtree,
-        r"own run is not a run: it has no config\.yaml; name a folder that `mrgs train` wrote",
+        r"own run .*no config\.yaml.*`mrgs train`",
     ),
     "no configuration": (
         lambda folder: (folder / "config.yaml").unlink(),
-        r"is not a run: it has no config\.yaml",
+        r"no config\.yaml",
     ),
     "not YAML": (
         lambda folder: (folder / "config.yaml").write_text("max_steps: [1"),
-        r"config\.yaml is not valid YAML.*fix the file or retrain",
+        r"config\.yaml .*YAML",
     ),
     "no method": (
         lambda folder: (folder / "config.yaml").write_text("max_steps: 5"),
-        r"own run is not a run: its config\.yaml names no method; fix the file or retrain",
+        r"config\.yaml names no method",
     ),
     "bad value": (
         lambda folder: (folder / "config.yaml").write_text("method: mrgs\nmax_steps: 0"),
-        r"config\.yaml: max_steps must be at least 1, not 0; fix the file or retrain",
+        r"config\.yaml: max_steps .*at least 1",
     ),
     "no text": (
         lambda folder: (folder / "config.yaml").write_bytes(b"\xff\xfe\0"),
-        r"its config\.yaml cannot be read",
+        r"config\.yaml .*read",
     ),
     "no checkpoint": (
         lambda folder: shutil.rmtree(folder / "checkpoints"),
-        "own run has no checkpoint yet",
+        "no checkpoint yet",
     ),
     "checkpoint truncated": (
         cut_checkpoint,
-        r"own run has no checkpoint that is whole \(it cannot be parsed\): restore one from a copy",
+        r"own run .*whole.*restore",
     ),
 }
 
@@ -370,7 +362,7 @@ def test_a_scene_that_has_moved_is_named(tmp_path, capsys):
     for command in ("eval", "render", "export", "report"):
         refused(
             capsys,
-            r"/scene: the scene that .*/run was trained on is no longer there; say where it is",
+            r"/scene: .*/run .*no longer there",
             command,
             output,
         )
@@ -393,14 +385,14 @@ def test_without_eval_views_there_is_nothing_to_score(tmp_path, capsys):
     run("train", scene, "--output", output, *TINY)
     refused(
         capsys,
-        r"/scene: no views are held out, so there is nothing to score; put 'eval' into",
+        r"/scene: .*held out.*'eval'",
         "eval",
         output,
     )
     assert not (output / "eval").exists()
     refused(
         capsys,
-        r"/scene: no views are held out; choose the split train or path \(--split\)",
+        r"/scene: .*held out.*\(--split\)",
         "render",
         output,
     )
@@ -411,7 +403,7 @@ def test_bad_lpips_weights_are_named(trained, tmp_path, capsys):
     file = tmp_path / "weights.safetensors"
     refused(
         capsys,
-        r"weights\.safetensors: no such file; give a safetensors file .* \(--lpips-weights\)",
+        r"weights\.safetensors: no such file.*\(--lpips-weights\)",
         "eval",
         trained,
         "--lpips-weights",
@@ -420,20 +412,20 @@ def test_bad_lpips_weights_are_named(trained, tmp_path, capsys):
     file.write_bytes(b"PK\x03\x04" * 100)
     refused(
         capsys,
-        r"weights\.safetensors: not a readable safetensors",
+        r"weights\.safetensors: not a readable",
         "eval",
         trained,
         "--lpips-weights",
         file,
     )
     save_file({"x": torch.zeros(1)}, file)
-    refused(capsys, r"features\.0\.weight is missing", "eval", trained, "--lpips-weights", file)
+    refused(capsys, r"features\.0\.weight", "eval", trained, "--lpips-weights", file)
 
 
 def test_a_path_needs_frames(own_run, capsys):
     refused(
         capsys,
-        "a camera path needs at least one frame, got 0",
+        "at least one frame",
         "render",
         own_run,
         "--split",
@@ -449,13 +441,13 @@ def test_synth_keeps_what_is_there(small_scene, tmp_path, capsys):
     pytest.importorskip("mitsuba")
     refused(
         capsys,
-        "balls holds a scene already: delete it, or choose another folder",
+        "holds a scene already",
         "synth",
         small_scene,
     )
     refused(
         capsys,
-        "the seed must be from 0 to 1,000,000, not -1",
+        "seed .*1,000,000",
         "synth",
         tmp_path / "new",
         "--seed",
@@ -463,7 +455,7 @@ def test_synth_keeps_what_is_there(small_scene, tmp_path, capsys):
     )
     refused(
         capsys,
-        "images of 15×240 cannot be generated: choose even",
+        "15×240",
         "synth",
         tmp_path / "new",
         "--width",
@@ -474,7 +466,7 @@ def test_synth_keeps_what_is_there(small_scene, tmp_path, capsys):
 
 def test_synth_without_mitsuba_says_how_to_get_it(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    refused(capsys, r'needs Mitsuba 3: pip install -e "\.\[synth\]"', "synth", tmp_path / "new")
+    refused(capsys, r'pip install .*"\.\[synth\]"', "synth", tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 
@@ -497,16 +489,13 @@ def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, m
         interrupt(patch, times=1)
         assert run("train", small_scene, "--output", output, *TINY) == 130
     printed = capsys.readouterr()
-    assert (
-        f"checkpoint saved; resume with: mrgs train {small_scene} --output '{output}' --resume"
-        in printed.out
-    )
-    assert "stopping after this step" in printed.err
+    assert f"train {small_scene} --output '{output}' --resume" in printed.out
+    assert "after this step" in printed.err
     assert printed.err.endswith("mrgs: stopped\n")
     assert signal.getsignal(signal.SIGINT) is before
     assert [path.name for path in (output / "checkpoints").iterdir()] == ["step_000001.safetensors"]
     assert run("train", small_scene, "--output", output, "--resume") == 0
-    assert f"next: mrgs eval '{output}'" in capsys.readouterr().out
+    assert f"eval '{output}'" in capsys.readouterr().out
     assert (output / "checkpoints" / "step_000003.safetensors").is_file()
 
 
@@ -558,7 +547,7 @@ def test_a_real_process_stops_at_ctrl_c_and_refuses_bad_input(small_scene, tmp_p
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=300)
     assert process.returncode == 130
-    assert "resume with: mrgs train" in out
+    assert "mrgs train" in out
     assert "Traceback" not in error
     again = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
     assert (again.returncode, again.stdout) == (2, "")
@@ -585,7 +574,8 @@ def test_train_eval_and_render(kind, tmp_path, capsys):
                 Image.fromarray(mask).save(scene / folder / image.name)
     has_rgb, has_thermal = kind != "thermal", kind != "RGB"
     assert run("train", scene, "--output", output, *TINY) == 0
-    assert "scene: 6 training views, 2 held out, 25 start points" in capsys.readouterr().out
+    numbers = re.search(r"^scene: (.*)", capsys.readouterr().out, re.MULTILINE)
+    assert re.findall(r"\d+", numbers[1]) == ["6", "2", "25"]  # training, held out, start points
     assert run("eval", output) == 0
     printed = capsys.readouterr()
     assert ("thermal: PSNR" in printed.out, "RGB:     PSNR" in printed.out) == (
@@ -675,7 +665,7 @@ def test_methods_are_compared(small_scene, tmp_path, capsys):
     tiny = ("--max-steps", "2", "--max-gaussians", "60", "--output", tmp_path / "compare")
     assert run("compare", small_scene, "--methods", "mrgs-plus", *tiny) == 0
     printed = capsys.readouterr().out
-    assert "one seed: small differences may be by chance; --seeds 3 shows the spread" in printed
+    assert "--seeds 3" in printed
     assert "second best" not in printed, "nothing is ranked"
     assert "PSNR, dB" in printed
     assert (tmp_path / "compare" / "tables" / "thermal.md").is_file()
@@ -689,8 +679,9 @@ def test_methods_are_compared(small_scene, tmp_path, capsys):
 def test_the_signs_in_printed_tables_are_explained():
     rows = tuple(Row((name,), (Cell(value),)) for name, value in (("a", 30.0), ("b", 29.0)))
     table = Table("t", "T", ("",), (Group("", ("thermal.psnr",)),), rows)
-    legend = "*: the best, +: the second best of what was measured here"
-    assert how_to_read([table], seeds=3) == [legend]
+    (legend,) = how_to_read([table], seeds=3)
+    assert legend.startswith("*: ")
+    assert "+: " in legend
     assert how_to_read([table], seeds=1)[0] == legend
     assert how_to_read([dataclasses.replace(table, rows=rows[:1])], seeds=3) == []
 
@@ -698,7 +689,7 @@ def test_the_signs_in_printed_tables_are_explained():
 def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tmp_path, capsys):
     output = tmp_path / "nerf"
     options = ("--method", "thermonerf", "--output", output, "--max-steps", "2")
-    message = "--max-gaussians needs a method with Gaussians"
+    message = "--max-gaussians needs"
     refused(capsys, message, "train", small_scene, *options, "--max-gaussians", 9)
     assert run("train", small_scene, *options) == 0
     assert run("train", small_scene, "--output", output, "--resume") == 0
@@ -706,7 +697,7 @@ def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tm
     assert json.loads((output / "eval" / "metrics.json").read_text())["gaussians"] is None
     refused(
         capsys,
-        "is a run of thermonerf, which has no Gaussians to export, view or report on",
+        "run of thermonerf",
         "export",
         output,
     )
@@ -750,13 +741,11 @@ def test_the_range_of_an_export_must_rise(own_run, capsys):
 
 def test_an_unfinished_run_is_used_and_said(small_scene, tmp_path, monkeypatch, capsys):
     output = tmp_path / "run"
-    monkeypatch.setattr(
-        progress.TrainingProgress, "step", lambda self, statistics: statistics.step == 2
-    )
+    interrupt(monkeypatch, times=1)
     run("train", small_scene, "--output", output, *TINY)
     capsys.readouterr()
     run("export", output, "--format", "splat")
-    assert "the run is at step 2 of 3; using its newest checkpoint" in capsys.readouterr().err
+    assert "step 1 of 3" in capsys.readouterr().err
 
 
 def test_view_serves_and_says_where_to_look(own_run, monkeypatch, capsys):
@@ -767,7 +756,7 @@ def test_view_serves_and_says_where_to_look(own_run, monkeypatch, capsys):
 
     monkeypatch.setattr("mrgs.viewer.view", serve)
     assert run("view", own_run, "--port", 0) == 0
-    assert "open http://127.0.0.1:4711 in a browser" in capsys.readouterr().out
+    assert "http://127.0.0.1:4711" in capsys.readouterr().out
 
 
 def test_a_training_can_be_watched(small_scene, tmp_path, capsys):
@@ -787,18 +776,14 @@ def test_a_transforms_file_names_the_scene_too(tmp_path, monkeypatch, capsys):
     )
 
 
-def test_progress_is_plain_lines_where_there_is_no_terminal(
-    small_scene, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setattr(progress, "PLAIN_LINE_EVERY_S", 0.0)
+def test_progress_is_plain_lines_where_there_is_no_terminal(small_scene, tmp_path, capsys):
     assert run("train", small_scene, "--output", tmp_path / "run", *TINY) == 0
     printed = capsys.readouterr().out
     assert "\r" not in printed
     assert "\033" not in printed
-    lines = [line for line in printed.splitlines() if line.startswith("step ")]
-    assert [line.split(" | ")[0] for line in lines] == ["step 1/3", "step 2/3", "step 3/3"]
-    assert re.search(r"\| loss 0\.\d{4} \| thermal error \d+\.\d\d °C \| 25 Gaussians", lines[0])
-    assert re.search(r"step 3/3 \| 0:00 left \|.* steps/s$", lines[-1])
+    last = [line for line in printed.splitlines() if line.startswith("step ")][-1]
+    assert re.search(r"step 3/3 \| 0:00 left \|.* steps/s$", last)
+    assert re.search(r"\| loss 0\.\d{4} \| thermal error \d+\.\d\d °C \| 25 Gaussians", last)
 
 
 def test_progress_is_one_line_on_a_terminal(small_scene, tmp_path, monkeypatch, capsys):
@@ -865,7 +850,7 @@ def test_thermonerf_says_that_it_works_on_the_cpu_alone(small_scene, tmp_path, c
     options = ("--method", "thermonerf", "--output", tmp_path / "new", "--device", "cuda")
     refused(
         capsys,
-        "thermonerf works on the CPU alone: leave --device out",
+        "thermonerf .*--device",
         "train",
         small_scene,
         *options,
@@ -883,13 +868,12 @@ def test_a_gpu_that_is_used_is_named(monkeypatch, capsys):
     terminal.note_gpu(torch.device("cpu"))
     assert capsys.readouterr().out == ""
     terminal.note_gpu(torch.device("cuda", 0))
-    assert capsys.readouterr().out == "training on the NVIDIA H200\n"
+    assert "NVIDIA H200\n" in capsys.readouterr().out
 
 
-def test_what_steps_measured_is_read_only_when_a_line_is_shown(monkeypatch, capsys):
+def test_what_steps_measured_is_read_only_when_a_line_is_shown(capsys):
     """On a GPU, to read is to wait."""
     clock = iter([0.0, 0.1, 0.2, 60.0])
-    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
     read: list[int] = []
 
     class Step(StepStatistics):
@@ -897,51 +881,47 @@ def test_what_steps_measured_is_read_only_when_a_line_is_shown(monkeypatch, caps
             read.append(self.step)
             return super()._read()
 
-    shown = progress.TrainingProgress()
+    shown = progress.TrainingProgress(clock=lambda: next(clock))
     for number in (1, 2):
         shown.step(Step(number, 0.5, {}, 0.25, 10, False))
     assert read == []
     shown.step(Step(3, 0.5, {}, 0.25, 10, False))
     assert set(read) == {1, 2, 3}
-    assert "loss 0.5000 | thermal error 0.250 (normalised)" in capsys.readouterr().out
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "0.5000" in line
+    assert "0.250 (normalised)" in line
 
 
 def test_the_scene_generator_needs_a_checkout(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "mrgs_synth", None)
     assert main(["synth", str(tmp_path / "scene")]) == 2
-    assert "the scene generator comes with a source checkout only" in capsys.readouterr().err
+    assert "source checkout" in capsys.readouterr().err
 
 
-def test_minutes_choose_the_number_of_steps(small_scene, tmp_path, capsys, monkeypatch):
-    from mrgs.pipeline import time_limit
-
-    monkeypatch.setattr(time_limit, "PILOT_S", 0.0)
-    monkeypatch.setattr(time_limit, "steps_within", lambda left_s, pace, most: 3 + (most == 60))
+def test_minutes_choose_the_number_of_steps(small_scene, tmp_path, capsys):
+    """Of so few, the pilot leaves none: one step is taken all the same."""
     output = tmp_path / "run"
-    options = ("--max-gaussians", 60, "--output", output, "--minutes", 2)
+    options = ("--max-gaussians", 60, "--output", output, "--minutes", 0.01)
     assert run("train", small_scene, *options) == 0
-    assert "4 steps fit into 2 min\n" in capsys.readouterr().out
-    assert "\nmax_steps: 4\n" in (output / "config.yaml").read_text()
+    assert re.search(r"\b1 steps .*0\.01 min\n", capsys.readouterr().out)
+    assert "\nmax_steps: 1\n" in (output / "config.yaml").read_text()
 
 
 @pytest.mark.parametrize("other", [("--max-steps", 3), ("--resume",)])
 def test_minutes_leave_no_other_choice_of_steps(other, trained, small_scene, capsys):
-    message = "--minutes chooses the steps: leave --resume and --max-steps out"
+    message = "--minutes .*--resume and --max-steps"
     options = ("--output", trained, "--minutes", 1, *other)
     refused(capsys, message, "train", small_scene, *options)
 
 
 def test_minutes_are_above_zero(small_scene, tmp_path, capsys):
     options = ("--output", tmp_path / "run", "--minutes", 0)
-    refused(capsys, "--minutes must be above 0, not 0", "train", small_scene, *options)
+    refused(capsys, "--minutes .*above 0", "train", small_scene, *options)
 
 
-def test_minutes_and_a_file_with_steps(small_scene, tmp_path, capsys, monkeypatch):
-    from mrgs.pipeline import time_limit
-
-    monkeypatch.setattr(time_limit, "PILOT_S", 0.0)
+def test_minutes_and_a_file_with_steps(small_scene, tmp_path, capsys):
     config = tmp_path / "own.yaml"
-    config.write_text("{max_steps: 1}")
+    config.write_text("{max_steps: 2}")
     options = ("--output", tmp_path / "run", "--minutes", 1, "--config", config)
-    message = f"--minutes chooses the steps: leave max_steps out of {config}"
+    message = f"--minutes .*max_steps .*{config}"
     refused(capsys, message, "train", small_scene, *options, "--max-gaussians", 50)

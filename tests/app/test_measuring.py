@@ -38,7 +38,8 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
 
 def test_marks_are_added_listed_exported_and_undone(run, tmp_path, capsys):
     assert main(["measure", str(run)]) == 0
-    assert lines(capsys) == ["no marks yet: add one with --spot VIEW:X,Y, or in mrgs view"]
+    (hint,) = lines(capsys)
+    assert "--spot VIEW:X,Y" in hint
     assert main(["measure", str(run), "--spot", f"{VIEW}:20,15", "--note", "warm"]) == 0
     add_box = ["--box", f"{VIEW}:17,12", "23,18", "--name", "Middle", "--reference", "S1"]
     targets = ["--csv", str(tmp_path / "m.csv"), "--geojson", str(tmp_path / "m.geojson")]
@@ -107,7 +108,8 @@ def test_proposals_are_listed_accepted_and_dropped(run, capsys):
     assert main(["measure", str(run)]) == 0
     *_, heading, hot, cold, hint = lines(capsys)
     assert [line.split()[0] for line in (heading, hot, cold)] == ["Proposed", "H1", "C1"]
-    assert hint == "judge what the report proposes: --accept H1, or --drop H1"
+    assert "--accept H1" in hint
+    assert "--drop H1" in hint
     judged = ["--accept", "H1", "--severity", "2", "--note", "leak", "--drop", "C1"]
     assert main(["measure", str(run), *judged]) == 0
     assert lines(capsys)[-1].split()[0] == "H1"
@@ -119,23 +121,20 @@ def test_proposals_are_listed_accepted_and_dropped(run, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--spot", f"{VIEW}:1,2", "--box", f"{VIEW}:1,2", "3,4"], "one mark at a time: give only"),
-        (["--spot", f"{VIEW}:1,2", f"{VIEW}:3,4"], "--spot has one place, VIEW:X,Y; run the"),
-        (["--spot", f"{VIEW}:1,2", "--mark", "S1"], "--mark changes a mark that is there"),
-        (["--note", "damp"], "say which mark to change with --mark, or add one"),
-        (["--box", f"{VIEW}:1,2"], "--box has two corners: VIEW:X,Y X,Y"),
-        (["--line", "5,6", "7,8"], "--line 5,6 7,8: write VIEW:X,Y, then X,Y for each corner"),
-        (["--spot", f"{VIEW}:1.2.3,5"], f"--spot {VIEW}:1.2.3,5: write VIEW:X,Y, then X,Y for"),
-        (["--spot", "nowhere:1,2"], f"there is no view 'nowhere'; the first is {VIEW[:11]}"),
-        (["--spot", f"{VIEW}:99,2"], "pixel 99, 2 lies outside the image of 40 × 30"),
-        (["--mark", "S1", "--note", "damp"], "there is no mark 'S1': the marks are none"),
-        (
-            ["--accept", "H1"],
-            "there is no proposal 'H1': the proposals are none; mrgs report finds",
-        ),
-        (["--drop", "C1"], "there is no proposal 'C1'"),
-        (["--accept", "H1", "--spot", f"{VIEW}:1,2"], "give either --accept or --spot"),
-        (["--undo"], "there is nothing to undo: the marks have not been changed"),
+        (["--spot", f"{VIEW}:1,2", "--box", f"{VIEW}:1,2", "3,4"], "one mark"),
+        (["--spot", f"{VIEW}:1,2", f"{VIEW}:3,4"], "one place, VIEW:X,Y"),
+        (["--spot", f"{VIEW}:1,2", "--mark", "S1"], "--mark changes"),
+        (["--note", "damp"], "with --mark"),
+        (["--box", f"{VIEW}:1,2"], "VIEW:X,Y X,Y"),
+        (["--line", "5,6", "7,8"], "--line 5,6 7,8: "),
+        (["--spot", f"{VIEW}:1.2.3,5"], f"--spot {VIEW}:1.2.3,5: "),
+        (["--spot", "nowhere:1,2"], f"'nowhere'; the first is {VIEW[:11]}"),
+        (["--spot", f"{VIEW}:99,2"], "outside the image"),
+        (["--mark", "S1", "--note", "damp"], "no mark 'S1'"),
+        (["--accept", "H1"], "no proposal 'H1'"),
+        (["--drop", "C1"], "no proposal 'C1'"),
+        (["--accept", "H1", "--spot", f"{VIEW}:1,2"], "either --accept or"),
+        (["--undo"], "nothing to undo"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(run, options, message, capsys):

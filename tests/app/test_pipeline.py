@@ -57,7 +57,7 @@ def test_it_says_what_was_understood_how_far_it_is_and_what_to_open(small_scene,
     )
     opened = lines.index("open:")
     assert lines[opened + 1] == f"  {output / 'fast' / 'report.html'}"
-    assert lines[-1] == f"explore: mrgs view {output / 'fast'}"
+    assert lines[-1].endswith(f"mrgs view {output / 'fast'}")
     assert all(Path(line.strip()).exists() for line in lines[opened + 1 : -1 : 2])
     assert "mrgs: warning: " in printed.err
 
@@ -82,8 +82,9 @@ def test_at_a_terminal_it_asks(answer, goes_on, monkeypatch, capsys):
     typed(monkeypatch, answer)
     assert PipelineTerminal(yes=False).accepts(["pairs: blurred"], Path("page.html")) == goes_on
     printed = capsys.readouterr()
-    assert printed.err == "mrgs: warning: pairs: blurred\n"
-    assert "page.html shows what was found. Continue? [y/N] " in printed.out
+    assert printed.err.endswith("pairs: blurred\n")
+    assert "page.html" in printed.out
+    assert printed.out.endswith("[y/N] ")
 
 
 @pytest.mark.parametrize(("answer", "goes_on"), [("y", True), ("", False)])
@@ -92,8 +93,9 @@ def test_photos_without_celsius_are_asked_about(answer, goes_on, monkeypatch, ca
     reason = SceneError("no °C", options=("bounds_c",))
     assert PipelineTerminal(yes=False).accepts_relative(reason) == goes_on
     printed = capsys.readouterr()
-    assert printed.err == "mrgs: warning: no °C (--bounds)\n"
-    assert "Continue with relative values? [y/N] " in printed.out
+    assert printed.err.endswith("no °C (--bounds)\n")
+    assert "relative" in printed.out
+    assert printed.out.endswith("[y/N] ")
     assert PipelineTerminal(yes=True).accepts_relative(reason)
 
 
@@ -107,9 +109,9 @@ def test_photos_without_celsius_stop_it_at_once_and_name_the_option(tmp_path, ca
     printed = capsys.readouterr()
     assert "stage 1" not in printed.out
     error = printed.err.splitlines()[-1]
-    assert error.startswith(
-        "mrgs: error: the model would have no °C. The file holds shades of grey"
-    )
+    assert error.startswith("mrgs: error: ")
+    assert "no °C" in error
+    assert "grey" in error
     assert error.endswith("(--bounds, --yes)")
 
 
@@ -146,20 +148,20 @@ def test_an_interrupted_run_says_how_to_go_on(small_scene, tmp_path, monkeypatch
 
     monkeypatch.setattr(pipeline, "run_pipeline", interrupted)
     assert run("run", small_scene, "--quality", "fast") == 130
-    assert "re-run the same command to resume" in capsys.readouterr().err
+    assert "resume" in capsys.readouterr().err
 
 
 MISUSE = {
-    "wrong path": ((), "not a folder; give the folder of the photos, or a scene"),
+    "wrong path": ((), "photos: not a folder"),
     "empty folder": ({}, "holds no photos"),
-    "other files": ({"a.txt": b"text"}, "none of its 1 files is a photo"),
+    "other files": ({"a.txt": b"text"}, "none of its 1 files"),
     "one pair": (
         {"1_V.JPG": photo("jpg", (32, 24)), "1_T.tiff": photo("celsius")},
-        "holds 1 pair of photos, and a model needs at least 3",
+        "1 pair .*3",
     ),
     "no thermal photos": (
         {f"{number}.jpg": photo("jpg") for number in range(4)},
-        r"is known to be thermal: .*\(--pair-table\)",
+        r"thermal.*\(--pair-table\)",
     ),
 }
 
@@ -180,7 +182,8 @@ def test_misuse_is_one_line_and_leaves_nothing(files, message, tmp_path, capsys)
 def test_the_demo_is_the_same_with_the_bundled_scene(small_scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cli, "_bundled_scene", lambda: small_scene)
     assert run("demo", "--output", tmp_path / "demo") == 0
-    assert capsys.readouterr().out.splitlines()[-1] == f"explore: mrgs view {tmp_path}/demo/fast"
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.endswith(f"mrgs view {tmp_path}/demo/fast")
 
 
 def test_it_is_the_first_command():

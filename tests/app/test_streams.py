@@ -53,7 +53,7 @@ def test_what_an_encoding_lacks_is_written_with_escapes(monkeypatch: pytest.Monk
     console = Console()
     guarded(monkeypatch, console, "cp1252")
     print("20 °C → λ")
-    assert console.written.decode("cp1252").splitlines() == [r"20 °C \u2192 \u03bb"]
+    assert console.written.decode("cp1252").split() == ["20", "°C", r"\u2192", r"\u03bb"]
 
 
 def test_only_the_first_write_that_fails_is_reported(monkeypatch: pytest.MonkeyPatch):

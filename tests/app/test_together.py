@@ -28,8 +28,9 @@ def as_process(monkeypatch):
 def test_a_command_for_one_process_says_so_once(as_process, capsys, tmp_path):
     as_process(0)
     assert main(["eval", str(tmp_path)]) == 2
-    line = "only mrgs train and mrgs compare run in several processes: leave torchrun out"
-    assert capsys.readouterr().err.strip() == f"mrgs: error: {line}"
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("mrgs: error: ")
+    assert "torchrun" in line
     as_process(1)
     assert main(["eval", str(tmp_path)]) == 2
     assert capsys.readouterr() == ("", "")
@@ -45,9 +46,9 @@ def test_an_option_that_does_not_exist_is_named_once(as_process, capsys):
 @pytest.mark.parametrize(
     ("method", "options", "message"),
     [
-        ("thermonerf", {}, "thermonerf trains in one process: leave torchrun out"),
-        ("mrgs", {"minutes": 2.0}, "--minutes measures one process: under torchrun, use"),
-        ("thermonerf", {"batch": 2}, "--batch needs a method with Gaussians, and thermonerf has"),
+        ("thermonerf", {}, "torchrun out"),
+        ("mrgs", {"minutes": 2.0}, "use --max-steps"),
+        ("thermonerf", {"batch": 2}, "--batch needs"),
     ],
 )
 def test_what_several_processes_cannot_do(method, options, message, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from benchmarks.gpu_plan import PARTS
 from benchmarks.gpu_report import spread, to_markdown
+from tests.benchmarks.tables import rows as rows_of
 
 
 def test_a_median_comes_with_its_quartiles():
@@ -81,24 +82,24 @@ def test_the_report_of_a_gpu():
             "parts": {name: {"rows": part} for name, part in rows.items()},
         }
     )
-    assert (
-        "A GPU, compute capability 9.0, 132 multiprocessors, 128 GiB, driver 580.1, "
-        "CUDA 13.0, Triton 3.6.0" in text
-    )
-    assert "4,000 GB/s" in text
-    assert "| image | 2 | 2.0e-06 | 1e-04 |  |" in text
-    assert "| – | 3.00 (3.00–3.00) | 2.50 (2.50–2.50) | 1.50 | 1.25 | – |" in text
-    assert (
-        "| 0.500 (2.000–2.000) | 3.00 (3.00–3.00) | 2.50 (2.50–2.50) | 1.50 | 1.25 | 6.00 |" in text
-    )
-    assert "| 2.00 (1.50–3.00) | 2.00 (1.50–3.00) | 0.100 | 100 | 1 |" in text
-    assert "out of memory" in text
-    assert "- mrgs, 50,000, 640×480: the host waits 1× at mrgs/rasterizer/gpu.py:7" in text
-    assert "| 161 | 123 | 1,000 | 1 |" in text
-    assert "Full run of 2026-11-26, 400 s." in text
-    assert "| mrgs | 9,000 of 30,000 | 90 | 45 | 100 | 47,000 | 1,000 |" in text
-    assert "\n\nmrgs: steps take longer\n" in text
-    assert "| rgb psnr | 31.25 |" in text
+    for fact in (
+        "A GPU", "9.0", "132 multiprocessors", "128 GiB", "driver 580.1", "CUDA 13.0",
+        "Triton 3.6.0", "4,000 GB/s", "2026-11-26", "400 s", "out of memory",
+        "mrgs/rasterizer/gpu.py:7", "steps take longer",
+    ):  # fmt: skip
+        assert fact in text
+    found = rows_of(text)
+    theirs = ["3.00 (3.00–3.00)", "2.50 (2.50–2.50)", "1.50", "1.25"]
+    for cells in (
+        ["image", "2", "2.0e-06", "1e-04", ""],
+        ["–", *theirs, "–"],
+        ["0.500 (2.000–2.000)", *theirs, "6.00"],
+        ["2.00 (1.50–3.00)", "2.00 (1.50–3.00)", "0.100", "100", "1"],
+        ["161", "123", "1,000", "1"],
+        ["mrgs", "9,000 of 30,000", "90", "45", "100", "47,000", "1,000"],
+        ["rgb psnr", "31.25"],
+    ):
+        assert any(row[-len(cells) :] == cells for row in found), cells
 
 
 def test_the_report_says_where_a_result_is_missing():
@@ -117,7 +118,7 @@ def test_the_report_says_where_a_result_is_missing():
         name: {"rows": part} for name, part in rows.items()
     }
     text = to_markdown({"plan": "quick", "seconds": 1, "parts": parts})
-    assert "| image | 1 |  |  | out of memory |" in text
+    assert ["image", "1", "", "", "out of memory"] in rows_of(text)
     assert text.count(r"| **failed**: ValueError: a \| b |") == 4
 
 
@@ -125,4 +126,4 @@ def test_the_report_names_what_is_missing():
     parts = {name: {"skipped": "no time"} for name in ("device", *PARTS)}
     text = to_markdown({"plan": "quick", "seconds": 1, "parts": parts})
     assert text.count("Skipped: no time.") == len(PARTS)
-    assert "The device could not be examined: no time." in text
+    assert text.count("no time") == len(PARTS) + 1  # and the device

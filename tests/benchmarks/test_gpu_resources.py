@@ -11,17 +11,19 @@ from benchmarks.gpu_compile import listed, parse_log, unlisted
 from benchmarks.gpu_resources import (
     DOCUMENT,
     MARKS,
-    TABLE,
     UPDATE,
     CompilationError,
     compile_in_children,
+    environment,
     read_table,
     resident_warps,
     to_markdown,
+    update,
     with_newest,
     worsened,
 )
 from mrgs.kernels.gpu_spec import KernelSpec
+from tests.benchmarks.tables import rows
 
 GOOD = {"registers": 40, "spill_stores": 0, "spill_loads": 0, "stack": 0, "shared": 512, "warps": 4}
 
@@ -58,40 +60,44 @@ def test_what_stays_or_shrinks_is_no_finding():
 
 
 @pytest.mark.parametrize(
-    ("key", "words"),
+    ("key", "name"),
     [
-        ("registers", "1000 registers per thread, and took 40"),
-        ("spill_stores", "1000 bytes of spill stores, and took 0"),
-        ("spill_loads", "1000 bytes of spill loads, and took 0"),
-        ("stack", "1000 bytes of stack, and took 0"),
-        ("shared", "1000 bytes of shared memory, and took 512"),
+        ("registers", "registers"),
+        ("spill_stores", "spill stores"),
+        ("spill_loads", "spill loads"),
+        ("stack", "stack"),
+        ("shared", "shared memory"),
     ],
 )
-def test_whatever_grows_is_named_with_both_values_and_the_command(key, words):
-    expected = f"blur: blur for sm_90 takes {words}; if that is meant: {UPDATE}"
-    assert worsened(found(**{key: 1000}), TABLE_OF_GOOD) == [expected]
+def test_whatever_grows_is_named_with_both_values_and_the_command(key, name):
+    (line,) = worsened(found(**{key: 1000}), TABLE_OF_GOOD)
+    assert line.startswith("blur: blur")
+    assert line.endswith(UPDATE)
+    for each in ("sm_90", name, "1000", str(GOOD[key])):
+        assert each in line
 
 
 def test_of_a_compiler_without_a_table_only_spills_are_findings():
     assert worsened(found("4.0.0", registers=255), TABLE_OF_GOOD) == []
     (line,) = worsened(found("4.0.0", spill_stores=8), TABLE_OF_GOOD)
-    assert line == "blur: blur for sm_90 spills 8 bytes"
+    assert "sm_90" in line
+    assert "spills 8" in line
 
 
 def test_table_and_lists_hold_the_same_kernels():
     renamed = found()
     renamed["kernels"] = {"blur: smear": renamed["kernels"]["blur: blur"]}
-    assert worsened(renamed, TABLE_OF_GOOD) == [
-        f"blur: smear is not in the table: {UPDATE}",
-        f"blur: blur is in the table, but no longer listed: {UPDATE}",
-    ]
+    new, gone = worsened(renamed, TABLE_OF_GOOD)
+    assert new.startswith("blur: smear")
+    assert gone.startswith("blur: blur")
+    assert new.endswith(UPDATE)
+    assert gone.endswith(UPDATE)
 
 
 def test_a_kernel_in_no_list_is_a_finding():
-    lines = worsened(found(unlisted=("mrgs.kernels.blur.k.lost",)), TABLE_OF_GOOD)
-    assert lines == [
-        "mrgs.kernels.blur.k.lost is in no KERNELS: list every specialisation that is launched"
-    ]
+    (line,) = worsened(found(unlisted=("mrgs.kernels.blur.k.lost",)), TABLE_OF_GOOD)
+    assert line.startswith("mrgs.kernels.blur.k.lost")
+    assert "KERNELS" in line
 
 
 def fake_kernel(name: str, body: Callable = len) -> SimpleNamespace:
@@ -118,7 +124,7 @@ def test_specialisations_of_a_kernel_need_names_of_their_own():
     )
     assert list(listed([module])) == ["blur: blur", "blur: blur[bare]"]
     module.KERNELS = (module.KERNELS[0], KernelSpec(blur, {}, {"x": None}))
-    with pytest.raises(ValueError, match="two entries of KERNELS are called blur: blur"):
+    with pytest.raises(ValueError, match="blur: blur"):
         listed([module])
 
 
@@ -154,7 +160,9 @@ def test_resident_warps(changes, target, expected):
 
 def test_a_row_of_the_table():
     text = to_markdown("3.9.0", found(registers=56)["kernels"])
-    assert "| `blur: blur` | 4 | 40 / 56 | 0 | 512 | 48 / 36 |" in text
+    name, *cells = rows(text)[-1]
+    assert "blur: blur" in name
+    assert cells == ["4", "40 / 56", "0", "512", "48 / 36"]
 
 
 def test_the_document_shows_the_newest_compiler():
@@ -175,36 +183,27 @@ def test_the_committed_document_shows_the_committed_table():
 def test_the_children_compile_whatever_this_process_does(monkeypatch):
     """TRITON_INTERPRET would make them interpret, and options for ptxas would change what they
     measure."""
-    started = []
-
-    def run(command, env, **options):
-        started.append(env)
-        return SimpleNamespace(returncode=0, stdout=json.dumps(answer(command)), stderr="")
-
-    def answer(command):
-        if command[-1] == "sources":
-            return {"triton": "3.9.0", "unlisted": [], "sources": {"blur: blur": "new"}}
-        assert command[-1] == "blur: blur"
-        return {"blur: blur": {**GOOD, "registers": int(command[-2])}}
-
     monkeypatch.setenv("TRITON_INTERPRET", "1")
     monkeypatch.setenv("TRITON_PTXAS_PATH", "/somewhere")
-    monkeypatch.setattr(gpu_resources.subprocess, "run", run)
-    kernels = compile_in_children()["kernels"]["blur: blur"]
-    assert {target: taken["registers"] for target, taken in kernels.items()} == {
-        "sm_80": 80,
-        "sm_90": 90,
+    assert {key for key in environment("cache") if key.startswith("TRITON_")} == {
+        "TRITON_CACHE_DIR",
+        "TRITON_DUMP_PTXAS_LOG",
+        "TRITON_DEFAULT_FP_FUSION",
     }
-    for environment in started:
-        triton_variables = {key for key in environment if key.startswith("TRITON_")}
-        assert triton_variables == {
-            "TRITON_CACHE_DIR",
-            "TRITON_DUMP_PTXAS_LOG",
-            "TRITON_DEFAULT_FP_FUSION",
-        }
 
 
-def test_what_has_not_changed_since_the_table_was_written_is_not_compiled(monkeypatch, tmp_path):
+def test_every_target_is_compiled_for(tmp_path):
+    def child(what, *names):
+        if what == "sources":
+            return {"triton": "3.9.0", "unlisted": [], "sources": {"blur: blur": "new"}}
+        return {name: {**GOOD, "registers": int(what)} for name in names}
+
+    kernels = compile_in_children(None, child, tmp_path / "none.json")["kernels"]["blur: blur"]
+    registers = {target: taken["registers"] for target, taken in kernels.items()}
+    assert registers == {"sm_80": 80, "sm_90": 90}
+
+
+def test_what_has_not_changed_since_the_table_was_written_is_not_compiled(tmp_path):
     compiled = []
 
     def child(what, *names):
@@ -213,35 +212,26 @@ def test_what_has_not_changed_since_the_table_was_written_is_not_compiled(monkey
         compiled.append((what, *names))
         return dict.fromkeys(names, GOOD)
 
-    monkeypatch.setattr(gpu_resources, "_child", child)
-    monkeypatch.setattr(gpu_resources, "SOURCES", tmp_path / "sources.json")
-    gpu_resources.SOURCES.write_text(json.dumps({"3.9.0": {"a": "1", "b": "old", "c": "3"}}))
+    sources = tmp_path / "sources.json"
+    sources.write_text(json.dumps({"3.9.0": {"a": "1", "b": "old", "c": "3"}}))
     old = {"sm_80": {**GOOD, "registers": 99}, "sm_90": GOOD}
-    kernels = compile_in_children({"3.9.0": {"a": old, "b": old}})["kernels"]
+    kernels = compile_in_children({"3.9.0": {"a": old, "b": old}}, child, sources)["kernels"]
     good = {"sm_80": GOOD, "sm_90": GOOD}
     assert kernels == {"a": old, "b": good, "c": good}
     assert sorted(compiled) == [("80", "b", "c"), ("90", "b", "c")]
 
 
-def test_a_kernel_that_does_not_compile_is_told_as_the_compiler_tells_it(monkeypatch):
-    failed = SimpleNamespace(returncode=1, stdout="", stderr="CompilationError: at 7:4\n")
-    monkeypatch.setattr(gpu_resources.subprocess, "run", lambda *_, **__: failed)
-    with pytest.raises(CompilationError, match="at 7:4"):
-        compile_in_children()
+def test_a_kernel_that_does_not_compile_is_told_as_its_process_tells_it():
+    pytest.importorskip("triton")
+    with pytest.raises(CompilationError, match="KeyError: 'blur: none'"):
+        gpu_resources._child("80", "blur: none")
 
 
-def test_update_writes_the_part_of_the_installed_compiler_alone(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(gpu_resources, "TABLE", tmp_path / TABLE.name)
-    monkeypatch.setattr(gpu_resources, "SOURCES", tmp_path / "sources.json")
-    monkeypatch.setattr(gpu_resources, "DOCUMENT", tmp_path / DOCUMENT.name)
-    gpu_resources.DOCUMENT.write_text("".join(MARKS))
-    monkeypatch.setattr(gpu_resources, "compile_in_children", lambda: found("3.6.0", registers=50))
-    assert gpu_resources.main(["--update"]) == 0
-    monkeypatch.setattr(gpu_resources, "compile_in_children", found)
-    assert gpu_resources.main(["--update"]) == 0
-    assert gpu_resources.read_table() == {"3.6.0": found(registers=50)["kernels"], **TABLE_OF_GOOD}
-    monkeypatch.setattr(gpu_resources, "compile_in_children", lambda: found(registers=41))
-    assert gpu_resources.main([]) == 1
-    assert "takes 41 registers per thread, and took 40" in capsys.readouterr().err
-    assert gpu_resources.read_table()["3.9.0"] == found()["kernels"]
-    assert "Triton 3.9.0" in gpu_resources.DOCUMENT.read_text()
+def test_update_writes_the_part_of_the_installed_compiler_alone(tmp_path):
+    files = [tmp_path / name for name in ("table.json", "sources.json", "gpu.md")]
+    files[2].write_text("".join(MARKS))
+    for each in found("3.6.0", registers=50), found(registers=41), found():
+        update(each, *files)
+    assert read_table(files[0]) == {"3.6.0": found(registers=50)["kernels"], **TABLE_OF_GOOD}
+    assert json.loads(files[1].read_text()).keys() == {"3.6.0", "3.9.0"}
+    assert "Triton 3.9.0" in files[2].read_text()

@@ -6,6 +6,7 @@ from benchmarks.chart import draw, points
 from benchmarks.prototype import ADAM, FUSED, MLP, SSIM_CONV, SSIM_SHIFTED
 from benchmarks.report import CALIBRATIONS, milliseconds, table, to_markdown, with_load
 from benchmarks.targets import TARGETS
+from tests.benchmarks.tables import rows
 
 MACHINE = {"processor": "P", "threads": 2, "cores": 2, "python": "3", "torch": "2", "numba": "0"}
 
@@ -21,7 +22,8 @@ def case(
 
 
 def test_a_table_is_markdown():
-    assert table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
+    text = table(["a", "b"], [["1", "2"]])
+    assert rows(text) == [["a", "b"], ["---", "---"], ["1", "2"]]
 
 
 @pytest.mark.parametrize(
@@ -57,28 +59,27 @@ def test_the_report_shows_what_was_measured_and_what_was_not():
     markdown = to_markdown(
         {"machine": MACHINE, "cases": [case("losses", None, 320, radiation=4.5), skipped]}
     )
-    assert "| 320×240 | 4.5 | 3 | 1.00 |" in markdown
-    assert "| 640×480 | – | – | – |" in markdown
-    assert "- 640×480: skipped: out of memory" in markdown
+    assert ["320×240", "4.5", "3", "1.00"] in rows(markdown)
+    assert ["640×480", "–", "–", "–"] in rows(markdown)
+    assert "out of memory" in markdown
     assert "Targets" not in markdown
 
 
 @pytest.mark.parametrize(
-    ("calibration_ms", "end"), [(1.0, "missed | 1.00"), (1.5, "undecided | 1.50")]
+    ("calibration_ms", "end"), [(1.0, ["missed", "1.00"]), (1.5, ["undecided", "1.50"])]
 )
 def test_the_report_compares_with_the_prototype(calibration_ms, end):
     known = {FUSED: 100.5, MLP: 39.0, SSIM_CONV: 200.0, SSIM_SHIFTED: 124.0, ADAM: 3.0}
     cases = [case("adam", 10), case("prototype", 50_000, 640, calibration_ms, **known)]
     markdown = to_markdown({"machine": MACHINE, "cases": cases})
-    assert f"| 50,000, 640×480 | 100 | 67 | 88 | 1.50 | 1.50 | 1.3 | {end} |" in markdown
+    figures = ["50,000, 640×480", "100", "67", "88", "1.50", "1.50", "1.3"]
+    assert [*figures, *end] in rows(markdown)
 
 
 @pytest.mark.parametrize(("ms", "verdict"), [(100.0, "met"), (130.0, "missed")])
 def test_a_target_is_met_up_to_its_limit(ms, verdict):
     markdown = to_markdown({"machine": MACHINE, "cases": [case("mrgs", 50_000, 320, step=ms)]})
-    assert (
-        f"| MrGS step, 50,000 Gaussians, 320×240 | {ms:.0f} ms | 125 ms | {verdict} |" in markdown
-    )
+    assert [f"{ms:.0f} ms", "125 ms", verdict] in [cells[1:] for cells in rows(markdown)]
 
 
 def test_targets_name_stages_that_exist():

@@ -7,7 +7,7 @@ from benchmarks.calibration import ARITHMETIC, MEMORY
 from benchmarks.child import prepare, result_of
 from benchmarks.plan import GROUPS, ONE_RUN, SMALLEST
 from benchmarks.report import CALIBRATIONS
-from benchmarks.stages import losses, prototype, training
+from benchmarks.stages import prototype
 from benchmarks.stages.gsplat_torch import transmittance_before
 from benchmarks.targets import TARGETS
 from benchmarks.timing import SkippedError
@@ -40,23 +40,20 @@ def test_gsplat_draws_the_same_image():
         timing.run(timing.setup())
 
 
-def test_a_case_that_cannot_be_measured_says_why(monkeypatch):
+def test_a_case_that_cannot_be_measured_says_why():
     def unavailable(case):
         raise SkippedError("not here")
 
-    monkeypatch.setattr(training, "adam", unavailable)
-    assert result_of(GROUPS["adam"].case(*SMALLEST), ONE_RUN, base_bytes=0) == {
-        "skipped": "not here"
-    }
+    case = GROUPS["adam"].case(*SMALLEST)
+    assert result_of(case, ONE_RUN, 0, prepare=unavailable) == {"skipped": "not here"}
 
 
-def test_an_error_is_no_reason_to_skip(monkeypatch):
+def test_an_error_is_no_reason_to_skip():
     def broken(case):
         raise RuntimeError("wrong shape")
 
-    monkeypatch.setattr(losses, "stages", broken)
     with pytest.raises(RuntimeError, match="wrong shape"):
-        result_of(GROUPS["losses"].case(*SMALLEST), ONE_RUN, base_bytes=0)
+        result_of(GROUPS["losses"].case(*SMALLEST), ONE_RUN, 0, prepare=broken)
 
 
 def test_a_densification_event_starts_from_the_same_state_each_time():

@@ -58,10 +58,10 @@ def test_one_bit_or_one_byte_is_enough(kind, folder):
     good = newest.read_bytes()
     for data in damaged_copies(good):
         newest.write_bytes(data)
-        with pytest.warns(MrgsWarning, match=r"step_000010\.safetensors is not a whole") as caught:
+        with pytest.warns(MrgsWarning, match=r"step_000010\.safetensors.*whole") as caught:
             state = load_newest(folder, LOAD[kind])
         assert state.step == 5
-        assert str(caught[0].message).endswith("step_000005.safetensors is used instead")
+        assert str(caught[0].message).count("step_000005.safetensors") == 1
     newest.write_bytes(good)
     assert load_newest(folder, LOAD[kind]).step == 10
 
@@ -69,7 +69,7 @@ def test_one_bit_or_one_byte_is_enough(kind, folder):
 def test_a_damaged_run_still_renders(kind, folder):
     newest = folder.newest_checkpoint()
     newest.write_bytes(newest.read_bytes()[:-1])
-    with pytest.warns(MrgsWarning, match="is not a whole checkpoint"):
+    with pytest.warns(MrgsWarning, match="not a whole"):
         assert OPEN[kind](folder.path).facts.step == 5
 
 
@@ -79,7 +79,7 @@ def test_training_goes_on_from_the_checkpoint_before_exactly(kind, folder, small
     expected = load(newest.read_bytes())
     newest.write_bytes(data)
     do_train, config = TRAIN[kind]
-    with pytest.warns(MrgsWarning, match=r"is kept as step_000010\.safetensors\.damaged"):
+    with pytest.warns(MrgsWarning, match=r"step_000010\.safetensors\.damaged"):
         do_train(small_scene, folder.path, config, resume=True)
     found = load_file(folder.newest_checkpoint())
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
@@ -94,12 +94,9 @@ def test_without_a_whole_checkpoint_nothing_is_thrown_away(kind, folder, small_s
         lambda: OPEN[kind](folder.path),
         lambda: do_train(small_scene, folder.path, config, resume=True),
     ):
-        with pytest.raises(RunError) as caught:
+        with pytest.raises(RunError, match=r"whole .*restore") as caught:
             use()
-        assert str(caught.value) == (
-            f"{folder.path} has no checkpoint that is whole (it cannot be parsed): restore one "
-            f"from a copy, or retrain into another folder"
-        )
+        assert str(caught.value).startswith(str(folder.path))
     assert len(folder.checkpoints()) == 2
 
 
@@ -116,16 +113,16 @@ def test_what_cannot_be_read_is_not_called_damaged(kind, folder, monkeypatch):
     with pytest.raises(RunError) as caught:
         load_newest(folder, LOAD[kind])
     assert not isinstance(caught.value, DamagedCheckpointError)
-    assert str(caught.value) == (
-        f"{newest} cannot be read (Permission denied): check its permissions and the disk"
-    )
+    message = str(caught.value)
+    assert message.startswith(str(newest))
+    assert "(Permission denied)" in message
 
 
 def test_what_is_no_file_is_not_waited_for(kind, folder):
     newest = folder.newest_checkpoint()
     newest.unlink()
     newest.mkdir()
-    with pytest.raises(RunError, match="is not a file"):
+    with pytest.raises(RunError, match="not a file"):
         load_newest(folder, LOAD[kind])
 
 
@@ -207,7 +204,7 @@ def test_neighbours_and_views_that_do_not_exist_are_refused(gaussians_run):
     for wrong in (neighbours + len(neighbours), neighbours - len(neighbours)):
         rewrite(path, {**good, "neighbours": wrong})
         for use in (load_gaussians, lambda file: load_run(file.parents[1])):
-            with pytest.raises(RunError, match="names Gaussians that do not exist"):
+            with pytest.raises(RunError, match="do not exist"):
                 use(path)
     for waiting in ([6], [-1], [0, 0]):
         rewrite(path, {**good, "sampler.waiting": torch.tensor(waiting)})
@@ -241,20 +238,22 @@ def test_values_that_are_not_finite_count_as_damage(value, kind, folder):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             assert load_newest(folder, LOAD[kind]).step == 5
-        assert f"{name} holds values that are not finite" in str(caught[0].message)
+        message = str(caught[0].message)
+        assert name in message
+        assert "not finite" in message
 
 
 def test_a_checkpoint_under_the_name_of_another_step_hides_nothing(kind, folder):
     path = folder.newest_checkpoint()
     path.with_name("step_999999.safetensors").write_bytes(path.read_bytes())
-    with pytest.warns(MrgsWarning, match=r"step_999999.* \(it is the one of step 10\)"):
+    with pytest.warns(MrgsWarning, match=r"step_999999.*step 10\)"):
         assert load_newest(folder, LOAD[kind]).step == 10
 
 
 def test_a_configuration_that_was_cut_off_is_said(kind, folder):
     lines = folder.config_file.read_text().splitlines(keepends=True)
     folder.config_file.write_text("".join(lines[:-1]))
-    with pytest.warns(MrgsWarning, match=r"config\.yaml lacks .*: restore it if it was cut off"):
+    with pytest.warns(MrgsWarning, match=r"config\.yaml lacks"):
         OPEN[kind](folder.path)
 
 
@@ -263,5 +262,5 @@ def test_a_log_that_is_no_file_is_named(make, kind, folder, small_scene):
     folder.log_file.unlink(missing_ok=True)
     make(folder.log_file)
     do_train, config = TRAIN[kind]
-    with pytest.raises(RunError, match=r"log\.jsonl is not a file"):
+    with pytest.raises(RunError, match=r"log\.jsonl"):
         do_train(small_scene, folder.path, config, resume=True)

@@ -29,12 +29,24 @@ def inject(
 ) -> None:
     """Put a value into a tensor of the state at one step."""
     name, value, everywhere = what
+
+    def before(state, *rest):
+        if state.step == AT - 1:
+            put(where(state, *rest)[name], value, everywhere)
+
+    around_steps(monkeypatch, module, before)
+
+
+def around_steps(monkeypatch: pytest.MonkeyPatch, module, before: Callable[..., object]) -> None:
+    """Do something to the state before each step; what it returns is called after the step."""
     original = module.training_step
 
     def training_step(state, *rest):
-        if state.step == AT - 1:
-            put(where(state, *rest)[name], value, everywhere)
-        return original(state, *rest)
+        after = before(state, *rest)
+        result = original(state, *rest)
+        if after is not None:
+            after()
+        return result
 
     monkeypatch.setattr(module, "training_step", training_step)
 
@@ -79,9 +91,9 @@ def saved(run: RunFolder) -> list[int]:
 def test_gaussians(name, value, small_scene, at_5, monkeypatch):
     where = lambda state, *rest: tensors_of(state)  # noqa: E731
     inject(monkeypatch, trainer, where, name, value, name.endswith("weight"))
-    with pytest.raises(TrainingError) as caught:
+    with pytest.raises(TrainingError, match="last good") as caught:
         go_on(small_scene, at_5)
-    assert f"the last good checkpoint is {at_5.checkpoint_file(5)}" in str(caught.value)
+    assert str(at_5.checkpoint_file(5)) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert saved(at_5) == [5]
 
@@ -109,7 +121,7 @@ def test_photos(value, small_scene, at_5, monkeypatch):
 def test_radiance_fields(name, value, small_scene, tmp_path, monkeypatch):
     where = lambda state, *rest: nerf_tensors(state)  # noqa: E731
     inject(monkeypatch, nerf_trainer, where, name, value, True)
-    with pytest.raises(TrainingError, match=r"the last good checkpoint is .*step_000005"):
+    with pytest.raises(TrainingError, match=r"last good .*step_000005"):
         train_thermonerf(small_scene, tmp_path / "run", NERF)
     assert saved(RunFolder(tmp_path / "run")) == [5]
 
@@ -120,25 +132,19 @@ def test_what_shows_in_no_gradient_is_found_before_it_is_saved(small_scene, at_5
     inject(monkeypatch, trainer, lambda state, *_: tensors_of(state), name, math.inf, True)
     with pytest.raises(NotFiniteError) as caught:
         go_on(small_scene, at_5)
-    assert str(caught.value) == (
-        f"{name} holds values that are not finite after step 10; the last good checkpoint is "
-        f"{at_5.checkpoint_file(5)}. Resume with a smaller learning rate, or check the scene's "
-        "poses and images"
-    )
+    message = str(caught.value)
+    for part in (name, "step 10", str(at_5.checkpoint_file(5)), "learning rate"):
+        assert part in message
 
 
 def test_gradients_whose_squares_overflow_are_skipped(small_scene, at_5, monkeypatch):
     """Adam would keep an infinite square for good."""
 
-    def training_step(state, *rest):
+    def before(state, *rest):
         means = state.gaussian_optimizer.gaussians.means
-        hook = means.register_hook(lambda g: g * 0 + (1e30 if state.step == AT else 1))
-        result = original(state, *rest)
-        hook.remove()
-        return result
+        return means.register_hook(lambda g: g * 0 + (1e30 if state.step == AT else 1)).remove
 
-    original = trainer.training_step
-    monkeypatch.setattr(trainer, "training_step", training_step)
+    around_steps(monkeypatch, trainer, before)
     go_on(small_scene, at_5)
     assert '"step": 9, "skipped"' in at_5.log_file.read_text()
     assert saved(at_5) == [5, 10]

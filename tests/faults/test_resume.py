@@ -75,7 +75,7 @@ def test_what_has_changed_is_named(changed, scene, gaussians_run):
     CHANGES[changed](scene)
     newest = gaussians_run.newest_checkpoint()
     before = newest.read_bytes()
-    with pytest.raises(RunError, match=rf"has changed since the run began \({changed}\)") as caught:
+    with pytest.raises(RunError, match=rf"changed .*\({changed}\)") as caught:
         resume(scene, gaussians_run)
     assert caught.value.options == ("accept_changes",)
     assert newest.read_bytes() == before
@@ -92,9 +92,9 @@ def test_accepted_changes_are_told_and_belong_to_the_run(kind, scene, request):
     folder.newest_checkpoint().unlink()
     change_photo(scene, "images")
     change_frame(scene, shift)
-    with pytest.raises(RunError, match=r"photos of .*; poses of"):
+    with pytest.raises(RunError, match=r"photos .*poses"):
         resume(scene, folder, kind)
-    with pytest.warns(MrgsWarning, match="photos of .* training goes on with it as it is now"):
+    with pytest.warns(MrgsWarning, match="photos .*goes on"):
         resume(scene, folder, kind, accept_changes=True)
     assert load_facts(folder.newest_checkpoint()).step == 10
     resume(scene, folder, kind)
@@ -126,7 +126,7 @@ def test_rounding_of_another_machine_is_no_change(scene, gaussians_run):
 
 def test_changes_that_no_state_fits_are_refused_in_any_case(scene, gaussians_run):
     change_frame(scene, lambda content, frame: content["frames"].remove(frame))
-    with pytest.raises(RunError, match="has 5 training views of 10 images, not the 6"):
+    with pytest.raises(RunError, match=r"5 training .*6"):
         resume(scene, gaussians_run, accept_changes=True)
 
 
@@ -140,7 +140,7 @@ def test_runs_of_older_versions_are_resumed(scene, gaussians_run):
     change_photo(scene, "images")
     resume(scene, gaussians_run)
     change_frame(scene, shift)
-    with pytest.raises(RunError, match="has changed since the run began"):
+    with pytest.raises(RunError, match="has changed"):
         resume(scene, gaussians_run)
 
 
@@ -148,7 +148,7 @@ def test_the_command_line_names_its_option(scene, gaussians_run, capsys):
     change_photo(scene, "thermal")
     command = ["train", str(scene), "--output", str(gaussians_run.path)]
     assert main([*command, "--resume"]) == 2
-    assert "or accept the changes (--accept-changes)" in capsys.readouterr().err
+    assert "(--accept-changes)" in capsys.readouterr().err
     assert main([*command, "--resume", "--accept-changes"]) == 0
     assert main([*command, "--accept-changes"]) == 2
     assert "--accept-changes needs --resume" in capsys.readouterr().err

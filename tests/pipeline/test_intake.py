@@ -43,22 +43,24 @@ def test_pairs_with_temperatures(tmp_path):
     found = take_in(folder, PrepareOptions())
     assert (found.kind, found.views, found.held_out, found.has_celsius) == ("photos", 9, 2, True)
     assert found.sizes == {RGB: (32, 24), THERMAL: (16, 12)}
-    assert found.summary == "9 pairs, RGB 32×24 px, thermal 16×12 px, temperatures in °C"
-    assert found.facts[-1] == "1 other file is not used."
+    parts = found.summary.split(", ")
+    assert parts[:3] == ["9 pairs", "RGB 32×24 px", "thermal 16×12 px"]
+    assert "°C" in parts[3]
+    assert found.facts[-1].startswith("1 other file")
     assert take_in(folder, PrepareOptions(eval_every=0)).held_out == 0
 
 
 def test_pairs_without_temperatures(tmp_path):
     found = take_in(write(tmp_path, pairs(3, photo("jpg"))), PrepareOptions())
     assert found.summary.endswith("no °C (relative values)")
-    assert "shows colours and holds no temperatures" in found.without_celsius
+    assert "colours" in found.without_celsius
     assert not found.takes_bounds, "a palette has no black and white"
 
 
 def test_shades_of_grey_become_temperatures_by_bounds(tmp_path):
     folder = write(tmp_path, grey_pairs(3))
     found = take_in(folder, PrepareOptions())
-    assert "holds shades of grey without a scale" in found.without_celsius
+    assert "grey" in found.without_celsius
     assert found.takes_bounds
     bounded = take_in(folder, PrepareOptions(overrides=Overrides(bounds_c=(0.0, 50.0))))
     assert (bounded.has_celsius, bounded.without_celsius, bounded.takes_bounds) == (True, "", False)
@@ -84,14 +86,16 @@ def test_a_scene(small_scene):
     assert is_scene(small_scene)
     found = take_in(small_scene, PrepareOptions())
     assert (found.kind, found.views, found.held_out, found.points) == ("scene", 8, 2, 25)
-    assert found.summary == "8 views, RGB 40×30 px, thermal 40×30 px, temperatures in °C"
+    parts = found.summary.split(", ")
+    assert parts[:3] == ["8 views", "RGB 40×30 px", "thermal 40×30 px"]
+    assert "°C" in parts[3]
     assert take_in(small_scene / "transforms.json", PrepareOptions()).views == 8
 
 
 def test_options_for_photos_are_not_ignored_in_a_scene(small_scene):
     """Nobody should read temperatures that they believe to be corrected for an emissivity."""
     options = PrepareOptions(overrides=Overrides(emissivity=0.9), eval_every=0)
-    with pytest.raises(ConfigError, match="is a scene, in which options for photos") as caught:
+    with pytest.raises(ConfigError, match="is a scene") as caught:
         take_in(small_scene, options)
     assert caught.value.options == ("emissivity", "eval_every")
 
@@ -107,13 +111,10 @@ def test_one_photo_that_cannot_be_read_is_passed_over(tmp_path):
     ("files", "message"),
     [
         ({}, "holds no photos"),
-        ({"a.txt": b"text", "b.pdf": b"%PDF-1.4"}, "none of its 2 files is a photo"),
-        (
-            pairs(1, photo("celsius")),
-            "holds 1 pair of photos, and a model needs at least 3, better 20 or more",
-        ),
-        (pairs(2, photo("celsius")), "holds 2 pairs of photos"),
-        ({f"{number}.jpg": photo("jpg") for number in range(5)}, "is known to be thermal"),
+        ({"a.txt": b"text", "b.pdf": b"%PDF-1.4"}, "none of its 2 files"),
+        (pairs(1, photo("celsius")), "1 pair .*at least 3"),
+        (pairs(2, photo("celsius")), "2 pairs"),
+        ({f"{number}.jpg": photo("jpg") for number in range(5)}, "known to be thermal"),
         (pairs(3, photo("dji", model="DJI M3T")), "dji_irp"),
     ],
     ids=["empty", "other files", "one", "two", "no thermal", "R-JPEG"],
@@ -125,7 +126,7 @@ def test_what_cannot_be_used_is_said_in_one_line(files, message, tmp_path):
 
 
 def test_a_wrong_path_is_named(tmp_path):
-    with pytest.raises(SceneError, match="nowhere: not a folder; give the folder of the photos"):
+    with pytest.raises(SceneError, match="nowhere: not"):
         take_in(tmp_path / "nowhere", PrepareOptions())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -232,9 +232,7 @@ def test_a_training_that_was_stopped_is_resumed(small_scene, tmp_path):
 
 def test_warnings_stop_it_unless_they_are_accepted(small_scene, tmp_path):
     refusing = Watcher(accept=False)
-    with pytest.raises(
-        SceneError, match=r"stopped at . warnings? about the scene: check "
-    ) as error:
+    with pytest.raises(SceneError, match=r"stopped at .*check") as error:
         run_pipeline(small_scene, tmp_path / "results", quality="fast", monitor=refusing)
     assert error.value.options == ("yes",)
     assert refusing.warnings
@@ -249,7 +247,7 @@ def test_errors_stop_it_and_cannot_be_accepted(make_scene, tmp_path):
     image = folder / "images" / "frame_train_00003.png"
     image.write_bytes(image.read_bytes()[:-200])
     watcher = Watcher()
-    with pytest.raises(SceneError, match=r"scene cannot be trained on: .*check\.html") as error:
+    with pytest.raises(SceneError, match=r"check\.html") as error:
         run_pipeline(folder, tmp_path / "results", quality="fast", monitor=watcher)
     assert error.value.options == (), "there is nothing to accept"
     assert (watcher.warnings, watcher.ran) == ((), [])
@@ -262,6 +260,11 @@ def photos_in(folder: Path) -> Path:
         (folder / f"DJI_000{number}_V.JPG").write_bytes(photo("jpg", (32, 24)))
         (folder / f"DJI_000{number}_T.tiff").write_bytes(photo("celsius"))
     return folder
+
+
+def replace_prepare(monkeypatch: pytest.MonkeyPatch, prepare: Callable[..., Preparation]) -> None:
+    """Poses of real photos would take minutes."""
+    monkeypatch.setattr(stages_module, "prepare", prepare)
 
 
 @pytest.fixture
@@ -281,7 +284,7 @@ def prepared(monkeypatch: pytest.MonkeyPatch) -> list[PrepareOptions]:
         report(stage)
         return Preparation(scene, scene / "prepare.html", (stage,))
 
-    monkeypatch.setattr(stages_module, "prepare", prepare)
+    replace_prepare(monkeypatch, prepare)
     return calls
 
 
@@ -299,7 +302,8 @@ def test_what_photos_do_not_say_is_asked_once(prepared, tmp_path):
             run_pipeline(photos, quality="fast", monitor=watcher)
     assert asked == [("thermal_fov_deg", "thermal_camera")]
     assert len(prepared) == 2
-    assert watcher.warnings == ["pairs: The clocks differ."]
+    (warning,) = watcher.warnings
+    assert warning.endswith("The clocks differ.")
     assert watcher.reused_stages == ["prepare"]
     assert (tmp_path / "photos-mrgs" / "photos" / "transforms.json").is_file()
     with pytest.raises(SceneError, match="cannot be placed"):
@@ -317,7 +321,7 @@ def grey_photos_in(folder: Path) -> Path:
 
 def test_photos_without_celsius_stop_it_before_poses_are_computed(prepared, tmp_path):
     photos = grey_photos_in(tmp_path / "photos")
-    with pytest.raises(SceneError, match="the model would have no °C") as error:
+    with pytest.raises(SceneError, match="no °C") as error:
         run_pipeline(photos, quality="fast")
     assert error.value.options == ("bounds_c", "yes")
     assert "black and white" in str(error.value)
@@ -355,7 +359,7 @@ def test_what_was_accepted_before_poses_is_not_asked_after_them(tmp_path):
     job.accepted = intake.without_celsius
     job._require_accepted([f"images: {job.accepted} (5 photos)"], tmp_path)
     assert asked == []
-    with pytest.raises(SceneError, match="stopped at 2 warnings"):
+    with pytest.raises(SceneError, match="at 2 warnings"):
         job._require_accepted([f"images: {job.accepted}", "pairs: blurred"], tmp_path)
     assert len(asked[0]) == 2
 
@@ -367,9 +371,9 @@ def test_a_warning_of_two_stages_counts_once_as_on_the_page(tmp_path, monkeypatc
         stages = [StageReport(title, ("5.",), ("Blurred.",)) for title in ("images", "page")]
         return Preparation(scene, scene / "prepare.html", tuple(stages))
 
-    monkeypatch.setattr(stages_module, "prepare", prepare)
+    replace_prepare(monkeypatch, prepare)
     watcher = Watcher(accept=False)
-    with pytest.raises(SceneError, match="stopped at 1 warning about"):
+    with pytest.raises(SceneError, match="at 1 warning"):
         run_pipeline(photos_in(tmp_path / "photos"), quality="fast", monitor=watcher)
     assert watcher.warnings == ["images: Blurred."]
 
@@ -377,17 +381,20 @@ def test_a_warning_of_two_stages_counts_once_as_on_the_page(tmp_path, monkeypatc
 def test_photos_that_are_prepared_already_are_expected_to_take_no_time(prepared, tmp_path):
     photos, options = photos_in(tmp_path / "photos"), PrepareOptions(thermal_fov_deg=57.0)
 
-    def expected_s(new: PrepareOptions) -> float:
+    def expected(new: PrepareOptions) -> float:
+        """Beside the training: how fast the computer is changes with what else runs on it."""
         watcher = Watcher(accept=False)
-        with pytest.raises(SceneError, match="stopped at 1 warning"):
+        with pytest.raises(SceneError, match="at 1 warning"):
             run_pipeline(photos, quality="fast", options=new, monitor=watcher)
         assert watcher.plan is not None
-        assert not watcher.plan.stages[0].is_done
-        return watcher.plan.stages[0].seconds
+        first, *others = watcher.plan.stages
+        assert not first.is_done
+        (training,) = (stage for stage in others if stage.name == "train")
+        return first.seconds / training.seconds
 
-    first, again = expected_s(options), expected_s(options)
+    first, again = expected(options), expected(options)
     assert again < 0.1 * first
-    assert expected_s(PrepareOptions(thermal_fov_deg=50.0)) > 0.5 * first, "another thermal camera"
+    assert expected(PrepareOptions(thermal_fov_deg=50.0)) > 0.5 * first, "another thermal camera"
 
 
 def test_a_new_photo_is_prepared(prepared, tmp_path):
@@ -404,14 +411,14 @@ def test_a_new_photo_is_prepared(prepared, tmp_path):
 def test_missing_extras_are_noticed_before_the_first_stage(tmp_path, monkeypatch):
     monkeypatch.setattr("mrgs.pipeline.plan.installed_version", lambda: None)
     photos = photos_in(tmp_path / "photos")
-    with pytest.raises(ConfigError, match=r"needs pycolmap: pip install \"mrgs\[sfm\]\""):
+    with pytest.raises(ConfigError, match=r"\"mrgs\[sfm\]\""):
         run_pipeline(photos, quality="fast")
     assert not (tmp_path / "photos-mrgs").exists()
 
 
 def test_a_full_disk_is_noticed_before_the_first_stage(small_scene, tmp_path, monkeypatch):
     monkeypatch.setattr("mrgs.pipeline.plan.free_disk", lambda folder: 1_000_000)
-    with pytest.raises(RunError, match=r"the results need about 0\.1 GB, and 0\.0 GB are free"):
+    with pytest.raises(RunError, match=r"0\.1 GB, .*0\.0 GB"):
         run_pipeline(small_scene, tmp_path / "results", quality="fast")
     assert not (tmp_path / "results").exists()
 
@@ -428,25 +435,25 @@ def test_little_memory_is_said(small_scene, tmp_path, monkeypatch):
 def test_folders_that_cannot_hold_the_results_are_refused(small_scene, finished, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     for output, message in (
-        (tmp_path, "holds something else: choose a new folder"),
-        (small_scene, "lies in the folder of the photos"),
-        (small_scene / "results", "lies in the folder of the photos"),
+        (tmp_path, "holds something else"),
+        (small_scene, "folder of the photos"),
+        (small_scene / "results", "folder of the photos"),
     ):
         with pytest.raises(RunError, match=message) as error:
             run_pipeline(small_scene, output, quality="fast")
         assert error.value.options == ("output",)
-    with pytest.raises(RunError, match="holds the results of an earlier run"):
+    with pytest.raises(RunError, match="earlier run"):
         run_pipeline(finished, tmp_path / "new", quality="fast")
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_a_folder_in_use_is_left_alone(own, small_scene):
-    with FileLock(own / ".lock"), pytest.raises(RunError, match="is in use by another run"):
+    with FileLock(own / ".lock"), pytest.raises(RunError, match="in use"):
         run_pipeline(small_scene, own, quality="fast")
 
 
 def test_an_unknown_quality_is_named(small_scene, tmp_path):
-    with pytest.raises(ConfigError, match="unknown quality 'good'; choose one of fast, default"):
+    with pytest.raises(ConfigError, match=r"'good'; .*fast, default"):
         run_pipeline(small_scene, tmp_path / "results", quality="good")
 
 

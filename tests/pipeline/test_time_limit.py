@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -9,7 +10,7 @@ from mrgs.method.config import make_config
 from mrgs.pipeline.costs import step_cost
 from mrgs.pipeline.time_limit import MARGIN, PILOT_STEPS, Pace, measure_pace, steps_within
 from mrgs.runs.registry import Method, find_method
-from mrgs.training import resolution
+from mrgs.scene import RGB, PosedImage, View
 
 
 def test_a_training_that_does_not_grow_takes_its_pace():
@@ -32,7 +33,7 @@ def test_without_time_there_is_one_step(seconds):
     assert steps_within(seconds, Pace(4.0, 0.1, 1000, 10.0, 10.0), 1000) == 1
 
 
-def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene, monkeypatch):
+def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene):
     seen = {}
     clock = iter(range(1000))
 
@@ -45,9 +46,8 @@ def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene, 
                 seen["steps"] = step
                 return
 
-    monkeypatch.setattr("time.perf_counter", lambda: next(clock))
     method = Method("paced", "", lambda **_: None, train=train)
-    pace = measure_pace(method, small_scene, None, device="cpu")
+    pace = measure_pace(method, small_scene, None, lambda: next(clock), device="cpu")
     assert seen["steps"] == PILOT_STEPS
     kpx = 2 * 40 * 30 / 1e3
     assert pace == Pace(loading_s=1, step_s=1, gaussians=7, kpx=kpx, mean_kpx=kpx)
@@ -60,18 +60,20 @@ def test_coarse_photos_leave_time_for_more_steps():
     assert steps == int(60.0 / (MARGIN * step_cost(1000, 300.0)))
 
 
-def test_a_pilot_trains_on_photos_of_full_resolution(make_scene, monkeypatch):
+def test_a_pilot_trains_on_photos_of_full_resolution(small_scene):
     seen = {}
 
     def train(scene, output, config, *, on_start, on_step):
         seen["coarse_until"] = config.coarse_until
-        on_start(load_scene(scene), config)
+        loaded = load_scene(scene)
+        (camera, *_) = loaded.train[0].cameras.values()
+        photo = PosedImage(camera.resized(640, 480), lambda: pytest.fail("no photo is read"))
+        on_start(replace(loaded, train=(View("large", {RGB: photo}),)), config)
         for _ in range(3):
             on_step(SimpleNamespace(gaussians=7))
 
-    monkeypatch.setattr(resolution, "SMALLEST_PX", 15)
     config = make_config("mrgs", preset="fast", max_steps=100)
-    pace = measure_pace(Method("paced", "", lambda **_: None, train=train), make_scene(), config)
+    pace = measure_pace(Method("paced", "", lambda **_: None, train=train), small_scene, config)
     assert seen["coarse_until"] == 0
     # Half of the pixels in each direction until step 49 of 100; a quarter would be too few.
     assert pace.mean_kpx == pytest.approx(pace.kpx * (0.49 / 4 + 0.51))

@@ -50,19 +50,18 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("a file, not a folder")
     path = tmp_path / "taken" / "file.txt"
     with (
-        pytest.raises(RunError, match=r"file\.txt cannot be written"),
+        pytest.raises(RunError, match=r"file\.txt"),
         replacing(path) as temporary,
     ):
         temporary.write_text("x")
 
 
 def test_a_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, monkeypatch) -> None:
-    done: list[str] = []
-    flush, move = os.fsync, os.replace
-    monkeypatch.setattr(os, "fsync", lambda file: (done.append("flush"), flush(file)))
-    monkeypatch.setattr(os, "replace", lambda *paths: (done.append("move"), move(*paths)))
-    write_text(tmp_path / "file.txt", "whole")
-    assert done == ["flush", "move"]
+    in_place: list[bool] = []
+    path = tmp_path / "file.txt"
+    monkeypatch.setattr(os, "fsync", lambda file: in_place.append(path.exists()))
+    write_text(path, "whole")
+    assert in_place == [False]
 
 
 @on_posix
@@ -73,8 +72,7 @@ def test_nobody_else_can_read_what_is_being_written(tmp_path: Path) -> None:
 
 
 @on_posix
-def test_only_what_dead_processes_left_is_removed(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(atomic, "_swept", set())
+def test_only_what_dead_processes_left_is_removed(tmp_path: Path) -> None:
     (tmp_path / f"{TEMPORARY}dead").mkdir()
     (tmp_path / f"{TEMPORARY}dead" / "file.txt").write_text("half")
     (tmp_path / "kept").mkdir()
@@ -103,23 +101,24 @@ def test_names_that_are_not_utf_8_come_back_from_json(tmp_path: Path) -> None:
 def test_a_name_as_long_as_may_be_can_be_written(tmp_path: Path) -> None:
     path = tmp_path / f"a.{'x' * 253}"
     assert write_text(path, "whole").read_text() == "whole"
-    with pytest.raises(RunError, match=r"cannot be written .*: choose a shorter name"):
+    with pytest.raises(RunError, match="shorter name"):
         write_text(tmp_path / ("a" * 256), "whole")
 
 
 @pytest.mark.parametrize(
     ("number", "remedy"),
     [
-        (errno.EACCES, "choose a place that you may write to"),
-        (errno.EPERM, "choose a place that you may write to"),
-        (errno.EROFS, "choose a place that you may write to"),
-        (errno.ENAMETOOLONG, "choose a shorter name"),
-        (errno.ENOSPC, "make room, or choose another place"),
+        (errno.EACCES, "may write"),
+        (errno.EPERM, "may write"),
+        (errno.EROFS, "may write"),
+        (errno.ENAMETOOLONG, "shorter name"),
+        (errno.ENOSPC, "make room"),
     ],
 )
 def test_an_error_says_what_can_be_done(number: int, remedy: str) -> None:
-    error = write_error(Path("file.txt"), OSError(number, "reason"))
-    assert str(error) == f"file.txt cannot be written (reason): {remedy}"
+    message = str(write_error(Path("file.txt"), OSError(number, "reason")))
+    for part in ("file.txt", "reason", remedy):
+        assert part in message
 
 
 def test_a_file_that_is_not_there_need_not_be_removed(tmp_path: Path) -> None:

@@ -12,22 +12,30 @@ import torch
 from mrgs import kernels
 from mrgs.errors import MrgsWarning
 from mrgs.system import operation as module
-from mrgs.system.operation import Kernel, Operation, checking, operation, plainly
+from mrgs.system.gpu import interpreted
+from mrgs.system.operation import Operation, checking, operation, plainly
 
 SOURCE = Path(kernels.__file__).parents[1]
 
 
-def make_operation(monkeypatch, kernel, dtypes=(torch.float32,)) -> Operation:
+class WithKernels(Operation):
+    """An operation, and its kernels for float32 by their devices."""
+
+    def __init__(self, plain, **kernels) -> None:
+        super().__init__(plain)
+        self.kernels = kernels
+
+    def listed(self, device, dtype):
+        return self.kernels.get(device) if dtype == torch.float32 else None
+
+
+def make_operation(kernel, **others) -> Operation:
     """x ↦ Σ x² w of a layer, and a kernel for the CPU."""
 
-    @operation
     def energy(x: torch.Tensor, layer: torch.nn.Linear) -> torch.Tensor:
         return layer(x.square()).sum()
 
-    entry = Kernel(energy.name, "tests.kernel", "cpu", dtypes)
-    monkeypatch.setattr(module, "_table", lambda: {(energy.name, "cpu"): entry})
-    monkeypatch.setattr(module, "_imported", lambda name: kernel)
-    return energy
+    return WithKernels(energy, cpu=kernel, **others)
 
 
 def by_a_product(x, layer):
@@ -49,21 +57,21 @@ def inputs(dtype=torch.float32):
     return torch.randn(5, 4, dtype=dtype).requires_grad_(), layer
 
 
-def test_a_kernel_runs_in_place_of_the_plain_definition(monkeypatch):
-    energy = make_operation(monkeypatch, lambda x, layer: "kernel")
+def test_a_kernel_runs_in_place_of_the_plain_definition():
+    energy = make_operation(lambda x, layer: "kernel")
     assert energy(*inputs()) == energy(inputs()[0], layer=inputs()[1]) == "kernel"
     assert energy.plain(*inputs()).shape == ()
 
 
-def test_other_types_and_declined_arguments_are_computed_plainly(monkeypatch):
-    energy = make_operation(monkeypatch, lambda x, layer: "kernel")
+def test_other_types_and_declined_arguments_are_computed_plainly():
+    energy = make_operation(lambda x, layer: "kernel")
     assert energy(*inputs(torch.float64)).dtype == torch.float64
-    declining = make_operation(monkeypatch, lambda x, layer: NotImplemented)
+    declining = make_operation(lambda x, layer: NotImplemented)
     assert torch.equal(declining(*inputs()), declining.plain(*inputs()))
 
 
 def test_kernels_can_be_turned_off(monkeypatch):
-    energy = make_operation(monkeypatch, lambda x, layer: "kernel")
+    energy = make_operation(lambda x, layer: "kernel")
     with plainly():
         assert energy(*inputs()) != "kernel"
     with plainly(False):
@@ -84,15 +92,15 @@ def test_an_operation_can_be_a_method():
 
         @operation
         def area(self, factor: float) -> float:
-            """4 π r², scaled."""
+            """4 π r²."""
             return factor * self.radius**2
 
     assert Ball().area(3.0) == Ball.area.plain(Ball(), 3.0) == 12.0
-    assert Ball.area.__doc__ == "4 π r², scaled."
+    assert Ball.area.__doc__ == "4 π r²."
 
 
-def test_a_kernel_that_is_right_passes_the_check(monkeypatch):
-    energy = make_operation(monkeypatch, by_a_product)
+def test_a_kernel_that_is_right_passes_the_check():
+    energy = make_operation(by_a_product)
     x, layer = inputs()
     state = torch.random.get_rng_state()
     with checking():
@@ -106,29 +114,29 @@ def test_a_kernel_that_is_right_passes_the_check(monkeypatch):
 @pytest.mark.parametrize(
     ("kernel", "message"),
     [
-        (lambda x, layer: 1.1 * by_a_product(x, layer), r"differs .*\(relative error 0.1\)"),
+        (lambda x, layer: 1.1 * by_a_product(x, layer), r"error 0\.1"),
         (lambda x, layer: by_a_product(x, layer) * torch.nan, "differs"),
-        (with_half_of_a_gradient, r"differs .*\(relative error 0.5\)"),
+        (with_half_of_a_gradient, r"error 0\.5"),
         (lambda x, layer: by_a_product(x, layer).detach(), "differs"),
-        (lambda x, layer: by_a_product(x, layer)[None], r"differs .*\(relative error inf\)"),
-        (fails, "fails where the plain definition runs \\(KeyError"),
+        (lambda x, layer: by_a_product(x, layer)[None], "error inf"),
+        (fails, "KeyError"),
     ],
 )
-def test_a_kernel_that_differs_is_not_used_and_one_line_says_so(monkeypatch, kernel, message):
-    energy = make_operation(monkeypatch, kernel)
-    with pytest.warns(MrgsWarning, match=f"^energy: the kernel {message}") as caught, checking():
+def test_a_kernel_that_differs_is_not_used_and_one_line_says_so(kernel, message):
+    energy = make_operation(kernel)
+    with pytest.warns(MrgsWarning, match=f"^energy: .*{message}") as caught, checking():
         results = [energy(*inputs()) for _ in range(2)]
     assert len(caught) == 1
     expected = energy.plain(*inputs())
     assert all(torch.equal(result, expected) for result in (*results, energy(*inputs())))
 
 
-def test_a_later_check_gives_a_kernel_another_chance(monkeypatch):
+def test_a_later_check_gives_a_kernel_another_chance():
     def repaired(x, layer):
         return by_a_product(x, layer) if is_repaired else fails(x, layer)
 
     is_repaired = False
-    energy = make_operation(monkeypatch, repaired)
+    energy = make_operation(repaired)
     with pytest.warns(MrgsWarning), checking():
         energy(*inputs())
     assert energy.rejected == {repaired}
@@ -138,25 +146,25 @@ def test_a_later_check_gives_a_kernel_another_chance(monkeypatch):
     assert not energy.rejected
 
 
-def test_a_kernel_that_differs_once_is_not_used_because_it_passes_elsewhere(monkeypatch):
+def test_a_kernel_that_differs_once_is_not_used_because_it_passes_elsewhere():
     def right_for_five(x, layer):
         return by_a_product(x, layer) if len(x) == 5 else 1.1 * by_a_product(x, layer)
 
-    energy = make_operation(monkeypatch, right_for_five)
+    energy = make_operation(right_for_five)
     x, layer = inputs()
     with pytest.warns(MrgsWarning), checking():
         [energy(each, layer) for each in (x[:3], x)]
     assert energy.rejected == {right_for_five}
 
 
-def test_a_check_without_gradients_leaves_out_what_was_rejected(monkeypatch):
+def test_a_check_without_gradients_leaves_out_what_was_rejected():
     called = []
 
     def without_gradient(x, layer):
         called.append(x)
         return by_a_product(x, layer).detach()
 
-    energy = make_operation(monkeypatch, without_gradient)
+    energy = make_operation(without_gradient)
     with pytest.warns(MrgsWarning), checking():
         energy(*inputs())
     called.clear()
@@ -166,23 +174,11 @@ def test_a_check_without_gradients_leaves_out_what_was_rejected(monkeypatch):
     assert not called
 
 
-def of_two(monkeypatch, plain, kernel) -> Operation:
-    """An operation on two tensors, and its kernel for the CPU."""
-    made = operation(plain)
-    entry = Kernel(made.name, "tests.kernel", "cpu", (torch.float32,))
-    monkeypatch.setattr(module, "_table", lambda: {(made.name, "cpu"): entry})
-    monkeypatch.setattr(module, "_imported", lambda name: kernel)
-    return made
-
-
 @pytest.mark.parametrize(("share", "passes"), [(1e-7, True), (0.5, False)])
-def test_a_gradient_that_vanishes_beside_the_others_may_be_rounding_noise(
-    monkeypatch, share, passes
-):
-    made = of_two(
-        monkeypatch,
+def test_a_gradient_that_vanishes_beside_the_others_may_be_rounding_noise(share, passes):
+    made = WithKernels(
         lambda a, b: a.sum() + share * b.sum(),
-        lambda a, b: a.sum() + 1.5 * share * b.sum(),
+        cpu=lambda a, b: a.sum() + 1.5 * share * b.sum(),
     )
     a, b = torch.ones(4, requires_grad=True), torch.full((4,), 1e-6, requires_grad=True)
     with warnings.catch_warnings(), checking():
@@ -191,11 +187,10 @@ def test_a_gradient_that_vanishes_beside_the_others_may_be_rounding_noise(
     assert (not made.rejected) == passes
 
 
-def test_a_kernel_may_take_the_other_side_of_a_kink(monkeypatch):
-    made = of_two(
-        monkeypatch,
+def test_a_kernel_may_take_the_other_side_of_a_kink():
+    made = WithKernels(
         lambda a, b: (a.clamp(max=1) * b).sum(),
-        lambda a, b: (torch.where(a < 1, a, 1) * b).sum(),
+        cpu=lambda a, b: (torch.where(a < 1, a, 1) * b).sum(),
     )
     a, b = (torch.ones(4, requires_grad=True) for _ in range(2))
     with checking():
@@ -203,8 +198,8 @@ def test_a_kernel_may_take_the_other_side_of_a_kink(monkeypatch):
     assert not made.rejected
 
 
-def test_an_argument_that_changes_nothing_has_no_gradient(monkeypatch):
-    made = of_two(monkeypatch, lambda a, b: a.square().sum(), lambda a, b: (a * a).sum())
+def test_an_argument_that_changes_nothing_has_no_gradient():
+    made = WithKernels(lambda a, b: a.square().sum(), cpu=lambda a, b: (a * a).sum())
     a, b = (torch.ones(4, requires_grad=True) for _ in range(2))
     with checking():
         made(a, b)
@@ -212,14 +207,12 @@ def test_an_argument_that_changes_nothing_has_no_gradient(monkeypatch):
 
 
 def test_the_kernel_of_another_device_is_judged_apart(monkeypatch):
-    energy = make_operation(monkeypatch, fails)
+    energy = make_operation(fails, gpu=lambda x, layer: "kernel")
     with pytest.warns(MrgsWarning), checking():
         energy(*inputs())
-    monkeypatch.setattr(module.gpu, "runs_triton", lambda tensor: True)
-    on_gpu = Kernel(energy.name, "tests.gpu_kernel", "gpu", (torch.float32,))
-    monkeypatch.setattr(module, "_table", lambda: {(energy.name, "gpu"): on_gpu})
-    monkeypatch.setattr(module, "_imported", lambda name: lambda x, layer: "kernel")
-    assert energy(*inputs()) == "kernel"
+    monkeypatch.setenv("TRITON_INTERPRET", "1")
+    with interpreted():
+        assert energy(*inputs()) == "kernel"
     assert energy.rejected == {fails}
 
 

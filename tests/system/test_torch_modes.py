@@ -206,7 +206,7 @@ def test_the_choice_is_back_when_the_last_thread_is_done():
     assert precisions() == chosen
 
 
-def test_where_one_setting_cannot_be_made_the_others_are_the_callers_again(monkeypatch):
+def test_where_one_setting_cannot_be_made_the_others_are_the_callers_again():
     made = ["high"]
 
     def fails(value: str) -> None:
@@ -215,15 +215,11 @@ def test_where_one_setting_cannot_be_made_the_others_are_the_callers_again(monke
 
     good = torch_modes._Setting(lambda: made[-1], made.append, "highest")
     broken = torch_modes._Setting(lambda: "high", fails, "highest")
-    with monkeypatch.context() as patch:
-        patch.setattr(torch_modes, "_SETTINGS", [good, broken])
-        with pytest.raises(RuntimeError, match="not allowed"), own_modes():
+    precision = torch_modes._FullPrecision([good, broken])
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="not allowed"), precision.held():
             pass
-        assert made == ["high", "highest", "high"]
-    before = precisions()
-    with own_modes():
-        assert are_exact()
-    assert precisions() == before
+        assert made[-3:] == ["high", "highest", "high"]
 
 
 def test_frozen_flags_of_torch_do_not_matter():

@@ -73,7 +73,9 @@ def _text_column() -> TextColumn:
 
 
 @contextmanager
-def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..., None]]:
+def counter(
+    verb: str, forecast: Forecast | None = None, clock: Callable[[], float] = time.perf_counter
+) -> Iterator[Callable[..., None]]:
     """A progress callback (done, total), or (number, total, name) for parts that have names, both
     with ``left_s`` if the time left is known.
 
@@ -83,14 +85,15 @@ def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..
     Args:
         verb: what is being done.
         forecast: tells the time left of named parts; without it, all parts count the same.
+        clock: seconds, monotonic.
     """
-    started = last_line = time.perf_counter()
+    started = last_line = clock()
     with _progress_bar(SpinnerColumn(), _text_column(), BarColumn(BAR_WIDTH)) as bar:
         task = bar.add_task(verb, total=None)
 
         def show(done: int, total: int, name: str = "", left_s: float | None = None) -> None:
             nonlocal last_line
-            now = time.perf_counter()
+            now = clock()
             text = f"{verb} {done}/{total}" if total else verb
             if name:
                 text = f"{verb} {done} of {total}: {name}" if total else f"{verb}: {name}"
@@ -110,12 +113,14 @@ def counter(verb: str, forecast: Forecast | None = None) -> Iterator[Callable[..
                 print(text, flush=True)
 
         yield show
-        took = duration(time.perf_counter() - started)
+        took = duration(clock() - started)
         bar.update(task, description=f"{verb}: {took}", completed=1, total=1, refresh=True)
 
 
 @contextmanager
-def _starting(config: RunConfig, compiles: bool, console: Console) -> Iterator[None]:
+def _starting(
+    config: RunConfig, compiles: bool, console: Console, line_every_s: float = PLAIN_LINE_EVERY_S
+) -> Iterator[None]:
     """Within this block, say how far the kernels of a training are compiled, if it ``compiles`` any
     that are missing, and then how many photos have been read."""
     from mrgs.data.posed import photos_read
@@ -130,7 +135,7 @@ def _starting(config: RunConfig, compiles: bool, console: Console) -> Iterator[N
 
     def show() -> None:
         before = photos_read()
-        wait_s = REFRESH_EVERY_S if console.is_terminal else PLAIN_LINE_EVERY_S
+        wait_s = REFRESH_EVERY_S if console.is_terminal else line_every_s
         show_line: Callable[[str], object] = print
         if compiling() is None and done.wait(wait_s):
             return
@@ -162,16 +167,20 @@ class TrainingProgress:
     Args:
         compiles: whether the training runs the CPU's kernels, and so compiles those that are
             missing.
+        clock: seconds, monotonic.
     """
 
-    def __init__(self, compiles: bool = True) -> None:
+    def __init__(
+        self, compiles: bool = True, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self._clock = clock
         self._compiles = compiles
         self.unfinished = False
         self._interruption: Interruption | None = None
         self._span_c: float | None = None
         self._max_steps = 0
         self._first_step: int | None = None
-        self._started = self._last_line = time.perf_counter()
+        self._started = self._last_line = clock()
         self._smoothed: dict[str, float] = {}
         self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
         self._bar = _progress_bar(BarColumn(BAR_WIDTH), _text_column(), auto_refresh=False)
@@ -231,7 +240,7 @@ class TrainingProgress:
 
     def step(self, statistics: Statistics) -> bool:
         """Show a step; returns True to stop the training."""
-        now = time.perf_counter()
+        now = self._clock()
         if self._first_step is None:
             # Not counted in the speed: the first step compiles kernels and reads photos.
             self._starting.close()
@@ -300,13 +309,17 @@ class TrainingProgress:
 class PrepareProgress:
     """Progress of ``mrgs prepare``: the current step, each finished stage, warnings at the end.
 
+    Args:
+        clock: seconds, monotonic.
+
     Attributes:
         forecast: of the whole, where the time left is not given with each step.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
         self.forecast: Forecast | None = None
-        self._started = self._last_line = time.perf_counter()
+        self._started = self._last_line = clock()
         self._step = ""
         self._warnings: list[str] = []
         self._bar = _progress_bar(
@@ -324,7 +337,7 @@ class PrepareProgress:
 
     def step(self, step: str, done: int, total: int, left_s: float | None = None) -> None:
         """Show how far a step is, and the time left of all steps if it is known."""
-        now = time.perf_counter()
+        now = self._clock()
         text = f"{step} {done}/{total}" if total else step
         if left_s is None and self.forecast is not None:
             from mrgs.pipeline.expect import left_in_stage

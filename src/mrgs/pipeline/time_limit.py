@@ -7,6 +7,7 @@ import math
 import statistics
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -45,7 +46,13 @@ class Pace(NamedTuple):
     mean_kpx: float
 
 
-def measure_pace(method: Method, scene: str | Path, config: Any, **options: Any) -> Pace:
+def measure_pace(
+    method: Method,
+    scene: str | Path,
+    config: Any,
+    clock: Callable[[], float] = time.perf_counter,
+    **options: Any,
+) -> Pace:
     """Train for a few seconds into a folder that is thrown away, on photos of full resolution; this
     also compiles the kernels.
 
@@ -53,17 +60,18 @@ def measure_pace(method: Method, scene: str | Path, config: Any, **options: Any)
         method: to train.
         scene: the scene's folder.
         config: of the training.
+        clock: seconds, monotonic.
         options: for ``method.train``.
 
     Raises:
         MrgsError: what the training itself would raise.
     """
     found: dict[str, Any] = {}
-    called = time.perf_counter()
+    called = clock()
     times = [called]
 
     def on_start(loaded: Scene, _: Any) -> None:
-        times[0] = time.perf_counter()
+        times[0] = clock()
         cameras = [camera for view in loaded.train for camera in view.cameras.values()]
         sizes, views = [(camera.width, camera.height) for camera in cameras], len(loaded.train)
         found["kpx"] = found["mean_kpx"] = sum(map(math.prod, sizes)) / views / 1e3
@@ -71,7 +79,7 @@ def measure_pace(method: Method, scene: str | Path, config: Any, **options: Any)
             found["mean_kpx"] = mean_kpx(sizes, config) / views
 
     def on_step(step: Any) -> bool:
-        times.append(time.perf_counter())
+        times.append(clock())
         found["gaussians"] = step.gaussians
         return len(times) > PILOT_STEPS and times[-1] - times[1] > PILOT_S
 

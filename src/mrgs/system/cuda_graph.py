@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import RLock
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Int64
@@ -20,23 +20,26 @@ class CudaGraph:
         work: what is recorded: it queues the same work for tensors at the same places whenever it
             is called, does not wait for the GPU, and returns the number.
         device: a CUDA device.
+        cuda: torch's module, or a stand-in.
 
     Raises:
         RuntimeError: the work waits for the GPU, or its memory does not suffice.
     """
 
-    def __init__(self, work: Callable[[], Int64[Tensor, ""]], device: torch.device) -> None:
-        self._graph = torch.cuda.CUDAGraph()
-        self._arrived = torch.cuda.Event()
-        self._fetched = torch.zeros((), dtype=torch.int64, pin_memory=True)
-        stream, current = torch.cuda.Stream(device), torch.cuda.current_stream(device)
+    def __init__(
+        self, work: Callable[[], Int64[Tensor, ""]], device: torch.device, cuda: Any = torch.cuda
+    ) -> None:
+        self._graph = cuda.CUDAGraph()
+        self._arrived = cuda.Event()
+        self._fetched = torch.zeros((), dtype=torch.int64, pin_memory=device.type == "cuda")
+        stream, current = cuda.Stream(device), cuda.current_stream(device)
         stream.wait_stream(current)
         # While torch records, it gives back nothing of what it holds in reserve.
-        torch.cuda.empty_cache()
+        cuda.empty_cache()
         # cuBLAS has a workspace per stream, which is made in the memory of the graph that first
         # needs it: torch must neither keep it when the graph is gone, nor use it in another graph.
         torch._C._cuda_clearCublasWorkspaces()
-        with torch.cuda.stream(stream):
+        with cuda.stream(stream):
             # Other threads may use the GPU meanwhile: a viewer does.
             self._graph.capture_begin(capture_error_mode="thread_local")
             try:
@@ -67,22 +70,22 @@ _sync_debug = RLock()
 
 
 @contextmanager
-def sync_debug_mode(mode: Literal["warn", "error"]) -> Iterator[None]:
+def sync_debug_mode(mode: Literal["warn", "error"], cuda: Any = torch.cuda) -> Iterator[None]:
     """Within this block, torch reports operations that make the host wait for the GPU, by a warning
     or a RuntimeError. The mode applies to all threads; blocks of different threads wait for each
     other."""
     with _sync_debug:
-        before = torch.cuda.get_sync_debug_mode()
+        before = cuda.get_sync_debug_mode()
         try:
-            _set_sync_debug_mode(mode)
+            _set_sync_debug_mode(mode, cuda)
             yield
         finally:
-            _set_sync_debug_mode(before)
+            _set_sync_debug_mode(before, cuda)
 
 
-def _set_sync_debug_mode(mode: int | str) -> None:
+def _set_sync_debug_mode(mode: int | str, cuda: Any) -> None:
     """torch's notice that it may miss some waits is left out: it is no warning to the user, and
     where warnings are errors it would leave the mode on."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Synchronization debug mode is a prototype")
-        torch.cuda.set_sync_debug_mode(mode)
+        cuda.set_sync_debug_mode(mode)

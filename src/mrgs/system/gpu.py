@@ -10,14 +10,14 @@ import shutil
 import sys
 import sysconfig
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as installed_version
 from pathlib import Path
-from typing import Literal, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -69,7 +69,21 @@ def interpreted() -> Iterator[None]:
         _interpreted.reset(token)
 
 
-def choose_device(name: DeviceName) -> torch.device:
+class Machine(NamedTuple):
+    """What a choice of the device depends on; headers are the folders where Python.h may be."""
+
+    has_driver: bool
+    has_triton: bool
+    triton_version: str | None
+    has_compiler: bool
+    headers: Sequence[Path]
+    platform: str = sys.platform
+    torch_version: str = torch.__version__
+    built_for: str | None = torch.version.cuda
+    cuda: Any = torch.cuda
+
+
+def choose_device(name: DeviceName, machine: Machine | None = None) -> torch.device:
     """The device of a name; "auto" is the GPU where there is one that can be used, else the CPU.
 
     Warns:
@@ -87,12 +101,15 @@ def choose_device(name: DeviceName) -> torch.device:
         )
     if name == "cpu":
         return torch.device("cpu")
-    obstacle = _obstacle()
+    machine = machine or Machine(
+        _driver_is_installed(), _has_triton(), _triton_version(), _has_compiler(), _header_folders()
+    )
+    obstacle = _obstacle(machine)
     if obstacle is None:
-        return torch.device("cuda", torch.cuda.current_device())
+        return torch.device("cuda", machine.cuda.current_device())
     if name == "cuda":
         raise DeviceError(f"{obstacle}; or use the CPU", options=("device",))
-    if _driver_is_installed():
+    if machine.has_driver:
         warn(f"the NVIDIA GPU is not used: {obstacle}")
     return torch.device("cpu")
 
@@ -113,28 +130,29 @@ def lacks_memory(error: Exception) -> bool:
     )
 
 
-def _obstacle() -> str | None:
+def _obstacle(machine: Machine) -> str | None:
     """Why the GPU cannot be used, and the remedy; None if it can."""
-    if sys.platform == "darwin":
+    if machine.platform == "darwin":
         return "there is no CUDA for macOS"
-    if torch.version.cuda is None:
-        index = (
-            " --index-url https://download.pytorch.org/whl/cu128" if sys.platform == "win32" else ""
-        )
+    if machine.built_for is None:
+        on_windows = machine.platform == "win32"
+        index = " --index-url https://download.pytorch.org/whl/cu128" if on_windows else ""
         return (
-            f"this torch ({torch.__version__}) is built without CUDA: pip install "
+            f"this torch ({machine.torch_version}) is built without CUDA: pip install "
             f"--force-reinstall torch{index}"
         )
-    return _driver_obstacle() or _capability_obstacle() or _triton_obstacle()
+    return (
+        _driver_obstacle(machine) or _capability_obstacle(machine.cuda) or _triton_obstacle(machine)
+    )
 
 
-def _driver_obstacle() -> str | None:
+def _driver_obstacle(machine: Machine) -> str | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # torch's own warning about an old driver; ours is below
-        if torch.cuda.is_available():
+        if machine.cuda.is_available():
             return None
         try:
-            torch.cuda.init()
+            machine.cuda.init()
         except (RuntimeError, AssertionError) as error:
             reason = str(error)
         else:
@@ -142,19 +160,17 @@ def _driver_obstacle() -> str | None:
     if "too old" in reason:
         return (
             f"the NVIDIA driver is too old for this torch, which was built for CUDA "
-            f"{torch.version.cuda}: "
-            "install a newer driver, or a torch for an older CUDA"
+            f"{machine.built_for}: install a newer driver, or a torch for an older CUDA"
         )
-    if "no NVIDIA driver" in reason or not _driver_is_installed():
+    if "no NVIDIA driver" in reason or not machine.has_driver:
         return "no NVIDIA driver was found: install it from https://www.nvidia.com/drivers"
     return "no usable NVIDIA GPU was found: check `nvidia-smi` and CUDA_VISIBLE_DEVICES"
 
 
-def _capability_obstacle() -> str | None:
+def _capability_obstacle(cuda: Any) -> str | None:
     try:
-        found = (
-            torch.cuda.get_device_capability()
-        )  # starts CUDA; that a GPU is visible does not say that it starts
+        # Starts CUDA; that a GPU is visible does not say that it starts.
+        found = cuda.get_device_capability()
     except (RuntimeError, AssertionError, torch.cuda.DeferredCudaCallError) as error:
         reason = str(error).partition("\n")[0]
         return f"the GPU cannot be started: {reason}"
@@ -162,50 +178,43 @@ def _capability_obstacle() -> str | None:
         return None
     oldest = ".".join(map(str, OLDEST_CAPABILITY))
     return (
-        f"the {torch.cuda.get_device_name()} is too old: "
+        f"the {cuda.get_device_name()} is too old: "
         f"it has compute capability {found[0]}.{found[1]}, and {oldest} or newer is needed"
     )
 
 
-def _triton_obstacle() -> str | None:
-    if not _has_triton():
-        if sys.platform == "win32":
-            return "Triton is missing: pip install triton-windows"
-        return "Triton is missing: pip install triton"
-    version = _triton_version()
+def _triton_obstacle(machine: Machine) -> str | None:
+    on_windows = machine.platform == "win32"
+    if not machine.has_triton:
+        return f"Triton is missing: pip install triton{'-windows' if on_windows else ''}"
+    version = machine.triton_version
     if version is not None and _numbers(version) < OLDEST_TRITON:
         return (
             f"Triton {version} is too old: {'.'.join(map(str, OLDEST_TRITON))} or newer is needed, "
             "which comes with torch 2.8: pip install --upgrade torch"
         )
-    if not (
-        os.environ.get("CC")
-        or shutil.which("gcc")
-        or shutil.which("clang")
-        or sys.platform == "win32"
-    ):
+    if not (machine.has_compiler or on_windows):
         return (
             "Triton needs a C compiler, once, to start its kernels: install gcc or clang, or "
             "name one in CC"
         )
-    if not (
-        sys.platform == "win32"
-        or any((folder / "Python.h").exists() for folder in _header_folders())
-    ):
+    if not (on_windows or any((folder / "Python.h").exists() for folder in machine.headers)):
         return (
             "Triton needs Python's C headers, once, to start its kernels, but there is no "
-            f"{_header_folders()[0] / 'Python.h'}: install python3-dev (python3-devel on Fedora)"
+            f"{machine.headers[0] / 'Python.h'}: install python3-dev (python3-devel on Fedora)"
         )
     return None
 
 
-def _header_folders() -> list[Path]:
+def _has_compiler() -> bool:
+    return bool(os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang"))
+
+
+def _header_folders(scheme: str | None = None) -> list[Path]:
     """Where Python.h is looked for when Triton compiles: its own choice first, then the options of
     a C compiler."""
-    scheme = sysconfig.get_default_scheme()
-    if (
-        scheme == "posix_local"
-    ):  # Debian's, which names a folder below /usr/local that holds no headers
+    scheme = scheme or sysconfig.get_default_scheme()
+    if scheme == "posix_local":  # Debian's names a folder below /usr/local that holds no headers
         scheme = "posix_prefix"
     searched = [os.environ.get(name, "").split(os.pathsep) for name in ("CPATH", "C_INCLUDE_PATH")]
     return [

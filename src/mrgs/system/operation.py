@@ -106,10 +106,12 @@ class Operation(Generic[P, R]):
         device: Device | None = "gpu" if gpu.runs_triton(tensor) else None
         if device is None and tensor.is_cpu:
             device = "cpu"
-        entry = None if device is None else _table().get((self.name, device))
-        if entry is None or tensor.dtype not in entry.dtypes:
-            return None
-        return _imported(entry.function)
+        return None if device is None else self.listed(device, tensor.dtype)
+
+    def listed(self, device: Device, dtype: torch.dtype) -> Callable[..., Any] | None:
+        """The kernel that the table has for a device and a type; None if there is none."""
+        entry = _table().get((self.name, device))
+        return None if entry is None or dtype not in entry.dtypes else _imported(entry.function)
 
     def _compare(
         self,

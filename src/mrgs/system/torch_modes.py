@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from threading import Lock
@@ -61,7 +61,8 @@ class _FullPrecision:
     settings are the process's: they are the caller's again when no thread is within ``held``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, settings: Sequence[_Setting]) -> None:
+        self._settings = settings
         self._lock = Lock()
         self._holders = 0
         self._before: list[tuple[_Setting, Any]] = []
@@ -83,7 +84,7 @@ class _FullPrecision:
 
     def _begin(self) -> None:
         self._before = []
-        for setting in _SETTINGS:
+        for setting in self._settings:
             # Where the operations behind a common name have different settings, torch raises.
             with suppress(RuntimeError):
                 self._before.append((setting, setting.get()))
@@ -134,4 +135,4 @@ def _settings() -> list[_Setting]:
 
 
 _SETTINGS = _settings()
-_full_precision = _FullPrecision()
+_full_precision = _FullPrecision(_SETTINGS)
