@@ -52,7 +52,7 @@ def test_a_target_that_is_moved():
         for view in range(3)
     ]
     room = build_room(views=3, boards=boards)
-    with pytest.raises(SceneError, match="target cannot be used"):
+    with pytest.raises(SceneError, match="target cannot"):
         calibrate_rig(room.pairs, room.points, RigOptions(target=TARGET))
     found = calibrate_rig(room.pairs, room.points, RigOptions(target=TARGET, metres_per_unit=1.0))
     assert max(room.errors_px(found)) < 0.3

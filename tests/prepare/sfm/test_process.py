@@ -86,7 +86,7 @@ def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "log.txt").mkdir()
     with pytest.raises(RunError) as error:
         run_colmap(tmp_path, silent)
-    assert f"{tmp_path / 'log.txt'} cannot be written" in str(error.value)
+    assert f"{tmp_path / 'log.txt'} cannot" in str(error.value)
 
 
 @pytest.mark.parametrize(
