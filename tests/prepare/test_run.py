@@ -153,6 +153,10 @@ def test_what_only_the_page_sees_is_a_warning_too(photos, posed, tmp_path):
     odd = photos / "thermal" / "shot_03.png"
     with Image.open(odd) as image:
         image.point(lambda value: value // 3).save(odd)
+    few = load_scene(posed).points.positions.numpy()
+    points = np.repeat(few, 16, axis=0)  # enough of them to compare the images
+    points = points + np.random.default_rng(0).normal(0, 0.05, points.shape)
+    write_points(posed / "sparse_pc.ply", points, np.zeros(points.shape, np.uint8))
     options = PrepareOptions(overrides=BOUNDS, poses=posed, one_camera=True)
     for _ in range(2):  # the second time from the cache
         made = prepare(photos, tmp_path / "scene", options)
