@@ -20,17 +20,17 @@ class Contents:
     Args:
         file: the JSON file; where it is missing or damaged, nothing is remembered. On Windows it
             is not used.
-        read: gives the digest of a file's content; empty if it cannot be read.
+        read: gives the digest of a file's content, in place of ``cache.digest``.
         kept: whether digests are remembered from call to call.
     """
 
     def __init__(
         self,
         file: Path,
-        read: Callable[[Path], str] = digest,
+        read: Callable[[Path], str] | None = None,
         kept: bool = _CTIME_SHOWS_CHANGES,
     ) -> None:
-        self._file, self._read, self._kept = file, read, kept
+        self._file, self._read, self._kept = file, read or digest, kept
         self._saved = _read(file) if kept else {}
         self._known = dict(self._saved)
         self._asked: set[str] = set()
