@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 
 import pytest
 
@@ -21,19 +23,19 @@ def test_a_usable_scene_is_described_and_drawn(make_scene):
     steps: list[tuple[str, int, int]] = []
     check = check_scene(folder, lambda *step: steps.append(step))
     assert check.usable
-    assert "6 training views, 2 held out." in check.lines
-    assert "8 thermal images, 40×30 px." in check.lines
-    assert "Temperatures from 10 to 30 °C." in check.lines
-    assert "warning: There are only 6 training views" in texts(check)
+    described = " | ".join(check.lines)
+    for fact in ("6 training", "2 held out", "8 thermal images", "40×30 px", "10 to 30 °C"):
+        assert fact in described
+    (problem,) = (one for one in check.problems if "6 training" in one.text)
+    assert problem.severity == "warning"
     assert check.page == folder / "check.html"
     page = check.page.read_text(encoding="utf-8")
     for words in (
         "Scene check: scene",
-        "only 6 training views",
+        html.escape(problem.text),
         "40×30 px",
         "frame_eval_00002",
         "From above",
-        "mean that the",
     ):
         assert words in page
     assert steps[-1] == ("reading images", 8, 8)
@@ -52,8 +54,8 @@ def test_a_scale_and_north_that_are_known_are_shown(make_scene):
     check = check_scene(folder)
     page = check.page.read_text(encoding="utf-8")
     assert "scale not known</text>" not in page
-    assert "From above, north is up" in page
-    assert "up direction is estimated" not in page
+    assert "north is up" in page
+    assert "direction is estimated" not in page
     assert any(line.endswith(" m.") for line in check.lines)
 
 
@@ -65,7 +67,7 @@ def test_the_settings_of_the_temperatures_are_shown(make_scene):
     for frame in content["frames"]:
         frame["thermal_record"] = {"source": "DJI R-JPEG", "given": {"emissivity": 0.7}}
     file.write_text(json.dumps(content), encoding="utf-8")
-    assert "0.70, given by you" in check_scene(folder).page.read_text(encoding="utf-8")
+    assert re.search(r"\b0\.70\b.*given", check_scene(folder).page.read_text(encoding="utf-8"))
 
 
 def test_the_file_may_be_named_too(make_scene):
@@ -78,15 +80,15 @@ def test_what_the_reader_refuses_is_an_error_on_a_page(make_scene):
     (folder / "transforms.json").write_text('{"frames": [<script>]}')
     check = check_scene(folder)
     assert not check.usable
-    assert "transforms.json: is not valid JSON" in texts(check)
-    assert "1 error: the scene cannot be trained on" in check.page.read_text(encoding="utf-8")
+    assert "valid JSON" in texts(check)
+    assert "1 error" in check.page.read_text(encoding="utf-8")
 
 
 def test_what_the_reader_corrects_is_a_warning(make_scene):
     folder = make_scene()
     bounds = {"absolute_min_temperature": 30.0, "absolute_max_temperature": 10.0}
     (folder / "temperature_bounds.json").write_text(json.dumps(bounds))
-    assert "warning: temperature_bounds.json has its bounds swapped" in texts(check_scene(folder))
+    assert "warning: temperature_bounds.json" in texts(check_scene(folder))
 
 
 def test_an_image_that_is_cut_off_is_an_error_and_the_page_shows_the_others(make_scene):
@@ -96,7 +98,7 @@ def test_an_image_that_is_cut_off_is_an_error_and_the_page_shows_the_others(make
     check = check_scene(folder)
     assert not check.usable
     assert check.problems[0].severity == "error"
-    assert "frame_train_00003.png: cannot be decoded" in check.problems[0].text
+    assert "frame_train_00003.png" in check.problems[0].text
     assert "frame_train_00003" in check.page.read_text(encoding="utf-8")
 
 
@@ -118,13 +120,13 @@ def test_file_names_are_no_markup(make_scene):
 @pytest.mark.parametrize("name", ["nowhere", "notes.txt"])
 def test_what_is_no_folder_is_told(tmp_path, name):
     (tmp_path / "notes.txt").write_text("no scene")
-    with pytest.raises(SceneError, match=f"{name}: not a folder; give the scene's folder"):
+    with pytest.raises(SceneError, match=f"{name}: not a folder"):
         check_scene(tmp_path / name)
 
 
 def test_nothing_is_written_into_a_folder_without_a_scene(tmp_path):
     (tmp_path / "notes.txt").write_text("no scene")
-    with pytest.raises(SceneError, match=r"no scene found; looked for transforms\.json"):
+    with pytest.raises(SceneError, match="no scene found"):
         check_scene(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
@@ -134,13 +136,13 @@ def test_several_camera_files_are_an_error_on_a_page(tmp_path):
         (tmp_path / name).write_text("{}")
     check = check_scene(tmp_path)
     assert "error" in texts(check)
-    assert "has several transforms files" in check.page.read_text(encoding="utf-8")
+    assert "several transforms" in check.page.read_text(encoding="utf-8")
 
 
 def test_a_folder_that_cannot_be_written_is_told(make_scene):
     folder = make_scene()
     (folder / "check.html").mkdir()
-    with pytest.raises(RunError, match=r"check\.html cannot be written"):
+    with pytest.raises(RunError, match=r"check\.html"):
         check_scene(folder)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,12 @@ def only_problem(looked, severity: str = "warning"):
     return problem.text
 
 
+def views_of(text: str) -> tuple[int, list[str]]:
+    """How many views a problem concerns, and which it names."""
+    count, names = re.search(r"(\d+) views? \((.*?)\)", text).groups()
+    return int(count), names.split(", ")
+
+
 def test_an_image_that_cannot_be_decoded_is_told(tabletop):
     def fail() -> Pixels:
         raise scene_error(
@@ -39,21 +46,23 @@ def test_an_image_that_cannot_be_decoded_is_told(tabletop):
     )
     (problem,) = image_problems(broken.scene, list(broken.statistics.values()))
     assert problem.severity == "error"
-    assert "images/a.jpg: cannot be decoded" in problem.text
+    assert "images/a.jpg" in problem.text
 
 
 @pytest.mark.parametrize("modality", [THERMAL, RGB], ids=str)
 def test_views_that_lack_an_image_are_told(tabletop, modality):
     lacking = tabletop.changed(lambda view: without(view, modality), every=10)
-    names = f"{tabletop.scene.train[0].name}, {tabletop.scene.train[10].name}"
-    assert f"no {modality.title} image in 2 views ({names})" in only_problem(lacking)
+    problem = only_problem(lacking)
+    assert f"no {modality.title} image" in problem
+    assert views_of(problem) == (2, [tabletop.scene.train[index].name for index in (0, 10)])
 
 
 def test_a_scene_of_photos_alone_is_told(tabletop):
     scene = tabletop.scene
     views = [tuple(without(view, THERMAL) for view in part) for part in (scene.train, scene.eval)]
     (problem,) = image_problems(replace(scene, train=views[0], eval=views[1], temperature=None), [])
-    assert "No view has a thermal image" in problem.text
+    assert problem.severity == "warning"
+    assert "temperatures" in problem.text
 
 
 def test_thermal_images_alone_are_a_note(tabletop):
@@ -61,7 +70,7 @@ def test_thermal_images_alone_are_a_note(tabletop):
     views = [tuple(without(view, RGB) for view in part) for part in (scene.train, scene.eval)]
     (problem,) = image_problems(replace(scene, train=views[0], eval=views[1]), [])
     assert problem.severity == "note"
-    assert "No view has a RGB image" in problem.text.replace("an RGB", "a RGB")
+    assert "RGB" in problem.text
 
 
 def test_missing_bounds_are_told(tabletop):
@@ -77,7 +86,8 @@ def test_images_of_several_sizes_are_told(tabletop):
         )
 
     problem = only_problem(tabletop.posed(half, every=48), "note")
-    assert "The thermal images are not of one size: 1 of 160×120 px, 27 of 320×240 px" in problem
+    assert "thermal" in problem
+    assert "1 of 160×120 px, 27 of" in problem
 
 
 @pytest.mark.parametrize("modality", [RGB, THERMAL])
@@ -94,11 +104,9 @@ def test_uniform_images_are_told(tabletop, modality):
     )
     problems = image_problems(changed.scene, list(changed.statistics.values()))
     (found,) = [problem for problem in problems if "uniform" in problem.text]
-    assert (found.severity, found.text) == (
-        "warning",
-        f"The {modality.title} image of 1 view ({tabletop.scene.train[2].name}) is uniform: all "
-        f"its pixels have nearly the same value, as behind a lens cap.",
-    )
+    assert found.severity == "warning"
+    assert f"{modality.title} image" in found.text
+    assert views_of(found.text) == (1, [tabletop.scene.train[2].name])
 
 
 def test_saturated_thermal_images_are_told(tabletop):
@@ -111,7 +119,7 @@ def test_saturated_thermal_images_are_told(tabletop):
     texts = [
         problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
     ]
-    assert any("of the thermal pixels lie at the upper end of the scale" in text for text in texts)
+    assert any("upper end" in text for text in texts)
     assert not any("lower end" in text for text in texts)
 
 
@@ -124,13 +132,11 @@ def test_automatic_gain_is_told(tabletop, gain, offset):
         lambda view: with_image(view, THERMAL, lambda image: repainted(image, changed_gain)),
         every=9,
     )
-    names = ", ".join(tabletop.scene.train[index].name for index in (0, 9, 18))
+    names = [tabletop.scene.train[index].name for index in (0, 9, 18)]
     texts = [
         problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
     ]
-    assert any(
-        f"In 3 views ({names}) the same places are warmer or colder" in text for text in texts
-    ), texts
+    assert [views_of(text) for text in texts if "warmer or colder" in text] == [(3, names)], texts
 
 
 def test_radiometric_photos_that_do_not_agree_get_another_remedy(tabletop):
@@ -145,7 +151,7 @@ def test_radiometric_photos_that_do_not_agree_get_another_remedy(tabletop):
     (problem,) = (
         each for each in image_problems(changed.scene, statistics) if "warmer" in each.text
     )
-    assert "though the photos are radiometric" in problem.text
+    assert "photos are radiometric" in problem.text
     assert "Export" not in problem.remedy
 
 
@@ -156,8 +162,9 @@ def test_automatic_exposure_is_told(tabletop):
     changed = tabletop.changed(
         lambda view: with_image(view, RGB, lambda image: repainted(image, darker)), every=12
     )
-    names = ", ".join(tabletop.scene.train[index].name for index in (0, 12))
-    assert f"In 2 views ({names}) the same places are brighter or darker" in only_problem(changed)
+    problem = only_problem(changed)
+    assert "brighter or darker" in problem
+    assert views_of(problem) == (2, [tabletop.scene.train[index].name for index in (0, 12)])
 
 
 @pytest.mark.parametrize("blur", [
@@ -173,7 +180,9 @@ def test_blurred_photos_are_told(tabletop, blur):
         every=100,
         first=9,
     )
-    assert f"1 view ({tabletop.scene.train[9].name}) is much less sharp" in only_problem(changed)
+    problem = only_problem(changed)
+    assert "less sharp" in problem
+    assert views_of(problem) == (1, [tabletop.scene.train[9].name])
 
 
 def test_large_photos_are_measured_in_fewer_pixels(tabletop):

@@ -40,18 +40,18 @@ def test_the_bundled_scene_has_no_problems(tabletop):
     [
         (
             lambda viewmat: FLIP @ viewmat,
-            "camera axes as in OpenCV",
-            "second and the third column of each",
+            "axes as in OpenCV",
+            "Negate",
         ),
         (
             lambda viewmat: FLIP @ torch.linalg.inv(viewmat),
-            "world-to-camera matrices with OpenCV axes",
-            "Invert each transform_matrix, then negate",
+            "with OpenCV axes",
+            "then negate",
         ),
         (
             lambda viewmat: FLIP @ torch.linalg.inv(FLIP @ viewmat),
-            "world-to-camera matrices with OpenGL axes",
-            "Invert each transform_matrix: it must be camera to world.",
+            "with OpenGL axes",
+            "camera to world",
         ),
     ],
 )
@@ -72,7 +72,6 @@ def test_points_of_another_world_are_told(tabletop):
     far = replace(tabletop.scene, points=PointCloud(points.positions + 1000, points.colors))
     (problem,) = pose_problems(far)
     assert problem.severity == "error"
-    assert "do not look at the points" in problem.text
     assert "one world" in problem.remedy
 
 
@@ -90,7 +89,7 @@ def test_points_outside_all_views_are_told(tabletop):
     positions = points.positions.clone()
     positions[::3, 2] += 50
     (problem,) = pose_problems(replace(tabletop.scene, points=PointCloud(positions, points.colors)))
-    assert "33% of the points lie outside all views" in problem.text
+    assert "33% of the points" in problem.text
 
 
 def scaled(tabletop, factor: float):
@@ -102,7 +101,7 @@ def scaled(tabletop, factor: float):
 def test_a_scale_that_is_wildly_off_is_told(tabletop):
     (problem,) = pose_problems(scaled(tabletop, 1e6))
     assert problem.severity == "error"
-    assert "the scale is wildly off" in problem.text
+    assert "scale" in problem.text
 
 
 @pytest.mark.parametrize(
@@ -111,10 +110,9 @@ def test_a_scale_that_is_wildly_off_is_told(tabletop):
 def test_a_scene_before_the_near_plane_is_told(factor, share, remedy, tabletop):
     (problem,) = pose_problems(scaled(tabletop, factor))
     assert problem.severity == "error"
-    assert problem.text == (
-        f"{share}% of what the cameras see lies nearer than 0.01 units, where nothing is rendered."
-    )
-    assert problem.remedy == f"Scale the poses and the points together, such as by {remedy:,}."
+    assert problem.text.startswith(f"{share}% ")
+    assert "nearer than 0.01 units" in problem.text
+    assert f"by {remedy:,}." in problem.remedy
 
 
 @pytest.mark.parametrize("factor", [1e5, 1e3, 0.02, 0.015])
@@ -129,20 +127,18 @@ def test_a_scene_in_map_coordinates_is_told(tabletop):
         tabletop.scene.points.positions + offset.float(), tabletop.scene.points.colors
     )
     texts = [problem.text for problem in pose_problems(replace(far.scene, points=points))]
-    assert any("units from the origin" in text for text in texts)
+    assert any("from the origin" in text for text in texts)
 
 
 def test_views_of_one_pose_are_told_and_more_so_if_one_is_held_out(tabletop):
     scene = tabletop.scene
     again = replace(scene.train[3], name="again")
     (problem,) = pose_problems(replace(scene, train=(*scene.train, again)))
-    assert (
-        f"1 pair of views has nearly the same pose ({scene.train[3].name} and again)"
-        in problem.text
-    )
+    assert f"same pose ({scene.train[3].name} and again)" in problem.text
     assert "held out" not in problem.text
     (problem,) = pose_problems(replace(scene, eval=(*scene.eval, again)))
-    assert "In 1 of them one is held out" in problem.text
+    assert "In 1 of them" in problem.text
+    assert "held out" in problem.text
 
 
 def test_a_thermal_camera_that_looks_elsewhere_is_told(tabletop):
@@ -162,10 +158,10 @@ def test_a_thermal_camera_that_looks_elsewhere_is_told(tabletop):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda K: K[0].mul_(20), "a field of view of"),
-        (lambda K: K[0, :1].mul_(0.1), "a field of view of"),
-        (lambda K: K[0, 2:].mul_(1.7), "at 85% of its width and 50% of its height"),
-        (lambda K: K[1, 1:2].mul_(3), "pixels 0.33 times as high as wide"),
+        (lambda K: K[0].mul_(20), "field of view"),
+        (lambda K: K[0, :1].mul_(0.1), "field of view"),
+        (lambda K: K[0, 2:].mul_(1.7), "85% of its width"),
+        (lambda K: K[1, 1:2].mul_(3), "0.33 times"),
     ],
 )
 def test_intrinsics_that_no_camera_has_are_told(tabletop, change, words):
@@ -174,9 +170,7 @@ def test_intrinsics_that_no_camera_has_are_told(tabletop, change, words):
     )
     texts = [problem.text for problem in pose_problems(odd.scene)]
     for kind in ("RGB", "thermal"):
-        assert any(
-            f"The {kind} intrinsics of 3 views" in text and words in text for text in texts
-        ), texts
+        assert any(f"{kind} intrinsics of 3" in text and words in text for text in texts), texts
 
 
 @pytest.mark.parametrize(("count", "severity"), [(2, "error"), (8, "warning")])
@@ -188,7 +182,7 @@ def test_few_views_are_told(tabletop, count, severity):
 
 def test_a_scene_without_held_out_views_is_told(tabletop):
     (problem,) = pose_problems(replace(tabletop.scene, eval=()))
-    assert "No view is held out" in problem.text
+    assert "held out" in problem.text
 
 
 def test_a_scene_without_points_is_told(make_scene):
@@ -196,4 +190,4 @@ def test_a_scene_without_points_is_told(make_scene):
     (folder / "sparse_pc.ply").unlink()
     scene = load_scene(folder)
     assert any(note.startswith(NO_POINTS) for note in scene.notes)
-    assert any("no points of its own" in problem.text for problem in pose_problems(scene))
+    assert any("sparse_pc.ply" in problem.remedy for problem in pose_problems(scene))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
@@ -19,7 +20,13 @@ from mrgs.prepare import KnownDistance, Preparation, PrepareOptions, Skipped, St
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list:
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable], None]:
+    """Puts a function in the place of ``prepare``."""
+    return lambda function: monkeypatch.setattr("mrgs.prepare.run.prepare", function)
+
+
+@pytest.fixture
+def asked(stand_in) -> list:
     """What ``prepare`` is called with; it reports two stages, and leaves files out."""
     calls: list = []
 
@@ -35,7 +42,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list:
         skipped = tuple(Skipped(f"{number}.txt", "is no photo") for number in range(25))
         return Preparation(scene, scene / "prepare.html", stages, skipped)
 
-    monkeypatch.setattr("mrgs.prepare.run.prepare", prepare)
+    stand_in(prepare)
     return calls
 
 
@@ -54,11 +61,11 @@ def test_stages_are_said_and_what_to_do_next(asked, capsys):
         "open:  my scene/prepare.html",
         "next:  mrgs train 'my scene'",
     ]
-    notes = printed.err.splitlines()
-    assert notes[0] == "mrgs: note: thermal camera: The camera moved."
-    assert notes[1] == "mrgs: note: skipped: 0.txt: is no photo"
-    assert notes[-1] == "mrgs: note: skipped: 5 more; see my scene/prepare.html"
-    assert len(notes) == 22
+    moved, *skipped, more = printed.err.splitlines()
+    assert "The camera moved." in moved
+    assert [f" {number}.txt: " in line for number, line in enumerate(skipped)] == 20 * [True]
+    assert " 5 more" in more
+    assert "my scene/prepare.html" in more
     assert asked == [(Path("photos"), Path("my scene"), PrepareOptions())]
 
 
@@ -104,11 +111,11 @@ def test_every_option_arrives(asked):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("photos", "scene", "--emissivity", 2), r"emissivity = 2 is not between 0\.01 and 1"),
-        (("photos", "scene", "--target", "7", 0.05), "the target .7.: .* \\(--target\\)"),
+        (("photos", "scene", "--emissivity", 2), r"emissivity = 2 .*0\.01 and 1"),
+        (("photos", "scene", "--target", "7", 0.05), "target .7.: .*\\(--target\\)"),
         (
             ("photos", "scene", "--eval-every", 1),
-            "cannot be held out; give 2 or more, or 0 for none",
+            "2 or more",
         ),
     ],
 )
@@ -142,29 +149,28 @@ def test_a_missing_folder_is_one_line_and_nothing_is_made(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_was_found_before_an_error_is_said(monkeypatch, capsys):
+def test_what_was_found_before_an_error_is_said(stand_in, capsys):
     def prepare(photos, scene, options, progress, report):
         report(StageReport("pairs", ("4 pairs.",), ("The clocks differ.",), 0.1))
         raise SceneError("fewer than 3 views have a pose")
 
-    monkeypatch.setattr("mrgs.prepare.run.prepare", prepare)
+    stand_in(prepare)
     assert run("photos", "scene") == 2
     printed = capsys.readouterr()
-    assert printed.out == "pairs:           4 pairs. (0.1 s)\n"
-    assert printed.err.splitlines() == [
-        "mrgs: note: pairs: The clocks differ.",
-        "mrgs: error: fewer than 3 views have a pose",
-    ]
+    assert printed.out.split() == ["pairs:", "4", "pairs.", "(0.1", "s)"]
+    note, error = printed.err.splitlines()
+    assert note.endswith("pairs: The clocks differ.")
+    assert error.startswith("mrgs: error: fewer than")
 
 
-def test_ctrl_c_says_that_the_same_command_goes_on(monkeypatch, capsys):
+def test_ctrl_c_says_that_the_same_command_goes_on(stand_in, capsys):
     def prepare(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mrgs.prepare.run.prepare", prepare)
+    stand_in(prepare)
     assert run("photos", "scene") == 130
     printed = capsys.readouterr()
-    assert printed.out == "intermediate results are kept; re-run the same command to resume\n"
+    assert "same command" in printed.out
     assert printed.err == "mrgs: stopped\n"
 
 
@@ -186,15 +192,13 @@ def test_on_a_terminal_one_line_follows_the_step(monkeypatch, capsys):
 def test_check_lists_problems_and_its_exit_code_is_1_on_errors(severity, code, monkeypatch, capsys):
     def check_scene(scene, progress) -> SceneCheck:
         progress("looking at images", 1, 8)
-        problems = (
-            Problem(severity, "Half of the points lie behind the cameras.", "Turn the poses."),
-        )
+        problems = (Problem(severity, "Points lie behind.", "Turn the poses."),)
         return SceneCheck(problems, ("8 views.",), scene / "check.html")
 
     monkeypatch.setattr("mrgs.check.check_scene", check_scene)
     assert main(["check", "scene"]) == code
     assert capsys.readouterr().out.splitlines() == [
         "8 views.",
-        f"{severity}: Half of the points lie behind the cameras. Turn the poses.",
+        f"{severity}: Points lie behind. Turn the poses.",
         "open: scene/check.html",
     ]

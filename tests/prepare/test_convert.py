@@ -1,8 +1,13 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import struct
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -10,13 +15,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.data.radiometric import Overrides, ThermalPhoto, dji, read_thermal_photo
-from mrgs.errors import RunError, SceneError, ToolError
-from mrgs.prepare import PrepareOptions, convert, stages
-from mrgs.prepare import contents as contents_module
+from mrgs.data.radiometric import Overrides, read_thermal_photo
+from mrgs.errors import RunError, SceneError
+from mrgs.prepare import PrepareOptions, stages
 from mrgs.prepare.cache import Cache
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
-from mrgs.prepare.convert import convert_photos
+from mrgs.prepare.convert import CONTENTS, convert_photos
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
@@ -93,7 +97,7 @@ def test_pixels_without_temperature_are_nan(made, scene):
     )
     assert view.range_c is not None
     assert np.isfinite(view.range_c).all()
-    assert "0.1 % of the pixels have no temperature; they are masked." in view.facts.warnings
+    assert any("0.1 %" in warning for warning in view.facts.warnings)
 
 
 def test_upright_photos_keep_their_bytes(made, scene, photos):
@@ -110,7 +114,8 @@ def test_upright_photos_keep_their_bytes(made, scene, photos):
     assert (
         found.views[0].facts.record.taken == NOON
     )  # of the RGB photo, where the thermal says none
-    assert found.views[0].facts.notes == ("The numbers are taken for celsius.",)
+    (note,) = found.views[0].facts.notes
+    assert "celsius" in note
 
 
 def test_a_tiff_photo_becomes_a_png(made, scene, photos):
@@ -253,7 +258,8 @@ def test_photos_without_temperatures_still_train(made, scene):
     )
     assert found.warnings == ()
     (warning,) = view.facts.warnings
-    assert "relative values from 0 to 1 are used; absolute temperatures need bounds" in warning
+    assert "relative values" in warning
+    assert "bounds" in warning
 
 
 def test_bounds_make_temperatures_of_grey(made, scene):
@@ -275,28 +281,41 @@ def test_one_set_has_one_unit(made, photos, scene):
         Image.fromarray(values).save(root / f"{name}_t.png")
     found = made({"a_rgb.jpg": "jpg", "b_rgb.jpg": "jpg"})
     assert [view.range_c for view in found.views] == [(15.0, 18.0), (29.0, 32.0)]
-    assert [view.facts.notes for view in found.views] == [
-        ("The numbers are taken for celsius*100.",)
-    ] * 2
+    assert all("celsius*100" in note for view in found.views for note in view.facts.notes)
+    assert all(view.facts.notes for view in found.views)
 
 
-def test_r_jpegs_have_no_unit_to_guess(made, monkeypatch):
-    celsius = np.full((512, 640), 20, "<f4").tobytes()
-    monkeypatch.setattr(dji.shutil, "which", lambda program: program)
-    monkeypatch.setattr(dji, "_run_tool", lambda _, __, output, ___: output.write_bytes(celsius))
-    found = made(
-        {f"DJI_{i}_T.JPG": ("dji", {"model": "DJI M3T"}) for i in (1, 2)}
-        | {f"DJI_{i}_W.JPG": ("jpg", {"model": "DJI M3T"}) for i in (1, 2)}
+R_JPEGS = {
+    f"DJI_{i}_{mark}.JPG": ("dji" if mark == "T" else "jpg", {"model": "DJI M3T"})
+    for i in (1, 2)
+    for mark in "TW"
+}
+
+
+def install_dji_tool(folder: Path) -> None:
+    """A stand-in for the program of DJI's SDK, to which every pixel is at 20 °C."""
+    tool = folder / "dji_irp"
+    tool.write_text(
+        f"#!{sys.executable}\n"
+        "import struct, sys\n"
+        "with open(sys.argv[sys.argv.index('-o') + 1], 'wb') as file:\n"
+        "    file.write(640 * 512 * struct.pack('<f', 20))\n"
     )
-    assert [view.facts.notes for view in found.views] == [(), ()]
+    tool.chmod(0o755)
+
+
+def test_r_jpegs_have_no_unit_to_guess(made, monkeypatch, tmp_path):
+    install_dji_tool(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert [view.facts.notes for view in made(R_JPEGS).views] == [(), ()]
 
 
 def test_photos_with_and_without_temperatures_are_not_mixed(made, scene):
     found = made({"a_t.tif": "celsius", "a_rgb.jpg": "jpg", "b_t.png": "png", "b_rgb.jpg": "jpg"})
     assert [view.name for view in found.views] == ["a"]
-    assert [(item.name, item.reason) for item in found.skipped] == [
-        ("b", "its thermal photo holds no temperatures, while those of others do")
-    ]
+    (left,) = found.skipped
+    assert left.name == "b"
+    assert "no temperatures" in left.reason
     assert sorted(contents(scene / "images")) == ["a.jpg"]
 
 
@@ -308,11 +327,9 @@ def test_parameters_that_differ_are_told(made):
         ).jpeg()
         for i, value in enumerate((0.9, 0.95))
     }
-    assert made(content).warnings == (
-        "Emissivity differs between the photos (0.9 to 0.95): one surface then has several "
-        "temperatures. "
-        "Give one value for all.",
-    )
+    (warning,) = made(content).warnings
+    assert "Emissivity" in warning
+    assert "0.9 to 0.95" in warning
     assert made(content, Overrides(emissivity=0.9)).warnings == ()
 
 
@@ -327,27 +344,18 @@ def test_a_bad_photo_is_left_out(made, scene):
     found = made(files)
     assert [view.name for view in found.views] == ["0", "3"]
     assert [item.name for item in found.skipped] == ["1", "2"]
-    assert "1_rgb.jpg: cannot be decoded as an image (" in found.skipped[0].reason
-    assert "2_t.tif: it cannot be decoded as an image (" in found.skipped[1].reason
+    assert "1_rgb.jpg" in found.skipped[0].reason
+    assert "2_t.tif" in found.skipped[1].reason
     assert sorted(contents(scene / "images")) == ["0.jpg", "3.jpg"]
 
 
 def test_no_photo_that_can_be_used(made):
-    with pytest.raises(
-        SceneError,
-        match=r"none of the 2 pairs can be used; the first: .*1_T\.JPG: is a DJI R-JPEG, who",
-    ):
-        made(
-            {
-                f"DJI_{i}_{m}.JPG": ("dji" if m == "T" else "jpg", {"model": "DJI M3T"})
-                for i in (1, 2)
-                for m in "TW"
-            }
-        )
+    with pytest.raises(SceneError, match=r"none of the 2 .*1_T\.JPG: .*R-JPEG"):
+        made(R_JPEGS)
 
 
 def test_no_pairs(scene):
-    with pytest.raises(SceneError, match="none of the 0 pairs can be used; find pairs first"):
+    with pytest.raises(SceneError, match="none of the 0"):
         converted(Pairing((), (), ""), scene)
 
 
@@ -355,10 +363,7 @@ def test_thermal_photos_of_two_sizes(made):
     content = {
         f"{i}.jpg": FlirPhoto(raw=FlirPhoto().raw[: 24 - i // 2, :]).jpeg() for i in range(3)
     }
-    with pytest.raises(
-        SceneError,
-        match=r"2\.jpg: its thermal image has 32 x 23 pixels, while 2 such as 0\.jpg have 32 x",
-    ):
+    with pytest.raises(SceneError, match=r"2\.jpg: .*32 x 23.* 0\.jpg .*32 x 24"):
         made(content)
 
 
@@ -366,33 +371,33 @@ def test_visible_photos_of_two_sizes(made):
     content = {
         f"{i}.jpg": FlirPhoto(visible=photo("jpg", size=(16, 12 + i))).jpeg() for i in range(2)
     }
-    with pytest.raises(
-        SceneError,
-        match=r"1\.jpg: its RGB image has 16 x 13 pixels, while 1 such as 0\.jpg have 16 x 12",
-    ):
+    with pytest.raises(SceneError, match=r"1\.jpg: .*16 x 13.* 0\.jpg .*16 x 12"):
         made(content)
 
 
 def test_photos_in_the_scene_s_own_folders(photos, tmp_path):
     root = photos({"images/a.jpg": "jpg", "thermal/a.tif": "celsius"})
     before = contents(root)
-    with pytest.raises(
-        SceneError,
-        match=r"a\.jpg: lies where the images of .* are written; choose another folder for",
-    ):
+    with pytest.raises(SceneError, match=r"a\.jpg: .*another folder"):
         converted(find_pairs(root), root)
     assert contents(root) == before
 
 
+def remembered(scene: Path) -> dict[str, list]:
+    """Stamp and digest of each photo, as kept between calls."""
+    return json.loads((scene / "prepare" / CONTENTS).read_text())
+
+
 @pytest.fixture
-def digested(monkeypatch) -> list[str]:
-    """Names of the files whose content is read to tell whether it has changed."""
-    names = []
-    original = contents_module.digest
-    monkeypatch.setattr(
-        contents_module, "digest", lambda path: names.append(path.name) or original(path)
-    )
-    return names
+def remade(photos, scene):
+    """Converts the photos that are there; returns how many pairs were not taken from before."""
+
+    def make(overrides: Overrides | None = None) -> int:
+        cache = Cache(scene / "prepare")
+        convert_photos(find_pairs(photos({})), scene, overrides or Overrides(), cache, quiet)
+        return cache.made
+
+    return make
 
 
 SET = {
@@ -402,20 +407,14 @@ SET = {
 }
 
 
-def test_nothing_is_done_twice(made, monkeypatch, photos):
+def test_nothing_is_done_twice(made, remade, photos):
     first = made(SET)
-    read = []
-    original = convert.read_rgb
-    monkeypatch.setattr(
-        convert, "read_rgb", lambda path, turn: read.append(path.name) or original(path, turn)
-    )
+    assert remade() == 0
     assert made({}) == first
-    assert read == []
     os.utime(photos({"1_rgb.jpg": photo("jpg", taken=NOON)}) / "1_rgb.jpg", ns=(1, 1))
+    assert remade() == 1
     assert made({}).views[1].exif.taken == NOON
-    assert read == ["1_rgb.jpg"]
-    made({}, Overrides(unit="fahrenheit"))
-    assert read == ["1_rgb.jpg", "0_rgb.jpg", "1_rgb.jpg", "2_rgb.jpg"]
+    assert remade(Overrides(unit="fahrenheit")) == 3
 
 
 def test_a_photo_exported_again_with_its_old_size_and_time_is_read_again(made, photos, scene):
@@ -429,9 +428,9 @@ def test_a_photo_exported_again_with_its_old_size_and_time_is_read_again(made, p
     np.testing.assert_array_equal(pixels(scene / "thermal/1.tiff"), before + np.float32(5))
 
 
-def test_a_call_that_was_cut_short_remembers_what_others_read(made, photos, scene, digested):
+def test_a_call_that_was_cut_short_remembers_what_others_read(made, photos, scene):
     made(SET)
-    digested.clear()
+    before = remembered(scene)
     pairing, cache = find_pairs(photos({})), Cache(scene / "prepare")
 
     def stop(step: str, done: int, total: int) -> None:
@@ -441,21 +440,27 @@ def test_a_call_that_was_cut_short_remembers_what_others_read(made, photos, scen
     (photos({}) / "0_t.tif").touch()
     with pytest.raises(KeyboardInterrupt):
         convert_photos(pairing, scene, Overrides(), cache, stop)
-    convert_photos(pairing, scene, Overrides(), cache, quiet)
-    assert digested == ["0_t.tif"]
+    touched = str(photos({}) / "0_t.tif")
+    after = remembered(scene)
+    assert after[touched] != before[touched]
+    assert after == {**before, touched: after[touched]}
 
 
-def test_photos_are_read_again_only_where_their_files_changed(made, photos, scene, digested):
-    """A photo that was touched is compared by its content, and not converted again."""
+def test_photos_are_read_again_only_where_their_files_changed(made, remade, photos, scene):
+    """A photo that was touched is compared by its content, and not converted again; for one that
+    was not, what is remembered counts, even if it is wrong."""
     made(SET)
-    digested.clear()
-    cache = Cache(scene / "prepare")
     (photos({}) / "2_t.tif").touch()
-    convert_photos(find_pairs(photos({})), scene, Overrides(), cache, quiet)
-    assert (cache.made, digested) == (0, ["2_t.tif"])
+    assert remade() == 0
+    known = remembered(scene)
+    for name in ("1_t.tif", "2_t.tif"):
+        known[str(photos({}) / name)][-1] = "of another content"
+    (scene / "prepare" / CONTENTS).write_text(json.dumps(known))
+    (photos({}) / "2_t.tif").touch()
+    assert remade() == 1
 
 
-def test_a_refused_photo_is_not_read_again(made, scene, photos):
+def test_a_refused_photo_is_not_read_again(made, remade, scene):
     """Its refusal is kept like an image, until the photo or an override changes."""
     cut = photo("celsius")[:200]
     first = made({**SET, "1_t.tif": cut})
@@ -464,11 +469,8 @@ def test_a_refused_photo_is_not_read_again(made, scene, photos):
     results = contents(scene / "prepare")
     assert made({}) == first
     assert contents(scene / "prepare") == results
-    cache = Cache(scene / "prepare")
-    convert_photos(find_pairs(photos({})), scene, Overrides(), cache, quiet)
-    assert cache.made == 0
-    convert_photos(find_pairs(photos({})), scene, Overrides(unit="fahrenheit"), cache, quiet)
-    assert cache.made == 3
+    assert remade() == 0
+    assert remade(Overrides(unit="fahrenheit")) == 3
     assert [view.name for view in made({"1_t.tif": "celsius"}).views] == ["0", "1", "2"]
 
 
@@ -483,20 +485,15 @@ def test_a_photo_without_permission_is_read_again(photos, scene):
     assert converted(pairing, scene).skipped == ()
 
 
-def test_a_photo_that_another_program_could_not_read_is_tried_again(photos, scene, monkeypatch):
-    root = photos({**SET, "3_t.tif": "celsius", "3_rgb.jpg": "jpg"})
-    pairing = find_pairs(root)
-    original = convert.read_thermal_photo
-
-    def lacks_tool(path: Path, overrides: Overrides) -> ThermalPhoto:
-        if path.name == "3_t.tif":
-            raise ToolError(f"{path}: install the SDK")
-        return original(path, overrides)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(convert, "read_thermal_photo", lacks_tool)
-        assert [item.name for item in converted(pairing, scene).skipped] == ["3"]
-    assert converted(pairing, scene).skipped == ()
+def test_a_photo_that_another_program_could_not_read_is_tried_again(
+    photos, scene, tmp_path, monkeypatch
+):
+    pairing = find_pairs(photos(R_JPEGS))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SceneError, match="dji_irp"):
+        converted(pairing, scene)
+    install_dji_tool(tmp_path)
+    assert len(converted(pairing, scene).views) == 2
 
 
 def denied(secret: Path, original):
@@ -533,21 +530,24 @@ def test_the_photos_are_only_read(made, photos):
     assert contents(root) == before
 
 
-def test_a_photo_that_changes_while_it_is_read(made, monkeypatch, scene):
-    original = convert.read_rgb
+class Growing(type(Path())):
+    """A file that another program writes: whenever it is looked at, there is more of it."""
 
-    def changing(path: Path, turn: int):
-        found = original(path, turn)
-        if path.name == "1_rgb.jpg":
-            path.write_bytes(path.read_bytes() + b" more")
-        return found
+    def stat(self, **options: bool) -> os.stat_result:
+        with open(self, "ab") as file:
+            file.write(b"more")
+        return super().stat(**options)
 
-    monkeypatch.setattr(convert, "read_rgb", changing)
-    found = made(SET)
+
+def test_a_photo_that_changes_while_it_is_read(photos, scene):
+    pairing = find_pairs(photos(SET))
+    pairs = list(pairing.pairs)
+    growing = {**pairs[1].photos, RGB: Growing(pairs[1].photos[RGB])}
+    pairs[1] = replace(pairs[1], photos=growing)
+    found = converted(replace(pairing, pairs=tuple(pairs)), scene)
     assert [view.name for view in found.views] == ["0", "2"]
-    assert found.skipped[0].reason.endswith(
-        "1_t.tif: this photo or its RGB photo changed while it was read; wait until it is copied"
-    )
+    assert "1_t.tif" in found.skipped[0].reason
+    assert "changed while" in found.skipped[0].reason
     assert sorted(contents(scene / "images")) == ["0.jpg", "2.jpg"]
 
 
@@ -556,31 +556,27 @@ def test_a_photo_that_vanishes(photos, scene):
     pairing = find_pairs(root)
     (root / "1_rgb.jpg").unlink()
     found = converted(pairing, scene)
-    assert found.skipped[0].reason.endswith(
-        "1_rgb.jpg: cannot be read (No such file or directory); it was there before, put it back"
-    )
+    assert "1_rgb.jpg: " in found.skipped[0].reason
+    assert "No such file" in found.skipped[0].reason
 
 
-def test_a_full_disk(made, monkeypatch, scene):
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """The system writes no larger files; the test's own are written before."""
+    resource = pytest.importorskip("resource", reason="the system limits no sizes")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_an_image_that_cannot_be_written_to_its_end(made, photos, scene):
     """What was written stays whole, and the next call goes on with it."""
-    write = Path.write_bytes
-    written = []
-
-    def full(path: Path, content: bytes) -> int:
-        if len(written) == 1 and path.suffix == ".jpg":
-            write(path, content[:10])
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        if scene in path.parents and path.suffix == ".jpg":
-            written.append(path)
-        return write(path, content)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", full)
-        with pytest.raises(
-            RunError,
-            match=r"1\.jpg cannot be written \(No space left on device\): make room, or",
-        ):
-            made(SET)
+    photos({**SET, "1_rgb.jpg": photo("jpg") + bytes(2**20)})
+    with largest_file(2**19), pytest.raises(RunError, match=r"1\.jpg cannot"):
+        made({})
     assert sorted(contents(scene / "images")) == ["0.jpg"]
     stamp = (scene / "images/0.jpg").stat().st_mtime_ns
     assert len(made({}).views) == 3
@@ -589,16 +585,13 @@ def test_a_full_disk(made, monkeypatch, scene):
 
 def test_a_folder_that_cannot_be_made(photos, tmp_path):
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(RunError, match=r"a\.jpg cannot be written"):
+    with pytest.raises(RunError, match=r"a\.jpg cannot"):
         converted(find_pairs(photos({"a_t.tif": "celsius", "a_rgb.jpg": "jpg"})), tmp_path / "file")
 
 
 def test_a_photo_that_says_it_holds_another(photos, scene):
     root = photos({"a.jpg": "flir"})
-    with pytest.raises(
-        SceneError,
-        match=r"a\.jpg: holds no visible photo, while others do; leave it out, or add its RGB",
-    ):
+    with pytest.raises(SceneError, match=r"a\.jpg: .*no visible photo"):
         converted(Pairing((PhotoPair("a", {THERMAL: root / "a.jpg"}, True),), (), ""), scene)
 
 

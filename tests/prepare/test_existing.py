@@ -43,13 +43,11 @@ def test_transforms(small_scene, tmp_path):
         assert viewmat.numpy() == pytest.approx(truth[name].numpy())
     assert len(found.points.positions) == 25
     assert found.visible is None
-    assert (
-        found.source
-        == f"The poses of {len(truth)} of {len(truth) + 1} photos are those of transforms.json."
-    )
-    assert [(left.name, left.reason) for left in found.failed] == [
-        ("another", "transforms.json has no pose of this name")
-    ]
+    assert f"{len(truth)} of {len(truth) + 1} photos" in found.source
+    assert "transforms.json" in found.source
+    (left,) = found.failed
+    assert left.name == "another"
+    assert "no pose" in left.reason
     by_file = existing_poses(
         small_scene / "transforms.json", photos(tmp_path / "photos", list(truth))
     )
@@ -104,10 +102,8 @@ def test_without_points(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg"], points=False)
     found = existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"]))
     assert found.points.positions.shape == (0, 3)
-    assert found.warnings == (
-        "images.txt has no points: the thermal camera cannot be found from the photos without "
-        "them.",
-    )
+    (warning,) = found.warnings
+    assert "images.txt has no points" in warning
     files = photos(tmp_path / "again", ["a", "b", "c"])
     alone = existing_poses(tmp_path / "model", files, two_cameras=False)
     assert alone.warnings == (), "there is no thermal camera to be found"
@@ -118,39 +114,28 @@ def test_cropped_photos(tmp_path):
     images = photos(tmp_path / "photos", ["a", "b", "c"], (40, 20))
     with pytest.raises(SceneError) as error:
         existing_poses(tmp_path / "model", images)
-    assert str(error.value) == (
-        f"{images['a']} is 40×20 px, but its pose is for 40×30 px; give the photos as they were "
-        f"when the poses were "
-        "made, not cropped"
-    )
+    for told in (str(images["a"]), "40×20", "40×30", "cropped"):
+        assert told in str(error.value)
 
 
 def test_other_names(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
     with pytest.raises(SceneError) as error:
         existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "x", "y"]))
-    assert str(error.value) == (
-        f"{tmp_path / 'model'}: 1 of 3 photos have a pose of their name there, and 3 are needed; "
-        f"the names there are "
-        "like a, b, c: give the poses of these photos"
-    )
+    for told in (str(tmp_path / "model"), "1 of 3 photos", "a, b, c"):
+        assert told in str(error.value)
 
 
 def test_names_that_stand_for_two_images(tmp_path):
     write_colmap(tmp_path / "model", ["one/a.jpg", "two/a.jpg", "c.jpg", "d.jpg"])
-    with pytest.raises(
-        SceneError, match="has several poses named a; give each photo a name of its own in it"
-    ):
+    with pytest.raises(SceneError, match="named a;"):
         existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "c", "d"]))
 
 
 def test_a_folder_without_poses(tmp_path):
-    with pytest.raises(
-        SceneError,
-        match=r"holds no poses; looked for transforms.json, sparse/0/cameras.bin or .txt, ",
-    ):
+    with pytest.raises(SceneError, match=r"no poses; .*transforms\.json, sparse/0/cameras\.bin"):
         existing_poses(tmp_path, {})
-    with pytest.raises(SceneError, match="missing: is not a folder; give the one with the poses"):
+    with pytest.raises(SceneError, match=r"missing: .*folder"):
         existing_poses(tmp_path / "missing", {})
 
 
@@ -159,7 +144,5 @@ def test_a_damaged_file_is_named(small_scene, tmp_path):
     content = json.loads((tmp_path / "scene" / "transforms.json").read_text())
     content["frames"][3]["transform_matrix"][0][0] = None
     (tmp_path / "scene" / "transforms.json").write_text(json.dumps(content))
-    with pytest.raises(
-        SceneError, match=r"transforms.json: transform_matrix of frame 3 .* not a number"
-    ):
+    with pytest.raises(SceneError, match="transform_matrix of frame 3"):
         existing_poses(tmp_path / "scene", {})

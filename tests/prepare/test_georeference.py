@@ -105,7 +105,7 @@ def test_gps_gives_metres_and_north(seed):
     assert found.north
     assert found.origin is not None
     assert found.residual_m == pytest.approx(0.75, abs=0.5)
-    assert "metres and the axes east, north, up" in found.text
+    assert "axes east, north, up" in found.text
     moved = apply(found, displaced(truth, seed))
     assert shape_of(moved) == pytest.approx(shape_of(truth), abs=1.5)
 
@@ -140,7 +140,9 @@ def test_wrong_positions_are_left_out_and_counted():
     wrong = positions.copy()
     wrong[[2, 7]] += [80.0, -30.0, 5.0]
     found = georeference(displaced(reconstruction_of(positions), 1), gps_of(wrong))
-    assert found.warnings == ("2 of 12 GPS positions disagree with the others and are left out.",)
+    (warning,) = found.warnings
+    assert "2 of 12" in warning
+    assert "left out" in warning
     assert shape_of(apply(found, displaced(reconstruction_of(positions), 1))) == pytest.approx(
         shape_of(reconstruction_of(positions)), abs=0.01
     )
@@ -150,10 +152,9 @@ def test_without_heights_the_cameras_tell_the_vertical():
     truth = reconstruction_of(around())
     found = georeference(displaced(truth, 5), gps_of(around(), height=False))
     assert found.north
-    assert found.warnings == (
-        "The vertical is guessed from how the cameras were held: the GPS positions have no "
-        "heights.",
-    )
+    (warning,) = found.warnings
+    assert "vertical" in warning
+    assert "no heights" in warning
     assert shape_of(apply(found, displaced(truth, 5))) == pytest.approx(shape_of(truth), abs=0.1)
 
 
@@ -162,10 +163,7 @@ def test_on_a_line_the_cameras_tell_the_vertical():
     truth = reconstruction_of(positions)
     noisy = positions + np.random.default_rng(0).normal(0, 0.3, positions.shape)
     found = georeference(displaced(truth, 5), gps_of(noisy))
-    assert any(
-        "stand on a line, about which GPS leaves the rotation open" in text
-        for text in found.warnings
-    )
+    assert any("on a line" in text for text in found.warnings)
     assert shape_of(apply(found, displaced(truth, 5))) == pytest.approx(shape_of(truth), abs=1.5)
 
 
@@ -177,8 +175,7 @@ def test_cameras_closer_together_than_the_noise_are_not_placed():
     assert not found.north
     assert found.residual_m is None
     (warning,) = found.warnings
-    assert "The GPS positions are not used: they are" in warning
-    assert "too close together for that" in warning
+    assert "too close together" in warning
 
 
 @pytest.mark.parametrize(("lines", "metric"), [(6, False), (60, True)])
@@ -189,7 +186,7 @@ def test_rows_that_lie_on_each_other_contradict_gps(lines, metric):
     folded[:, 1] = truth[:, 1] % 28 if lines == 6 else truth[:, 1] - truth[:, 1] // 14 % 3 * 14
     found = georeference(displaced(reconstruction_of(folded), 2), gps_of(truth))
     assert found.metric == metric
-    assert any("look alike may lie on each other" in warning for warning in found.warnings)
+    assert any("on each other" in warning for warning in found.warnings)
 
 
 @settings(max_examples=40)
@@ -217,18 +214,16 @@ def test_one_position_for_all_photos_is_not_used():
 def test_three_positions_are_too_few():
     some = dict(list(gps_of(around()).items())[:3])
     found = georeference(reconstruction_of(around()), some)
-    assert found.warnings == (
-        "The GPS positions are not used: 3 of the photos with a pose have one, and 4 are needed.",
-    )
+    (warning,) = found.warnings
+    assert "4 are needed" in warning
 
 
 def test_without_gps_the_scale_is_arbitrary_and_up_is_guessed():
     truth = reconstruction_of(around())
     found = georeference(displaced(truth, 4), {"elsewhere": PLACE})
     assert (found.scale, found.metric, found.north, found.warnings) == (1.0, False, False, ())
-    assert found.text == (
-        "The scale is arbitrary. North is not known; up is guessed from how the cameras were held."
-    )
+    for told in ("scale is arbitrary", "North is not known", "up is guessed"):
+        assert told in found.text
     heights = centres(apply(found, displaced(truth, 4)), truth.viewmats)[:, 2]
     true = centres(truth, truth.viewmats)[:, 2]
     assert np.corrcoef(heights, true)[0, 1] == pytest.approx(1, abs=1e-3)
@@ -304,12 +299,11 @@ def test_a_known_distance_decides_against_gps():
     placed = georeference(found, gps_of(around()), twice_as_long(truth))
     assert placed.north
     assert placed.scale_error is None
-    assert placed.text.startswith(
-        "The scale is that of the known distance. The GPS positions of 12 photos give the axes"
-    )
-    assert placed.warnings == (
-        "The known distance makes the scene 2 times as large as GPS does; check it.",
-    )
+    assert "known distance" in placed.text
+    assert "GPS positions of 12" in placed.text
+    (warning,) = placed.warnings
+    assert "2 times" in warning
+    assert "GPS" in warning
     assert shape_of(apply(placed, found)) == pytest.approx(2 * shape_of(truth), abs=0.2)
 
 
@@ -317,7 +311,8 @@ def test_given_poses_without_gps_stay():
     found = georeference(reconstruction_of(around()), {}, as_given=True)
     assert (found.scale, found.metric) == (1.0, False)
     assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
-    assert found.text == "The scale is arbitrary. The axes are those of the given poses."
+    assert "scale is arbitrary" in found.text
+    assert "axes are those" in found.text
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -329,11 +324,8 @@ def test_gps_places_given_poses(seed):
     assert found.metric
     assert found.north
     assert found.origin is not None
-    assert found.text == (
-        "The GPS positions of 12 photos give metres and the axes east, north, up; the cameras are "
-        f"{found.residual_m:.2g} m off them (median). The given poses are turned and scaled to "
-        "them."
-    )
+    assert f"{found.residual_m:.2g} m off" in found.text
+    assert "turned and scaled" in found.text
     assert shape_of(apply(found, given)) == pytest.approx(shape_of(truth), abs=0.05)
 
 
@@ -350,7 +342,7 @@ def test_given_poses_that_agree_with_gps_keep_their_scale_and_axes(height):
     found = georeference(given, gps_of(noisy, height), as_given=True)
     assert (found.scale, found.metric, found.north) == (1.0, True, True)
     assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
-    assert found.text.endswith(" The given poses have these already, and stay as they are.")
+    assert "stay as they are" in found.text
     moved = centres(apply(found, given), given.viewmats).mean(axis=0)
     true = enu([gps_of(positions)[name] for name in given.viewmats], found.origin).mean(axis=0)
     assert moved[: 3 if height else 2] == pytest.approx(true[: 3 if height else 2], abs=1.0)
@@ -361,8 +353,8 @@ def test_a_known_distance_changes_the_scale_of_given_poses_that_agree_with_gps()
     found = georeference(given, gps_of(around()), twice_as_long(given), as_given=True)
     assert found.scale == pytest.approx(2.0, rel=1e-2)
     assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
-    assert found.text.startswith("The scale is that of the known distance. The GPS positions of")
-    assert found.text.endswith(" The given poses have these already, and stay as they are.")
+    for told in ("known distance", "GPS", "stay as they are"):
+        assert told in found.text
 
 
 def test_given_poses_that_gps_cannot_place_stay():
@@ -371,7 +363,7 @@ def test_given_poses_that_gps_cannot_place_stay():
     found = georeference(given, gps_of(noisy), as_given=True)
     assert (found.scale, found.metric, found.north) == (1.0, False, False)
     assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
-    assert found.warnings[0].startswith("The GPS positions are not used: they are ")
+    assert "GPS positions are not" in found.warnings[0]
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -382,45 +374,40 @@ def test_given_poses_that_know_their_place_on_earth_stay(known):
     found = georeference(given, gps_of(around()), distance, as_given=True)
     assert found.rotation.equal(torch.eye(3, dtype=torch.float64))
     assert found.world == (replace(world, scale_error=None) if known else world)
-    assert found.text == (
-        f"The scale is that of {'the known distance' if known else 'the given poses, in metres'}. "
-        "The axes are those of the given poses, with north."
-    )
+    assert ("known distance" if known else "in metres") in found.text
+    assert "with north" in found.text
     assert found.scale == (pytest.approx(2.0, rel=1e-2) if known else 1.0)
 
 
 @pytest.mark.parametrize(
-    ("known", "message"),
+    ("known", "told"),
     [
         (
             KnownDistance("view_1", (100, 100), (200, 100), 0.0),
-            "the known distance is 0 m; it must be longer than 0 m",
+            ["0 m"],
         ),
         (
             KnownDistance("other", (100, 100), (200, 100), 1.0),
-            "the known distance is given in other, which has no pose; give it in another: view_0, "
-            "view_1, "
-            "view_10, view_11, view_2, …",
+            ["in other", "no pose", "view_0, view_1, view_10, view_11, view_2, …"],
         ),
         (
             KnownDistance("view_1", (100, 100), (401, 100), 1.0),
-            "pixel (401, 100) of view_1 is outside of the image of 400×300 px; give one inside",
+            ["(401, 100) of view_1", "outside", "400×300 px"],
         ),
         (
             KnownDistance("view_1", (200, 100), (390, 290), 1.0),
-            "pixel (390, 290) of view_1 has no reconstructed points near it; choose one on a "
-            "surface with more detail",
+            ["(390, 290) of view_1", "points near it"],
         ),
         (
             KnownDistance("view_1", (200, 150), (200, 150), 1.0),
-            "the two ends of the known distance in view_1 are one point; give two different pixels",
+            ["view_1", "two different pixels"],
         ),
     ],
 )
-def test_a_known_distance_that_cannot_be_used(known, message):
+def test_a_known_distance_that_cannot_be_used(known, told):
     with pytest.raises(SceneError) as error:
         georeference(wall(), {}, known)
-    assert str(error.value) == message
+    assert [fact for fact in told if fact not in str(error.value)] == []
 
 
 def test_a_known_distance_that_ends_at_an_edge():
@@ -431,7 +418,5 @@ def test_a_known_distance_that_ends_at_an_edge():
     cloud = PointCloud(points, flat.points.colors)
     stepped = Reconstruction(flat.viewmats, flat.lenses, cloud, flat.visible, (), None, "")
     a, b = pixel_of(flat, "view_1", [-1.0, 0, 0]), pixel_of(flat, "view_1", [0.125, 0, 0])
-    with pytest.raises(
-        SceneError, match="lies where near and far surfaces meet; choose one that is well inside"
-    ):
+    with pytest.raises(SceneError, match="near and far"):
         georeference(stepped, {}, KnownDistance("view_1", a, b, 1.0))

@@ -14,11 +14,11 @@ from mrgs.prepare.rig.contract import ChessboardTarget
     [
         (
             {"thermal_fov_deg": 0.5},
-            "field of view of 0.5° is not between 1° and 150°; take it from",
+            "0.5°.*1° and 150°",
         ),
-        ({"thermal_fov_deg": float("nan")}, "field of view of nan°"),
-        ({"eval_every": 1}, "one in 1 views cannot be held out; give 2 or more, or 0 for none"),
-        ({"eval_every": -3}, "give 2 or more, or 0"),
+        ({"thermal_fov_deg": float("nan")}, "nan°"),
+        ({"eval_every": 1}, "held out.*2 or more"),
+        ({"eval_every": -3}, "held out.*2 or more"),
     ],
 )
 def test_what_cannot_be_is_told(options, message):
@@ -35,7 +35,7 @@ def test_what_cannot_be_is_told(options, message):
     ],
 )
 def test_one_camera_excludes_what_is_known_of_a_second(other):
-    with pytest.raises(ConfigError, match="needs no second one; give one of the two") as error:
+    with pytest.raises(ConfigError, match="second one") as error:
         PrepareOptions(one_camera=True, **other)
     assert error.value.options == ("one_camera", *other)
 
@@ -51,10 +51,10 @@ def test_distances_are_written_as_the_page_shows_them():
         (
             "IR_0001",
             "IR_0001:1,2",
-            "the known distance 'IR_0001': write NAME:X,Y, for instance IR_0001:120,85",
+            "'IR_0001': .*NAME:X,Y",
         ),
-        ("IR_0001:1,2", "IR_0001:1;2", "the known distance 'IR_0001:1;2': write NAME:X,Y"),
-        ("a:1,2", "b:1,2", "needs two pixels of one view, not of a and b"),
+        ("IR_0001:1,2", "IR_0001:1;2", "'IR_0001:1;2': .*NAME:X,Y"),
+        ("a:1,2", "b:1,2", "one view"),
     ],
 )
 def test_distances_that_say_nothing_are_told(first, second, message):
@@ -66,8 +66,5 @@ def test_targets_are_counted_in_inner_corners():
     target = parse_target("7x6", 0.05)
     assert (target.inner, target.square_m) == ((7, 6), 0.05)
     for text in ("7", "7-6", "ax6", "7x6x5"):
-        with pytest.raises(
-            ConfigError,
-            match=rf"the target '{text}': write the inner corners along and across, for ins",
-        ):
+        with pytest.raises(ConfigError, match=rf"'{text}': .*inner corners"):
             parse_target(text, 0.05)

@@ -23,10 +23,8 @@ from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import Preparation, PrepareOptions, prepare, stages
 from mrgs.prepare.cache import stamps
-from mrgs.prepare.consistency import Agreement
 from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
-from mrgs.prepare.page import write as page_module
 from mrgs.prepare.rig.contract import ChessboardTarget, RigCalibration, RigView, TargetFit
 from mrgs.prepare.run import Steps
 from mrgs.prepare.thermal_camera import read_thermal_camera
@@ -151,18 +149,20 @@ def test_given_poses_without_points_do_for_thermal_photos_alone(photos, posed, t
     assert next(s for s in made.stages if s.title == "poses").warnings == ()
 
 
-def test_what_only_the_page_sees_is_a_warning_too(photos, posed, tmp_path, monkeypatch):
-    def agree(images, *arguments) -> list[Agreement]:
-        return [Agreement(1.5, 0.0, 0.2, 0.01)] * len(images)
-
-    assert Agreement(1.5, 0.0, 0.2, 0.01).jumps
-    monkeypatch.setattr(page_module, "agreements", agree)
+def test_what_only_the_page_sees_is_a_warning_too(photos, posed, tmp_path):
+    odd = photos / "thermal" / "shot_03.png"
+    with Image.open(odd) as image:
+        image.point(lambda value: value // 3).save(odd)
+    few = load_scene(posed).points.positions.numpy()
+    points = np.repeat(few, 16, axis=0)  # enough of them to compare the images
+    points = points + np.random.default_rng(0).normal(0, 0.05, points.shape)
+    write_points(posed / "sparse_pc.ply", points, np.zeros(points.shape, np.uint8))
     options = PrepareOptions(overrides=BOUNDS, poses=posed, one_camera=True)
     for _ in range(2):  # the second time from the cache
         made = prepare(photos, tmp_path / "scene", options)
         (warning,) = made.stages[-1].warnings
-        assert "the same places are warmer or colder" in warning
-    assert made.page.read_text(encoding="utf-8").count("the same places are warmer") == 1
+        assert "(shot_03) the same places" in warning
+    assert made.page.read_text(encoding="utf-8").count("the same places") == 1
 
 
 def test_photos_that_are_odd_are_named(photos, posed, tmp_path):
@@ -284,7 +284,7 @@ def test_thermal_photos_alone_are_posed_by_themselves(photos, fakes, tmp_path):
     assert fakes.calls == ["thermal poses"]
     scene = load_scene(tmp_path / "scene")
     assert scene.modalities == (THERMAL,)
-    assert made.stages[4].lines == ("There are only thermal images.",)
+    assert "only thermal" in made.stages[4].lines[0]
 
 
 def test_progress_names_the_stage_and_the_step(photos, fakes, tmp_path):
@@ -333,12 +333,10 @@ def test_the_page_shows_how_far_it_came(photos, fakes, tmp_path):
 
     fakes.prepare(photos, tmp_path / "scene")
     steps = replace(fakes.steps, calibrate_rig=fails)
-    with pytest.raises(
-        SceneError, match=r"placed: noise; .*prepare\.html shows what was found so far"
-    ):
+    with pytest.raises(SceneError, match=r"noise; .*prepare\.html"):
         fakes.prepare(photos, tmp_path / "scene", PrepareOptions(thermal_fov_deg=50), steps=steps)
     shown = (tmp_path / "scene" / "prepare.html").read_text(encoding="utf-8")
-    assert "The poses of 8 of 8 photos are those of transforms.json." in shown
+    assert "8 of 8 photos" in shown
     assert shown.endswith("the thermal camera cannot be placed: noise")
     assert not (tmp_path / "scene" / "transforms.json").exists()  # of other options
     made = fakes.prepare(photos, tmp_path / "scene")
@@ -354,7 +352,7 @@ def test_a_target_gives_metres(photos, fakes, tmp_path):
     options = PrepareOptions(target=ChessboardTarget((7, 6), 0.05))
     steps = replace(fakes.steps, calibrate_rig=calibrate)
     made = fakes.prepare(photos, tmp_path / "scene", options, steps=steps)
-    assert made.stages[4].lines[-1] == "The target gives the scale: the scene is in metres."
+    assert "in metres" in made.stages[4].lines[-1]
     after = load_scene(made.scene)
     for old, new in zip(before.train, after.train, strict=True):
         assert torch.allclose(
@@ -415,10 +413,7 @@ def test_a_folder_of_the_user_s_that_is_called_prepare_is_left_alone(photos, fak
     own = tmp_path / "scene" / "prepare" / "notes.txt"
     own.parent.mkdir(parents=True)
     own.write_text("mine")
-    with pytest.raises(
-        RunError,
-        match="scene holds something that `mrgs prepare` did not make: choose a new folder",
-    ):
+    with pytest.raises(RunError, match=r"scene .*new folder"):
         fakes.prepare(photos, tmp_path / "scene")
     assert [path.name for path in (tmp_path / "scene").rglob("*")] == ["prepare", "notes.txt"]
 
@@ -436,9 +431,7 @@ def test_images_without_a_pose_are_told_on_the_page(photos, fakes, tmp_path):
         return work.scene / "prepare.html"
 
     steps = Steps(reconstruct=fails, write_page=page)
-    with pytest.raises(
-        SceneError, match=r"only 2 of 8 photos could be placed; .*prepare\.html shows"
-    ):
+    with pytest.raises(SceneError, match=r"2 of 8 .*prepare\.html"):
         fakes.prepare(photos, tmp_path / "scene", steps=steps)
     assert told == [Skipped("notes.txt", told[0].reason), Skipped("view_3", "too little texture")]
 
@@ -459,7 +452,7 @@ def test_two_at_once_are_refused(photos, fakes, tmp_path):
     fakes.prepare(photos, tmp_path / "scene")
     with (
         FileLock(tmp_path / "scene" / "prepare" / ".lock"),
-        pytest.raises(RunError, match="by another run: wait"),
+        pytest.raises(RunError, match="another run"),
     ):
         fakes.prepare(photos, tmp_path / "scene")
 

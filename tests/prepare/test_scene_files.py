@@ -242,7 +242,7 @@ def test_what_an_earlier_call_left_is_taken_away(tmp_path):
 
 
 def test_a_set_without_poses_is_no_scene(tmp_path):
-    with pytest.raises(SceneError, match="no view has a pose"):
+    with pytest.raises(SceneError, match="no view"):
         write(
             tmp_path, convert(tmp_path, 2), reconstruct([]), None, None, eval_every=8, bounds=None
         )
@@ -251,9 +251,7 @@ def test_a_set_without_poses_is_no_scene(tmp_path):
 def test_a_view_without_thermal_camera_is_told(tmp_path):
     photos = convert(tmp_path, 3)
     names = [view.name for view in photos.views]
-    with pytest.raises(
-        SceneError, match="shot_2 has a pose but is not in the thermal camera's calibration"
-    ):
+    with pytest.raises(SceneError, match=r"shot_2 .*calibration"):
         write(
             tmp_path,
             photos,
@@ -269,7 +267,7 @@ def test_a_folder_that_cannot_be_written_leaves_no_transforms(tmp_path):
     photos = convert(tmp_path, 3)
     names = [view.name for view in photos.views]
     (tmp_path / "temperature_bounds.json").mkdir()
-    with pytest.raises(RunError, match=r"temperature_bounds\.json cannot be written"):
+    with pytest.raises(RunError, match=r"temperature_bounds\.json .*written"):
         write(
             tmp_path,
             photos,
@@ -286,7 +284,7 @@ def test_what_cannot_be_taken_away_is_told(tmp_path):
     photos = convert(tmp_path, 3, celsius=False)
     names = [view.name for view in photos.views]
     (tmp_path / "temperature_bounds.json").mkdir()
-    with pytest.raises(RunError, match=r"temperature_bounds\.json cannot be removed"):
+    with pytest.raises(RunError, match=r"temperature_bounds\.json .*removed"):
         write(
             tmp_path,
             photos,

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -14,6 +15,7 @@ from mrgs.prepare.contract import (
     PhotoPair,
     Reconstruction,
     Skipped,
+    StageSummary,
 )
 from mrgs.prepare.rig.contract import RigCalibration, RigView, TargetFit
 from mrgs.prepare.summary import (
@@ -34,10 +36,11 @@ VIEW = converted_view(
     range_c=(-3.04, 41.26),
 )
 
-NO_SETTINGS = (
-    "The photos' files do not say with which emissivity, reflected temperature and distance the "
-    "temperatures were computed."
-)
+
+def counts(summary: StageSummary) -> list[str]:
+    """What the lines count: the number at the start of each, and its noun."""
+    found = (re.match(r"\d+ \w+", line) for line in summary.lines)
+    return [match[0] for match in found if match is not None]
 
 
 def test_pairs_are_counted(tmp_path):
@@ -45,10 +48,11 @@ def test_pairs_are_counted(tmp_path):
     summary = summarize_pairs(
         Pairing(pairs, (Skipped("b", "is cut off"),), "By their names.", ("The clocks differ.",))
     )
-    assert summary.lines == ("1 photo. By their names.", "1 file skipped.")
+    assert "By their names." in summary.lines[0]
+    assert counts(summary) == ["1 photo", "1 file"]
     rgb = {RGB: tmp_path / "b.jpg", **pairs[0].photos}
     for pair in (replace(pairs[0], embedded=True), replace(pairs[0], photos=rgb)):
-        assert summarize_pairs(Pairing((pair,), (), "By names.")).lines == ("1 pair. By names.",)
+        assert counts(summarize_pairs(Pairing((pair,), (), "By names."))) == ["1 pair"]
     assert summary.warnings == ("The clocks differ.",)
 
 
@@ -58,22 +62,21 @@ def test_warnings_of_photos_are_said_once(tmp_path):
     summary = summarize_photos(
         ConvertedPhotos((VIEW, other), (Skipped("c", "is cut off"),), ("The distances differ.",))
     )
-    assert summary.lines == (
-        "2 views, FLIR E60, −3.0 °C to 41.3 °C.", NO_SETTINGS, "1 pair skipped.",
-    )  # fmt: skip
-    assert summary.warnings == (
-        "The distances differ.",
-        "2 photos: It is old.",
-        "b: It is blurred.",
-    )
+    assert counts(summary) == ["2 views", "1 pair"]
+    assert "FLIR E60, −3.0 °C to 41.3 °C" in summary.lines[0]
+    assert "not say with which emissivity" in summary.lines[1]
+    all_photos, two, one = summary.warnings
+    assert all_photos == "The distances differ."
+    assert two.startswith("2 photos: ")
+    assert one.startswith("b: ")
 
 
 def test_photos_without_temperatures_are_said():
     grey = replace(VIEW, name="b", facts=PhotoFacts("PNG image"), range_c=None)
-    assert summarize_photos(ConvertedPhotos((grey,), ())).lines == ("1 view, no temperatures.",)
-    assert summarize_photos(ConvertedPhotos((VIEW, grey), ())).lines == (
-        "2 views, FLIR E60, −3.0 °C to 41.3 °C, 1 without temperatures.", NO_SETTINGS,
-    )  # fmt: skip
+    (line,) = summarize_photos(ConvertedPhotos((grey,), ())).lines
+    assert "no temperatures" in line
+    line, _ = summarize_photos(ConvertedPhotos((VIEW, grey), ())).lines
+    assert "1 without temperatures" in line
 
 
 def test_the_settings_of_the_temperatures_are_said_and_whose_they_are():
@@ -82,11 +85,15 @@ def test_the_settings_of_the_temperatures_are_said_and_whose_they_are():
     facts = replace(VIEW.facts, parameters=parameters, given=given)
     other = replace(facts, parameters=replace(parameters, distance_m=2.5))
     views = (replace(VIEW, facts=facts), replace(VIEW, name="b", facts=other))
-    assert summarize_photos(ConvertedPhotos(views, ())).lines[1] == (
-        "Temperatures computed with emissivity 0.70 (given by you), reflected temperature "
-        "−10.0 °C (given by you), distance 1.0 to 2.5 m, air temperature 20.0 °C, relative "
-        "humidity 0.50."
-    )
+    line = summarize_photos(ConvertedPhotos(views, ())).lines[1]
+    for setting in (
+        "emissivity 0.70 (given",
+        "reflected temperature −10.0 °C (given",
+        "distance 1.0 to 2.5 m,",
+        "air temperature 20.0 °C,",
+        "humidity 0.50",
+    ):
+        assert setting in line
 
 
 def test_poses_say_how_well_they_fit():
@@ -97,10 +104,8 @@ def test_poses_say_how_well_they_fit():
     failed = replace(
         found, reprojection_px=0.456, failed=(Skipped("a", "blurred"), Skipped("b", "blurred"))
     )
-    assert summarize_poses(failed).lines == (
-        "Found. Reprojection error 0.46 px.",
-        "2 images without a pose.",
-    )
+    assert "0.46 px" in summarize_poses(failed).lines[0]
+    assert counts(summarize_poses(failed)) == ["2 images"]
 
 
 def calibration(turn_deg: float = 0.0) -> RigCalibration:
@@ -114,10 +119,8 @@ def calibration(turn_deg: float = 0.0) -> RigCalibration:
 
 @pytest.mark.parametrize(("turn_deg", "said"), [(93, 90), (-88, 90), (178, 180), (-179, 180)])
 def test_a_thermal_camera_on_its_side_is_said(turn_deg, said):
-    assert summarize_thermal_camera(calibration(turn_deg), RGB, True).lines[1:] == (
-        f"The thermal images are turned by about {said}° relative to the RGB images; the offset "
-        "includes this turn.",
-    )
+    _, line = summarize_thermal_camera(calibration(turn_deg), RGB, True).lines
+    assert f" {said}° " in line
 
 
 @pytest.mark.parametrize(
@@ -125,7 +128,7 @@ def test_a_thermal_camera_on_its_side_is_said(turn_deg, said):
     [
         (True, None, "3.0 cm", ()),
         (False, None, "0.03 scene units", ()),
-        (False, 2.0, "6.0 cm", ("The target gives the scale: the scene is in metres.",)),
+        (False, 2.0, "6.0 cm", ("in metres",)),
         (True, 1.02, "3.0 cm", ()),
         (True, 2.0, "3.0 cm", ()),
     ],
@@ -134,21 +137,20 @@ def test_the_thermal_camera_is_said_in_degrees_and_lengths(metric, per_unit, off
     rig = calibration()
     if per_unit is not None:
         rig = replace(rig, target=TargetFit(5, 5, (0.1, 0.2), per_unit))
-        more = ("The target is in 5 pairs; residual 0.10 px.", *more)
+        more = ("5 pairs; residual 0.10 px", *more)
     summary = summarize_thermal_camera(rig, RGB, metric)
-    assert summary.lines == (
-        f"53.1° wide, {offset} from the RGB camera; residual 0.28 px, uncertainty ±0.36 px.",
-        *more,
-    )
+    line, *others = summary.lines
+    for told in ("53.1°", offset, "residual 0.28 px", "±0.36 px"):
+        assert told in line
+    for told, other in zip(more, others, strict=True):
+        assert told in other
     contradicts = metric and per_unit == 2.0
     assert summary.warnings[0] == "Hold still."
     assert len(summary.warnings) == 1 + contradicts
-    assert not contradicts or summary.warnings[1].startswith(
-        "The target's squares make the scene 2.00 times"
-    )
+    assert not contradicts or "2.00 times" in summary.warnings[1]
 
 
 def test_without_a_second_camera_that_is_said():
-    assert summarize_thermal_camera(None, RGB, True).lines == ("One camera took both images.",)
-    alone = summarize_thermal_camera(None, THERMAL, True)
-    assert alone.lines == ("There are only thermal images.",)
+    for modality, told in ((RGB, "One camera"), (THERMAL, "only thermal")):
+        (line,) = summarize_thermal_camera(None, modality, True).lines
+        assert told in line

@@ -106,30 +106,20 @@ def test_one_camera_needs_no_calibration(calibrate, asked):
 
 def test_one_camera_has_images_of_one_shape(calibrate, tmp_path):
     Image.fromarray(np.full((20, 32), 100, np.uint8)).save(tmp_path / "thermal" / "b.png")
-    with pytest.raises(
-        SceneError,
-        match=r"b: its RGB image has 40×30 px and its thermal image 32×20: they cannot show",
-    ):
+    with pytest.raises(SceneError, match=r"b: .*40×30 .*32×20"):
         calibrate(one_camera=True)
 
 
 def test_one_camera_of_which_one_image_lies_on_its_side(calibrate, tmp_path):
     Image.fromarray(np.full((40, 30), 100, np.uint8)).save(tmp_path / "thermal" / "b.png")
-    with pytest.raises(
-        SceneError,
-        match=r"b: .* thermal image 30×40: .*\. They would after a quarter turn: only one of the "
-        r"two files says in its EXIF orientation how the camera was held\. Give both the same",
-    ):
+    with pytest.raises(SceneError, match=r"b: .*30×40.*EXIF orientation"):
         calibrate(one_camera=True)
 
 
 @pytest.mark.parametrize("options", [{"one_camera": True}, {"thermal_fov_deg": 40.0}])
 def test_thermal_images_alone_have_no_second_camera(calibrate, asked, options):
     assert calibrate(images=THERMAL) is None
-    with pytest.raises(
-        ConfigError,
-        match="there are only thermal images, so options for a second camera have no effect; rem",
-    ) as error:
+    with pytest.raises(ConfigError, match="only thermal images") as error:
         calibrate(images=THERMAL, **options)
     assert error.value.options == tuple(options)
     assert asked == []
@@ -146,48 +136,42 @@ def test_without_metres_the_lens_alone_is_taken(calibrate, asked, write):
     calibrate(False, thermal_camera=write(thermal_camera=LENS, thermal_from_rgb_m=MOTION))
     assert asked[0][2].thermal_lens is not None
     assert asked[0][2].extrinsics is None
-    with pytest.raises(
-        SceneError,
-        match="offset is in metres, and these photos have no scale; give a known distance",
-    ):
+    with pytest.raises(SceneError, match="known distance"):
         calibrate(False, thermal_camera=write(thermal_from_rgb_m=MOTION))
 
 
 def test_a_camera_of_other_images_is_told(calibrate, asked, write):
     file = write(thermal_camera={**LENS, "w": 64, "h": 48})
-    with pytest.raises(
-        SceneError,
-        match=r"is for images of 64×48 px, but b\.png has 32×24 px; give the camera that took",
-    ):
+    with pytest.raises(SceneError, match=r"64×48 .*b\.png .*32×24"):
         calibrate(thermal_camera=file)
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({"frames": []}, "holds neither thermal_camera nor thermal_from_rgb_m; add one of them"),
-        ({"thermal_camera": 5}, "thermal_camera is 5, not an object; correct it"),
+        ({"frames": []}, "neither thermal_camera nor thermal_from_rgb_m"),
+        ({"thermal_camera": 5}, "thermal_camera is 5"),
         (
             {"thermal_camera": {**LENS, "fl_x": None}},
-            "fl_x of thermal_camera is None, not a number",
+            "fl_x of thermal_camera",
         ),
-        ({"thermal_camera": {**LENS, "fl_x": -4}}, "the focal length of thermal_camera is -4"),
-        ({"thermal_camera": {**LENS, "w": None}}, "w of thermal_camera is None, not a number"),
+        ({"thermal_camera": {**LENS, "fl_x": -4}}, "focal length .* -4"),
+        ({"thermal_camera": {**LENS, "w": None}}, "w of thermal_camera"),
         (
             {"thermal_camera": {**LENS, "p1": 0.01}},
-            "distorted by more than k1 and k2; calibrate it with these alone",
+            "k1 and k2",
         ),
         (
             {"thermal_camera": {**LENS, "camera_model": "OPENCV_FISHEYE"}},
-            "distorted by more than k1 and k2",
+            "k1 and k2",
         ),
         (
             {"thermal_from_rgb_m": [[1, 0], [0, 1]]},
-            "thermal_from_rgb_m is .*, not a 3×4 or 4×4 matrix",
+            "thermal_from_rgb_m is .*3×4",
         ),
         (
             {"thermal_from_rgb_m": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]},
-            "is not a rotation and a translation",
+            "rotation and a translation",
         ),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from mrgs.prepare.cache import Stamp, digest, stamp_of
@@ -19,11 +20,18 @@ class Contents:
     Args:
         file: the JSON file; where it is missing or damaged, nothing is remembered. On Windows it
             is not used.
+        read: gives the digest of a file's content, in place of ``cache.digest``.
+        kept: whether digests are remembered from call to call.
     """
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self._saved = _read(file) if _CTIME_SHOWS_CHANGES else {}
+    def __init__(
+        self,
+        file: Path,
+        read: Callable[[Path], str] | None = None,
+        kept: bool = _CTIME_SHOWS_CHANGES,
+    ) -> None:
+        self._file, self._read, self._kept = file, read or digest, kept
+        self._saved = _read(file) if kept else {}
         self._known = dict(self._saved)
         self._asked: set[str] = set()
 
@@ -36,7 +44,7 @@ class Contents:
             return ""
         known = self._known.get(name)
         if known is None or known[0] != stamp:
-            known = stamp, digest(path)
+            known = stamp, self._read(path)
         if known[1]:
             self._known[name] = known
             self._asked.add(name)
@@ -52,7 +60,7 @@ class Contents:
         Raises:
             RunError: the file cannot be written.
         """
-        if _CTIME_SHOWS_CHANGES and self._known != self._saved:
+        if self._kept and self._known != self._saved:
             self._saved = dict(self._known)
             lines = {name: [*stamp, found] for name, (stamp, found) in self._known.items()}
             write_text(self._file, json.dumps(lines))

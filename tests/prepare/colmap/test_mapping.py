@@ -78,52 +78,51 @@ def matched_in(path) -> set[frozenset[str]]:
     return {frozenset(names[n] for n in pycolmap.pair_id_to_image_pair(pair)) for pair in pairs}
 
 
-def mapped(job, monkeypatch, by_all: np.ndarray, by_nearby: np.ndarray) -> tuple[list, bool, int]:
+def mapped(job, by_all: np.ndarray, by_nearby: np.ndarray) -> tuple[list, bool, int]:
     """The databases that were mapped, by their matched pairs, whether the second counted, and the
     model's images."""
-    from mrgs.prepare.colmap import mapping
+    from mrgs.prepare.colmap.mapping import map_images
 
     databases = []
 
-    def models(job, database, report):
+    def solve(database, *settings, **callbacks):
         databases.append(matched_in(database))
         centres = by_all if database == job.database else by_nearby
-        return [Model(job.files[: len(centres)], centres)]
+        return {0: Model(job.files[: len(centres)], centres)}
 
-    monkeypatch.setattr(mapping, "_models", models)
-    mapping.map_images(job, lambda *step: None)
+    map_images(job, lambda *step: None, solve)
     report = json.loads((job.folder / MODEL_FOLDER / REPORT_FILE).read_text())
     return databases, report["nearby"], report["groups"][0]
 
 
-def test_poses_that_gps_confirms_are_kept(job, monkeypatch):
-    databases, nearby, _ = mapped(job, monkeypatch, FLIGHT, FLIGHT)
+def test_poses_that_gps_confirms_are_kept(job):
+    databases, nearby, _ = mapped(job, FLIGHT, FLIGHT)
     assert databases == [matched_in(job.database)]
     assert not nearby
 
 
-def test_rows_on_each_other_are_mapped_again_from_photos_taken_near_each_other(job, monkeypatch):
-    databases, nearby, _ = mapped(job, monkeypatch, FOLDED, FLIGHT)
+def test_rows_on_each_other_are_mapped_again_from_photos_taken_near_each_other(job):
+    databases, nearby, _ = mapped(job, FOLDED, FLIGHT)
     assert nearby
     expected = {frozenset((job.files[a], job.files[b])) for a, b in pairs_nearby(FLIGHT)}
     assert databases[1] == expected
     assert [file.name for file in job.folder.glob("*.db")] == ["database.db"]
 
 
-def test_a_second_mapping_that_fits_no_better_is_dropped(job, monkeypatch):
-    databases, nearby, _ = mapped(job, monkeypatch, FOLDED, FOLDED)
+def test_a_second_mapping_that_fits_no_better_is_dropped(job):
+    databases, nearby, _ = mapped(job, FOLDED, FOLDED)
     assert len(databases) == 2
     assert not nearby
 
 
-def test_a_second_mapping_of_a_few_photos_is_dropped(job, monkeypatch):
-    _, nearby, images = mapped(job, monkeypatch, FOLDED, FLIGHT[:20])
+def test_a_second_mapping_of_a_few_photos_is_dropped(job):
+    _, nearby, images = mapped(job, FOLDED, FLIGHT[:20])
     assert not nearby
     assert images == 48
 
 
-def test_without_positions_there_is_one_mapping(job, monkeypatch):
+def test_without_positions_there_is_one_mapping(job):
     job = ReconstructionJob(job.folder, job.files, False)
-    databases, nearby, _ = mapped(job, monkeypatch, FOLDED, FLIGHT)
+    databases, nearby, _ = mapped(job, FOLDED, FLIGHT)
     assert databases == [matched_in(job.database)]
     assert not nearby

@@ -61,12 +61,12 @@ def test_two_clicks_and_a_length_give_the_option_in_pixels_of_the_file(page):
     assert option.inner_text().split()[-1] == "2.4"
     for refused in ("", "0", "-1", "2 m"):
         page.fill("#measure-length", refused)
-        assert option.inner_text() == "Type the distance in metres."
+        assert "in metres" in option.inner_text()
     points = [word.rpartition(":")[2].split(",") for word in words if ":" in word]
     pixels = [float(number) for point in points for number in point]
     assert pixels == pytest.approx([80, 120, 240, 60], abs=2)
     page.click("#measure-clear")
-    assert page.locator("#measure-option").inner_text() == "Click the two points in the photo."
+    assert "two points" in page.locator("#measure-option").inner_text()
 
 
 def test_a_camera_in_the_3d_view_leads_to_its_photos(page):

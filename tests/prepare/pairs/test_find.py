@@ -17,8 +17,8 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing
-from mrgs.prepare.pairs import inventory
 from mrgs.prepare.pairs.find import find_pairs
+from mrgs.prepare.pairs.inventory import take_inventory
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.flir import FlirPhoto, jpg
 from tests.helpers.photos import photo
@@ -39,6 +39,14 @@ def files(root: Path, found: Pairing) -> list[tuple[str | None, str]]:
 
 def reasons(found: Pairing) -> dict[str, str]:
     return {item.name: item.reason for item in found.skipped}
+
+
+def assert_left_out(found: Pairing, keywords: dict[str, str]) -> None:
+    """Exactly these files are left out, each for the reason that its keyword stands for."""
+    told = reasons(found)
+    assert told.keys() == keywords.keys()
+    for name, keyword in keywords.items():
+        assert keyword in told[name], name
 
 
 def at(seconds: float, **more: object) -> dict[str, object]:
@@ -101,9 +109,7 @@ def test_names(photos, content, pairs):
         assert [
             (pair.name, *both) for pair, both in zip(found.pairs, files(root, found), strict=True)
         ] == pairs
-        assert found.rule.startswith(
-            "The names of a pair differ only in the camera suffix, such as "
-        )
+        assert "suffix" in found.rule
         assert found.skipped == found.warnings == ()
 
 
@@ -134,7 +140,7 @@ def test_folders(photos, content, pairs):
     for rule in ("auto", "folders"):
         found = find_pairs(root, rule=rule)
         assert files(root, found) == pairs
-        assert found.rule == "A pair has the same name in the folders of the two cameras."
+        assert "folders" in found.rule
 
 
 @pytest.mark.parametrize(("step", "word"), [(1, "next"), (-1, "previous")])
@@ -145,7 +151,7 @@ def test_neighbouring_numbers(photos, step, word):
     root = photos(thermal | visible)
     found = find_pairs(root)
     assert files(root, found) == list(zip(visible, thermal, strict=True))
-    assert found.rule == f"The RGB photo of each thermal photo is the file with the {word} number."
+    assert f"{word} number" in found.rule
 
 
 def test_neighbours_of_other_names(photos):
@@ -155,10 +161,7 @@ def test_neighbours_of_other_names(photos):
 
 def test_neighbours_that_were_taken_far_apart_are_no_pair(photos):
     root = photos({"IR_1.jpg": ("flir", at(0)), "DC_2.jpg": ("jpg", at(60))})
-    with pytest.raises(
-        SceneError,
-        match="its 1 thermal and 1 other photos make no pairs: neither names nor times show",
-    ):
+    with pytest.raises(SceneError, match="neither names nor times"):
         find_pairs(root)
 
 
@@ -206,10 +209,8 @@ def test_a_photo_that_is_missing_in_a_row_of_equal_numbers_is_doubted(photos, lo
     (warning,) = found.warnings
     # At the end of a shifted row no other photo is nearer.
     first = "01" if lost == 4 else "11"
-    assert warning.startswith(
-        f"By their times 3 of 15 pairs were not taken together, such as {first}.jpg and "
-        f"{first}.tif: a photo may be missing in the row."
-    )
+    assert "3 of 15 pairs" in warning
+    assert f"{first}.jpg and {first}.tif" in warning
 
 
 @pytest.mark.parametrize("jitter_s", [0, 6])
@@ -238,9 +239,9 @@ def test_a_backup_of_the_card_adds_no_views(photos):
         "IR_2.jpg",
     ]
     assert {pair.photos[RGB].parent.name for pair in found.pairs} == {"card"}
-    assert reasons(found) == {
-        f"card backup/{name}": f"is a copy of card/{name}" for name in names.values()
-    }
+    assert_left_out(
+        found, {f"card backup/{name}": f"copy of card/{name}" for name in names.values()}
+    )
 
 
 def test_visible_photos_inside(photos):
@@ -255,11 +256,8 @@ def test_visible_photos_inside(photos):
     found = find_pairs(root)
     assert files(root, found) == [(None, "a.jpg"), (None, "b.jpg")]
     assert all(pair.embedded for pair in found.pairs)
-    assert found.rule == "The RGB photo embedded in each thermal photo is used."
-    assert reasons(found) == {
-        "c.jpg": "holds no RGB photo",
-        "d.jpg": "the RGB photos embedded in the thermal photos are used",
-    }
+    assert "embedded" in found.rule
+    assert_left_out(found, {"c.jpg": "no RGB", "d.jpg": "embedded"})
 
 
 def test_photos_beside_are_better_than_photos_inside(photos):
@@ -277,7 +275,7 @@ def test_a_missing_photo_beside_does_not_make_those_inside_better(photos, beside
     assert {pair.embedded for pair in found.pairs} == {embedded}
     assert len(found.pairs) == (10 if embedded else beside)
     if not embedded:
-        assert reasons(found) == {"IR_0018.jpg": "has no RGB photo with the next number"}
+        assert_left_out(found, {"IR_0018.jpg": "next number"})
 
 
 def test_times_of_two_clocks(photos):
@@ -289,14 +287,9 @@ def test_times_of_two_clocks(photos):
     for rule in ("auto", "time"):
         found = find_pairs(root, rule=rule)
         assert files(root, found) == list(zip(rgb, thermal, strict=True))
-        assert found.rule == (
-            "The photos of a pair were taken within 2 s, after aligning the clocks: "
-            "the RGB camera's is 3601.0 s ahead of the thermal camera's."
-        )
-        assert reasons(found) == {
-            "rgb/P0.jpg": "does not say when it was taken",
-            "rgb/P99.jpg": "has no thermal photo within 2 s",
-        }
+        assert "within 2 s" in found.rule
+        assert "3601.0 s ahead" in found.rule
+        assert_left_out(found, {"rgb/P0.jpg": "when it was taken", "rgb/P99.jpg": "within 2 s"})
 
 
 def test_clocks_that_cannot_be_told_apart(photos):
@@ -304,8 +297,8 @@ def test_clocks_that_cannot_be_told_apart(photos):
     rgb = {f"rgb/P{i:02d}.jpg": ("jpg", at(10 * i - 500)) for i in range(12)}
     found = find_pairs(photos(thermal | rgb))
     assert len(found.pairs) == 12
-    assert "the RGB camera's is 500.0 s behind the thermal camera's" in found.rule
-    assert found.warnings[0].startswith("The clock offset may also be ")
+    assert "500.0 s behind" in found.rule
+    assert "clock offset" in found.warnings[0]
 
 
 @pytest.mark.parametrize("converted", ["DJI_0001_T.tif", "celsius/DJI_0001_T.tiff"])
@@ -320,9 +313,7 @@ def test_a_converted_photo_stands_for_its_original(photos, converted):
     )
     found = find_pairs(root)
     assert files(root, found) == [("card/DJI_0001_W.JPG", f"card/{converted}")]
-    assert reasons(found) == {
-        "card/DJI_0001_T.JPG": f"the temperatures are taken from card/{converted}"
-    }
+    assert_left_out(found, {"card/DJI_0001_T.JPG": f"taken from card/{converted}"})
 
 
 def test_the_best_of_several_thermal_files(photos):
@@ -339,10 +330,7 @@ def test_the_best_of_several_thermal_files(photos):
     )
     found = find_pairs(root)
     assert files(root, found) == [("a_rgb.jpg", "a.jpg"), ("b_rgb.jpg", "b.tif")]
-    assert reasons(found) == {
-        "a.csv": "the temperatures are taken from a.jpg",
-        "b_8b.jpg": "b.tif is used instead",
-    }
+    assert_left_out(found, {"a.csv": "taken from a.jpg", "b_8b.jpg": "b.tif is used"})
 
 
 def test_the_wide_photos_are_preferred(photos):
@@ -352,11 +340,14 @@ def test_the_wide_photos_are_preferred(photos):
     root = photos(content)
     found = find_pairs(root)
     assert files(root, found) == [(f"DJI_000{i}_W.JPG", f"DJI_000{i}_T.JPG") for i in (1, 2)]
-    assert reasons(found) == {
-        "DJI_0001_Z.JPG": "DJI_0001_W.JPG is used instead",
-        "DJI_0003_T.JPG": "has no RGB photo of its name",
-        "DJI_0003_Z.JPG": "has no thermal photo of its name",
-    }
+    assert_left_out(
+        found,
+        {
+            "DJI_0001_Z.JPG": "DJI_0001_W.JPG is used",
+            "DJI_0003_T.JPG": "no RGB photo",
+            "DJI_0003_Z.JPG": "no thermal photo",
+        },
+    )
 
 
 def test_one_lens_in_folders_too(photos):
@@ -400,7 +391,8 @@ def test_thermal_photos_alone(photos, name):
     root = photos(files_, name)
     found = find_pairs(root)
     assert files(root, found) == [(None, path) for path in files_]
-    assert (found.rule, found.warnings) == ("Only the thermal photos are used.", ())
+    assert "Only the thermal" in found.rule
+    assert found.warnings == ()
 
 
 def test_thermal_photos_alone_although_there_are_others(photos):
@@ -416,8 +408,9 @@ def test_thermal_photos_alone_although_there_are_others(photos):
     found = find_pairs(root, rule="thermal")
     assert files(root, found) == [(None, "IR_1.jpg"), (None, "IR_3.jpg"), (None, "IR_5.jpg")]
     assert not any(pair.embedded for pair in found.pairs)
-    assert (found.rule, found.warnings) == ("Only the thermal photos are used.", ())
-    assert reasons(found) == {"DC_2.jpg": "only the thermal photos are used"}
+    assert "Only the thermal" in found.rule
+    assert found.warnings == ()
+    assert_left_out(found, {"DC_2.jpg": "only the thermal"})
 
 
 @pytest.mark.parametrize(
@@ -444,10 +437,12 @@ def test_names_that_are_no_utf8_can_be_printed(photos):
         f"{name}_thermal.jpg" for name in odd
     )
     assert found.rule.endswith(", such as K\ufffdche_wide.jpg and K\ufffdche_thermal.jpg.")
-    assert [(item.name, item.reason) for item in found.skipped] == [
-        ("K\ufffdche.srt", "is no photo"),
-        *[("K\ufffdche_rgb.jpg", "K\ufffdche_wide.jpg is used instead")] * 2,
+    assert [item.name for item in found.skipped] == [
+        "K\ufffdche.srt",
+        "K\ufffdche_rgb.jpg",
+        "K\ufffdche_rgb.jpg",
     ]
+    assert all("K\ufffdche_wide.jpg" in item.reason for item in found.skipped[1:])
 
 
 def test_a_few_other_photos_do_not_make_pairs(photos):
@@ -458,10 +453,9 @@ def test_a_few_other_photos_do_not_make_pairs(photos):
     found = find_pairs(photos(content))
     assert len(found.pairs) == 8
     assert not any(pair.embedded for pair in found.pairs)
-    assert found.warnings[0].startswith(
-        "There are 8 thermal photos but only 2 RGB photos: only the thermal photos"
-    )
-    assert reasons(found) == {"team.jpg": "most thermal photos have no RGB photo"}
+    assert "8 thermal" in found.warnings[0]
+    assert "2 RGB" in found.warnings[0]
+    assert_left_out(found, {"team.jpg": "no RGB photo"})
 
 
 def test_hidden_files_do_not_count_and_others_are_listed(photos):
@@ -474,11 +468,9 @@ def test_hidden_files_do_not_count_and_others_are_listed(photos):
     }
     root = photos({**content, "sub/2.heic": b"x"})
     os.symlink(root / "sub", root / "again")
-    assert reasons(find_pairs(root)) == {
-        "again": "is a link to a folder, which is not followed",
-        "log.srt": "is no photo",
-        "sub/2.heic": "is a HEIC file, which is not read; save it as JPEG or PNG",
-    }
+    assert_left_out(
+        find_pairs(root), {"again": "link", "log.srt": "no photo", "sub/2.heic": "JPEG or PNG"}
+    )
 
 
 def test_zoomed_photos_are_told(photos):
@@ -486,28 +478,24 @@ def test_zoomed_photos_are_told(photos):
         f"rgb/{i}.jpg": ("jpg", {"focal_mm": focal}) for i, focal in enumerate((24.0, 24.1, 70.0))
     }
     found = find_pairs(photos(rgb | {f"thermal/{i}.png": "png" for i in range(3)}))
-    assert found.warnings[0].startswith(
-        "The RGB photos were taken with focal lengths of 24 mm to 70 mm, yet one lens"
-    )
+    assert "RGB" in found.warnings[0]
+    assert "24 mm to 70 mm" in found.warnings[0]
 
 
 def test_zoomed_thermal_photos_are_told(photos):
     thermal = {f"thermal/{i}.png": ("jpg", {"focal_mm": 9.0 * (1 + i)}) for i in range(2)}
     found = find_pairs(photos(thermal | {f"rgb/{i}.jpg": "jpg" for i in range(2)}))
-    assert found.warnings == (
-        "The thermal photos were taken with focal lengths of 9 mm to 18 mm, yet one lens is "
-        "assumed for all: leave out those that were zoomed.",
-    )
+    (warning,) = found.warnings
+    assert "thermal" in warning
+    assert "9 mm to 18 mm" in warning
 
 
 def test_two_cameras_of_one_model_are_told(photos):
     own = {i: FlirPhoto(info_fields={0x104: b"4712"} if i == 2 else {}).jpeg() for i in range(3)}
     found = find_pairs(photos({f"{i}.jpg": own[i] for i in own}))
-    assert found.warnings == (
-        "The thermal photos are of 2 cameras of one model, by their serial numbers 4711 (2, such "
-        "as 0.jpg) and 4712 (1, such as 2.jpg), yet one lens and one offset is assumed for all: "
-        "prepare each camera separately, from a folder of its own.",
-    )
+    (warning,) = found.warnings
+    for told in ("thermal", "2 cameras", "4711 (2, such as 0.jpg)", "4712 (1, such as 2.jpg)"):
+        assert told in warning
 
 
 def test_two_cameras_by_their_exif_data_are_told(photos):
@@ -518,9 +506,8 @@ def test_two_cameras_by_their_exif_data_are_told(photos):
 
     content = {"rgb/0.jpg": rgb("17"), "rgb/1.jpg": rgb("18")}
     found = find_pairs(photos(content | {f"thermal/{i}.png": "png" for i in range(2)}))
-    assert found.warnings[0].startswith(
-        "The RGB photos are of 2 cameras of one model, by their serial numbers 17 (1, such as"
-    )
+    for told in ("RGB", "2 cameras", "17 (1, such as rgb/0.jpg)", "18 (1, such as rgb/1.jpg)"):
+        assert told in found.warnings[0]
 
 
 def with_view(view_deg: float) -> bytes:
@@ -550,37 +537,23 @@ def test_the_times_in_flirs_own_files_count(photos, word):
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "told"),
     [
         (
             {"a.jpg": with_view(25.0), "b.jpg": with_view(45.0), "c.jpg": with_view(25.0)},
-            r"card: the thermal photos were taken with lenses of 25° such as a\.jpg, and of 45° "
-            r"such as b\.jpg; prepare each lens separately, from a folder of its own",
+            ["card", "thermal", "25° such as a.jpg", "45° such as b.jpg"],
         ),
-        ({}, r"card: holds no photos; give the folder with the camera's JPEG, PNG or TIFF files"),
-        (
-            {"a.mp4": b"x"},
-            r"none of its 1 files is a photo that can be read, such as a\.mp4, which is no photo; "
-            r"give the",
-        ),
-        (
-            {"a.jpg": "jpg", "b.jpg": "jpg"},
-            r"none of its 2 photos is known to be thermal: put them into folders named",
-        ),
-        (
-            {"a.jpg": "flir", "b.jpg": "jpg"},
-            r"its 1 thermal and 1 other photos make no pairs: neither names nor times",
-        ),
+        ({}, ["card", "no photos"]),
+        ({"a.mp4": b"x"}, ["none of its 1 files", "a.mp4"]),
+        ({"a.jpg": "jpg", "b.jpg": "jpg"}, ["none of its 2 photos", "thermal"]),
+        ({"a.jpg": "flir", "b.jpg": "jpg"}, ["1 thermal", "1 other", "no pairs"]),
         (
             {
                 f"{c}/{i}.jpg": ("jpg", {"model": f"M{i % 2}"})
                 for c in ("rgb", "thermal")
                 for i in range(3)
             },
-            r"card: the RGB photos are of 2 cameras or sizes: 2 of M0 with 16 x 12 pixels such as "
-            r"rgb/0\.jpg, and "
-            r"1 of M1 with 16 x 12 pixels such as rgb/1\.jpg; prepare each camera "
-            r"separately, from a folder of its own",
+            ["card", "RGB", "2 of M0", "rgb/0.jpg", "1 of M1", "rgb/1.jpg"],
         ),
         (
             {
@@ -589,50 +562,25 @@ def test_the_times_in_flirs_own_files_count(photos, word):
                 "thermal/1.png": "png",
                 "thermal/2.png": ("png", {"size": (8, 6)}),
             },
-            r"the thermal photos are of 2 cameras or sizes: 1 of a camera with 16 x 12 pixels "
-            r"such as thermal/1\.png",
+            ["thermal photos", "2 cameras", "16 x 12", "thermal/1.png", "8 x 6", "thermal/2.png"],
         ),
     ],
 )
-def test_sets_that_cannot_be_used(photos, content, message):
-    with pytest.raises(SceneError, match=message):
+def test_sets_that_cannot_be_used(photos, content, told):
+    with pytest.raises(SceneError) as refusal:
         find_pairs(photos(content))
+    assert [fact for fact in told if fact not in str(refusal.value)] == []
 
 
 @pytest.mark.parametrize(
     ("rule", "content", "message"),
     [
-        (
-            "thermal",
-            {"a.jpg": "jpg", "b.jpg": "jpg"},
-            r"none of its 2 photos is known to be thermal: put them into",
-        ),
-        (
-            "names",
-            {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"},
-            r"no names differ only in the camera suffix, such as _T and",
-        ),
-        (
-            "folders",
-            {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"},
-            r"the folders of the two cameras hold no equal names",
-        ),
-        (
-            "time",
-            {"rgb/1.jpg": "jpg", "t/1.tif": "celsius"},
-            r"the thermal photos do not say when they were taken; give",
-        ),
-        (
-            "time",
-            {"rgb/1.jpg": "jpg", "t/1.tif": ("celsius", at(0))},
-            r"the other photos do not say when they were taken",
-        ),
-        (
-            "time",
-            {"rgb/1.jpg": ("jpg", at(9)), "t/1.tif": ("celsius", at(0))},
-            r"none were taken within 2 s; give a larger time difference, or list the pairs in a "
-            r"CSV file",
-        ),
+        ("thermal", {"a.jpg": "jpg", "b.jpg": "jpg"}, "known to be thermal"),
+        ("names", {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"}, "camera suffix"),
+        ("folders", {"rgb/1.jpg": "jpg", "t/2.tif": "celsius"}, "equal names"),
+        ("time", {"rgb/1.jpg": "jpg", "t/1.tif": "celsius"}, "the thermal photos do not"),
+        ("time", {"rgb/1.jpg": "jpg", "t/1.tif": ("celsius", at(0))}, "the other photos do not"),
+        ("time", {"rgb/1.jpg": ("jpg", at(9)), "t/1.tif": ("celsius", at(0))}, "within 2 s"),
     ],
 )
 def test_rules_that_do_not_fit(photos, rule, content, message):
@@ -641,13 +589,13 @@ def test_rules_that_do_not_fit(photos, rule, content, message):
 
 
 def test_a_folder_that_is_none(tmp_path):
-    with pytest.raises(SceneError, match="nothing: not a folder; give the photos' folder"):
+    with pytest.raises(SceneError, match="nothing: not a folder"):
         find_pairs(tmp_path / "nothing")
 
 
 @pytest.mark.parametrize("tolerance_s", [-1.0, float("nan"), float("inf")])
 def test_a_tolerance_that_is_no_time(tmp_path, tolerance_s):
-    with pytest.raises(ConfigError, match=r"invalid time difference of .* s; give 0 s or more"):
+    with pytest.raises(ConfigError, match="time difference"):
         find_pairs(tmp_path, tolerance_s=tolerance_s)
 
 
@@ -708,17 +656,16 @@ def shuffled(walked):
         yield parent, folders, names
 
 
-def test_the_headers_of_unchanged_files_are_read_once(photos, monkeypatch):
+def test_the_headers_of_unchanged_files_are_read_once(photos):
+    """What was read before is the same object, and not merely equal."""
     root = photos({"a_rgb.jpg": "jpg", "a_thermal.tif": "celsius"})
-    read, steps = [], []
-    original = inventory.inspect
-    monkeypatch.setattr(
-        inventory, "inspect", lambda path, name: read.append(path.name) or original(path, name)
-    )
-    first = find_pairs(root, progress=lambda *step: steps.append(step))
+    steps = []
+    rgb, thermal = take_inventory(root, lambda *step: steps.append(step)).photos
     assert steps == [("reading headers", 0, 2), ("reading headers", 1, 2)]
-    assert find_pairs(root) == first
-    assert sorted(read) == ["a_rgb.jpg", "a_thermal.tif"]
+    again = take_inventory(root).photos
+    assert again[0] is rgb
+    assert again[1] is thermal
     (root / "a_rgb.jpg").write_bytes(photo("jpg", size=(32, 12)))
-    find_pairs(root)
-    assert sorted(read) == ["a_rgb.jpg", "a_rgb.jpg", "a_thermal.tif"]
+    changed, same = take_inventory(root).photos
+    assert changed.size == (32, 12)
+    assert same is thermal

@@ -91,24 +91,18 @@ def test_a_photo_with_a_long_header_is_read_whole(seen):
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
-        ("a.jpg", b"", "is empty; copy it again"),
-        ("a.jpg", b"\xff\xd8\xff\xe0 no", "cannot be decoded as an image; copy or export it again"),
-        (
-            "a.png",
-            b"\x89PNG\r\n\x1a\n no",
-            "cannot be decoded as an image; copy or export it again",
-        ),
-        ("a.heic", b"ftypheic", "is a HEIC file, which is not read; save it as JPEG or PNG"),
-        ("a.csv", b"rgb,thermal\na,b\n", "is no photo"),
-        ("a.raw", b"1234", "is no photo"),
-        ("flight.mp4", b"1234", "is no photo"),
+        ("a.jpg", b"", "empty"),
+        ("a.jpg", b"\xff\xd8\xff\xe0 no", "decoded"),
+        ("a.png", b"\x89PNG\r\n\x1a\n no", "decoded"),
+        ("a.heic", b"ftypheic", "HEIC"),
+        ("a.csv", b"rgb,thermal\na,b\n", "no photo"),
+        ("a.raw", b"1234", "no photo"),
+        ("flight.mp4", b"1234", "no photo"),
     ],
 )
 def test_what_cannot_be_used(seen, name, content, reason):
-    assert seen(name, content) == reason
+    assert reason in seen(name, content)
 
 
 def test_a_file_that_is_gone(tmp_path):
-    assert inspect(tmp_path / "a.jpg", PurePosixPath("a.jpg")) == (
-        "cannot be read (No such file or directory); check that it is there and readable"
-    )
+    assert "No such file" in inspect(tmp_path / "a.jpg", PurePosixPath("a.jpg"))

@@ -26,7 +26,7 @@ def paired(photos, tmp_path):
         table.write_bytes(content.encode(encoding))
         root = photos(FILES)
         found = find_pairs(root, table=table)
-        assert found.rule == "The pairs are those of pairs.csv."
+        assert "pairs.csv" in found.rule
         return [
             (
                 "" if RGB not in pair.photos else pair.photos[RGB].relative_to(root).as_posix(),
@@ -72,10 +72,10 @@ def test_photos_that_the_table_does_not_name(photos, tmp_path):
     table = tmp_path / "pairs.csv"
     table.write_text("eye/1.jpg,heat/a.jpg")
     found = find_pairs(photos(FILES), table=table)
-    assert [(item.name, item.reason) for item in found.skipped] == [
-        ("eye/2.jpg", "is not in pairs.csv"),
-        ("heat/b.jpg", "is not in pairs.csv"),
-        ("notes.md", "is no photo"),
+    assert [(item.name, "pairs.csv" in item.reason) for item in found.skipped] == [
+        ("eye/2.jpg", True),
+        ("heat/b.jpg", True),
+        ("notes.md", False),
     ]
 
 
@@ -99,32 +99,17 @@ def test_thermal_photos_alone(paired):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", r"pairs\.csv: holds no pairs; write lines such as rgb/a\.jpg,thermal/a\.jpg"),
-        ("eye/1.jpg", r"line 1 does not name an RGB and a thermal photo; write lines such as"),
-        ("a,b,c", r"line 1 does not name an RGB and a thermal photo"),
-        ("eye/1.jpg,", r"line 1 does not name an RGB and a thermal photo"),
-        (
-            "rgb,thermal\neye/9.jpg,heat/a.jpg",
-            r"line 2: there is no 'eye/9\.jpg' in .*card; correct the name",
-        ),
-        (
-            "../x.jpg,heat/a.jpg",
-            r"line 1: '\.\./x\.jpg' lies outside .*card; name photos relative to that folder",
-        ),
-        ("/etc/passwd,heat/a.jpg", r"line 1: '/etc/passwd' lies outside"),
-        ("eye/1.jpg,notes.md", r"line 1: 'notes\.md' is no photo; name another file"),
-        (
-            "eye/1.jpg,heat/a.jpg\neye/1.jpg,heat/b.jpg",
-            r"lines 1 and 2 both name eye/1\.jpg; delete one of them",
-        ),
-        (
-            "eye/1.jpg,eye/1.jpg",
-            r"line 1 names one photo twice; leave out the RGB photo if it lies inside",
-        ),
-        (
-            '"' + "a" * 200_000 + '",b',
-            r"line 1 cannot be read \(field larger than field limit.*\); write lines such as",
-        ),
+        ("", r"no pairs; .*rgb/a\.jpg,thermal/a\.jpg"),
+        ("eye/1.jpg", r"line 1 .*rgb/a\.jpg,thermal/a\.jpg"),
+        ("a,b,c", "line 1 does not"),
+        ("eye/1.jpg,", "line 1 does not"),
+        ("rgb,thermal\neye/9.jpg,heat/a.jpg", r"line 2: .*no 'eye/9\.jpg'"),
+        ("../x.jpg,heat/a.jpg", r"line 1: '\.\./x\.jpg' lies outside"),
+        ("/etc/passwd,heat/a.jpg", "line 1: '/etc/passwd' lies"),
+        ("eye/1.jpg,notes.md", r"line 1: 'notes\.md' is no"),
+        ("eye/1.jpg,heat/a.jpg\neye/1.jpg,heat/b.jpg", r"1 and 2 .*eye/1\.jpg"),
+        ("eye/1.jpg,eye/1.jpg", "line 1 .*twice"),
+        ('"' + "a" * 200_000 + '",b', r"line 1 .*\(field larger"),
     ],
 )
 def test_tables_that_cannot_be_used(paired, content, message):
@@ -141,15 +126,12 @@ def test_a_link_that_leads_outside(paired, photos, tmp_path):
 
 
 def test_a_table_that_is_missing(photos, tmp_path):
-    with pytest.raises(SceneError, match=r"pairs\.csv: cannot be read"):
+    with pytest.raises(SceneError, match=r"pairs\.csv: cannot"):
         find_pairs(photos(FILES), table=tmp_path / "pairs.csv")
 
 
 def test_a_table_and_a_rule(photos, tmp_path):
-    with pytest.raises(
-        ConfigError,
-        match="a table of pairs and a pairing rule are both given; give one of the",
-    ):
+    with pytest.raises(ConfigError, match=r"table .* rule"):
         find_pairs(photos(FILES), table=tmp_path / "pairs.csv", rule="time")
 
 
@@ -157,7 +139,5 @@ def test_visible_photos_inside_and_outside_are_two_cameras(photos, tmp_path):
     root = photos({"a.jpg": "flir with visible", "b.jpg": "flir", "b_rgb.jpg": "jpg"})
     table = tmp_path / "pairs.csv"
     table.write_text(",a.jpg\nb_rgb.jpg,b.jpg")
-    with pytest.raises(
-        SceneError, match=r"that of a\.jpg is embedded, b_rgb\.jpg is a file of its own; use one of"
-    ):
+    with pytest.raises(SceneError, match=r"a\.jpg .*embedded, b_rgb\.jpg"):
         find_pairs(root, table=table)

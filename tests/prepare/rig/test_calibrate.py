@@ -29,11 +29,8 @@ def test_the_thermal_camera_is_found_from_edges_alone(room):
     assert found.lens.fx == pytest.approx(room.lens.fx, rel=0.03)
     assert found.motion_px < 0.5
     assert found.warnings == ()
-    assert list(dict.fromkeys(stages)) == [
-        "reading pairs",
-        "searching the thermal camera",
-        "matching",
-    ]
+    assert len(set(stages)) == 3
+    assert stages[-1] == "matching"
     world_to_thermal = found.viewmat(room.pairs[2].name, room.pairs[2].photo.camera.viewmat)
     expected = found.views[2].correction @ found.extrinsics @ room.pairs[2].photo.camera.viewmat
     assert torch.equal(world_to_thermal, expected)
@@ -78,8 +75,8 @@ def test_shutters_that_do_not_fire_together_are_corrected_and_told():
     room = build_room(views=4, motion_rad=0.012)
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
     assert max(room.errors_px(found)) < 0.8
-    assert len(found.warnings) == 1
-    assert found.warnings[0].startswith("The thermal camera moved relative to the RGB camera by ")
+    (warning,) = found.warnings
+    assert "camera moved" in warning
 
 
 def test_a_given_lens_and_offset_stay_and_their_residual_is_told(room):
@@ -98,40 +95,35 @@ def test_unrelated_images_are_refused(room):
     pairs = [
         replace(pair, load_thermal=lambda i=i: noise[i]) for i, pair in enumerate(room.pairs[:3])
     ]
-    with pytest.raises(SceneError, match="agree with those in the photos no better than by chance"):
+    with pytest.raises(SceneError, match="by chance"):
         calibrate_rig(pairs, room.points, KNOWN_FIELD)
 
 
 def test_flat_thermal_images_are_refused(room):
     flat = Pixels(torch.full((120, 160, 1), 21.5))
     pairs = [replace(pair, load_thermal=lambda: flat) for pair in room.pairs[:3]]
-    with pytest.raises(SceneError, match="no better than by chance"):
+    with pytest.raises(SceneError, match="by chance"):
         calibrate_rig(pairs, room.points, KNOWN_FIELD)
     given = RigOptions(thermal_lens=room.lens, extrinsics=room.extrinsics)
-    with pytest.raises(
-        SceneError, match="hardly any patch of the photos is found in the thermal images"
-    ):
+    with pytest.raises(SceneError, match="hardly any patch"):
         calibrate_rig(pairs, room.points, given)
 
 
 def test_an_uncertain_result_is_refused(room):
     strict = RigOptions(thermal_lens=room.lens, max_uncertainty_px=1e-3)
-    with pytest.raises(
-        SceneError,
-        match=r"leave 0\.\d px open \(one standard deviation\), and 0\.001 px is the limit",
-    ):
+    with pytest.raises(SceneError, match=r"0\.\d px .* 0\.001 px"):
         calibrate_rig(room.pairs[:3], room.points, strict)
 
 
 def test_too_few_points_are_told(room):
     few = PointCloud(room.points.positions[:5], room.points.colors[:5])
-    with pytest.raises(SceneError, match="only 0 photos see 8 or more sparse points"):
+    with pytest.raises(SceneError, match="only 0 photos"):
         calibrate_rig(room.pairs, few)
 
 
 def test_thermal_images_of_two_cameras_are_told(room):
     other = replace(room.pairs[1], load_thermal=lambda: Pixels(torch.rand(60, 80, 1)))
-    with pytest.raises(SceneError, match=r"several sizes \(view_0 has 160×120 px, view_1 80×60\)"):
+    with pytest.raises(SceneError, match=r"view_0 .*160×120 px, view_1 80×60"):
         calibrate_rig([room.pairs[0], other, *room.pairs[2:]], room.points)
 
 
@@ -139,7 +131,7 @@ def test_an_image_without_a_usable_pixel_is_told(room):
     blind = replace(
         room.pairs[1], load_thermal=lambda: Pixels(torch.full((120, 160, 1), float("nan")))
     )
-    with pytest.raises(SceneError, match="no pixel of view_1 can be used; remove the pair"):
+    with pytest.raises(SceneError, match="no pixel of view_1"):
         calibrate_rig([room.pairs[0], blind], room.points)
 
 
@@ -149,9 +141,9 @@ def test_a_photo_that_sees_no_points_gets_the_rigs_motion_and_is_named(room):
     found = calibrate_rig([*room.pairs[:3], blind], room.points, given)
     assert torch.equal(found.views[3].correction, torch.eye(4, dtype=torch.float64))
     assert found.views[3].uncertainty_px == float("inf")
-    assert found.warnings == (
-        "1 photos see too few points to correct their thermal camera: view_3.",
-    )
+    (warning,) = found.warnings
+    assert "too few points" in warning
+    assert "view_3" in warning
 
 
 def test_a_pair_that_does_not_agree_is_named(room):
@@ -159,10 +151,9 @@ def test_a_pair_that_does_not_agree_is_named(room):
     flat = replace(room.pairs[3], load_thermal=lambda: Pixels(torch.full((120, 160, 1), 21.5)))
     found = calibrate_rig([*room.pairs[:3], flat], room.points, given)
     assert found.views[3].matches == 0
-    assert len(found.warnings) == 1
-    assert found.warnings[0].startswith(
-        "1 thermal images could not be placed well (view_3): few edges agree"
-    )
+    (warning,) = found.warnings
+    assert "few edges" in warning
+    assert "(view_3)" in warning
 
 
 def test_each_pair_gets_its_own_rows_of_the_observations():

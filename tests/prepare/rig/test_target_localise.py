@@ -83,7 +83,5 @@ def test_a_moved_target_of_unknown_size_and_one_seen_from_one_place_are_told():
         sighting(view, make_board(STILL), camera(view, apart=1e-4))[0] for view in range(4)
     ]
     for sightings in (moved, same_place, moved[:1]):
-        with pytest.raises(
-            SceneError, match="the target cannot be used: its distance is not known"
-        ):
+        with pytest.raises(SceneError, match=r"target .* distance"):
             localise(sightings)

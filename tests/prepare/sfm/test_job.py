@@ -86,7 +86,5 @@ def test_stretched_images_are_made_and_counted(photos, tmp_path):
 
 def test_a_folder_that_cannot_be_made(photos, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(
-        RunError, match=r"file/sfm cannot be written \(.+\): make room, or choose another place"
-    ):
+    with pytest.raises(RunError, match="file/sfm cannot"):
         set_up(tmp_path / "file" / "sfm", photos, False, silent)

@@ -35,19 +35,17 @@ print(json.dumps({"end": "done"}))
 @pytest.mark.parametrize(
     ("script", "reason"),
     [
-        ("print(json.dumps({'end': 'error', 'message': 'the disk is full'})); "
-         "sys.exit(1)", "the disk is full"),
-        ("os.kill(os.getpid(), "
-         "9)", "the system ended the process (signal 9), most likely for want of memory; close "
-         "other programs or use smaller photos, and call again to continue"),
-        ("os.abort()", "the process ended with status -6 (no message); call again to continue"),
-        ("pass", "the process ended with status 0 (no message); call again to continue"),
+        ("print(json.dumps({'end': 'error', 'message': 'full'})); sys.exit(1)", "full"),
+        ("os.kill(os.getpid(), 9)", "smaller photos"),
+        ("os.abort()", "status -6"),
+        ("pass", "status 0"),
     ],
-)  # fmt: skip
+)
 def test_a_child_that_fails(tmp_path, script, reason):
     with pytest.raises(SceneError) as error:
         run(script, tmp_path)
-    assert str(error.value) == f"finding the poses failed: {reason}; see {tmp_path / 'log.txt'}"
+    assert reason in str(error.value)
+    assert str(tmp_path / "log.txt") in str(error.value)
 
 
 def test_what_the_child_writes_to_its_errors_is_kept(tmp_path):
@@ -88,27 +86,16 @@ def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "log.txt").mkdir()
     with pytest.raises(RunError) as error:
         run_colmap(tmp_path, silent)
-    assert str(error.value) == (
-        f"{tmp_path / 'log.txt'} cannot be written (Is a directory): make room, or choose another "
-        f"place"
-    )
+    assert f"{tmp_path / 'log.txt'} cannot" in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("version", "message"),
-    [
-        (
-            None,
-            'finding the poses needs pycolmap: pip install "mrgs[sfm]", or give poses that you '
-            "have",
-        ),
-        ("3.13.0", 'pycolmap 3.13.0 is too old: pip install "mrgs[sfm]"'),
-    ],
+    ("version", "told"), [(None, "needs pycolmap"), ("3.13.0", "pycolmap 3.13.0")]
 )
-def test_without_a_recent_pycolmap(version, message):
-    with pytest.raises(ConfigError) as error:
+def test_without_a_recent_pycolmap(version, told):
+    with pytest.raises(ConfigError, match=told) as error:
         check_version(version)
-    assert str(error.value) == message
+    assert 'pip install "mrgs[sfm]"' in str(error.value)
 
 
 def test_the_version_of_pycolmap():

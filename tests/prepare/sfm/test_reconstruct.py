@@ -84,16 +84,11 @@ def test_positions_in_metres_or_none(tmp_path):
 @needs_pycolmap
 def test_photos_that_share_nothing(tmp_path):
     images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(3)}
-    with pytest.raises(
-        SceneError, match=r"^only 0 of 3 photos could be placed, and 3 are needed \(photo_0"
-    ):
+    with pytest.raises(SceneError, match=r"only 0 of 3 .*photo_0"):
         reconstruct(images, tmp_path, lambda *step: None, modality=RGB)
 
 
 def test_two_photos_are_too_few(tmp_path):
     images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(2)}
-    with pytest.raises(SceneError) as error:
+    with pytest.raises(SceneError, match="3 photos at least"):
         reconstruct(images, tmp_path, lambda *step: None, modality=RGB)
-    assert (
-        str(error.value) == "poses need 3 photos at least, and 2 can be used; take more, all around"
-    )

@@ -72,51 +72,47 @@ def test_poses_points_and_what_each_view_sees(tmp_path):
         "d": [0],
     }
     assert (found.reprojection_px, found.images, found.warnings) == (0.5, RGB, ())
-    assert found.source == "Structure from motion with COLMAP: 3 of 4 photos, 3 points."
-    assert [(left.name, left.reason) for left in found.failed] == [
-        ("c", "little in common with any other photo (12 matches at most, with a)")
-    ]
+    for told in ("COLMAP", "3 of 4 photos", "3 points"):
+        assert told in found.source
+    (left,) = found.failed
+    assert left.name == "c"
+    assert "12 matches at most, with a)" in left.reason
 
 
 def test_matches_by_gps_are_told(tmp_path):
     write(tmp_path, [image(0)] * 4, [4], nearby=True)
-    assert read_result(tmp_path, RGB).source.endswith(
-        " Only photos taken near each other, by GPS, are matched."
-    )
+    assert "GPS" in read_result(tmp_path, RGB).source
 
 
 @pytest.mark.parametrize(
     ("own", "reason"),
     [
-        (image(None, features=None), "the image could not be read"),
-        (image(None, features=31), "too little texture, or blurred (31 features)"),
-        (image(None, matches=0), "little in common with any other photo (0 matches at most)"),
-        (image(1), "connected only to a group of 2 photos, apart from the largest"),
-        (image(None), "no place among the others fits its matches (200 at most, with a)"),
+        (image(None, features=None), "not be read"),
+        (image(None, features=31), "(31 features)"),
+        (image(None, matches=0), "(0 matches at most)"),
+        (image(1), "group of 2"),
+        (image(None), "(200 at most, with"),
     ],
 )
 def test_why_an_image_has_no_pose(tmp_path, own, reason):
     write(tmp_path, [image(0), image(0), image(0), own], [3, 2])
     (failed,) = read_result(tmp_path, RGB).failed
-    assert (failed.name, failed.reason) == ("d", reason)
+    assert failed.name == "d"
+    assert reason in failed.reason
 
 
 def test_groups_that_are_not_connected_are_told(tmp_path):
     write(tmp_path, [image(0)] * 5 + [image(1)] * 3, [5, 3])
-    assert read_result(tmp_path, THERMAL).warnings == (
-        "The photos fall into 2 groups that are not connected (5, 3 photos); the largest is used. "
-        "Photos that overlap "
-        "both would join them.",
-    )
+    (warning,) = read_result(tmp_path, THERMAL).warnings
+    assert "2 groups" in warning
+    assert "(5, 3 photos)" in warning
 
 
 def test_rough_poses_are_told(tmp_path):
     write(tmp_path, [image(0)] * 4, [4], reprojection_px=1.34)
-    assert read_result(tmp_path, THERMAL).warnings == (
-        "The poses are rough: points lie 1.3 px from where they were seen (mean). Sharper photos "
-        "with more texture "
-        "would help.",
-    )
+    (warning,) = read_result(tmp_path, THERMAL).warnings
+    assert "rough" in warning
+    assert "1.3 px" in warning
 
 
 def test_too_few_views(tmp_path):
@@ -127,16 +123,11 @@ def test_too_few_views(tmp_path):
     )
     with pytest.raises(SceneError) as error:
         read_result(tmp_path, RGB)
-    assert str(error.value) == (
-        "only 2 of 11 photos could be placed, and 3 are needed (c, d, e, f, g, h and 2 more: too "
-        "little texture, or "
-        "blurred; k: little in common with any other photo); take photos that overlap by two "
-        "thirds, sharp and with "
-        "texture"
-    )
+    for told in ("2 of 11", "(c, d, e, f, g, h and 2 more: ", "; k: "):
+        assert told in str(error.value)
 
 
 def test_no_model_at_all(tmp_path):
     write(tmp_path, [image(None, matches=0)] * 4, [])
-    with pytest.raises(SceneError, match="only 0 of 4 photos could be placed"):
+    with pytest.raises(SceneError, match="0 of 4"):
         read_result(tmp_path, RGB)

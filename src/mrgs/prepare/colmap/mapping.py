@@ -6,7 +6,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,8 @@ from mrgs.prepare.colmap.positions import (
     tell_apart,
 )
 
+Solver = Callable[..., Mapping[int, pycolmap.Reconstruction]]
+
 MIN_TRACK = 3
 MAX_ERROR_PX = 2.0
 FEW_IMAGES = 8
@@ -39,11 +41,13 @@ FAINT_INITIAL_MATCHES, FAINT_POSE_MATCHES = 50, 20
 """Fewest matches of the first pair and of each further image; COLMAP's are 100 and 30."""
 
 
-def map_images(job: ReconstructionJob, report: Report) -> None:
+def map_images(
+    job: ReconstructionJob, report: Report, solve: Solver = pycolmap.incremental_mapping
+) -> None:
     """Compute the model unless it exists. Where no two images match, it has a report only."""
     if (job.folder / MODEL_FOLDER).is_dir():
         return
-    models, nearby = _models_by_position(job, report)
+    models, nearby = _models_by_position(job, report, solve)
     fresh = job.folder / f"{MODEL_FOLDER}.new"
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir()
@@ -57,11 +61,11 @@ def map_images(job: ReconstructionJob, report: Report) -> None:
 
 
 def _models_by_position(
-    job: ReconstructionJob, report: Report
+    job: ReconstructionJob, report: Report, solve: Solver
 ) -> tuple[list[pycolmap.Reconstruction], bool]:
     """The models, largest first, and whether only images taken near each other are matched in them:
     so where all matches lead to poses that contradict the positions, and these do not."""
-    models = _models(job, job.database, report)
+    models = _models(job, job.database, report, solve)
     if not tell_apart(job.positions) or len(job.files) > MAX_EXHAUSTIVE:
         return models, tell_apart(job.positions)
     before = _misfit(job, models)
@@ -69,7 +73,7 @@ def _models_by_position(
         return models, False
     nearby = _database_nearby(job)
     try:
-        others = _models(job, nearby, report)
+        others = _models(job, nearby, report, solve)
     finally:
         nearby.unlink()
     agrees = _misfit(job, others) < before / 2
@@ -106,7 +110,7 @@ def _database_nearby(job: ReconstructionJob) -> Path:
 
 
 def _models(
-    job: ReconstructionJob, database: Path, report: Report
+    job: ReconstructionJob, database: Path, report: Report, solve: Solver
 ) -> list[pycolmap.Reconstruction]:
     """All models, largest first; they share images at their borders only."""
     total, registered = len(job.files), 0
@@ -132,7 +136,7 @@ def _models(
     if job.faint:
         options.mapper.init_min_num_inliers = FAINT_INITIAL_MATCHES
         options.mapper.abs_pose_min_num_inliers = FAINT_POSE_MATCHES
-    models = pycolmap.incremental_mapping(
+    models = solve(
         database,
         job.root,
         folder,

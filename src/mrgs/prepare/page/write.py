@@ -52,7 +52,9 @@ SCRIPTS = (
 )
 
 
-def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
+def write_page(
+    work: Work, without_pose: Sequence[Skipped] = (), most_shown: int = MOST_SHOWN
+) -> Path:
     """Write ``prepare.html`` into the scene's folder; returns its path.
 
     One file that needs nothing from the network: warnings, stages with their times, cameras and
@@ -63,12 +65,13 @@ def write_page(work: Work, without_pose: Sequence[Skipped] = ()) -> Path:
         work: a scene in preparation; results that are not there yet are left out. If there are
             poses, but no scene files, the views are shown without them.
         without_pose: views to be listed with the skipped ones.
+        most_shown: views on the page at most.
 
     Raises:
         SceneError: the scene or an image in it cannot be read.
         RunError: the page cannot be written.
     """
-    content = _content(work)
+    content = _content(work, most_shown)
     world = _world(content, work)
     posed = content.posed
     work.found_by_page = _disagreements(content, work)
@@ -155,10 +158,10 @@ class _Content:
         return {"training": training, "held_out": held_out, "total": self.total}
 
 
-def _content(work: Work) -> _Content:
+def _content(work: Work, most_shown: int) -> _Content:
     scene, photos = work.scene, work.images
     posed = None if work.poses is None else work.posed
-    shown = [photos.views[index] for index in evenly_spaced(len(photos.views), MOST_SHOWN)]
+    shown = [photos.views[index] for index in evenly_spaced(len(photos.views), most_shown)]
     width = thumbnail_width(len(shown))
     written = posed is not None and (scene / TRANSFORMS).is_file()
     loaded = load_scene(scene, resolution=width) if written else None
