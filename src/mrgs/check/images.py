@@ -69,7 +69,7 @@ def _missing(scene: Scene, statistics: Sequence[ViewStatistics]) -> list[Problem
         lacking = [view.name for view in views if modality not in view.images]
         if modality not in present:
             severity, what = _EXPECTED[modality]
-            text = f"No view has a {title} image: the model will have no {what}."
+            text = f"No view has any {title} image: the model will have no {what}."
             found.append(Problem(severity, text, "Name them in the file if there are any."))
         elif lacking:
             text = f"There is no {title} image in {views_text(lacking)}."
