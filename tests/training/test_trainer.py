@@ -760,7 +760,7 @@ def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path):
     other = make_scene()
     content = json.loads((other / "transforms.json").read_text())
     (other / "transforms.json").write_text(json.dumps({**content, "frames": content["frames"][:4]}))
-    with pytest.raises(RunError, match=f"{other.name} .* 3 training views .* 6"):
+    with pytest.raises(RunError, match=f"{other.name} has 3 "):
         train(other, folder.path, config, resume=True)
 
 
