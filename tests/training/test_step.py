@@ -142,7 +142,9 @@ def test_the_thermal_error_is_that_of_the_valid_pixels(make_start):
     valid[5:20, 10:20] = True
     expected = _thermal_error_of(state, scene, whole[THERMAL].values, valid)
     photos = whole | {THERMAL: Pixels(whole[THERMAL].values, valid)}
-    assert take(state, scene, config, photos=photos).thermal_error == pytest.approx(expected)
+    assert take(state, scene, config, photos=photos).thermal_error == pytest.approx(
+        expected, rel=1e-5
+    )
 
 
 def _thermal_error_of(state, scene, photo: torch.Tensor, valid: torch.Tensor) -> float:
