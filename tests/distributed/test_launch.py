@@ -5,11 +5,10 @@ from unittest.mock import patch
 
 import pytest
 import torch
-import torch.distributed as dist
 
-from mrgs.distributed import launch
 from mrgs.distributed.launch import Launch
 from mrgs.distributed.processes import joined
+from mrgs.system.threads import available_cores
 
 TORCHRUN = {
     "TORCHELASTIC_RUN_ID": "some",
@@ -36,27 +35,28 @@ def test_each_process_of_a_machine_has_a_gpu_of_its_own():
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ({"OMP_NUM_THREADS": "1"}, ("3", "3")),  # torchrun's own default
-        ({}, ("3", "3")),
-        ({"OMP_NUM_THREADS": "2"}, ("2", "3")),
-        ({"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}, ("1", "1")),
+        ({"OMP_NUM_THREADS": "1"}, ("share", "share")),  # torchrun's own default
+        ({}, ("share", "share")),
+        ({"OMP_NUM_THREADS": "777"}, ("777", "share")),
+        ({"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "778"}, ("778", "778")),
     ],
 )
-def test_each_process_takes_its_share_of_the_cores(given, expected, monkeypatch):
+@pytest.mark.parametrize("processes", [1, 2])
+def test_each_process_takes_its_share_of_the_cores(given, expected, processes, monkeypatch):
+    share = str(max(1, available_cores() // processes))
     for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     for name, value in given.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(launch, "available_cores", lambda: 12)
     with patch.dict(os.environ):  # Numba would change its threads in the tests to come
-        Launch(0, 4, 4, 0).share_cores()
+        Launch(0, processes, processes, 0).share_cores()
         found = os.environ["OMP_NUM_THREADS"], os.environ["NUMBA_NUM_THREADS"]
-    assert found == expected
+    assert found == tuple(share if each == "share" else each for each in expected)
 
 
-def test_a_process_has_at_least_one_thread(monkeypatch):
-    monkeypatch.setattr(launch, "available_cores", lambda: 2)
-    assert Launch(0, 4, 4, 0).threads == 1
+def test_a_process_has_at_least_one_thread():
+    count = 2 * available_cores()
+    assert Launch(0, count, count, 0).threads == 1
 
 
 def test_a_process_takes_its_gpu_when_it_joins(monkeypatch):
@@ -64,7 +64,8 @@ def test_a_process_takes_its_gpu_when_it_joins(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr(torch.cuda, "set_device", taken.append)
-    store = dist.HashStore()
-    monkeypatch.setattr(dist, "rendezvous", lambda *_, **__: iter([(store, 0, 1)]))
+    for name, value in {"RANK": "0", "WORLD_SIZE": "1", "MASTER_ADDR": "127.0.0.1"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("MASTER_PORT", "0")  # the system chooses one
     with joined(Launch(rank=0, world_size=1, local_world_size=2, local_rank=1)):
         assert taken == [1]

@@ -111,7 +111,7 @@ def test_only_what_is_needed_is_kept_but_all_is_checked(state, path):
     found = content.index(tensors_of(state)["gaussians.adam.means.exp_avg"].numpy().tobytes())
     content[found] ^= 1
     path.write_bytes(content)
-    with pytest.raises(DamagedCheckpointError, match="do not match their digest"):
+    with pytest.raises(DamagedCheckpointError, match="digest"):
         read_file(path, lambda name: name == "gaussians.means")
 
 
@@ -128,12 +128,9 @@ def test_a_truncated_checkpoint_is_named(keep, path, config):
         lambda path: load_model(path, config),
         lambda path: load_state(path, config),
     ):
-        with pytest.raises(DamagedCheckpointError) as caught:
+        with pytest.raises(DamagedCheckpointError, match="parsed") as caught:
             load(path)
-        assert (
-            str(caught.value) == f"{path} is not a whole checkpoint (it cannot be parsed): restore "
-            f"it from a copy, or use an older one"
-        )
+        assert str(path) in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +139,7 @@ def test_a_truncated_checkpoint_is_named(keep, path, config):
 )
 def test_a_file_of_something_else_is_named(header, path):
     save_file({"a": torch.zeros(2)}, path, header)
-    with pytest.raises(RunError, match="is not a whole checkpoint"):
+    with pytest.raises(RunError, match="not a whole"):
         load_facts(path)
 
 
@@ -166,7 +163,7 @@ def test_a_file_of_something_else_is_named(header, path):
 )
 def test_a_header_that_lacks_facts_is_named(changes, path):
     rewrite(path, **changes)
-    with pytest.raises(RunError, match="is not a whole checkpoint"):
+    with pytest.raises(RunError, match="not a whole"):
         load_facts(path)
 
 
@@ -176,7 +173,7 @@ def test_a_header_that_lacks_facts_is_named(changes, path):
 )
 def test_modalities_that_the_tensors_have_not_are_named(modalities, path, config):
     rewrite(path, modalities=modalities)
-    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+    with pytest.raises(RunError, match=r"fit .*config\.yaml"):
         load_model(path, config)
 
 
@@ -185,25 +182,22 @@ def test_a_missing_modality_is_named(missing, path, config):
     tensors = load_file(path)
     del tensors[f"gaussians.{missing}"]
     rewrite(path, tensors)
-    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+    with pytest.raises(RunError, match=r"fit .*config\.yaml"):
         load_model(path, config)
 
 
 def test_another_format_is_named(path):
     header = {**header_of(path), "format": 99}
     save_file(load_file(path), path, {"mrgs": json.dumps(header)})
-    with pytest.raises(RunError) as caught:
+    with pytest.raises(RunError, match="format 99") as caught:
         load_facts(path)
-    assert (
-        str(caught.value) == f"{path} has checkpoint format 99, this program reads 5 and 6: use "
-        f"the version of mrgs that wrote it"
-    )
+    assert str(path) in str(caught.value)
     assert not isinstance(caught.value, DamagedCheckpointError)
 
 
 def test_a_header_of_this_format_without_its_digest_is_damaged(path):
     save_file(load_file(path), path, {"mrgs": json.dumps(header_of(path))})
-    with pytest.raises(DamagedCheckpointError, match="its header has no digest"):
+    with pytest.raises(DamagedCheckpointError, match="no digest"):
         load_facts(path)
 
 
@@ -213,7 +207,7 @@ def test_the_same_numbers_in_another_shape_are_damaged(path):
     tensors = load_file(path)
     tensors["gaussians.quats"] = tensors["gaussians.quats"].reshape(-1, 2).contiguous()
     save_file(tensors, path, metadata)
-    with pytest.raises(DamagedCheckpointError, match="its tensors do not match their digest"):
+    with pytest.raises(DamagedCheckpointError, match="tensors do"):
         read_file(path)
 
 
@@ -231,14 +225,14 @@ def test_neighbours_that_do_not_exist_are_named(path, config, number):
     assert len(tensors["neighbours"]) == 25
     tensors["neighbours"][3, 0] = number
     rewrite(path, tensors)
-    with pytest.raises(RunError, match="neighbours names Gaussians that do not exist"):
+    with pytest.raises(RunError, match="neighbours"):
         load_model(path, config)
 
 
 @pytest.mark.parametrize("count", [-1, "1", True, None])
 def test_a_count_of_skipped_steps_that_cannot_be_is_named(path, config, count):
     rewrite(path, skipped_in_a_row=count)
-    with pytest.raises(RunError, match="skipped_in_a_row is a number of at least 0"):
+    with pytest.raises(RunError, match="skipped_in_a_row"):
         load_state(path, config)
 
 
@@ -252,25 +246,22 @@ def test_the_format_before_digests_is_read(state, path, config):
 def test_another_configuration_is_named(path, config):
     other = replace(config, field=replace(config.field, hidden_width=2 * config.field.hidden_width))
     for load in (load_model, lambda path, config: load_state(path, config)):
-        with pytest.raises(RunError) as caught:
+        with pytest.raises(RunError, match=r"config\.yaml .*bias .*\[64\] .*\[128\]") as caught:
             load(path, other)
-        assert str(caught.value) == (
-            f"{path} does not fit the run's config.yaml (color_head.mlp.0.bias is float32 [64] "
-            f"where float32 [128] is expected): restore the configuration it was trained with"
-        )
+        assert str(path) in str(caught.value)
 
 
 def test_missing_tensors_are_named(path, config):
     tensors = load_file(path)
     del tensors["gaussians.quats"]
     rewrite(path, tensors)
-    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml \(quats is missing\)"):
+    with pytest.raises(RunError, match="quats is missing"):
         load_model(path, config)
 
 
 def test_temperatures_of_another_degree_are_named(path, config):
     load_model(path, replace(config, temperature_sh_degree=None))
-    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+    with pytest.raises(RunError, match=r"fit .*config\.yaml"):
         load_model(path, replace(config, temperature_sh_degree=3))
 
 
@@ -282,12 +273,9 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(state, path
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", full)
-        with pytest.raises(RunError) as caught:
+        with pytest.raises(RunError, match="No space left") as caught:
             save(path, state, FACTS._replace(step=3))
-    assert (
-        str(caught.value)
-        == f"{path} cannot be written (No space left on device): make room, or choose another place"
-    )
+    assert str(path) in str(caught.value)
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]
 

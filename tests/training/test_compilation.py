@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from importlib import import_module
 
 import pytest
@@ -36,40 +37,44 @@ def test_the_published_field_needs_more():
     assert totals[1] > totals[0] > totals[2]
 
 
-def test_what_a_training_left_is_compiled(monkeypatch):
-    """In this process or an earlier one: what has been called is on disk."""
+def test_what_lies_compiled_need_not_be_waited_for():
     config = make_config("mrgs-plus", "fast")
-    compiled = [name for name in compilation._needed(config) if compilation._is_saved(name)]
-    monkeypatch.setattr(compilation, "_is_saved", lambda name: name in compiled[:2])
-    found = compiling_progress(config)
-    assert (found.done, found.total) == (min(2, len(compiled)), len(compilation._needed(config)))
-    expected = sum(compilation._needed(config)[name] for name in compiled[:2])
-    assert found.seconds_left == pytest.approx(sum(compilation._needed(config).values()) - expected)
+    needed = compilation._needed(config)
+    saved = list(needed)[3:5]
+    found = compiling_progress(config, is_saved=saved.__contains__)
+    assert (found.done, found.total) == (2, len(needed))
+    rest = sum(seconds for name, seconds in needed.items() if name not in saved)
+    assert found.seconds_left == pytest.approx(rest)
 
 
-def test_the_countdown_goes_by_the_pace(monkeypatch):
+def test_the_countdown_goes_by_the_pace():
     left = iter(
         [
             CompilingProgress(0, 14, 30.0),
             CompilingProgress(0, 14, 30.0),
             CompilingProgress(7, 14, 12.0),
+            CompilingProgress(14, 14, 0.0),
         ]
     )
-    monkeypatch.setattr(
-        compilation, "compiling_progress", lambda config: next(left, CompilingProgress(14, 14, 0.0))
-    )
-    clock = [0.0]
-    monkeypatch.setattr(compilation.time, "monotonic", lambda: clock[0])
-    countdown = Countdown(make_config("mrgs"))
-    assert countdown.text == "compiling kernels 0/14, about 15 s left"
-    clock[0] = 9.0
-    assert countdown.text == "compiling kernels 7/14, about 6 s left"
+    seconds = [0.0]
+    countdown = Countdown(make_config("mrgs"), lambda config: next(left), lambda: seconds[0])
+    assert re.findall(r"\d+", countdown.text) == ["0", "14", "15"]
+    seconds[0] = 9.0
+    assert re.findall(r"\d+", countdown.text) == ["7", "14", "6"]
     assert countdown.text is None
+
+
+@pytest.fixture
+def set_threads() -> Iterator[Callable[[int], None]]:
+    """torch's number of threads, for the length of a test."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize(("threads", "left", "starts"), [(1, 9.0, 0), (2, 0.0, 0), (2, 9.0, 1)])
 def test_another_process_helps_where_there_is_a_core_and_something_to_do(
-    monkeypatch, threads, left, starts
+    threads, left, starts, set_threads
 ):
     started: list[object] = []
 
@@ -80,13 +85,9 @@ def test_another_process_helps_where_there_is_a_core_and_something_to_do(
         def close(self):
             started.append("closed")
 
-    monkeypatch.setattr(compilation, "Child", Stub)
-    monkeypatch.setattr(
-        compilation, "compiling_progress", lambda config: CompilingProgress(0, 1, left)
-    )
-    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
+    set_threads(threads)
     config = make_config("mrgs")
-    with shared_compiling(config):
+    with shared_compiling(config, lambda config: CompilingProgress(0, 1, left), Stub):
         assert started == [write_yaml(config)] * starts
     assert started == [write_yaml(config), "closed"] * starts
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from contextlib import suppress
 from dataclasses import replace
 
@@ -59,48 +60,41 @@ def test_yaml_shows_every_field():
     assert all(f"{name}:" in text for name in names)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (
-            "max_stepps: 5",
-            "config.yaml: there is no field 'max_stepps'; known are method, preset, max_steps",
-        ),
-        (
-            "loss: {smoth: 1.0}",
-            "config.yaml: loss: there is no field 'smoth'; known are dssim, smooth",
-        ),
-        ("max_steps: many", "config.yaml: max_steps must be of type int, not 'many'"),
-        ("max_steps: 5.5", "config.yaml: max_steps must be of type int, not 5.5"),
-        ("max_steps: true", "config.yaml: max_steps must be of type int, not True"),
-        ("shares_opacity: 1", "config.yaml: shares_opacity must be of type bool, not 1"),
-        ("loss: {dssim: [1]}", r"config.yaml: loss: dssim must be of type float, not \[1\]"),
-        ("loss: 3", "config.yaml: loss must hold the fields of a configuration"),
-        ("method: 3", "config.yaml: method must be of type str, not 3"),
-        (
-            "preset: [fast]",
-            r"config.yaml: preset must be one of fast, default, paper, not \['fast'\]",
-        ),
-        ("max_steps: 0", "config.yaml: max_steps must be at least 1, not 0"),
-        ("loss: {dssim: 2}", "config.yaml: loss: dssim must lie between 0 and 1, not 2.0"),
-        ("- a\n- b", "config.yaml must hold the fields of a configuration"),
-        ("", "config.yaml must hold the fields of a configuration"),
-        ("a: [", "config.yaml is not valid YAML"),
-        ("seed: 1\nseed: 2", "config.yaml is not valid YAML: the key 'seed' stands twice"),
-        ("loss: {dssim: 0, dssim: 1}", "config.yaml is not valid YAML: the key 'dssim' stands"),
-        ("seed: -1", "config.yaml: seed must be at least 0, not -1"),
-        ("loss: {smooth: .nan}", "config.yaml: loss: smooth must be a finite number, not nan"),
-        ("loss: {smooth: .inf}", "config.yaml: loss: smooth must be a finite number, not inf"),
-        (f"loss: {{smooth: {10**400}}}", "config.yaml: loss: smooth must be a finite number"),
-        ("seed: 0x" + 5000 * "f", "config.yaml: seed must be at most 4,294,967,295"),
-        ("densification: {start: -5}", "config.yaml: densification: start of the densification"),
-        ("a: !!python/object/apply:os.getcwd []", "config.yaml is not valid YAML"),
-    ],
-)
-def test_what_cannot_be_used_is_named(text, message):
-    with pytest.raises(ConfigError, match=f"^{message}") as caught:
-        from_yaml(text, "config.yaml")
-    assert "\n" not in str(caught.value)
+REFUSED = {
+    "max_stepps: 5": "max_stepps.*max_steps",
+    "loss: {smoth: 1.0}": "loss: .*smoth.*smooth",
+    "max_steps: many": "max_steps .*int.*many",
+    "max_steps: 5.5": "max_steps .*int.*5.5",
+    "max_steps: true": "max_steps .*int.*True",
+    "shares_opacity: 1": "shares_opacity .*bool.*1",
+    "loss: {dssim: [1]}": r"loss: dssim .*float.*\[1\]",
+    "loss: 3": "loss .*fields",
+    "method: 3": "method .*str.*3",
+    "preset: [fast]": r"preset .*default.*\['fast'\]",
+    "max_steps: 0": "max_steps .*1, not 0",
+    "loss: {dssim: 2}": "loss: dssim .*2.0",
+    "- a\n- b": "fields",
+    "": "fields",
+    "a: [": "YAML",
+    "seed: 1\nseed: 2": "YAML.*'seed'",
+    "loss: {dssim: 0, dssim: 1}": "YAML.*'dssim'",
+    "seed: -1": "seed .*0, not -1",
+    "loss: {smooth: .nan}": "loss: smooth .*finite.*nan",
+    "loss: {smooth: .inf}": "loss: smooth .*finite.*inf",
+    f"loss: {{smooth: {10**400}}}": "loss: smooth .*finite",
+    "seed: 0x" + 5000 * "f": "seed .*4,294,967,295",
+    "densification: {start: -5}": "densification: start",
+    "a: !!python/object/apply:os.getcwd []": "YAML",
+}
+
+
+def test_what_cannot_be_used_is_named():
+    for text, named in REFUSED.items():
+        with pytest.raises(ConfigError) as caught:
+            from_yaml(text, "config.yaml")
+        message = str(caught.value)
+        assert re.match(f"config.yaml.*{named}", message), (text[:40], message)
+        assert "\n" not in message, text[:40]
 
 
 @given(
@@ -115,34 +109,31 @@ def test_any_text_gives_a_configuration_or_a_config_error(text):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "named"),
     [
-        (
-            {"method": "nerf"},
-            "unknown method 'nerf'; choose one of mrgs, mrgs-base, mrgs-fourier",
-        ),
-        ({"preset": "slow"}, "unknown preset 'slow'; choose one of fast, default, paper"),
-        ({"max_steps": 0}, "max_steps must be at least 1, not 0"),
-        ({"resolution": 8}, "resolution must be at least 16 px, not 8"),
-        ({"max_gaussians": 0}, "max_gaussians must be from 1 to 1,000,000,000, not 0"),
+        ({"method": "nerf"}, "method 'nerf'.*mrgs-fourier"),
+        ({"preset": "slow"}, "preset 'slow'.*paper"),
+        ({"max_steps": 0}, "max_steps .* 0"),
+        ({"resolution": 8}, "resolution .* 8"),
+        ({"max_gaussians": 0}, "max_gaussians .* 0"),
     ],
 )
-def test_impossible_choices_are_named(options, message):
-    with pytest.raises(ConfigError, match=message):
+def test_impossible_choices_are_named(options, named):
+    with pytest.raises(ConfigError, match=named):
         make_config(**options)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "named"),
     [
-        ({"neighbours_every": 0}, "neighbours_every must be at least 1, not 0"),
-        ({"temperature_sh_degree": 4}, "temperature_sh_degree must be null or 0 to 3, not 4"),
-        ({"dilation_px2": 0.0}, "dilation_px2 must be at least 0.01, not 0"),
-        ({"dilation_px2": 2.0}, "dilation_px2 must be at most 1, not 2"),
+        ({"neighbours_every": 0}, "neighbours_every .* 0"),
+        ({"temperature_sh_degree": 4}, "temperature_sh_degree .* 4"),
+        ({"dilation_px2": 0.0}, "dilation_px2 .* 0"),
+        ({"dilation_px2": 2.0}, "dilation_px2 .* 2"),
     ],
 )
-def test_impossible_fields_are_named(options, message):
-    with pytest.raises(ConfigError, match=message):
+def test_impossible_fields_are_named(options, named):
+    with pytest.raises(ConfigError, match=named):
         replace(TrainConfig(), **options)
 
 
@@ -271,7 +262,7 @@ def test_a_part_can_bring_back_what_the_method_left_out():
 
 
 def test_a_part_with_a_misspelt_field_names_it():
-    with pytest.raises(ConfigError, match=r"my.yaml: field: there is no field 'neighbors_n'"):
+    with pytest.raises(ConfigError, match=r"my\.yaml.*neighbors_n"):
         from_yaml("field: {neighbors_n: 5}", "my.yaml", make_config("mrgs"))
 
 
@@ -291,7 +282,7 @@ def test_the_fit_before_a_training_takes_no_more_steps_than_the_training(steps, 
     ],
 )
 def test_what_must_be_whole_numbers_is_named(name, value):
-    with pytest.raises(ConfigError, match=f"{name} must be a whole number, not "):
+    with pytest.raises(ConfigError, match=f"{name} .*whole number"):
         make_config(**{name: value})
 
 

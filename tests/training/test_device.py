@@ -6,13 +6,14 @@ is an error.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
+from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from mrgs import render as render_module
@@ -21,14 +22,13 @@ from mrgs.field import field as field_module
 from mrgs.field import nearest_neighbours
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.config import TrainConfig
-from mrgs.method.losses.term import SceneScale
+from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.rasterizer import Raster
 from mrgs.scene import RGB, Blend, Pixels
 from mrgs.scene.arrays import constant
 from mrgs.system import gpu
 from mrgs.system.cuda_graph import sync_debug_mode
 from mrgs.training import step as step_module
-from mrgs.training import view_pass
 from mrgs.training.state import initial_state
 from mrgs.training.step import control_density, training_step
 from mrgs.training.view_pass import PhotographedView
@@ -77,28 +77,21 @@ def _is_a_camera(tensor: torch.Tensor) -> bool:
     return tensor.dtype == torch.float64 and tensor.ndim > 0
 
 
-@contextmanager
-def no_round_trips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Within this block. Kernels are not run, so numbers mean nothing: a GPU's host does not see
-    them either."""
-    from triton.runtime.interpreter import GridExecutor
+class NoReading(TorchFunctionMode):
+    """What reads a tensor without asking torch's dispatcher is an error too."""
 
-    def refused(name: str) -> Callable[..., Any]:
-        method = getattr(torch.Tensor, name)
-
-        def call(self: torch.Tensor, *args: Any, **options: Any) -> Any:
-            if self.dtype == torch.float64:
-                return method(self, *args, **options)
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = getattr(func, "__name__", "")
+        if name in {"numpy", "tolist", "cpu", "__array__"} and args[0].dtype != torch.float64:
             raise RoundTripError(f"Tensor.{name} reads from the device")
+        return func(*args, **(kwargs or {}))
 
-        return call
 
-    with monkeypatch.context() as patch:
-        patch.setattr(GridExecutor, "__call__", lambda *args, **options: None)
-        for name in ("numpy", "tolist", "cpu", "__array__"):
-            patch.setattr(torch.Tensor, name, refused(name))
-        with NoRoundTrips():
-            yield
+@contextmanager
+def no_round_trips() -> Iterator[None]:
+    """Within this block."""
+    with NoReading(), NoRoundTrips():
+        yield
 
 
 def flat_raster(
@@ -114,6 +107,21 @@ def flat_raster(
         shade = ramp * (1 + turn)
         blends.append(Blend(shade[..., None] * value, shade * 3, shade * layer.opacities.mean()))
     return Raster(tuple(blends), torch.ones(len(means), device=means.device))
+
+
+@pytest.fixture
+def stop_kernels(gpu_device: str, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """From this call on kernels are not run, so that numbers mean nothing: a GPU's host does not
+    see them either."""
+    if gpu_device != "cpu":
+        pytest.skip("where there is a GPU, it is asked")
+    from triton.runtime.interpreter import GridExecutor
+
+    def stop() -> None:
+        monkeypatch.setattr(GridExecutor, "__call__", lambda *args, **options: None)
+        monkeypatch.setattr(render_module, "rasterize", flat_raster)
+
+    return stop
 
 
 @pytest.fixture(autouse=True)
@@ -142,11 +150,11 @@ def start(small_scene):
     """Ten Gaussians, images of 8×6, and a step on them; the neighbours are known, and the first
     camera is copied."""
 
-    def make(method: str, **changes: Any):
+    def make(method: str, terms: Sequence[Term] = (), **changes: Any):
         config = harmonic(short_config(method, sh_every=1, **changes))
         config = replace(config, densification=replace(config.densification, max_gaussians=10))
         scene = load_scene(small_scene, resolution=8)
-        state = initial_state(scene, config)
+        state = initial_state(scene, config, terms=terms)
         with (
             torch.no_grad()
         ):  # balls have no gradient by their rotation but noise, and Adam would follow it
@@ -190,13 +198,11 @@ METHODS = ["mrgs", "mrgs-plus", "3dgs-rgbt"]
     ("method", "masked"),
     [("mrgs", False), ("mrgs-plus", False), ("3dgs-rgbt", False), ("3dgs-rgbt", True)],
 )
-def test_a_step_waits_for_nothing(method, masked, start, gpu_device, monkeypatch):
-    if gpu_device != "cpu":
-        pytest.skip("where there is a GPU, the next test asks it")
-    monkeypatch.setattr(render_module, "rasterize", flat_raster)
+def test_a_step_waits_for_nothing(method, masked, start, stop_kernels):
     _, take = start(method, image_model=EVERY_PART)
     steps = [take(0, masked), take(0, masked)]
-    with no_round_trips(monkeypatch):
+    stop_kernels()
+    with no_round_trips():
         statistics = [step() for step in steps]
     assert [each.step for each in statistics] == [1, 2]
 
@@ -242,40 +248,38 @@ READERS: list[Callable[[torch.Tensor], Any]] = [
 ]
 
 
+class Reads(Term):
+    """Has nothing to say, and reads a number."""
+
+    name = "reads"
+
+    def __init__(self, reader: Callable[[torch.Tensor], Any]) -> None:
+        self._reader = reader
+
+    def value(self, context: LossContext) -> None:
+        self._reader(context.observed[RGB].image.mean().detach())
+
+
 @pytest.mark.parametrize("reader", READERS)
-def test_the_check_can_fail(reader, start, gpu_device, monkeypatch):
-    if gpu_device != "cpu":
-        pytest.skip("where there is a GPU, it is asked")
-    monkeypatch.setattr(render_module, "rasterize", flat_raster)
-    _, take = start("3dgs-rgbt")
+def test_the_check_can_fail(reader, start, stop_kernels):
+    _, take = start("3dgs-rgbt", [Reads(reader)])
     step = take()
-    original = view_pass.total_loss
-
-    def total_loss(*args: Any) -> torch.Tensor:
-        loss = original(*args)
-        reader(loss)
-        return loss
-
-    monkeypatch.setattr(view_pass, "total_loss", total_loss)
-    with pytest.raises(RoundTripError), no_round_trips(monkeypatch):
+    stop_kernels()
+    with pytest.raises(RoundTripError), no_round_trips():
         step()
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_all_of_a_step_is_on_one_device(method, small_scene, gpu_device, monkeypatch):
+def test_all_of_a_step_is_on_one_device(method, small_scene, stop_kernels, monkeypatch):
     """Tensors without contents tell which device they are on, and refuse those of another."""
-    if gpu_device != "cpu":
-        pytest.skip("where there is a GPU, a step on it tells the same")
-    from triton.runtime.interpreter import GridExecutor
 
     def no_adam(*arguments: list[torch.Tensor], found_inf: torch.Tensor, **_: Any) -> None:
         """torch has no fused one for this device."""
         tensors = [found_inf, *(each for list_ in arguments for each in list_)]
         assert all(each.is_meta for each in tensors)
 
-    monkeypatch.setattr(GridExecutor, "__call__", lambda *args, **options: None)
+    stop_kernels()
     monkeypatch.setattr(gpu, "runs_triton", lambda tensor: tensor.is_meta)
-    monkeypatch.setattr(render_module, "rasterize", flat_raster)
     monkeypatch.setattr(torch, "_fused_adam_", no_adam)
     device = torch.device("meta")
     config = harmonic(short_config(method, sh_every=1, image_model=EVERY_PART, fitted_residuals=0))

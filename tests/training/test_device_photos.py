@@ -56,7 +56,7 @@ def test_what_is_fetched_is_there_when_its_turn_comes(counting_image):
 @pytest.mark.parametrize(
     ("limit_bytes", "host_limit_bytes"),
     [(10**6, 0), (0, 10**6), (0, 0)],
-    ids=["kept on the device", "kept on the host", "kept nowhere"],
+    ids=["device", "host", "nowhere"],
 )
 def test_photos_are_read_by_another_thread_while_this_one_goes_on(limit_bytes, host_limit_bytes):
     readers, goes_on = [], threading.Event()
@@ -83,7 +83,7 @@ def test_what_fails_ahead_of_its_turn_is_said_when_its_turn_comes():
     image = PosedImage(posed_image(torch.rand(4, 5, 1)).camera, load)
     photos = DevicePhotos(CPU, limit_bytes=10**6)
     photos.fetch([image])
-    with pytest.raises(SceneError, match=r"a\.png: cannot be decoded"):
+    with pytest.raises(SceneError, match=r"a\.png"):
         photos.load(image)
 
 

@@ -50,20 +50,15 @@ def test_the_kernel_takes_one_tensor_alone(gpu_device):
     two = [lists * 2 for lists in one]
     assert gpu.move(*two, [count] * 2, 0.1, 1e-8, skip) is NotImplemented
     assert gpu.move(*one, [count], 0.1, 1e-8, None) is NotImplemented
-    with pytest.raises(ValueError, match="square must be float32"):
+    with pytest.raises(ValueError, match="square"):
         gpu.move(*one[:3], [tensor[:2]], [count], 0.1, 1e-8, skip)
 
 
-def test_more_values_than_can_be_numbered_are_left_to_torch(gpu_device, monkeypatch):
+def test_more_values_than_can_be_numbered_are_left_to_torch(gpu_device):
     from mrgs.kernels.adam import gpu
 
-    expected = steps_of(gpu_device, [True], SHAPES[:1])
-    monkeypatch.setattr(gpu, "MOST_VALUES", 119)
-    lists = [[torch.zeros(120, device=gpu_device)] for _ in range(4)]
-    count, skip = torch.ones((), device=gpu_device), torch.zeros((), device=gpu_device)
-    assert gpu.move(*lists, [count], 0.1, 1e-8, skip) is NotImplemented
-    for value, truth in zip(steps_of(gpu_device, [True], SHAPES[:1]), expected, strict=True):
-        torch.testing.assert_close(value, truth, rtol=1e-4, atol=1e-6)
+    many, one = (torch.empty(shape, device="meta") for shape in (gpu.MOST_VALUES + 1, ()))
+    assert gpu.move([many], [many], [many], [many], [one], 0.1, 1e-8, one) is NotImplemented
 
 
 def test_what_has_no_gradient_stays(gpu_device):

@@ -60,7 +60,7 @@ def test_an_edit_is_found(edit, small_scene, monkeypatch):
     module, name, edited = EDITS[edit]
     with monkeypatch.context() as patch:
         patch.setattr(module, name, edited(getattr(module, name)))
-        with pytest.warns(KernelWarning, match="the kernel differs from the plain definition"):
+        with pytest.warns(KernelWarning, match="differs"):
             check_kernels(state, scene, config, scale)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -10,6 +10,7 @@ from mrgs.errors import ConfigError
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.optimizer import GaussianOptimizer, OptimizerConfig, are_finite
 from mrgs.scene import RGB, THERMAL, Gaussians
+from tests.helpers.full_memory import FullAt
 from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
 
 EXTENT = 2.0
@@ -185,25 +186,18 @@ def test_a_step_that_does_not_count_changes_nothing_and_one_that_does_the_same_b
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
 
 
-def test_rows_that_memory_does_not_suffice_for_leave_the_optimizer_as_it_was(monkeypatch):
+def test_rows_that_memory_does_not_suffice_for_leave_the_optimizer_as_it_was():
     optimizer = GaussianOptimizer(random_gaussians(4), OptimizerConfig(), EXTENT)
     give_gradients(optimizer.gaussians, torch.arange(4), seed=0)
     optimizer.step(0.5)
     before = {name: tensor.clone() for name, tensor in optimizer.state().items()}
-    calls = iter(range(100))
-
-    def cat(tensors, original=torch.cat):
-        if next(calls) == 5:
-            raise torch.cuda.OutOfMemoryError("full")
-        return original(tensors)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(torch, "cat", cat)
-        with pytest.raises(torch.cuda.OutOfMemoryError):
-            optimizer.replace_rows(torch.tensor([0, 2]), random_gaussians(3))
-    after = optimizer.state()
-    assert set(after) == set(before)
-    assert all(torch.equal(after[name], before[name]) for name in before)
+    kept, added = torch.tensor([0, 2]), random_gaussians(3)
+    for tensors in range(20):
+        with pytest.raises(torch.cuda.OutOfMemoryError), FullAt(tensors):
+            optimizer.replace_rows(kept, added)
+        after = optimizer.state()
+        assert set(after) == set(before)
+        assert all(torch.equal(after[name], before[name]) for name in before)
 
 
 def test_learning_rate_of_the_means_decays_between_its_ends():
@@ -228,18 +222,18 @@ def test_every_parameter_has_its_learning_rate():
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "named"),
     [
-        ({"quats": -1e-3}, "the learning rate quats must be at least 0, not -0.001"),
-        ({"heads": float("nan")}, "the learning rate heads must be at least 0, not nan"),
-        ({"means_final": 0.0}, "the learning rates means and means_final must be above 0"),
-        ({"slowdown_from": -0.1}, "the share slowdown_from must be at least 0, not -0.1"),
-        ({"slowdown_to": 1.5}, "the share slowdown_to must be at most 1, not 1.5"),
-        ({"slowdown_to": 0.0}, "the share slowdown_to must be above 0"),
+        ({"quats": -1e-3}, "quats .* -0.001"),
+        ({"heads": float("nan")}, "heads .* nan"),
+        ({"means_final": 0.0}, "means_final"),
+        ({"slowdown_from": -0.1}, "slowdown_from .* -0.1"),
+        ({"slowdown_to": 1.5}, "slowdown_to .* 1.5"),
+        ({"slowdown_to": 0.0}, "slowdown_to .* above"),
     ],
 )
-def test_impossible_learning_rates_are_named(options, message):
-    with pytest.raises(ConfigError, match=message):
+def test_impossible_learning_rates_are_named(options, named):
+    with pytest.raises(ConfigError, match=named):
         replace(OptimizerConfig(), **options)
 
 

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,16 +10,23 @@ import torch
 
 from mrgs import RGB, THERMAL, Run, Scene, train
 from mrgs.errors import MrgsWarning
-from mrgs.method.camera_model.pose_error import Alignable, PoseAgreement, pose_error
+from mrgs.method.camera_model.pose_error import PoseAgreement
 from mrgs.method.config import TrainConfig, make_config
-from mrgs.scene import Pixels
-from mrgs.training import pose_check
-from mrgs.training.pose_check import PoseCheck, checked_after, checks_poses_now
+from mrgs.scene import Camera, Modality, Pixels
+from mrgs.training.pose_check import (
+    EARLIEST_STEP,
+    MOST_VIEWS,
+    PoseCheck,
+    checked_after,
+    checks_poses_now,
+    looked_at,
+    spread,
+)
 from mrgs.training.state import initial_state
 from mrgs.training.view_pass import PhotographedView
 from tests.helpers.colored_ball import photographed
 
-STEPS = 200
+STEPS = 260
 
 
 def config(**image_model: bool | float) -> TrainConfig:
@@ -63,11 +70,6 @@ def begun_check(
     return PoseCheck(state, load, made)
 
 
-@pytest.fixture(autouse=True)
-def early_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pose_check, "EARLIEST_STEP", 140)
-
-
 def logged(folder: Path) -> float:
     lines = map(json.loads, (folder / "log.jsonl").read_text().splitlines())
     (found,) = [line["pose_error_px"] for line in lines if "pose_error_px" in line]
@@ -77,7 +79,7 @@ def logged(folder: Path) -> float:
 
 def test_wrong_poses_are_found_and_refined(tmp_path):
     scene = photographed(wrong_px=2.0)
-    with pytest.warns(MrgsWarning, match="the poses of the training photos are off by some"):
+    with pytest.warns(MrgsWarning, match="poses .* pixels"):
         run = train(scene, tmp_path / "run", config())
     without = train(scene, tmp_path / "without", config(poses=False))
     assert logged(tmp_path / "run") > 0.5
@@ -100,10 +102,10 @@ def test_right_poses_stay_as_they_are_and_the_model_is_the_same(tmp_path):
     ("steps", "views", "image_model", "expected"),
     [
         (4000, 50, {}, 400),
-        (300, 50, {}, 140),
-        (300, 75, {}, 150),
+        (300, 50, {}, 200),
+        (300, 120, {}, 240),
         (300, 150, {}, None),
-        (100, 50, {}, None),
+        (200, 50, {}, None),
         (4000, 50, {"poses": False}, None),
         (4000, 50, {"poses_rate": 0.0}, None),
     ],
@@ -114,88 +116,81 @@ def test_when_poses_are_checked(steps, views, image_model, expected):
     assert checked_after(changed, views) == expected
 
 
-@pytest.mark.parametrize(("views", "expected"), [(300, 150), (301, 151)])
+@pytest.mark.parametrize(("views", "expected"), [(440, 220), (441, 221)])
 def test_several_views_in_a_step_are_seen_sooner(views, expected):
     made = replace(make_config("mrgs-plus", max_steps=300), batch=4)
     assert checked_after(made, views) == expected
 
 
-def test_large_photos_are_looked_at_in_larger_pixels(monkeypatch):
-    monkeypatch.setattr(pose_check, "MOST_PIXELS", 160 * 200)
-    monkeypatch.setattr("mrgs.training.resolution.SMALLEST_PX", 4)
-    check = begun_check(photographed(wrong_px=0.0, views=3))
-    assert check.pixel_size() == 1
-    monkeypatch.setattr(pose_check, "MOST_PIXELS", 24 * 18)
-    assert check.pixel_size() == 4
-    monkeypatch.setattr(TrainConfig, "pixel_size_at", lambda config, step: 8)
-    assert check.pixel_size() == 8
+def looked_at_widths(
+    sizes: Mapping[Modality, tuple[int, int]], pixel_size: int = 1
+) -> dict[Modality, int]:
+    """How wide photos of these sizes are looked at."""
+    cameras = {each: Camera.from_fov(*size, 60.0) for each, size in sizes.items()}
+    photos = {
+        each: Pixels(torch.zeros(height, width, each.channels))
+        for each, (width, height) in sizes.items()
+    }
+    seen, pixels = looked_at(cameras, photos, pixel_size)
+    widths = {each: photo.values.shape[1] for each, photo in pixels.items()}
+    assert widths == {each: camera.width for each, camera in seen.items()}
+    return widths
 
 
-def test_the_largest_photo_of_a_view_decides(monkeypatch):
-    monkeypatch.setattr("mrgs.training.resolution.SMALLEST_PX", 4)
-    scene = photographed(wrong_px=0.0, views=3)
-    views = tuple(
-        replace(
-            view,
-            images=view.images
-            | {THERMAL: replace(view.images[THERMAL], camera=view.camera.resized(24, 18))},
-        )
-        for view in scene.train
-    )
-    monkeypatch.setattr(pose_check, "MOST_PIXELS", 48 * 36)
-    assert begun_check(replace(scene, train=views)).pixel_size() == 2
+def test_large_photos_are_looked_at_in_larger_pixels():
+    assert looked_at_widths({RGB: (640, 480)}) == {RGB: 640}
+    assert looked_at_widths({RGB: (644, 480)}) == {RGB: 322}
+    assert looked_at_widths({RGB: (1400, 900)}) == {RGB: 350}
+    assert looked_at_widths({RGB: (1280, 960)}, pixel_size=4) == {RGB: 320}
+    assert begun_check(photographed(0.0, 1000, 500, views=2)).pixel_size() == 2
+
+
+def test_the_largest_photo_of_a_view_decides():
+    sizes = {RGB: (800, 600), THERMAL: (640, 480)}
+    assert looked_at_widths(sizes) == {RGB: 400, THERMAL: 320}
 
 
 def test_poses_are_checked_once_and_later_where_that_failed():
     scene, made = photographed(wrong_px=0.0, views=3), config()
     state = initial_state(scene, made)
     found = []
-    for state.step in (139, 140, 151):
+    for state.step in (199, 200, 211):
         found.append(checks_poses_now(state, made))
     state.image_model.poses.note_checked()
     found.append(checks_poses_now(state, made))
     assert found == [False, True, True, False]
 
 
-def test_of_many_views_some_are_looked_at_from_all_over(monkeypatch):
-    monkeypatch.setattr(pose_check, "MOST_VIEWS", 3)
+def test_of_many_views_some_are_looked_at_from_all_over():
+    assert spread(9, 3) == [0, 3, 6]
     loaded: list[int] = []
-    begun_check(photographed(wrong_px=0.0, views=9), loaded).agreement()
-    assert loaded == [0, 3, 6]
+    begun_check(photographed(wrong_px=0.0, views=MOST_VIEWS + 8), loaded).agreement()
+    assert loaded == spread(MOST_VIEWS + 8, MOST_VIEWS)
 
 
-def test_masked_pixels_do_not_count_and_no_gradient_is_kept(monkeypatch):
-    seen: list[Alignable] = []
-
-    def watched(images: Sequence[Alignable], *rest: torch.Tensor) -> torch.Tensor:
-        seen.extend(images)
-        return pose_error(images, *rest)
-
-    monkeypatch.setattr(pose_check, "pose_error", watched)
+def test_masked_pixels_do_not_count_and_no_gradient_is_kept():
     scene = photographed(wrong_px=0.0, views=3)
     valid = torch.ones(72, 96, dtype=torch.bool)
     valid[:, 60:] = False
-    found = []
+    found, with_gradients = [], []
     for hidden in (0.0, 1.0):
 
         def masked(pixels: Pixels, hidden: float = hidden) -> Pixels:
+            with_gradients.append(torch.is_grad_enabled())
             return Pixels(torch.where(valid[:, :, None], pixels.values, hidden), valid)
 
         found.append(begun_check(scene, change=masked).motions())
     assert torch.equal(*found)
-    assert len(seen) == 2 * 3 * 2
-    assert not any(each.rendering.requires_grad or each.depth.requires_grad for each in seen)
+    assert with_gradients == [False] * (2 * 3 * 2)
 
 
 def test_what_is_said_of_the_poses_is_in_pixels_of_the_photos(tmp_path, monkeypatch):
-    monkeypatch.setattr(pose_check, "EARLIEST_STEP", 4)  # each photo is looked at twice by step 6
     monkeypatch.setattr(PoseCheck, "agreement", lambda check: PoseAgreement(2.0, 0.0))
     monkeypatch.setattr(PoseCheck, "pixel_size", lambda check: 3.0)
-    monkeypatch.setattr(PoseCheck, "motions", lambda check: torch.zeros(3, 6).double())
-    made = replace(config(), max_steps=7)
-    with pytest.warns(MrgsWarning, match=r"are off by some 6\.0 pixels, so they are refined"):
+    made = replace(config(), max_steps=EARLIEST_STEP + 1)
+    with pytest.warns(MrgsWarning, match=r"6\.0 pixels"):
         train(photographed(wrong_px=0.0, views=3), tmp_path / "run", made)
     lines = map(json.loads, (tmp_path / "run" / "log.jsonl").read_text().splitlines())
     assert [line for line in lines if "pose_error_px" in line] == [
-        {"step": 6, "pose_error_px": 6.0}
+        {"step": EARLIEST_STEP, "pose_error_px": 6.0}
     ]

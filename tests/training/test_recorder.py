@@ -5,8 +5,8 @@ Without a GPU, work that is "recorded" is kept and done again at each replay.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -21,12 +21,11 @@ from mrgs.errors import MrgsWarning
 from mrgs.field import field as field_module
 from mrgs.method.config import make_config
 from mrgs.method.losses.photometric import photometric_loss
-from mrgs.method.losses.term import LossContext, SceneScale
+from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.method.losses.terms import Photometric
 from mrgs.scene import RGB, THERMAL, Camera, Pixels
 from mrgs.system.recording import room_of_list
-from mrgs.training import recorder as module
-from mrgs.training.recorder import Recorder
+from mrgs.training.recorder import MOST_RECORDINGS, STALE_AFTER, Recorder
 from mrgs.training.state import initial_state
 from mrgs.training.step import training_step
 from mrgs.training.view_pass import PhotographedView, ViewInputs, ViewMeasures, view_inputs
@@ -53,15 +52,21 @@ class KeptWork:
 
 
 @pytest.fixture
-def kept(monkeypatch) -> type[KeptWork]:
+def kept() -> type[KeptWork]:
     """What records; it counts the recordings."""
 
     class Kept(KeptWork):
         made = 0
 
-    monkeypatch.setattr(module, "CudaGraph", Kept)
-    monkeypatch.setattr(module, "sync_debug_mode", lambda _: nullcontext())
     return Kept
+
+
+def recorder_of(
+    graph: Callable[..., Any],
+    watched: Callable[..., AbstractContextManager[None]] = nullcontext,
+) -> Recorder:
+    """A recorder on the CPU, by something that stands in for ``CudaGraph``."""
+    return Recorder(CPU, graph, watched)
 
 
 class Numbers:
@@ -132,14 +137,14 @@ def expected(number: int) -> dict[str, float]:
 
 
 def test_a_replay_reads_the_numbers_of_its_view(kept):
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(kept), Numbers()
     for number in (5, 6, 3, 6):
         assert step(recorder, state, inputs_of(number)) == expected(number)
     assert kept.made == 1
 
 
 def test_lists_without_room_are_repeated_with_more(kept):
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(kept), Numbers()
     for number in (5, 6, 14, 13):
         assert step(recorder, state, inputs_of(number)) == expected(number)
     assert kept.made == 2
@@ -154,30 +159,32 @@ def of_focal(focal_px: float) -> ViewInputs:
     return inputs._replace(cameras={RGB: Camera(K, camera.viewmat, camera.width, camera.height)})
 
 
-def test_each_kind_of_view_has_a_recording_and_there_are_not_many(kept, monkeypatch):
-    monkeypatch.setattr(module, "MOST_RECORDINGS", 2)
-    recorder, state = Recorder(CPU), Numbers()
-    for focal_px in (1, 2):
+def test_each_kind_of_view_has_a_recording_and_there_are_not_many(kept):
+    recorder, state = recorder_of(kept), Numbers()
+    kinds = range(1, MOST_RECORDINGS + 1)
+    for focal_px in kinds:
         step(recorder, state, of_focal(focal_px))
-    with pytest.warns(MrgsWarning, match="beyond the first 2 kinds are trained without CUDA"):
-        step(recorder, state, of_focal(3))
-    for focal_px in (1, 2, 3, 3):  # and no more warnings
+    with pytest.warns(MrgsWarning, match=f"first {MOST_RECORDINGS} kinds"):
+        step(recorder, state, of_focal(99))
+    for focal_px in (*kinds, 99, 99):  # and no more warnings
         step(recorder, state, of_focal(focal_px))
-    assert kept.made == 2
+    assert kept.made == MOST_RECORDINGS
 
 
-def test_what_no_view_is_of_any_more_makes_room(kept, monkeypatch):
-    monkeypatch.setattr(module, "MOST_RECORDINGS", 2)
-    monkeypatch.setattr(module, "STALE_AFTER", 3)
-    recorder, state = Recorder(CPU), Numbers()
-    for degree in (0, 0, 1, 1, 1, 1, 2, 2, 2):
-        state.model.sh_degree = degree
-        step(recorder, state, inputs_of(3))
-    assert kept.made == 3
+def test_what_no_view_is_of_any_more_makes_room(kept):
+    recorder, state = recorder_of(kept), Numbers()
+    for focal_px in range(1, MOST_RECORDINGS + 1):
+        for _ in range(2):
+            step(recorder, state, of_focal(focal_px))
+    for _ in range(STALE_AFTER):
+        step(recorder, state, of_focal(1))
+    for _ in range(2):
+        step(recorder, state, of_focal(99))
+    assert kept.made == MOST_RECORDINGS + 1
 
 
 def test_a_pass_that_moves_poses_is_another_one(kept):
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(kept), Numbers()
     for state.image_model.moves_poses in (False, False, True, True):
         assert step(recorder, state, inputs_of(4)) == expected(4)
     assert kept.made == 2
@@ -185,7 +192,7 @@ def test_a_pass_that_moves_poses_is_another_one(kept):
 
 @pytest.mark.parametrize("what", ["parameter", "neighbours"])
 def test_other_parameters_and_other_neighbours_are_recorded_anew(kept, what):
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(kept), Numbers()
     for _ in range(3):
         step(recorder, state, inputs_of(4))
     assert kept.made == 1
@@ -198,39 +205,36 @@ def test_other_parameters_and_other_neighbours_are_recorded_anew(kept, what):
     assert kept.made == 2
 
 
-def test_what_cannot_be_recorded_runs_as_it_is(monkeypatch):
+def test_what_cannot_be_recorded_runs_as_it_is():
     def fails(work: Callable[[], Tensor], device: torch.device) -> None:
         work()
         raise RuntimeError("operation not permitted when stream is capturing\nmore of it")
 
-    monkeypatch.setattr(module, "CudaGraph", fails)
-    monkeypatch.setattr(module, "sync_debug_mode", lambda _: nullcontext())
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(fails), Numbers()
     step(recorder, state, inputs_of(4))
-    with pytest.warns(MrgsWarning, match=r"take longer: .* capturing$"):
+    with pytest.warns(MrgsWarning, match="capturing$"):
         assert step(recorder, state, inputs_of(2)) == expected(2)
     state.parameter = torch.zeros(2, requires_grad=True)
     for number in (3, 2, 4):
         assert step(recorder, state, inputs_of(number)) == expected(number)
 
 
-def test_what_waits_is_not_recorded_at_all(kept, monkeypatch):
+def test_what_waits_is_not_recorded_at_all(kept):
     @contextmanager
     def fails_after(mode):
         assert mode == "error"
         yield
         raise RuntimeError("called a synchronizing CUDA operation")
 
-    monkeypatch.setattr(module, "sync_debug_mode", fails_after)
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(kept, fails_after), Numbers()
     step(recorder, state, inputs_of(4))
-    with pytest.warns(MrgsWarning, match=r"take longer: called a synchronizing"):
+    with pytest.warns(MrgsWarning, match="synchronizing"):
         assert step(recorder, state, inputs_of(2)) == expected(2)
     assert step(recorder, state, inputs_of(3)) == expected(3)
     assert kept.made == 0
 
 
-def test_each_kind_is_tried_once_with_waits_as_errors(kept, monkeypatch):
+def test_each_kind_is_tried_once_with_waits_as_errors(kept):
     tried = []
 
     @contextmanager
@@ -238,8 +242,7 @@ def test_each_kind_is_tried_once_with_waits_as_errors(kept, monkeypatch):
         tried.append(mode)
         yield
 
-    monkeypatch.setattr(module, "sync_debug_mode", counted)
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(kept, counted), Numbers()
     for degree in (0, 0, 1, 1, 1):
         state.model.sh_degree = degree
         step(recorder, state, inputs_of(3))
@@ -250,15 +253,19 @@ def test_each_kind_is_tried_once_with_waits_as_errors(kept, monkeypatch):
     assert (len(tried), kept.made) == (2, 3)
 
 
-def test_where_memory_does_not_suffice_for_a_recording_other_parameters_are_recorded(
-    kept, monkeypatch
-):
-    recorder, state = Recorder(CPU), Numbers()
+def test_where_memory_does_not_suffice_for_a_recording_other_parameters_are_recorded(kept):
+    is_full = iter([True])
+
+    def graph(work: Callable[[], Tensor], device: torch.device) -> KeptWork:
+        if next(is_full, False):
+            work()
+            raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+        return kept(work, device)
+
+    recorder, state = recorder_of(graph), Numbers()
     step(recorder, state, inputs_of(4))
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "CudaGraph", full)
-        with pytest.warns(MrgsWarning, match=r"take longer: CUDA out of memory"):
-            assert step(recorder, state, inputs_of(2)) == expected(2)
+    with pytest.warns(MrgsWarning, match="out of memory"):
+        assert step(recorder, state, inputs_of(2)) == expected(2)
     for number in (3, 2):
         assert step(recorder, state, inputs_of(number)) == expected(number)
     assert kept.made == 0
@@ -268,14 +275,8 @@ def test_where_memory_does_not_suffice_for_a_recording_other_parameters_are_reco
     assert kept.made == 1
 
 
-def full(work: Callable[[], Tensor], device: torch.device) -> None:
-    """Stands in for ``CudaGraph`` where there is no memory for one."""
-    work()
-    raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
-
-
 def test_gradients_from_before_are_not_recorded(kept):
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(kept), Numbers()
     step(recorder, state, inputs_of(4))
     state.parameter.grad = torch.full((2,), 100.0)
 
@@ -292,11 +293,19 @@ def test_gradients_from_before_are_not_recorded(kept):
 
 
 def test_terms_that_must_be_called_are_not_recorded(kept):
-    recorder, state = Recorder(CPU), Numbers()
+    recorder, state = recorder_of(kept), Numbers()
     for number in (1, 2, 3):
         inputs = inputs_of(number, replayable=False)
         assert step(recorder, state, inputs) == expected(number)
     assert kept.made == 0
+
+
+class PlainlyPhotometric(Photometric):
+    """Without its kernel, which would take most of a step where it is interpreted."""
+
+    def value(self, context: LossContext) -> Tensor | None:
+        photo, image = context.photos[self._modality], context.observed[self._modality].image
+        return photometric_loss.plain(image, photo.values, photo.valid, 0.2, 0.0)
 
 
 @pytest.fixture
@@ -305,21 +314,23 @@ def train(small_scene, gpu_device, monkeypatch):
     if gpu_device == "cpu":  # where tensors stand for a GPU's
         for place, name in ((field_module, "_check_indices"), (render_module, "rows_in_view")):
             monkeypatch.setattr(place, name, lambda *_: None)
-        # Interpreted, its kernel takes most of a step.
-        monkeypatch.setattr(photometric_loss, "kernel", lambda _: None)
 
     def taken(
         recorder: Recorder | None,
         method: str = "3dgs-rgbt",
         masked: bool = False,
         poses: bool = False,
+        terms: Sequence[Term] = (),
     ):
         device = torch.device(gpu_device)
         config = short_config(method)
         config = replace(config, image_model=replace(config.image_model, poses=poses))
         config = replace(config, densification=replace(config.densification, max_gaussians=10))
+        if gpu_device == "cpu":
+            plain = (PlainlyPhotometric(each, config.loss) for each in (RGB, THERMAL))
+            terms = [*plain, *terms]
         scene = load_scene(small_scene, resolution=8)
-        state = initial_state(scene, config, device)
+        state = initial_state(scene, config, device, terms=terms)
         scale, losses = SceneScale(scene.extent, scene.temperature), []
         for number in range(3):
             view = scene.train[number]
@@ -340,7 +351,7 @@ def test_replayed_steps_are_those_that_are_not(poses, train, kept, gpu_device):
     if gpu_device != "cpu":
         pytest.skip("where there is a GPU, it records")
     losses, state = train(None, poses=poses)
-    replayed_losses, replayed = train(Recorder(CPU), poses=poses)
+    replayed_losses, replayed = train(recorder_of(kept), poses=poses)
     assert kept.made == 1
     assert replayed_losses == losses
     tensors = tensors_of(state)
@@ -370,16 +381,19 @@ def test_a_gpu_replays_what_it_recorded(train, method, masked):
     assert any(each.is_complete for each in recorder._recordings.values())
 
 
-@pytest.mark.gpu
-def test_a_gpu_that_is_waited_for_runs_the_pass_as_it_is(train, monkeypatch):
-    losses, _ = train(None)
-    original = Photometric.value
+class Waits(Term):
+    """Has nothing to say, and asks the GPU for a number."""
 
-    def waits(self: Photometric, context: LossContext) -> Tensor | None:
+    name = "waits"
+
+    def value(self, context: LossContext) -> Tensor | None:
         torch.zeros(1, device="cuda").item()
-        return original(self, context)
+        return None
 
-    monkeypatch.setattr(Photometric, "value", waits)
-    with pytest.warns(MrgsWarning, match="cannot be recorded as a CUDA graph"):
-        found, _ = train(Recorder(torch.device("cuda", 0)))
+
+@pytest.mark.gpu
+def test_a_gpu_that_is_waited_for_runs_the_pass_as_it_is(train):
+    losses, _ = train(None)
+    with pytest.warns(MrgsWarning, match="cannot be recorded"):
+        found, _ = train(Recorder(torch.device("cuda", 0)), terms=[Waits()])
     assert found == pytest.approx(losses, rel=1e-4)

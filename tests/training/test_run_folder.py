@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import subprocess
@@ -37,10 +38,7 @@ def test_a_new_run_keeps_its_configuration(tmp_path):
 
 def test_a_run_is_not_started_twice(folder):
     touch_checkpoints(folder, 10)
-    with pytest.raises(
-        RunError,
-        match="run already holds a run: resume it, or choose another folder",
-    ):
+    with pytest.raises(RunError, match="already"):
         folder.start(TrainConfig())
 
 
@@ -54,18 +52,14 @@ def test_a_run_that_died_before_its_first_checkpoint_is_started_anew(folder):
 @pytest.mark.parametrize("name", ["config.yaml", "log.jsonl"])
 def test_a_folder_of_something_else_is_left_alone(name, tmp_path):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(
-        RunError, match=rf"holds a {name} that is not a run's: choose another folder"
-    ):
+    with pytest.raises(RunError, match=f"{name} that is not"):
         RunFolder(tmp_path).start(TrainConfig())
     assert (tmp_path / name).read_text() == "mine"
 
 
 def test_a_folder_with_other_files_becomes_no_run(tmp_path):
     (tmp_path / "thesis.odt").write_text("mine")
-    with pytest.raises(
-        RunError, match=r"holds something else \(thesis\.odt\): choose a new"
-    ) as error:
+    with pytest.raises(RunError, match=r"thesis\.odt") as error:
         RunFolder(tmp_path).start(TrainConfig())
     assert error.value.options == ("output",)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.odt"]
@@ -84,10 +78,7 @@ def test_what_an_earlier_run_left_hinders_no_new_one(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(
-        RunError,
-        match=r"file/run cannot be written \(.+\): make room, or choose another place",
-    ):
+    with pytest.raises(RunError, match=r"file/run cannot be written"):
         RunFolder(tmp_path / "file" / "run").locked().__enter__()
 
 
@@ -112,46 +103,40 @@ def test_other_files_are_no_checkpoints(folder):
 
 def test_what_is_not_a_run_is_named(tmp_path, folder):
     empty = RunFolder(tmp_path)
-    with pytest.raises(
-        RunError,
-        match=r"is not a run: it has no config\.yaml; name a folder that `mrgs train` wrote",
-    ):
+    with pytest.raises(RunError, match=r"no config\.yaml"):
         empty.newest_checkpoint()
-    with pytest.raises(RunError, match=r"is not a run: it has no config\.yaml; name a folder that"):
+    with pytest.raises(RunError, match=r"no config\.yaml"):
         empty.read_config(from_yaml)
-    with pytest.raises(RunError, match="run has no checkpoint yet: train it first"):
+    with pytest.raises(RunError, match="no checkpoint"):
         folder.newest_checkpoint()
 
 
 def test_a_folder_of_runs_says_where_they_are(tmp_path, folder):
     outer = RunFolder(tmp_path)
-    with pytest.raises(RunError, match="it has no config"):
+    with pytest.raises(RunError, match=r"no config\.yaml"):
         outer.newest_checkpoint()  # nothing is trained in it yet
     touch_checkpoints(folder, 10)
     inside = re.escape(str(folder.path))
-    with pytest.raises(RunError, match=f"the model is in {inside}: give that folder"):
+    with pytest.raises(RunError, match=f"is in {inside}"):
         outer.newest_checkpoint()
     other = RunFolder(tmp_path / "best")
     other.start(TrainConfig())
     touch_checkpoints(other, 10)
-    with pytest.raises(RunError, match=rf"there are models in .*best, {inside}: give one of these"):
+    with pytest.raises(RunError, match=f"/best.* {inside}"):
         outer.read_config(from_yaml)
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "named"),
     [
-        (b"\xff\xfe", r"its config\.yaml cannot be read"),
-        (
-            b"max_steps: 0",
-            r"config\.yaml: max_steps must be at least 1, not 0; fix the file or retrain",
-        ),
-        (b"steps: 7", r"config\.yaml: there is no field 'steps'; .*; fix the file or retrain"),
+        (b"\xff\xfe", "read"),
+        (b"max_steps: 0", "max_steps .*1, not 0.*retrain"),
+        (b"steps: 7", "'steps'.*retrain"),
     ],
 )
-def test_a_damaged_configuration_is_named(content, message, folder):
+def test_a_damaged_configuration_is_named(content, named, folder):
     folder.config_file.write_bytes(content)
-    with pytest.raises(RunError, match=message):
+    with pytest.raises(RunError, match=rf"config\.yaml.* {named}"):
         folder.read_config(from_yaml)
 
 
@@ -174,14 +159,14 @@ def test_the_log_is_cut_behind_a_step(folder):
 def test_what_is_no_entry_of_the_log_counts_as_behind_everything(line, folder):
     folder.log_file.write_text(f'{{"step": 1}}\n{line}\n{{"step": 2}}\n', encoding="utf-8")
     folder.cut_log(7)
-    assert folder.log_file.read_text(encoding="utf-8") == '{"step": 1}\n{"step": 2}\n'
+    kept = folder.log_file.read_text(encoding="utf-8").splitlines()
+    assert [json.loads(each) for each in kept] == [{"step": 1}, {"step": 2}]
 
 
 def test_numbers_of_the_log_that_are_not_finite_are_null(folder):
     folder.append_log({"step": 1, "loss": float("nan"), "rgb": float("-inf"), "thermal": 0.5})
-    assert folder.log_file.read_text() == (
-        '{"step": 1, "loss": null, "rgb": null, "thermal": 0.5}\n'
-    )
+    written = json.loads(folder.log_file.read_text(), parse_constant=pytest.fail)
+    assert written == {"step": 1, "loss": None, "rgb": None, "thermal": 0.5}
 
 
 def test_the_log_is_handed_over_within_a_block_alone(folder):
@@ -198,7 +183,7 @@ def test_a_log_that_is_no_file_is_refused(tmp_path):
     folder.path.mkdir()
     os.mkfifo(folder.log_file)
     with (
-        pytest.raises(RunError, match=r"log\.jsonl is not a file: move it away"),
+        pytest.raises(RunError, match=r"log\.jsonl is not a file"),
         folder.training(TrainConfig(), resume=True),
     ):
         pass
@@ -208,14 +193,14 @@ def test_settings_that_were_cut_off_are_named_by_their_place(folder):
     lines = folder.config_file.read_text(encoding="utf-8").splitlines(keepends=True)
     (place,) = (i for i, line in enumerate(lines) if line.startswith("  dssim:"))
     folder.config_file.write_text("".join(lines[:place] + lines[place + 1 :]), encoding="utf-8")
-    with pytest.warns(MrgsWarning, match=r"config\.yaml lacks loss\.dssim, for which the defaults"):
+    with pytest.warns(MrgsWarning, match=r"lacks loss\.dssim"):
         folder.warn_if_incomplete(TrainConfig())
 
 
 def test_a_lock_is_held_and_given_back(folder):
     with (
         folder.locked(),
-        pytest.raises(RunError, match=r"in use by another run: wait for it, or choose another"),
+        pytest.raises(RunError, match="in use"),
     ):
         RunFolder(folder.path).locked().__enter__()
     with RunFolder(folder.path).locked():

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -9,8 +10,7 @@ import torch
 
 from mrgs.data import load_scene
 from mrgs.method.camera_model.image_model import SMALLEST_LEARNED_PX
-from mrgs.method.losses import terms as terms_module
-from mrgs.method.losses.photometric import LossConfig, photometric_loss
+from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.render import render
 from mrgs.scene import RGB, THERMAL, Modality, Pixels
@@ -22,6 +22,7 @@ from mrgs.training.step import (
     training_step,
 )
 from mrgs.training.view_pass import PhotographedView
+from tests.helpers.full_memory import FullAt
 from tests.helpers.training import short_config, tensors_of
 
 Photos: TypeAlias = dict[Modality, Pixels]
@@ -141,7 +142,9 @@ def test_the_thermal_error_is_that_of_the_valid_pixels(make_start):
     valid[5:20, 10:20] = True
     expected = _thermal_error_of(state, scene, whole[THERMAL].values, valid)
     photos = whole | {THERMAL: Pixels(whole[THERMAL].values, valid)}
-    assert take(state, scene, config, photos=photos).thermal_error == pytest.approx(expected)
+    assert take(state, scene, config, photos=photos).thermal_error == pytest.approx(
+        expected, rel=1e-5
+    )
 
 
 def _thermal_error_of(state, scene, photo: torch.Tensor, valid: torch.Tensor) -> float:
@@ -151,48 +154,50 @@ def _thermal_error_of(state, scene, photo: torch.Tensor, valid: torch.Tensor) ->
     return float((seen - photo).abs()[valid].mean())
 
 
-def poison_loss(monkeypatch, photos: Photos) -> Photos:
-    """A loss that is NaN."""
-    monkeypatch.setattr(
-        terms_module, "photometric_loss", lambda *args: photometric_loss(*args) * float("nan")
-    )
-    return photos
+class Poison(Term):
+    """A loss that is NaN, or whose gradient is, from when it is let out."""
+
+    name = "poison"
+    is_out = False
+
+    def __init__(self, in_loss: bool) -> None:
+        self._in_loss = in_loss
+
+    def value(self, context: LossContext) -> torch.Tensor | None:
+        if not self.is_out:
+            return None
+        nothing = (0 * context.gaussians.means).sum()
+        return nothing * float("nan") if self._in_loss else nothing.sqrt()  # 0 · d√x at 0
 
 
-def poison_gradient(monkeypatch, photos: Photos) -> Photos:
-    """A finite loss whose gradient is NaN: 0 · d√x at 0."""
-
-    def loss(render, *args):
-        return photometric_loss(render, *args) + (0 * render).sum().sqrt()
-
-    monkeypatch.setattr(terms_module, "photometric_loss", loss)
-    return photos
-
-
-def poison_photo(monkeypatch, photos: Photos) -> Photos:
+def with_nan(photos: Photos) -> Photos:
     """One pixel that is NaN."""
     values = photos[THERMAL].values.clone()
     values[7, 9] = float("nan")
     return photos | {THERMAL: Pixels(values)}
 
 
-@pytest.mark.parametrize("poison", [poison_loss, poison_gradient, poison_photo])
-def test_a_step_that_is_not_finite_changes_nothing(poison, make_start, monkeypatch):
-    config = short_config()
-    scene, state = make_start(config)
+@pytest.mark.parametrize("poisoned", ["loss", "gradient", "photo"])
+def test_a_step_that_is_not_finite_changes_nothing(poisoned, make_start):
+    config, poison = short_config(), Poison(in_loss=poisoned == "loss")
+    scene, state = make_start(config, terms=[poison])
     for number in range(2):
         take(state, scene, config, number)
     before = tensors_of(state)
-    with monkeypatch.context() as patch:
-        poisoned = poison(patch, photos_of(scene.train[2]))
-        for in_a_row in (1, 2):
-            assert take(state, scene, config, 2, poisoned).skipped
-            assert state.skipped_in_a_row == in_a_row
+    photos = photos_of(scene.train[2])
+    poison.is_out = poisoned != "photo"
+    for in_a_row in (1, 2):
+        photos = with_nan(photos) if poisoned == "photo" else photos
+        statistics = take(state, scene, config, 2, photos)
+        assert statistics.skipped
+        assert math.isfinite(statistics.loss) == (poisoned == "gradient")
+        assert state.skipped_in_a_row == in_a_row
     after = tensors_of(state)
     assert set(after) == set(before)
     assert [name for name in before if not torch.equal(after[name], before[name])] == []
     assert (state.step, state.skipped_in_a_row) == (4, 2)
 
+    poison.is_out = False
     assert not take(state, scene, config, 3).skipped
     assert state.skipped_in_a_row == 0
     assert all(tensor.isfinite().all() for tensor in tensors_of(state).values())
@@ -328,7 +333,7 @@ def test_density_control_starts_the_statistics_anew_and_resets_opacities(make_st
     assert state.model.gaussians.opacity(THERMAL).max() <= 0.01 + 1e-6
 
 
-def test_density_control_learns_nothing_of_a_step_that_is_not_finite(make_start, monkeypatch):
+def test_density_control_learns_nothing_of_a_step_that_is_not_finite(make_start):
     config = short_config()
     schedule = replace(
         config.densification, start=0, every=2, stop=9, reset_every=2, gradient_threshold=0.0
@@ -337,10 +342,30 @@ def test_density_control_learns_nothing_of_a_step_that_is_not_finite(make_start,
     scene, state = make_start(config)
     control_density(state, do_step(state, scene, config, 0), config, scene.extent)
     before = {name: tensor.clone() for name, tensor in state.strategy_state.items()}
-    poisoned = do_step(
-        state, scene, config, 1, poison_photo(monkeypatch, photos_of(scene.train[1]))
-    )
+    poisoned = do_step(state, scene, config, 1, with_nan(photos_of(scene.train[1])))
     assert control_density(state, poisoned, config, scene.extent) is None
     assert all(torch.equal(state.strategy_state[name], before[name]) for name in before)
     assert len(state.model.gaussians) == 25
     assert state.model.gaussians.opacity(RGB).max() > 0.05
+
+
+def test_wherever_memory_runs_out_in_density_control_nothing_has_changed(make_start):
+    config = short_config()
+    schedule = replace(config.densification, start=0, every=2, stop=4, gradient_threshold=0.0)
+    config = replace(config, densification=replace(schedule, reset_every=2))
+    scene, state = make_start(config)
+    control_density(state, do_step(state, scene, config, 0), config, scene.extent)
+    result = do_step(state, scene, config, 1)
+    before, generator = tensors_of(state), state.generator.get_state()
+    tensors = 0
+    while len(state.model.gaussians) == 25:
+        now = tensors_of(state)
+        assert now.keys() == before.keys()
+        assert all(torch.equal(now[name], before[name]) for name in before)
+        state.generator.set_state(generator)
+        with suppress(torch.cuda.OutOfMemoryError), FullAt(tensors):
+            control_density(state, result, config, scene.extent)
+        tensors += 1
+    assert tensors > 50
+    assert len(state.model.gaussians) == 50
+    assert state.model.gaussians.opacity(RGB).max() <= 0.01 + 1e-6

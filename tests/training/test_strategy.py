@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import dataclass, replace
 from enum import Enum, auto
@@ -119,7 +120,7 @@ def test_the_cap_of_a_strategy_holds_at_the_start(small_scene, tmp_path):
         small_scene, tmp_path, short_config(max_steps=1), strategy=Blind(max_gaussians=9)
     )
     assert open_run(folder.path).gaussian_count == 9
-    with pytest.raises(ConfigError, match="max_gaussians must be from 1 to 1,000,000,000, not 0"):
+    with pytest.raises(ConfigError, match="max_gaussians"):
         Blind(max_gaussians=0)
 
 
@@ -155,27 +156,23 @@ def test_a_term_takes_the_place_of_one_of_its_name(small_scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "named"),
     [
-        ({"terms": [Sizes()]}, r"was trained with strategy Duplicate, not AdaptiveDensityControl"),
-        (
-            {"strategy": Duplicate()},
-            r"was trained with terms \['rgb', 'thermal', 'smooth', 'boltzmann', 'sizes'\], not",
-        ),
+        ({"terms": [Sizes()]}, "Duplicate, not AdaptiveDensityControl"),
+        ({"strategy": Duplicate()}, r"terms .*'sizes'\], not"),
     ],
 )
-def test_a_run_goes_on_with_what_it_began_with(options, message, small_scene, tmp_path):
+def test_a_run_goes_on_with_what_it_began_with(options, named, small_scene, tmp_path):
     config = short_config(max_steps=3)
     train(small_scene, tmp_path, config, strategy=Duplicate(), terms=[Sizes()], stop_at=1)
-    with pytest.raises(RunError, match=message):
+    with pytest.raises(RunError, match=named):
         train(small_scene, tmp_path, config, resume=True, **options)
 
 
 def test_a_run_goes_on_with_the_settings_of_a_strategy_that_it_began_with(small_scene, tmp_path):
     config = short_config(max_steps=3)
     train(small_scene, tmp_path, config, strategy=Duplicate(every=2), stop_at=1)
-    message = r"was trained with every=2 in Duplicate, not 3: give train\(\) the same strategy"
-    with pytest.raises(RunError, match=message):
+    with pytest.raises(RunError, match="every=2 in Duplicate, not 3"):
         train(small_scene, tmp_path, config, strategy=Duplicate(every=3), resume=True)
     train(small_scene, tmp_path, config, strategy=Duplicate(every=2), resume=True)
 
@@ -232,7 +229,7 @@ class Anything(Blind):
 def test_settings_of_any_kind_are_compared(before, same, other, small_scene, tmp_path):
     config = short_config(max_steps=2)
     train(small_scene, tmp_path, config, strategy=Anything(setting=before), stop_at=1)
-    with pytest.raises(RunError, match="was trained with setting=") as caught:
+    with pytest.raises(RunError, match="setting=") as caught:
         train(small_scene, tmp_path, config, strategy=Anything(setting=other), resume=True)
     assert len(caught.value.message) < len(str(tmp_path)) + 400
     train(small_scene, tmp_path, config, strategy=Anything(setting=same), resume=True)
@@ -251,7 +248,7 @@ def test_settings_that_an_earlier_version_wrote_are_compared(said, small_scene, 
     tensors, header = read_file(folder.newest_checkpoint())
     header["strategy_settings"] = {"setting": said}
     write_file(folder.newest_checkpoint(), tensors, header)
-    with pytest.raises(RunError, match="was trained with setting="):
+    with pytest.raises(RunError, match="setting="):
         train(small_scene, tmp_path, config, strategy=Anything(setting=7), resume=True)
     train(small_scene, tmp_path, config, strategy=Anything(setting=said), resume=True)
 
@@ -295,7 +292,7 @@ def test_a_registered_method_is_configured_trained_opened_and_scored(
     evaluate_run(run)
     assert json.loads((tmp_path / "eval/metrics.json").read_text())["method"] == "doubling"
     monkeypatch.delitem(registry._METHODS, "doubling")
-    with pytest.raises(RunError, match=r"a method that is not registered: unknown method 'doubl"):
+    with pytest.raises(RunError, match="'doubling'"):
         open_run(tmp_path)
 
 
@@ -305,7 +302,7 @@ def test_a_preset_among_the_changes_brings_all_of_its_values():
     config = method.configure("fast", changes=changes, source="changes.yaml")
     paper = make_config("mrgs", "paper")
     assert config == replace(paper, field=replace(paper.field, neighbours_n=5))
-    with pytest.raises(ConfigError, match="unknown preset 'slow'; choose one of "):
+    with pytest.raises(ConfigError, match="preset 'slow'"):
         method.configure(changes="preset: slow")
 
 
@@ -332,7 +329,7 @@ def test_the_command_line_knows_a_registered_method(small_scene, tmp_path, own_m
     (tmp_path / "other.yaml").write_text("method: mrgs")
     command[command.index(str(tmp_path / "run"))] = str(tmp_path / "other")
     assert main([*command, "--config", str(tmp_path / "other.yaml")]) == 2
-    assert "other.yaml is for the method mrgs, not doubling" in capsys.readouterr().err
+    assert re.search("other.yaml .*mrgs, not doubling", capsys.readouterr().err)
 
 
 def test_an_installed_package_may_offer_a_method(tmp_path, own_methods, monkeypatch):

@@ -45,7 +45,7 @@ def test_the_sequence_goes_on_exactly(done):
 
 def test_a_round_of_another_scene_is_refused():
     views, _ = sampler(3)
-    with pytest.raises(ValueError, match="the round is not one of 3 views"):
+    with pytest.raises(ValueError, match="3 views"):
         views.load(torch.tensor([0, 3]))
 
 
@@ -74,7 +74,7 @@ def test_each_step_takes_a_view_of_each_group(count, groups):
 @pytest.mark.parametrize("waiting", [[0], [1, 0], [0, 1, 0]])
 def test_a_round_of_other_groups_is_refused(waiting):
     views = ViewSampler(4, torch.Generator(), groups=2)
-    with pytest.raises(ValueError, match="the round is not one of 2 views per step"):
+    with pytest.raises(ValueError, match="2 views per step"):
         views.load(torch.tensor(waiting))
 
 
@@ -88,5 +88,5 @@ def test_the_view_that_comes_twice_in_a_round_is_another_one_each_time():
 def test_views_in_groups_are_dealt_from_all():
     """The rest of a round must be found in its groups when a training resumes."""
     views = ViewSampler(6, torch.Generator(), groups=2)
-    with pytest.raises(ValueError, match="groups of views cannot be restricted"):
+    with pytest.raises(ValueError, match="groups"):
         views.restrict([1, 3, 5])

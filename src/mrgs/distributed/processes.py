@@ -48,12 +48,13 @@ class Processes:
         stopped: whether all have agreed to stop before the end.
     """
 
-    def __init__(self, launch: Launch, store: dist.Store) -> None:
+    def __init__(self, launch: Launch, store: dist.Store, join_s: float = JOIN_S) -> None:
         """Meet the others.
 
         Args:
             launch: this process's place.
             store: that of torchrun.
+            join_s: how long to wait for them.
 
         Raises:
             LinkError: they do not come.
@@ -62,7 +63,7 @@ class Processes:
         self.stopped = False
         self._lasting = dist.PrefixStore("mrgs", store)
         try:
-            self._round = _meet(self._lasting, launch)
+            self._round = _meet(self._lasting, launch, join_s)
         except RuntimeError as error:
             raise LinkError(
                 f"process {launch.rank} on {socket.gethostname()} cannot reach the others: check "
@@ -323,7 +324,7 @@ def _backend(launch: Launch) -> str:
     return "nccl" if has_gpus and dist.is_nccl_available() else "gloo"
 
 
-def _meet(store: dist.Store, launch: Launch) -> str:
+def _meet(store: dist.Store, launch: Launch, join_s: float) -> str:
     """The name of this round of processes.
 
     torchrun's count of restarts differs between machines, and what earlier processes wrote is still
@@ -335,12 +336,12 @@ def _meet(store: dist.Store, launch: Launch) -> str:
     own = secrets.token_hex(8)
     if not launch.is_first:
         store.set(f"asks/{launch.rank}", own)
-        store.wait([f"answer/{own}"], timedelta(seconds=JOIN_S))
+        store.wait([f"answer/{own}"], timedelta(seconds=join_s))
         name = store.get(f"answer/{own}").decode()
         store.set(f"{name}/arrived/{launch.rank}", "")
         return name
     missing = set(range(1, launch.world_size))
-    end = time.monotonic() + JOIN_S
+    end = time.monotonic() + join_s
     while missing:
         if time.monotonic() > end:
             raise RuntimeError(f"processes {sorted(missing)} have not come")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -62,24 +62,30 @@ class CompilingProgress(NamedTuple):
     seconds_left: float
 
 
-def compiling_progress(config: TrainConfig) -> CompilingProgress:
+def compiling_progress(
+    config: TrainConfig, is_saved: Callable[[str], bool] | None = None
+) -> CompilingProgress:
     """How many of the CPU kernels of a training lie compiled on disk."""
     needed = _needed(config)
-    missing = [name for name in needed if not _is_saved(name)]
+    missing = [name for name in needed if not (is_saved or _is_saved)(name)]
     return CompilingProgress(
         len(needed) - len(missing), len(needed), sum(map(needed.__getitem__, missing))
     )
 
 
 @contextmanager
-def shared_compiling(config: TrainConfig) -> Iterator[None]:
+def shared_compiling(
+    config: TrainConfig,
+    progress: Callable[[TrainConfig], CompilingProgress] = compiling_progress,
+    start: Callable[..., Child] = Child,
+) -> Iterator[None]:
     """Within this block, which trains on the CPU, another process compiles what this one needs
     last, if anything is missing and there is a thread for it. What fails there is compiled here."""
-    if torch.get_num_threads() < 2 or compiling_progress(config).seconds_left == 0:
+    if torch.get_num_threads() < 2 or progress(config).seconds_left == 0:
         yield
         return
     with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
-        child = Child(CHILD, {"config": write_yaml(config)}, Path(folder, "stderr.txt"))
+        child = start(CHILD, {"config": write_yaml(config)}, Path(folder, "stderr.txt"))
         try:
             yield
         finally:
@@ -91,22 +97,29 @@ class Countdown:
 
     Args:
         config: of the training.
+        progress: how far it is.
+        clock: in seconds.
     """
 
-    def __init__(self, config: TrainConfig) -> None:
-        self._config = config
-        self._at_first = compiling_progress(config)
-        self._started = time.monotonic()
+    def __init__(
+        self,
+        config: TrainConfig,
+        progress: Callable[[TrainConfig], CompilingProgress] = compiling_progress,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._config, self._progress, self._clock = config, progress, clock
+        self._at_first = progress(config)
+        self._started = clock()
 
     @property
     def text(self) -> str | None:
         """One line; None if nothing is left to compile."""
-        now = compiling_progress(self._config)
+        now = self._progress(self._config)
         if now.done == now.total:
             return None
         made = self._at_first.seconds_left - now.seconds_left
         # Before the first is done, as fast as two such cores.
-        pace = (made + 2.0) / (time.monotonic() - self._started + 1.0)
+        pace = (made + 2.0) / (self._clock() - self._started + 1.0)
         left = max(1, round(now.seconds_left / pace))
         return f"compiling kernels {now.done}/{now.total}, about {left} s left"
 

@@ -83,6 +83,8 @@ class Driver(ABC, Generic[S]):
         max_steps: of the schedule.
         checkpoint_every: steps between checkpoints; where that takes long, there are more.
         device: where the steps are done.
+        check_every: steps between looks for skipped ones; those of the device if None.
+        clock: in seconds.
     """
 
     def __init__(
@@ -92,13 +94,16 @@ class Driver(ABC, Generic[S]):
         max_steps: int,
         checkpoint_every: int,
         device: torch.device = HOST,
+        check_every: int | None = None,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._folder = folder
         self._facts = facts
         self._max_steps = max_steps
         self._checkpoint_every = checkpoint_every
         self._device = device
-        self._check_every = CHECK_EVERY[device.type]
+        self._check_every = check_every or CHECK_EVERY[device.type]
+        self._clock = clock
         self._unchecked: list[S] = []
         self._bad_in_a_row = self._skipped_in_a_row
         self._step_done = facts.step
@@ -106,7 +111,7 @@ class Driver(ABC, Generic[S]):
         self._is_closed = False
         self._turns = Turns()
         self._skipped_steps = facts.skipped_steps
-        self._started = time.perf_counter()
+        self._started = clock()
         self._save_at = self._started + SAVE_EVERY_S
 
     @abstractmethod
@@ -258,7 +263,7 @@ class Driver(ABC, Generic[S]):
         self._folder.append_log({**entry, "seconds": self._seconds()})
 
     def _seconds(self) -> float:
-        return self._facts.train_seconds + time.perf_counter() - self._started
+        return self._facts.train_seconds + self._clock() - self._started
 
     def _peak_memory_bytes(self) -> int:
         """Of this process, or of one before it if the run was on this device there too."""
@@ -269,7 +274,7 @@ class Driver(ABC, Generic[S]):
         """Write a checkpoint after a step whose turn it is, after the last one, and where the
         others lie too far back."""
         its_turn = self._step_done % self._checkpoint_every == 0 or self._step_done == last
-        if its_turn or time.perf_counter() >= self._save_at:
+        if its_turn or self._clock() >= self._save_at:
             self.save()
 
     def save(self) -> None:
@@ -294,7 +299,7 @@ class Driver(ABC, Generic[S]):
             self._save()
 
     def _save(self) -> None:
-        began = time.perf_counter()
+        began = self._clock()
         self._note_skipped_steps()
         self._require_finite_model()
         facts = self._facts._replace(
@@ -306,7 +311,7 @@ class Driver(ABC, Generic[S]):
         )
         self._write_checkpoint(self._folder.checkpoint_file(self._step_done), facts)
         self._folder.drop_old_checkpoints()
-        now = time.perf_counter()
+        now = self._clock()
         self._save_at = now + max(SAVE_EVERY_S, (now - began) / SAVE_SHARE)
 
 

@@ -55,13 +55,21 @@ class HostPhotos:
         limit_bytes: of what is kept; None for a share of the memory that is free now.
         pinned: whether they are kept in page-locked memory, from which a GPU copies without the
             processor; they are then kept as they are used.
+        pin: copies a tensor into such memory.
+        block_bytes: that others are put into together.
     """
 
-    def __init__(self, limit_bytes: int | None = None, pinned: bool = False) -> None:
+    def __init__(
+        self,
+        limit_bytes: int | None = None,
+        pinned: bool = False,
+        pin: Callable[[Tensor], Tensor] = Tensor.pin_memory,
+        block_bytes: int = _BLOCK_BYTES,
+    ) -> None:
         self._left_bytes = kept_limit() if limit_bytes is None else limit_bytes
-        self._pinned = pinned
+        self._pinned, self._pin = pinned, pin
         self._kept: dict[PosedImage, _Stored] = {}
-        self._blocks = _Blocks()
+        self._blocks = _Blocks(block_bytes)
         self._ahead: dict[PosedImage, Future[Pixels]] = {}
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="mrgs-photos")
 
@@ -83,7 +91,7 @@ class HostPhotos:
     def _page_locked(self, pixels: Pixels) -> Pixels:
         """Copies in page-locked memory; once that fails, photos stay in ordinary memory."""
         try:
-            return change_each(pixels, Tensor.pin_memory)
+            return change_each(pixels, self._pin)
         except RuntimeError as error:
             if not lacks_memory(error):
                 raise
@@ -179,7 +187,8 @@ class _Blocks:
     """Large blocks of memory for arrays that stay: one by one in the C library's heap, among the
     arrays of a step, they would leave gaps that the next step's do not fit into."""
 
-    def __init__(self) -> None:
+    def __init__(self, size: int) -> None:
+        self._size = size
         self._block = torch.empty(0, dtype=torch.uint8)
         self._used = 0
 
@@ -187,7 +196,7 @@ class _Blocks:
         """A copy of a tensor in the current block, or in a new one if it does not fit."""
         if self._used + tensor.nbytes > self._block.nbytes:
             give_back_freed()
-            self._block = torch.empty(max(_BLOCK_BYTES, tensor.nbytes), dtype=torch.uint8)
+            self._block = torch.empty(max(self._size, tensor.nbytes), dtype=torch.uint8)
             self._used = 0
         place = self._block[self._used : self._used + tensor.nbytes]
         self._used += -(-tensor.nbytes // _ALIGNMENT) * _ALIGNMENT

@@ -7,6 +7,7 @@ kernel takes the host longer than that. A replay starts them all at once (docs/d
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import AbstractContextManager
 from itertools import combinations
 from typing import TypeAlias
 
@@ -45,10 +46,17 @@ class Recorder:
 
     Args:
         device: a CUDA device.
+        graph: what records there.
+        watched: makes errors of waits for the device.
     """
 
-    def __init__(self, device: torch.device) -> None:
-        self._device = device
+    def __init__(
+        self,
+        device: torch.device,
+        graph: Callable[..., CudaGraph] = CudaGraph,
+        watched: Callable[..., AbstractContextManager[None]] = sync_debug_mode,
+    ) -> None:
+        self._device, self._graph, self._watched = device, graph, watched
         self._parameters: list[Tensor] = []
         self._neighbours: Tensor | None = None
         self._recordings: dict[Hashable, _Recording] = {}
@@ -170,10 +178,12 @@ class Recorder:
             if kind not in self._tried:
                 # A recording that a wait breaks off would leave torch's allocator (before 2.13) as
                 # if it still recorded.
-                with sync_debug_mode("error"):
+                with self._watched("error"):
                     recording.rehearse(run_pass, self._parameters, self._room())
                 self._tried.add(kind)
-            recording.record(run_pass, self._parameters, self._room(), self._device)
+            room = self._room()
+            work = recording.work(run_pass, self._parameters, room)
+            recording.record(self._graph(work, self._device), room)
         except RuntimeError as error:
             self._is_full = lacks_memory(error)
             self._waits = not self._is_full
@@ -248,16 +258,15 @@ class _Recording:
                 tensor.fill_(weight)
         self._weights = dict(inputs.weights)
 
-    def record(
-        self, run_pass: Pass, parameters: Sequence[Tensor], room: int, device: torch.device
-    ) -> None:
-        """Record the pass; nothing is computed.
-
-        Raises:
-            RuntimeError: it waits for the device, or the device's memory does not suffice.
-        """
-        graph = CudaGraph(lambda: self._run(run_pass, parameters, room), device)
+    def record(self, graph: CudaGraph, room: int) -> None:
+        """Keep the recorded work of a pass with lists of this room."""
         self._graph, self.room = graph, room
+
+    def work(
+        self, run_pass: Pass, parameters: Sequence[Tensor], room: int
+    ) -> Callable[[], Int64[Tensor, ""]]:
+        """What is recorded: the pass with lists of this room."""
+        return lambda: self._run(run_pass, parameters, room)
 
     def rehearse(self, run_pass: Pass, parameters: Sequence[Tensor], room: int) -> None:
         """Run the pass as it would be recorded."""
