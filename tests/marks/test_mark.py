@@ -71,11 +71,11 @@ def test_json_that_is_no_mark_is_refused(value, message):
 def test_names_are_unique_and_given_in_order():
     marks = Marks((SPOT, BOX))
     assert (marks.free_name("spot"), marks.free_name("line")) == ("S2", "L1")
-    with pytest.raises(ConfigError, match="two .* 'S1'"):
+    with pytest.raises(ConfigError, match=r"two .* 'S1'"):
         marks.adding(replace(BOX, name="S1"))
-    with pytest.raises(ConfigError, match="'S9': .* S1, B1"):
+    with pytest.raises(ConfigError, match=r"'S9': .* S1, B1"):
         Marks(marks.marks, "S9")
-    with pytest.raises(ConfigError, match="'S9': .* none"):
+    with pytest.raises(ConfigError, match=r"'S9': .* none"):
         Marks().named("S9")
 
 

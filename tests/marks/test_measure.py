@@ -197,7 +197,7 @@ def test_the_sky_is_refused():
     aside = camera.look_at([0, -5, 0], [4.0, 0, 0])
     assert picked_places(see(wall_before_sky, aside), [(150.0, 60.0)])
     surface = see(before_background(wall_before_sky, scene), aside)
-    with pytest.raises(ConfigError, match="surface .* 150, 60"):
+    with pytest.raises(ConfigError, match=r"surface .* 150, 60"):
         picked_places(surface, [(150.0, 60.0)])
     meter = MarkMeter(before_background(wall_before_sky, scene), RANGE)
     sky = replace(BOX, points=tuple((x + 120, 100.0, z) for x, _, z in SQUARE))
@@ -227,10 +227,10 @@ def test_places_are_picked_on_the_surface():
     assert place[1] == pytest.approx(0.0, abs=1e-6)
     pixel, _ = surface.camera.project(torch.tensor(place).double())
     assert pixel.tolist() == pytest.approx([100.0, 40.0], abs=1e-6)
-    with pytest.raises(ConfigError, match="200, 40 .* 160 × 120"):
+    with pytest.raises(ConfigError, match=r"200, 40 .* 160 × 120"):
         picked_places(surface, [(200.0, 40.0)])
     aside = see(render_wall, camera_before_wall().look_at([0, -5, 0], [4.0, 0, 0]))
-    with pytest.raises(ConfigError, match="surface .* 150, 60"):
+    with pytest.raises(ConfigError, match=r"surface .* 150, 60"):
         picked_places(aside, [(150.0, 60.0)])
 
 

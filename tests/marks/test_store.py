@@ -69,7 +69,7 @@ def test_every_change_is_undone_in_turn_by_any_process(store):
 def test_a_change_that_fails_changes_nothing(store):
     add(store, "S1")
     before = store.file.read_bytes()
-    with pytest.raises(ConfigError, match="two .* 'S1'"):
+    with pytest.raises(ConfigError, match=r"two .* 'S1'"):
         add(store, "S1")
     assert store.file.read_bytes() == before
     assert store.undo() == Marks()

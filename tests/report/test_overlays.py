@@ -97,9 +97,7 @@ def test_many_names_leave_most_of_the_picture_free():
 
 
 def test_a_long_name_takes_no_more_than_half_of_the_width():
-    ((left, _, right, _),) = draw_names(
-        Image.new("RGB", SIZE), {"W" * 40: (450.0, 300.0)}
-    ).values()
+    ((left, _, right, _),) = draw_names(Image.new("RGB", SIZE), {"W" * 40: (450.0, 300.0)}).values()
     assert right - left < 0.52 * SIZE[0]
 
 
