@@ -53,6 +53,12 @@ class Doubting(UncertaintyMeter):
         return Uncertainty(photos=self.kelvin, camera=100.0)
 
 
+@pytest.fixture
+def without_spots(run: Run) -> None:
+    """For a report of other things, which is written sooner."""
+    write_survey(run.folder.path / "survey.yaml", Survey(hot_places=0, cold_places=0))
+
+
 class Page(HTMLParser):
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -111,6 +117,7 @@ def test_commands_in_the_report_can_be_pasted_whatever_the_folder_is_called(run,
     assert text.count(f"mrgs eval '{folder}'") == 2
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_scores_and_contact_sheet_are_shown(run, tmp_path):
     (run.folder.path / "eval" / "metrics.json").write_text(json.dumps(METRICS), encoding="utf-8")
     Image.new("RGB", (64, 32), (200, 10, 10)).save(run.folder.path / "eval" / "contact_sheet.png")
@@ -121,21 +128,12 @@ def test_scores_and_contact_sheet_are_shown(run, tmp_path):
     assert "mrgs eval" not in page.text
 
 
-def test_where_poses_are_wrong_the_scores_are_those_with_aligned_ones(run, tmp_path):
+@pytest.mark.usefixtures("without_spots")
+def test_scores_with_aligned_poses_and_what_the_parts_of_the_model_add_are_shown(run, tmp_path):
     poses = {
         "error_px": 1.7,
         "aligned": {"thermal": {"psnr": 49.876}, "rgb": {"psnr": 30.0}, "truth": {"mae_c": 0.1}},
     }
-    (run.folder.path / "eval" / "metrics.json").write_text(
-        json.dumps(METRICS | {"poses": poses}), encoding="utf-8"
-    )
-    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
-    assert "PSNR, dB 49,88" in text
-    assert "41,24" not in text
-    assert "1,7 Pixel" in text
-
-
-def test_what_the_parts_of_the_model_add_is_shown(run, tmp_path):
     parts = {
         "temperature_residual_std_c": 0.51239,
         "heat_exchange_std_c": 0.0,
@@ -145,15 +143,19 @@ def test_what_the_parts_of_the_model_add_is_shown(run, tmp_path):
         },
     }
     (run.folder.path / "eval" / "metrics.json").write_text(
-        json.dumps(METRICS | {"parts": parts}), encoding="utf-8"
+        json.dumps(METRICS | {"poses": poses, "parts": parts}), encoding="utf-8"
     )
     text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
+    assert "PSNR, dB 49,88" in text
+    assert "41,24" not in text
+    assert "1,7 Pixel" in text
     assert "0,5124 °C" in text
     assert "Wärmeaustausch 0,0000 °C" in text
     assert "Farbanteil" not in text
     assert "38,46 27,40 –" in text
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
     (run.folder.path / "eval" / "metrics.json").write_text(
         json.dumps(METRICS | {"steps": 30}), encoding="utf-8"
@@ -162,6 +164,7 @@ def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
     assert re.search(r"step 30\b.* step 60\b", text)
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_foreign_metrics_are_named(run, tmp_path):
     file = run.folder.path / "eval" / "metrics.json"
     for content in (
@@ -180,6 +183,7 @@ def test_foreign_metrics_are_named(run, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_a_broken_contact_sheet_is_named(run, tmp_path):
     (run.folder.path / "eval" / "contact_sheet.png").write_bytes(b"not a picture")
     with pytest.raises(RunError, match=r"contact_sheet\.png .*`mrgs eval`"):
@@ -206,7 +210,9 @@ def test_the_inspectors_words_are_escaped(run, tmp_path):
         name for name, field in Survey.__dataclass_fields__.items() if field.type == "str | None"
     ]
     assert len(texts) > 15
-    survey = replace(Survey(standard="EN 13187"), **dict.fromkeys(texts, evil))
+    survey = replace(
+        Survey(standard="EN 13187", hot_places=0, cold_places=0), **dict.fromkeys(texts, evil)
+    )
     write_survey(run.folder.path / "survey.yaml", survey)
     marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
     name = '"><script>x</script>'
@@ -246,6 +252,7 @@ def test_a_scene_without_celsius_has_relative_values(run, sharp, tmp_path):
         (1.0, {}, "(emissivity 1.00)", ""),
     ],
 )
+@pytest.mark.usefixtures("without_spots")
 def test_the_limits_say_what_the_temperatures_were_computed_with(
     run, tmp_path, emissivity, given, said, row
 ):
@@ -269,6 +276,7 @@ def test_the_limits_say_what_the_temperatures_were_computed_with(
     assert "distance 2.5 m, air" in text
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, plain, tmp_path):
     scene = replace(run.load_scene(), temperature=None)
     capture = run.facts.capture._replace(has_celsius=False)
@@ -281,6 +289,7 @@ def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, plain, tmp_pat
     assert "mean scale" not in plain.text
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_temperatures_that_depend_on_the_view_are_spoken_of(run, plain, tmp_path):
     gaussians = run.model.gaussians
     rest = torch.zeros(len(gaussians), 15, 1)
@@ -316,6 +325,7 @@ def test_a_scene_without_thermal_photos_has_no_spots(tmp_path):
     )
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_the_report_lists_the_marks_with_pictures_and_profile(run: Run, tmp_path: Path):
     marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
     marks.spot(camera, (20, 15), note="near the <middle>", severity="3")
@@ -489,6 +499,7 @@ def test_what_was_not_searched_for_is_not_said_to_be_missing(run: Run, tmp_path:
     assert "stands out" not in text
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_a_mark_without_temperature_keeps_its_note(run: Run, tmp_path: Path):
     marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
     marks.box(camera, (16, 12), (24, 18), emissivity=0.8, note="brass")
