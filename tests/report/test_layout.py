@@ -23,6 +23,9 @@ from tests.helpers.browsers import chromium, needs_chromium, new_page
 needs_weasyprint = pytest.mark.skipif(
     find_spec("weasyprint") is None, reason="weasyprint is not installed"
 )
+pytestmark = pytest.mark.filterwarnings("ignore:HarfBuzz-Subset:DeprecationWarning")
+"""WeasyPrint misses a library that is optional as yet."""
+
 LONG_WORD = "x" * 250
 LONG_NAME = "Fensterlaibung_Nordseite_Obergeschoss_12"
 LONG_TEXT = " ".join(["word"] * 300)

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -145,24 +146,6 @@ def test_leaving_the_loop_keeps_a_checkpoint_to_resume_from(whole, small_scene, 
     assert same_files(newest, whole.newest_checkpoint())
 
 
-OPEN_LOOP = """
-import sys
-from mrgs import make_config, train_steps
-
-config = make_config("mrgs", "fast", max_steps=6, max_gaussians=60)
-loop = train_steps(sys.argv[1], sys.argv[2], config)
-next(loop)
-next(loop)
-"""
-
-
-def test_a_loop_that_is_open_when_the_process_ends_keeps_its_step(small_scene, tmp_path):
-    command = [sys.executable, "-c", OPEN_LOOP, str(small_scene), str(tmp_path / "run")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert load_run(tmp_path / "run").facts.step == 2
-
-
 def test_an_error_in_the_loop_keeps_the_step_and_frees_the_folder(small_scene, tmp_path):
     def loop() -> None:
         for state in train_steps(small_scene, tmp_path / "loop", CONFIG):
@@ -279,15 +262,17 @@ def test_a_temporary_run_that_is_stopped_is_kept_and_named(small_scene):
     shutil.rmtree(kept)
 
 
-FORK = """
+PROGRAM = """
 import os, sys
 from mrgs import load_run, make_config, train, train_steps
 from mrgs.errors import MrgsError
 
 scene, folder = sys.argv[1:]
-config = make_config("mrgs", "fast", max_steps=1, max_gaussians=60)
+config = make_config("mrgs", "fast", max_steps=6, max_gaussians=60)
 
 def in_a_fork(compute):
+    if not hasattr(os, "fork"):
+        return
     child = os.fork()
     if child == 0:
         try:
@@ -302,26 +287,45 @@ try:
     train(folder + "/nothing", config=config)
 except MrgsError:
     print("no scene", flush=True)
-in_a_fork(lambda: train(scene, folder + "/forked", config))
-run = train(scene, folder + "/run", config)
+in_a_fork(lambda: train(scene, folder + "/forked", config, stop_at=1))
+run = train(scene, folder + "/run", config, stop_at=1)
 camera = run.load_scene().train[0].camera
-loop = train_steps(scene, folder + "/loop", config)
+loop = train_steps(scene, folder + "/open", config)
+next(loop)
 state = next(loop)
 in_a_fork(lambda: run.render(camera))
 in_a_fork(lambda: state.render(camera))
 in_a_fork(lambda: state.snapshot())
 in_a_fork(lambda: load_run(folder + "/run"))
 in_a_fork(lambda: train(scene, folder + "/again", config))
-loop.close()
 """
 
 
+class Ended(NamedTuple):
+    """A process that ran the program, and the folder with its runs."""
+
+    process: subprocess.CompletedProcess[str]
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def ended(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Ended:
+    """A process of its own takes seconds to start."""
+    folder = tmp_path_factory.mktemp("process")
+    command = [sys.executable, "-c", PROGRAM, str(small_scene), str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=1_200, check=False)
+    return Ended(done, folder)
+
+
+def test_a_loop_that_is_open_when_the_process_ends_keeps_its_step(ended):
+    assert (ended.process.returncode, ended.process.stderr) == (0, "")
+    assert load_run(ended.folder / "open").facts.step == 2
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
-def test_a_fork_says_so_only_if_something_was_computed_before_it(small_scene, tmp_path):
-    command = [sys.executable, "-c", FORK, str(small_scene), str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    found = done.stdout.splitlines()
-    assert found == ["no scene", "computed", *["refused"] * 5], done.stderr
+def test_a_fork_says_so_only_if_something_was_computed_before_it(ended):
+    found = ended.process.stdout.splitlines()
+    assert found == ["no scene", "computed", *["refused"] * 5], ended.process.stderr
 
 
 def test_what_was_never_photographed_is_not_rendered(make_scene):
