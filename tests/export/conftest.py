@@ -13,7 +13,8 @@ from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange
-from mrgs.training import make_config, train
+from mrgs.training import make_config
+from tests.helpers.runs import trained_run
 
 
 @pytest.fixture(scope="session")
@@ -21,7 +22,8 @@ def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     config = make_config("mrgs", preset="fast", max_steps=250, max_gaussians=400)
     # At full rates to the end, so that within so few steps colours come to depend on the view.
     config = replace(config, optimizer=replace(config.optimizer, slowdown_from=1.0))
-    return load_run(train(small_scene, tmp_path_factory.mktemp("export") / "run", config).path)
+    output = tmp_path_factory.mktemp("export") / "run"
+    return load_run(trained_run(tmp_path_factory, small_scene, config, output))
 
 
 @pytest.fixture(scope="session")

@@ -11,8 +11,12 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-from mrgs.method.config import TrainConfig
+from mrgs.method.config import TrainConfig, make_config
 from mrgs.training import train
+
+SMALL = make_config("mrgs", max_steps=60, max_gaussians=300)
+"""Of the small scene: trained for a moment, so that there is something to see. A test that has no
+reason for another takes this one, and shares its run."""
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:

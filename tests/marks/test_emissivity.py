@@ -15,7 +15,7 @@ from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import ConfigError
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
-from mrgs.marks.measure import MarkMeter
+from mrgs.marks.measure import NO_PHOTO, MarkMeter
 from mrgs.marks.regions import Regions
 from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.runs.baked import BakedModel
@@ -132,10 +132,7 @@ def test_a_region_without_photos_says_so_and_spares_the_others():
     away = camera_before_wall().look_at([0.0, -5.0, 0.0], [-5.0, 0.0, 0.0])
     aside = replace(BOX, name="B2", points=tuple((x - 3.0, y, z) for x, y, z in SQUARE))
     unseen, seen = MarkMeter(render_wall, RANGE, [away]).measure(Marks((BOX, aside)))
-    assert (unseen.photos, unseen.problem) == (
-        0,
-        "no photo looks at it, so its temperature is not known",
-    )
+    assert (unseen.photos, unseen.problem) == (0, NO_PHOTO)
     assert np.isnan(unseen.mean)
     assert (seen.photos, seen.problem) == (1, "")
     assert np.isfinite(seen.mean)
@@ -145,7 +142,8 @@ def test_a_region_that_cannot_be_seen_at_once_spares_the_others():
     about_its_eye = replace(BOX, name="B2", eye=(0.5, -0.05, 0.5))
     good, wide = MarkMeter(render_wall, RANGE).measure(Marks((BOX, about_its_eye)))
     assert np.isfinite(good.mean)
-    assert wide.problem == "B2 is too wide to be seen at once: draw it from farther away"
+    assert wide.problem.startswith("B2 ")
+    assert "too wide" in wide.problem
 
 
 def test_the_later_of_two_regions_counts():
@@ -178,22 +176,23 @@ def test_what_the_photos_were_computed_with():
     other = replace(record, parameters=replace(record.parameters, emissivity=0.85))
     mixed = CaptureSettings.of(scene_with(record, other))
     assert mixed.surface.emissivity == pytest.approx(0.9)
-    assert "differ between the photos: their median is used" in mixed.notes[0]
+    (note,) = [note for note in mixed.notes if "differ" in note]
+    assert "median" in note
 
 
 def test_what_the_photos_do_not_say_is_said():
     capture = CaptureSettings.of(scene_with(None, None))
     assert capture.law == TYPICAL_LAW
-    assert [note.split(":")[0] for note in capture.notes] == [
-        "The photos do not say their emissivity",
-        "The camera's constants are not known",
-    ]
-    with pytest.raises(ConfigError, match="the photos do not say the reflected temperature; give"):
+    of_emissivity, of_constants = capture.notes
+    assert "emissivity" in of_emissivity
+    assert "constants" in of_constants
+    with pytest.raises(ConfigError, match="reflected temperature"):
         capture.of_mark(replace(BOX, reflected_c=None))
     reading = MarkMeter(render_wall, RANGE).measure(Marks((replace(BOX, reflected_c=None),)))[0]
-    assert "B1: the photos do not say the reflected temperature" in reading.problem
+    assert reading.problem.startswith("B1: ")
+    assert "reflected temperature" in reading.problem
     relative = MarkMeter(render_wall, None).measure(Marks((BOX,)))[0]
-    assert relative.problem == "B1: without °C there is no emissivity to correct"
+    assert relative.problem.startswith("B1: without °C")
 
 
 def test_settings_that_the_user_gave_are_those_of_the_photos():

@@ -16,13 +16,13 @@ BOX = Mark("B1", "box", SQUARE, EYE, emissivity=0.6, reflected_c=-10.0)
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"name": " "}, "its name must not be empty"),
-        ({"name": "x" * 41}, "its name must be a text of at most 40 printable characters"),
-        ({"note": "\x1b[2J"}, "its note must be a text of at most 2,000 printable characters"),
-        ({"points": ()}, "a spot has 1 points, not 0"),
-        ({"kind": "line"}, "a line has 2 to 200 points, not 1"),
-        ({"radius": 0.0}, "the radius of a spot must be above 0, not 0.0"),
-        ({"emissivity": 0.9}, "only boxes and polygons have an emissivity"),
+        ({"name": " "}, "empty"),
+        ({"name": "x" * 41}, "its name .* 40"),
+        ({"note": "\x1b[2J"}, "its note .* 2,000"),
+        ({"points": ()}, "not 0"),
+        ({"kind": "line"}, "2 to 200"),
+        ({"radius": 0.0}, "radius"),
+        ({"emissivity": 0.9}, "only boxes"),
     ],
 )
 def test_a_mark_that_cannot_be_is_refused(changes, message):
@@ -33,9 +33,9 @@ def test_a_mark_that_cannot_be_is_refused(changes, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"emissivity": 0.0}, "its emissivity must be from 0.01 to 1, not 0.0"),
-        ({"emissivity": float("nan")}, "its emissivity must be from 0.01 to 1, not nan"),
-        ({"reflected_c": -300.0}, "its reflected_c must be from -200 to 3500 °C, not -300.0"),
+        ({"emissivity": 0.0}, "emissivity .* 0.0$"),
+        ({"emissivity": float("nan")}, "emissivity .* nan"),
+        ({"reflected_c": -300.0}, "reflected_c .* -300"),
     ],
 )
 def test_settings_of_a_surface_have_limits(changes, message):
@@ -52,15 +52,15 @@ def test_marks_survive_json(mark):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (3, "3 is no mark: it needs name, kind, points and eye"),
-        ({**SPOT.to_json(), "colour": "red"}, "a mark has no field 'colour'"),
-        ({**SPOT.to_json(), "points": "here"}, "points are 'here', not a list"),
-        ({**SPOT.to_json(), "points": [[1, 2]]}, r"\[1, 2\] is no place: it needs x, y and z"),
-        ({**SPOT.to_json(), "eye": [0, 0, 1e400]}, "x, y and z must be finite numbers"),
-        ({**SPOT.to_json(), "eye": [0, 0, True]}, "x, y and z must be finite numbers"),
-        ({**SPOT.to_json(), "name": 7}, "name is 7, not a text"),
-        ({**BOX.to_json(), "emissivity": "high"}, "emissivity is 'high', not a number"),
-        ({**SPOT.to_json(), "kind": "circle"}, "a kind is one of spot, line, box, polygon, not"),
+        (3, "is no mark"),
+        ({**SPOT.to_json(), "colour": "red"}, "'colour'"),
+        ({**SPOT.to_json(), "points": "here"}, "points are 'here'"),
+        ({**SPOT.to_json(), "points": [[1, 2]]}, r"\[1, 2\]"),
+        ({**SPOT.to_json(), "eye": [0, 0, 1e400]}, "finite"),
+        ({**SPOT.to_json(), "eye": [0, 0, True]}, "finite"),
+        ({**SPOT.to_json(), "name": 7}, "name is 7"),
+        ({**BOX.to_json(), "emissivity": "high"}, "emissivity is 'high'"),
+        ({**SPOT.to_json(), "kind": "circle"}, "circle"),
     ],
 )
 def test_json_that_is_no_mark_is_refused(value, message):
@@ -71,11 +71,11 @@ def test_json_that_is_no_mark_is_refused(value, message):
 def test_names_are_unique_and_given_in_order():
     marks = Marks((SPOT, BOX))
     assert (marks.free_name("spot"), marks.free_name("line")) == ("S2", "L1")
-    with pytest.raises(ConfigError, match="two marks are named 'S1': choose another name"):
+    with pytest.raises(ConfigError, match=r"two .* 'S1'"):
         marks.adding(replace(BOX, name="S1"))
-    with pytest.raises(ConfigError, match="there is no mark 'S9': the marks are S1, B1"):
+    with pytest.raises(ConfigError, match=r"'S9': .* S1, B1"):
         Marks(marks.marks, "S9")
-    with pytest.raises(ConfigError, match="there is no mark 'S9': the marks are none"):
+    with pytest.raises(ConfigError, match=r"'S9': .* none"):
         Marks().named("S9")
 
 
@@ -89,5 +89,5 @@ def test_what_refers_to_a_mark_follows_its_name_and_its_end():
 
 def test_there_are_not_endlessly_many():
     many = tuple(replace(SPOT, name=f"S{number}") for number in range(501))
-    with pytest.raises(ConfigError, match="more than 500 marks: delete some"):
+    with pytest.raises(ConfigError, match="500"):
         Marks(many)

@@ -11,7 +11,7 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.marks import Mark, Marks
-from mrgs.marks.measure import NO_PLANE, MarkMeter
+from mrgs.marks.measure import NO_PHOTO, NO_PLANE, NO_SURFACE, NO_THERMAL, MarkMeter
 from mrgs.marks.run_marks import picked_places
 from mrgs.marks.surface import (
     before_background,
@@ -113,10 +113,12 @@ def moved_to(depth: float, corner: int, square: tuple = SQUARE) -> Mark:
 def test_corners_on_different_surfaces_have_no_area(meter):
     for corner in range(4):
         for depth in (0.5, 0.8, 1.5):
-            reading = meter.read(moved_to(depth, corner))
-            assert reading.remarks == (NO_PLANE,), (corner, depth)
-            assert np.isnan(reading.area)
-            assert np.isfinite(reading.mean), "what is seen there is still measured"
+            assert not has_flat_outline(moved_to(depth, corner)), (corner, depth)
+    for corner, depth in ((0, 0.5), (2, 1.5)):
+        reading = meter.read(moved_to(depth, corner))
+        assert reading.remarks == (NO_PLANE,)
+        assert np.isnan(reading.area)
+        assert np.isfinite(reading.mean), "what is seen there is still measured"
     depths = (1.68, 1.88, 0.93, 1.82)  # as picked over the edge of a table
     pixels = ((-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2))
     points = tuple((x * z, z, y * z) for (x, y), z in zip(pixels, depths, strict=True))
@@ -151,13 +153,13 @@ def test_what_lies_beyond_the_surface_is_left_out(meter):
     assert reading.covered == pytest.approx(0.53, abs=0.01)  # of its picture; half of it is nearer
     assert reading.high == pytest.approx(27.0, abs=0.05)
     gone = meter.read(replace(SPOT, points=((3.5, 0.0, 0.0),)))
-    assert gone.problem == "no surface there: draw it on the model"
+    assert gone.problem == NO_SURFACE
     assert np.isnan(gone.mean)
 
 
 def test_a_spot_that_the_model_no_longer_holds_is_empty(meter):
     before_the_wall = replace(SPOT, points=((0.5, -1.0, 0.25),))
-    assert meter.read(before_the_wall).problem == "no surface there: draw it on the model"
+    assert meter.read(before_the_wall).problem == NO_SURFACE
 
 
 def test_photos_are_counted_and_where_none_looks_there_is_no_temperature():
@@ -166,7 +168,7 @@ def test_photos_are_counted_and_where_none_looks_there_is_no_temperature():
     assert MarkMeter(render_wall, RANGE, [*cameras, away]).read(BOX).photos == 3
     reading = MarkMeter(render_wall, RANGE, [away]).read(BOX)
     assert reading.photos == 0
-    assert reading.problem == "no photo looks at it, so its temperature is not known"
+    assert reading.problem == NO_PHOTO
     assert np.isnan(reading.mean)
     assert reading.area == pytest.approx(1.0)
 
@@ -195,11 +197,11 @@ def test_the_sky_is_refused():
     aside = camera.look_at([0, -5, 0], [4.0, 0, 0])
     assert picked_places(see(wall_before_sky, aside), [(150.0, 60.0)])
     surface = see(before_background(wall_before_sky, scene), aside)
-    with pytest.raises(ConfigError, match="no surface at pixel 150, 60: choose a place on the"):
+    with pytest.raises(ConfigError, match=r"surface .* 150, 60"):
         picked_places(surface, [(150.0, 60.0)])
     meter = MarkMeter(before_background(wall_before_sky, scene), RANGE)
     sky = replace(BOX, points=tuple((x + 120, 100.0, z) for x, _, z in SQUARE))
-    assert meter.read(sky).problem == "no surface there: draw it on the model"
+    assert meter.read(sky).problem == NO_SURFACE
     over_the_end = replace(BOX, points=tuple((x + 2.5, y, z) for x, y, z in SQUARE))
     assert meter.read(over_the_end).low == pytest.approx(25.0, abs=0.05)
 
@@ -211,12 +213,12 @@ def test_without_thermal_images_there_are_lengths_alone():
 
     line, box = MarkMeter(colours, None).measure(Marks((LINE, BOX)))
     assert (line.length, box.area) == pytest.approx((3.0, 1.0))
-    assert {line.problem, box.problem} == {"the model has no temperatures"}
+    assert {line.problem, box.problem} == {NO_THERMAL}
 
 
 def test_a_mark_about_its_own_eye_is_refused(meter):
     wide = replace(BOX, eye=(0.5, -0.05, 0.5))
-    assert "too wide to be seen at once: draw it from farther away" in meter.read(wide).problem
+    assert "too wide" in meter.read(wide).problem
 
 
 def test_places_are_picked_on_the_surface():
@@ -225,10 +227,10 @@ def test_places_are_picked_on_the_surface():
     assert place[1] == pytest.approx(0.0, abs=1e-6)
     pixel, _ = surface.camera.project(torch.tensor(place).double())
     assert pixel.tolist() == pytest.approx([100.0, 40.0], abs=1e-6)
-    with pytest.raises(ConfigError, match="pixel 200, 40 lies outside the image of 160 × 120"):
+    with pytest.raises(ConfigError, match=r"200, 40 .* 160 × 120"):
         picked_places(surface, [(200.0, 40.0)])
     aside = see(render_wall, camera_before_wall().look_at([0, -5, 0], [4.0, 0, 0]))
-    with pytest.raises(ConfigError, match="no surface at pixel 150, 60: choose a place on the"):
+    with pytest.raises(ConfigError, match=r"surface .* 150, 60"):
         picked_places(aside, [(150.0, 60.0)])
 
 

@@ -62,14 +62,14 @@ def test_every_change_is_undone_in_turn_by_any_process(store):
     store.edit(lambda marks: marks)  # changes nothing, so it is no step
     other = MarkStore(store.folder, SPREAD)
     assert [other.undo(), store.undo(), other.undo()] == [states[1], states[0], Marks()]
-    with pytest.raises(ConfigError, match="there is nothing to undo: the marks have not been"):
+    with pytest.raises(ConfigError, match="nothing to undo"):
         store.undo()
 
 
 def test_a_change_that_fails_changes_nothing(store):
     add(store, "S1")
     before = store.file.read_bytes()
-    with pytest.raises(ConfigError, match="two marks are named 'S1'"):
+    with pytest.raises(ConfigError, match=r"two .* 'S1'"):
         add(store, "S1")
     assert store.file.read_bytes() == before
     assert store.undo() == Marks()
@@ -87,13 +87,13 @@ def test_a_change_that_was_cut_off_is_no_step_of_its_own(store):
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"{", "it is not JSON"),
-        (b"\xff\xfe\x00", "it is not JSON"),
-        (b"[" * 100_000, "it is not JSON"),
-        (b"[1]", "it has no version"),
-        (b'{"version": 1}', "its cameras are None"),
-        (b'{"version": 1, "cameras": {"images": 40, "centre": [1], "extent": 2}}', "its cameras"),
-        (b'{"version": 1, "cameras": {"images": 1e999, "centre": [], "extent": 2}}', "its cameras"),
+        (b"{", "not JSON"),
+        (b"\xff\xfe\x00", "not JSON"),
+        (b"[" * 100_000, "not JSON"),
+        (b"[1]", "no version"),
+        (b'{"version": 1}', "cameras are None"),
+        (b'{"version": 1, "cameras": {"images": 40, "centre": [1], "extent": 2}}', "cameras"),
+        (b'{"version": 1, "cameras": {"images": 1e999, "centre": [], "extent": 2}}', "cameras"),
     ],
 )
 def test_a_damaged_file_is_kept_under_another_name(store, content, reason):
@@ -104,7 +104,7 @@ def test_a_damaged_file_is_kept_under_another_name(store, content, reason):
     (message,) = {str(each.message) for each in caught}
     assert "\n" not in message
     assert "marks.json is damaged" in message
-    assert "it is kept as marks.json.damaged;" in message
+    assert " marks.json.damaged;" in message
     assert (store.folder / "marks.json.damaged").read_bytes() == content
     assert not store.file.exists()
     add(store, "S2")
@@ -117,7 +117,7 @@ def test_a_damaged_file_is_kept_under_another_name(store, content, reason):
 def test_the_marks_before_the_damage_come_back_by_undo(store):
     states = [add(store, name) for name in ("S1", "S2")]
     store.file.write_text("")
-    with pytest.warns(MrgsWarning, match="undo to bring back the marks before the last change"):
+    with pytest.warns(MrgsWarning, match="undo"):
         assert store.undo() == states[0]
 
 
@@ -126,7 +126,7 @@ def test_a_damaged_mark_is_named(store):
     document = json.loads(store.file.read_text())
     document["marks"][0]["radius"] = "wide"
     store.file.write_text(json.dumps(document))
-    with pytest.warns(MrgsWarning, match="radius is 'wide', not a number"):
+    with pytest.warns(MrgsWarning, match="radius is 'wide'"):
         store.read()
 
 
@@ -136,7 +136,7 @@ def test_a_damaged_undo_file_costs_only_the_undoing(store):
     assert store.read() == saved
     with (
         pytest.warns(MrgsWarning, match=r"marks\.undo\.json is damaged"),
-        pytest.raises(ConfigError, match="there is nothing to undo"),
+        pytest.raises(ConfigError, match="nothing to undo"),
     ):
         store.undo()
     assert store.read() == saved
@@ -147,7 +147,7 @@ def test_marks_of_another_model_are_refused_and_kept(store):
     before = store.file.read_bytes()
     other = MarkStore(store.folder, SPREAD._replace(centre=(0.0, 0.5, 1.0)))
     for action in (other.read, other.undo, lambda: add(other, "S2")):
-        with pytest.raises(RunError, match="holds the marks of another model, whose places"):
+        with pytest.raises(RunError, match="another model"):
             action()
     assert store.file.read_bytes() == before
 
@@ -162,7 +162,7 @@ def test_a_newer_file_is_left_alone(store):
     add(store, "S1")
     document = json.loads(store.file.read_text())
     store.file.write_text(json.dumps({**document, "version": 3}))
-    with pytest.raises(RunError, match="was written by a newer version of mrgs: update mrgs"):
+    with pytest.raises(RunError, match="newer version"):
         store.read()
     assert store.file.exists()
 

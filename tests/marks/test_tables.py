@@ -12,7 +12,7 @@ import pytest
 from mrgs.data.earth import enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.marks import Mark, Marks
-from mrgs.marks.measure import SEVERAL_SURFACES, MarkMeter, MarkReading
+from mrgs.marks.measure import NO_SURFACE, SEVERAL_SURFACES, MarkMeter, MarkReading
 from mrgs.marks.tables import (
     settings_texts,
     size_text,
@@ -33,7 +33,7 @@ SQUARE = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 1.0), (0.0, 0.0, 1.0))
 METRES = WorldFrame(metric=True)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def readings() -> list[MarkReading]:
     marks = Marks((SPOT, LINE, Mark("B1", "box", SQUARE, EYE)), reference="L1")
     return MarkMeter(render_wall, RANGE).measure(marks)
@@ -54,13 +54,12 @@ def test_a_spot_in_an_area_says_what_it_is_corrected_for(tmp_path: Path):
     over_the_edge = Mark("L1", "line", ((-1.0, 0.0, 0.5), (0.9, 0.0, 0.5)), EYE)
     marks = Marks((area, SPOT, beside, over_the_edge))
     readings = MarkMeter(render_wall, RANGE).measure(marks)
-    assert [settings_texts(each) for each in readings[1:]] == [
-        ["ε 0.5", "T_refl −5.0 °C"], [], [],
-    ]  # fmt: skip
-    assert "corrected for ε 0.5, T_refl −5.0 °C" in text_rows(readings, RANGE, METRES)[1][-1]
-    assert (
-        "corrected for ε 0.5, T_refl −5.0 °C" in mark_text(readings[1], "", RANGE, METRES)["lines"]
-    )
+    for reading in readings[1:]:
+        (row,) = text_rows([reading], RANGE, METRES)
+        lines = mark_text(reading, "", RANGE, METRES)["lines"]
+        for said in (settings_texts(reading), lines, row[-1:]):
+            for value in ("ε 0.5", "−5.0 °C"):
+                assert (value in " ".join(said)) == (reading.mark is SPOT), reading.mark.name
     table, _ = write_csv(tmp_path / "marks.csv", readings, RANGE, METRES)
     with table.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -72,9 +71,9 @@ def test_a_spot_in_an_area_says_what_it_is_corrected_for(tmp_path: Path):
 
 def test_lengths_and_areas_say_what_the_scale_leaves_open(readings, tmp_path: Path):
     world = WorldFrame(metric=True, scale_error=0.01)
-    assert [row[7] for row in text_rows(readings, RANGE, world)] == [
-        "⌀ 0.100 m", "2.00 ± 0.04 m", "1.00 ± 0.04 m²",
-    ]  # fmt: skip
+    _, line, box = (row[7] for row in text_rows(readings, RANGE, world))
+    assert line.endswith("± 0.04 m")
+    assert box.endswith("± 0.04 m²")
     table, _ = write_csv(tmp_path / "marks.csv", readings, RANGE, world)
     with table.open(encoding="utf-8", newline="") as file:
         _, line, box = csv.DictReader(file)
@@ -94,19 +93,20 @@ def test_no_uncertainty_is_written_as_zero(readings):
     sure = replace(readings[0], uncertainty=Uncertainty(photos=0.003), difference=1.25)
     sure = replace(sure, difference_uncertainty=0.004)
     assert text_rows([sure], RANGE, METRES)[0][3] == "0.1"
-    assert mark_text(sure, "", RANGE, METRES)["value"] == "21.2 ± 0.1 °C"
-    assert difference_text(sure, RANGE) == "ΔT +1.2 ± 0.1 K"
+    assert mark_text(sure, "", RANGE, METRES)["value"].endswith("± 0.1 °C")
+    assert difference_text(sure, RANGE).endswith("± 0.1 K")
 
 
 def test_a_narrow_range_has_more_decimals(readings):
     """20.0 to 20.4 °C: one decimal would tell five values apart."""
     narrow = TemperatureRange(20.0, 20.4)
     sure = replace(readings[0], mean=20.204, uncertainty=Uncertainty(photos=0.02))
-    assert mark_text(sure, "", narrow, METRES)["value"] == "20.20 ± 0.02 °C"
+    assert mark_text(sure, "", narrow, METRES)["value"].startswith("20.20 ± 0.02")
 
 
 def test_the_profile_of_a_line_has_ends_with_units(readings):
-    assert mark_text(readings[1], "", RANGE, METRES)["ends"] == ["18.0 °C", "22.0 °C", "2.00 m"]
+    low, high, end = mark_text(readings[1], "", RANGE, METRES)["ends"]
+    assert (low, high, end) == ("18.0 °C", "22.0 °C", "2.00 m")
     assert mark_text(readings[1], "", None, WorldFrame())["ends"][1:] == [
         "22.008", "2.00 scene units",
     ]  # fmt: skip
@@ -167,7 +167,7 @@ def test_geojson_lies_on_earth_where_the_scene_does(readings, tmp_path: Path):
 def test_geojson_elsewhere_has_the_scenes_own_coordinates(readings, tmp_path: Path):
     path = write_geojson(tmp_path / "m.geojson", readings, RANGE, METRES)
     document = json.loads(path.read_text(encoding="utf-8"))
-    assert document["coordinates"] == "x, y, z of the scene, m; not on Earth"
+    assert "not on Earth" in document["coordinates"]
     assert document["features"][0]["geometry"]["coordinates"] == list(SPOT.points[0])
 
 
@@ -176,6 +176,6 @@ def test_what_has_no_temperature_says_why(tmp_path: Path):
     readings = MarkMeter(render_wall, RANGE).measure(Marks((gone,)))
     (row,) = text_rows(readings, RANGE, METRES)
     assert row[2:6] == ("–", "–", "–", "–")
-    assert row[-1] == "no surface there: draw it on the model"
+    assert row[-1] == NO_SURFACE
     (table,) = write_csv(tmp_path / "marks.csv", readings, RANGE, METRES)
     assert "nan" not in table.read_text(encoding="utf-8")

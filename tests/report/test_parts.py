@@ -16,7 +16,7 @@ from mrgs.marks.measure import MarkReading, Profile
 from mrgs.report.mark_pictures import _part_about
 from mrgs.report.marks import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, _chart, _factor
 from mrgs.report.sections import capture_rows, thermal_pixel_m
-from mrgs.report.texts import Language, Texts
+from mrgs.report.texts import LANGUAGES, Language, Texts
 from mrgs.scene import THERMAL, Camera, EarthPosition, TemperatureRange, WorldFrame
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
 from mrgs.survey import Survey
@@ -96,16 +96,16 @@ def test_cameras_are_said_to_be_shared_only_where_all_views_share_theirs(small_s
         train=(replace(view, images=view.images | {THERMAL: apart}), *scene.train[1:]),
     )
     said = [dict(capture_rows(each, Survey(), Texts())) for each in (scene, mixed)]
-    assert [rows["Cameras"] for rows in said] == [
-        "one for all images of a view", "each image has its own",
-    ]  # fmt: skip
-    assert said[1]["Thermal photos"] == "8, 20 × 16 pixels, 40 × 30 pixels"
+    assert [rows["Cameras"].split()[0] for rows in said] == ["one", "each"]
+    photos = said[1]["Thermal photos"]
+    assert photos.startswith("8,")
+    assert re.findall(r"\d+ × \d+", photos) == ["20 × 16", "40 × 30"]
 
 
 def test_a_hot_range_is_written_without_an_exponent(small_scene: Path):
     scene = replace(load_scene(small_scene), temperature=TemperatureRange(-20.0, 1650.0))
     rows = dict(capture_rows(scene, Survey(), Texts("de")))
-    assert rows["Temperaturbereich"] == "−20,0 bis 1650,0 °C"
+    assert re.findall(r"[−\d,]+", rows["Temperaturbereich"]) == ["−20,0", "1650,0"]
 
 
 def test_the_pixel_of_the_thermal_photos_is_that_on_what_they_show(small_scene: Path):
@@ -117,16 +117,9 @@ def test_the_pixel_of_the_thermal_photos_is_that_on_what_they_show(small_scene: 
     assert found == pytest.approx(distance / camera.K[0, 0].item(), rel=0.3)
 
 
-@pytest.mark.parametrize(
-    ("language", "said"),
-    [
-        ("en", "air temperature 20.0 °C; relative humidity 0.50; window temperature 22.0 °C"),
-        ("de", "Lufttemperatur 20,0 °C; relative Luftfeuchte 0,50; Temperatur des Infrarotfens"),
-        ("fr", "température de l'air 20,0 °C; humidité relative 0,50; température de la fenêtre"),
-    ],
-)
+@pytest.mark.parametrize("language", LANGUAGES)
 def test_the_settings_of_a_window_are_reported_where_there_is_one(
-    small_scene: Path, language: Language, said: str
+    small_scene: Path, language: Language
 ):
     scene, t = load_scene(small_scene), Texts(language)
     view = scene.train[0]
@@ -136,5 +129,7 @@ def test_the_settings_of_a_window_are_reported_where_there_is_one(
         noted_view = replace(view, images=view.images | {THERMAL: noted})
         rows = dict(capture_rows(replace(scene, train=(noted_view,)), Survey(), t))
         text = rows[t("Settings of the temperatures")]
-        assert (said in text) == (transmission < 1)
+        for of_the_air in ("20.0 °C", "0.50"):
+            assert t.number(of_the_air) in text
+        assert (t.number("22.0 °C") in text) == (transmission < 1)
     assert text.endswith(t.number("0.90"))

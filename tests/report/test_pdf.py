@@ -9,6 +9,9 @@ from PIL import Image, ImageFile
 from mrgs.errors import ConfigError
 from mrgs.report.pdf import write_pdf
 
+pytestmark = pytest.mark.filterwarnings("ignore:HarfBuzz-Subset:DeprecationWarning")
+"""WeasyPrint misses a library that is optional as yet."""
+
 
 def test_a_page_becomes_a_pdf_and_nothing_is_fetched(tmp_path):
     if find_spec("weasyprint") is None:

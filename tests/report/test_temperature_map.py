@@ -14,11 +14,22 @@ from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions
 from mrgs.pictures.palette import palette_table
 from mrgs.report.overlays import MARK
-from mrgs.report.temperature_map import MOST_PX, draw_temperature_map, temperature_map
+from mrgs.report.temperature_map import (
+    MOST_PX,
+    TemperatureMap,
+    draw_temperature_map,
+    temperature_map,
+)
 from mrgs.scene import THERMAL, WorldFrame
 from tests.export.maps.conftest import CELSIUS
 
 EYE = (0.0, -7.0, 1.6)
+
+
+@pytest.fixture(scope="module")
+def drawn(front, front_scene) -> TemperatureMap:
+    """The map of the house front; only to be looked at."""
+    return draw_temperature_map(front, front_scene)
 
 
 def mark(name: str, x: float, z: float, y: float = 0.0) -> Mark:
@@ -31,15 +42,16 @@ def differs(one, other) -> np.ndarray:
     return np.argwhere((np.asarray(one) != np.asarray(other)).any(axis=2))
 
 
-def test_areas_with_an_emissivity_of_their_own_are_corrected_as_the_marks_are(front, front_scene):
+def test_areas_with_an_emissivity_of_their_own_are_corrected_as_the_marks_are(
+    front, front_scene, drawn
+):
     corners = ((-0.7, 0.0, 1.0), (0.7, 0.0, 1.0), (0.7, 0.0, 3.0), (-0.7, 0.0, 3.0))
     area = Mark("B1", "box", corners, (0.0, -6.0, 2.0), emissivity=0.3, reflected_c=-5.0)
     regions = Regions(
         Marks((area,)), lambda camera: front.render(camera, THERMAL), CELSIUS, CaptureSettings()
     )
-    plain, own = (
-        draw_temperature_map(front, front_scene, each).drawn.bands[0] for each in (None, regions)
-    )
+    plain = drawn.drawn.bands[0]
+    own = draw_temperature_map(front, front_scene, regions).drawn.bands[0]
     changed = ~np.isclose(plain, own, equal_nan=True)
     assert changed.sum() > 100
     wanted = CaptureSettings().corrected(
@@ -48,8 +60,7 @@ def test_areas_with_an_emissivity_of_their_own_are_corrected_as_the_marks_are(fr
     np.testing.assert_allclose(own[changed], wanted, atol=1e-3)
 
 
-def test_the_facade_is_to_scale_and_has_the_marks_at_their_places(front, front_scene):
-    drawn = draw_temperature_map(front, front_scene)
+def test_the_facade_is_to_scale_and_has_the_marks_at_their_places(drawn):
     plain = drawn.picture({})
     assert drawn.from_the_front
     assert not drawn.north
@@ -70,16 +81,14 @@ def test_the_facade_is_to_scale_and_has_the_marks_at_their_places(front, front_s
     np.testing.assert_array_equal(np.unique(left[:, 0]), np.unique(right[:, 0]))
 
 
-def test_what_is_not_on_the_map_is_not_drawn(front, front_scene):
-    drawn = draw_temperature_map(front, front_scene)
+def test_what_is_not_on_the_map_is_not_drawn(drawn):
     plain = drawn.picture({})
     away = {"before": mark("before", 0, 2, -3.0), "beside": mark("beside", 40.0, 2.0)}
     assert not any(map(drawn.shows, away.values()))
     assert not len(differs(drawn.picture(away), plain))
 
 
-def test_the_small_map_shows_the_wall_in_its_colours_and_the_mark(front, front_scene):
-    drawn = draw_temperature_map(front, front_scene)
+def test_the_small_map_shows_the_wall_in_its_colours_and_the_mark(drawn):
     small = np.asarray(drawn.small(mark("1", 2.0, 2.0))).astype(int)
     wall = np.abs(small - (0.3 * 255 + 0.7 * 255 * np.array([0.8, 0.5, 0.2]))).max(axis=2) < 6
     assert wall.mean() > 0.9
@@ -88,8 +97,7 @@ def test_the_small_map_shows_the_wall_in_its_colours_and_the_mark(front, front_s
     assert x == pytest.approx(2.0, abs=0.1)
 
 
-def test_what_the_small_map_does_not_show_is_white(front, front_scene):
-    drawn = draw_temperature_map(front, front_scene)
+def test_what_the_small_map_does_not_show_is_white(drawn):
     bands = drawn.drawn.bands.copy()
     bands[:, :, : bands.shape[2] // 2] = np.nan
     half = replace(drawn, drawn=replace(drawn.drawn, bands=bands))
@@ -97,8 +105,8 @@ def test_what_the_small_map_does_not_show_is_white(front, front_scene):
     assert (small[:, : small.shape[1] // 2 - 5] == 255).all()
 
 
-def test_warm_windows_are_warm_in_the_picture(front, front_scene):
-    picture = np.asarray(draw_temperature_map(front, front_scene).picture({}))
+def test_warm_windows_are_warm_in_the_picture(drawn):
+    picture = np.asarray(drawn.picture({}))
     warmest = palette_table("inferno")[-20:]
     body = picture[MARGIN:-94, MARGIN:-150]
     warm = np.isin(body.astype(int) @ [65536, 256, 1], warmest.astype(int) @ [65536, 256, 1])
@@ -133,5 +141,5 @@ def turned(camera, k: int):
 
 def test_a_scene_without_a_wall_says_so(front, front_scene):
     ground = front.map_tensors(lambda tensor: tensor[front.means[:, 2] < 0.05])
-    with pytest.raises(RunError, match="no façade was found"):
+    with pytest.raises(RunError, match="façade"):
         draw_temperature_map(ground, front_scene)

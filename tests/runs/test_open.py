@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import inspect
-import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,9 +19,7 @@ from mrgs.runs.open import Run, load_run, open_run
 from mrgs.runs.registry import Method
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
 from mrgs.system.operation import PLAIN_VARIABLE
-from mrgs.training import make_config, train
-from tests.helpers.runs import trained_run
-from tests.helpers.scenes import write_scene
+from tests.helpers.runs import SMALL, trained_run
 
 MIN_C, MAX_C = 10.0, 30.0
 """What tests/conftest.py writes as the scene's temperature bounds."""
@@ -29,14 +27,14 @@ MIN_C, MAX_C = 10.0, 30.0
 
 @pytest.fixture(scope="module")
 def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    config = make_config("mrgs", max_steps=3, max_gaussians=100)
     output = tmp_path_factory.mktemp("runs") / "run"
-    return load_run(trained_run(tmp_path_factory, small_scene, config, output))
+    return load_run(trained_run(tmp_path_factory, small_scene, SMALL, output))
 
 
 def test_a_run_knows_what_it_was_trained_on(run, small_scene):
     assert (run.temperature.min_c, run.temperature.max_c) == (MIN_C, MAX_C)
-    assert (run.config.method, run.config.max_steps, run.facts.step) == ("mrgs", 3, 3)
+    assert run.config == SMALL
+    assert run.facts.step == SMALL.max_steps
     scene = run.load_scene()
     assert (len(scene.train), len(scene.eval)) == (6, 2)
     assert scene.extent == run.facts.capture.extent
@@ -80,14 +78,12 @@ def test_without_a_temperature_range_there_is_no_celsius(run):
     rendering = run.render(run.load_scene().eval[0].images[RGB].camera)
     unknown = replace(run, facts=run.facts._replace(temperature=None))
     for case, image in ((unknown, rendering), (run, Rendering({RGB: rendering[RGB]}))):
-        with pytest.raises(
-            ValueError, match="no °C: the scene has no temperature range, or the rendering has no"
-        ):
+        with pytest.raises(ValueError, match="no °C"):
             case.temperatures_c(image)
 
 
 def test_what_is_not_a_run_is_named(tmp_path):
-    with pytest.raises(RunError, match=r"is not a run: it has no config\.yaml"):
+    with pytest.raises(RunError, match=r"config\.yaml"):
         load_run(tmp_path)
 
 
@@ -100,18 +96,18 @@ def test_a_scene_that_has_gone_is_named(run):
 def test_the_package_offers_the_api():
     assert mrgs.load_run is load_run
     assert all(getattr(mrgs, name) is not None for name in mrgs.__all__)
-    with pytest.raises(AttributeError, match="module 'mrgs' has no attribute 'load_ruin'"):
+    with pytest.raises(AttributeError, match="load_ruin"):
         _ = mrgs.load_ruin
 
 
-def test_another_temperature_range_or_other_cameras_are_refused(run, tmp_path):
-    scene = write_scene(tmp_path / "scene")
-    folder = train(scene, tmp_path / "run", make_config("mrgs", max_steps=1, max_gaussians=50))
+def test_another_temperature_range_is_refused(run, small_scene, tmp_path):
+    scene = shutil.copytree(small_scene, tmp_path / "scene")
+    assert load_run(run.folder.path, scene).load_scene().temperature == run.temperature
     (scene / "temperature_bounds.json").write_text(
         '{"absolute_min_temperature": 0, "absolute_max_temperature": 99}', encoding="utf-8"
     )
-    with pytest.raises(RunError, match="another temperature range than the run was trained with"):
-        load_run(folder.path).load_scene()
+    with pytest.raises(RunError, match="temperature range"):
+        load_run(run.folder.path, scene).load_scene()
 
 
 class TooLarge(Model):
@@ -123,11 +119,8 @@ class TooLarge(Model):
 
 def test_a_gpu_without_enough_memory_to_render_is_said(run):
     run = replace(run, model=TooLarge(**vars(run.model)))
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=f"memory .* {run.gaussian_count} Gaussians.* CPU"):
         run.render(run.load_scene().eval[0].images[RGB].camera)
-    assert (
-        str(caught.value) == "the GPU's memory does not suffice to render 25 Gaussians: use the CPU"
-    )
 
 
 class Counting(Model):
@@ -203,13 +196,13 @@ CAMERA = Camera.from_fov(8, 6, fov_deg=50)
 @pytest.mark.parametrize(
     ("cameras", "message"),
     [
-        ([CAMERA], "cameras must be a Camera or a mapping such as {RGB: camera}, not list"),
-        ({"rgb": CAMERA}, r"'rgb' is not a modality: use mrgs.RGB or mrgs.THERMAL"),
-        ({RGB: CAMERA.viewmat}, "rgb must have a Camera, not Tensor"),
+        ([CAMERA], "not list"),
+        ({"rgb": CAMERA}, "'rgb'"),
+        ({RGB: CAMERA.viewmat}, "rgb must have a Camera"),
     ],
 )
 def test_what_is_no_camera_is_named(cameras, message, run):
-    with pytest.raises(ValueError, match=re.escape(message)):
+    with pytest.raises(ValueError, match=message):
         run.render(cameras)
 
 
@@ -221,5 +214,5 @@ def test_help_has_a_text(attribute):
 
 
 def test_what_is_no_scene_is_named(run):
-    with pytest.raises(SceneError, match="the scene must be a Scene or its folder, not list"):
+    with pytest.raises(SceneError, match="not list"):
         load_run(run.folder.path, [])

@@ -12,7 +12,7 @@ import torch
 from mrgs import Run, load_run, load_scene, make_config
 from mrgs.evaluation.truth import read_float_tiff
 from mrgs.scene import THERMAL
-from tests.helpers.runs import trained_run
+from tests.helpers.runs import SMALL, trained_run
 
 TABLETOP = Path(__file__).parents[2] / "examples" / "tabletop"
 CONFIG = make_config("mrgs", "fast", max_steps=200, max_gaussians=3_000, resolution=96)
@@ -66,23 +66,16 @@ def test_what_no_camera_can_see_is_nan(run: Run) -> None:
     far = offsets + reach.centre.numpy()
     assert run.temperature_at(far).isnan().all()
     assert run.temperature_at(np.empty((0, 3))).shape == (0,)
-    with pytest.raises(ValueError, match=r"points must have shape \[any, 3\], not \[3\]"):
+    with pytest.raises(ValueError, match=r"points .* \[3\]"):
         run.temperature_at([0.0, 0.0, 0.0])
 
 
 def test_without_celsius_there_is_no_temperature(small_scene, tmp_path, tmp_path_factory) -> None:
-    run = load_run(
-        trained_run(
-            tmp_path_factory,
-            small_scene,
-            make_config("mrgs", "fast", max_steps=4, max_gaussians=60),
-            tmp_path / "run",
-        )
-    )
+    run = load_run(trained_run(tmp_path_factory, small_scene, SMALL, tmp_path / "run"))
     without = replace(
         run,
         facts=run.facts._replace(temperature=None),
         scene=replace(run.load_scene(), temperature=None),
     )
-    with pytest.raises(ValueError, match="no °C: the scene has no temperature range"):
+    with pytest.raises(ValueError, match="no °C"):
         without.temperature_at([[0.0, 0.0, 0.0]])

@@ -9,19 +9,17 @@ import pytest
 
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, Scene
-from mrgs.training import make_config
 from mrgs.viewer.cameras import pinhole
 from mrgs.viewer.settings import Subject
-from tests.helpers.runs import trained_run
+from tests.helpers.runs import SMALL, trained_run
 from tests.helpers.subjects import subject_of
 
 
 @pytest.fixture(scope="session")
 def small_run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Both modalities, °C, one camera; trained for a moment, so that there is something to see."""
-    config = make_config("mrgs", max_steps=60, max_gaussians=300)
     output = tmp_path_factory.mktemp("runs") / "balls"
-    return load_run(trained_run(tmp_path_factory, small_scene, config, output))
+    return load_run(trained_run(tmp_path_factory, small_scene, SMALL, output))
 
 
 @pytest.fixture(autouse=True)

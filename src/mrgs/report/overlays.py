@@ -73,10 +73,10 @@ def small_picture(image: Image.Image) -> Image.Image:
     return image.resize(size, Image.Resampling.LANCZOS)
 
 
-def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) -> None:
+def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) -> dict[str, Box]:
     """Write names beside their places, so that none covers another, nor another's place: where
     there are many, in smaller letters, and farther away where it is crowded. A name for which there
-    is no room is left out."""
+    is no room is left out. Returns the boxes of the others."""
     size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
     labels = {name: fit_text(name, size, image.width / 2) for name in places}
     boxes = _boxes_of(image, labels, places, size)
@@ -86,6 +86,7 @@ def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) ->
         ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
     for name, box in boxes.items():
         draw_plate(image, box, labels[name], size)
+    return boxes
 
 
 def _boxes_of(
