@@ -315,11 +315,9 @@ def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
     means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
     layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
     plain = inspect.unwrap(rasterize)
-    with pytest.raises(
-        ValueError, match=r"matching sizes; got torch.float32 \(1, 4\) on cpu where \(4, 4\)"
-    ):
+    with pytest.raises(ValueError, match=r"sizes; .*\(1, 4\) .*\(4, 4\)"):
         plain(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
-    with pytest.raises(ValueError, match=r"takes float32 tensors .* got torch.float64"):
+    with pytest.raises(ValueError, match=r"float32 .*got torch\.float64"):
         plain(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
 
 
@@ -346,7 +344,7 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> 
         means, torch.ones(1, 4), torch.full((1, 3), 0.1), [layer], torch.eye(4), K, 10, 8
     )
     raster.blends[0].image.mul_(2)
-    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+    with pytest.raises(RuntimeError, match="inplace operation"):
         raster.blends[0].image.sum().backward()
 
 

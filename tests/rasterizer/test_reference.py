@@ -365,30 +365,23 @@ unchecked_rasterize = unwrap(
 def test_wrong_shapes_are_named(name, shape):
     scene = random_scene(0, n=20)
     broken = replace(scene, tensors=scene.tensors | {name: torch.zeros(shape, dtype=torch.float64)})
-    with pytest.raises(
-        ValueError,
-        match=rf"^{name} must have the shape \[20, \d\], got \[{shape[0]}, {shape[1]}\]$",
-    ):
+    with pytest.raises(ValueError, match=rf"^{name} .*\[20, \d\].* \[{shape[0]}, {shape[1]}\]$"):
         broken.render(unchecked_rasterize)
 
 
 def test_wrong_layers_cameras_and_sizes_are_named():
     scene = random_scene(0, n=20)
-    with pytest.raises(ValueError, match="one layer or two, got 0"):
+    with pytest.raises(ValueError, match=r"layer .*got 0"):
         scene.render(unchecked_rasterize, ())
-    with pytest.raises(
-        ValueError, match=r"layers\[0\].opacities must have the shape \[20\], got \[3\]"
-    ):
+    with pytest.raises(ValueError, match=r"layers\[0\]\.opacities .*\[20\].* \[3\]"):
         replace(scene, tensors=scene.tensors | {"rgb.opacities": tensor(0.1, 0.2, 0.3)}).render(
             unchecked_rasterize
         )
-    with pytest.raises(
-        ValueError, match=r"layers\[1\].background must have the shape \[1\], got \[3\]"
-    ):
+    with pytest.raises(ValueError, match=r"layers\[1\]\.background .*\[1\].* \[3\]"):
         replace(
             scene, tensors=scene.tensors | {"thermal.background": tensor(0.1, 0.2, 0.3)}
         ).render(unchecked_rasterize)
-    with pytest.raises(ValueError, match=r"viewmat must have the shape \[4, 4\], got \[3, 4\]"):
+    with pytest.raises(ValueError, match=r"viewmat .*got \[3, 4\]"):
         replace(scene, viewmat=scene.viewmat[:3]).render(unchecked_rasterize)
-    with pytest.raises(ValueError, match="at least 1 pixel, got 0 x 29"):
+    with pytest.raises(ValueError, match="0 x 29"):
         replace(scene, width=0).render(unchecked_rasterize)
