@@ -248,20 +248,24 @@ def test_many_tiles_are_numbered_by_wider_integers(rasterize, monkeypatch):
     assert_same_bits(render_and_differentiate(rasterize, scene), expected)
 
 
-def test_too_many_pairs_are_refused(rasterize, monkeypatch):
+def test_too_many_pairs_are_refused(gpu_device):
     from mrgs.kernels.rasterize.gpu import rasterize as function
 
-    monkeypatch.setattr(inspect.getmodule(function), "_MOST_PAIRS", 3)
-    with pytest.raises(MrgsError, match=r"tiles .*most 3 "):
-        random_scene(1, 20, 20, 12, torch.float32).render(rasterize)
+    each = torch.full((2,), 2**31 - 1, dtype=torch.int32, device=gpu_device)
+    listed = {"depths": torch.ones(2, device=gpu_device), "tiles": 4, "pair_counts": each}
+    with pytest.raises(MrgsError, match="4,294,967,294 tiles"):
+        inspect.getmodule(function)._list(listed)
 
 
-def test_too_many_gaussians_are_refused(rasterize, monkeypatch):
+def test_too_many_gaussians_are_refused(gpu_device):
     from mrgs.kernels.rasterize.gpu import rasterize as function
 
-    monkeypatch.setattr(inspect.getmodule(function), "_MOST_GAUSSIANS", 19)
-    with pytest.raises(MrgsError, match=r"20 .*19: .*CPU"):
-        random_scene(1, 20, 20, 12, torch.float32).render(rasterize)
+    def many(*columns: int) -> torch.Tensor:  # which take no memory
+        return torch.zeros(1, device=gpu_device).expand(2**28, *columns)
+
+    layer = Layer(many(), many(3), torch.zeros(3, device=gpu_device))
+    with pytest.raises(MrgsError, match="268,435,456 Gaussians"):
+        function(many(3), many(4), many(3), [layer], torch.eye(4), torch.eye(3), 8, 8)
 
 
 def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
