@@ -18,7 +18,7 @@ def test_every_name_can_be_imported_and_is_listed(package):
 
 
 def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'mrgs' has no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match=r"'mrgs' .*'nothing'"):
         _ = importlib.import_module("mrgs").nothing
 
 

@@ -42,5 +42,5 @@ def test_another_member_takes_nothing_of_the_base():
 
 
 def test_a_member_that_does_not_exist_is_named():
-    with pytest.raises(ConfigError, match=r"x.yaml: shape: name must be one of disc, not 'cone'"):
+    with pytest.raises(ConfigError, match=r"x\.yaml: shape: .*'cone'"):
         read_yaml(Scene, "shape: {name: cone}", "x.yaml")

@@ -36,7 +36,7 @@ def test_images_are_found_by_stem(tmp_path):
     "relative", ["../a", "a/../../b", "..", "..\\a", "/etc/passwd", "\\etc\\passwd"]
 )
 def test_a_path_that_leaves_the_folder_is_refused(tmp_path, relative):
-    with pytest.raises(SceneError, match=r"^cameras\.json: the path .* leaves the scene folder"):
+    with pytest.raises(SceneError, match=r"^cameras\.json: .* leaves"):
         contained(tmp_path.resolve(), relative, "cameras.json")
 
 
@@ -44,15 +44,15 @@ def test_paths_are_named_from_the_folder_on_whatever_their_slashes(tmp_path):
     root = tmp_path.resolve()
     assert contained(root, "images\\a.jpg", "f") == root / "images" / "a.jpg"
     assert contained(root, "images/../a.jpg", "f").resolve() == root / "a.jpg"
-    with pytest.raises(SceneError, match="leaves the scene folder"):
+    with pytest.raises(SceneError, match=r"^f: .* leaves"):
         contained(root, f"{root}/a.jpg", "f")
 
 
 @pytest.mark.parametrize("relative", ["a\0b", "a\0b/c"])
 def test_a_name_that_no_file_can_have_is_refused(tmp_path, relative):
-    with pytest.raises(SceneError, match="is not a usable path; correct it"):
+    with pytest.raises(SceneError, match=r"^f: .* usable"):
         contained(tmp_path.resolve(), relative, "f")
-    with pytest.raises(SceneError, match="is not a usable path; correct it"):
+    with pytest.raises(SceneError, match=r"^f: .* usable"):
         ImageFinder(tmp_path.resolve()).find(relative, "f")
 
 
@@ -65,7 +65,7 @@ def test_no_image_is_found_outside_of_the_scene_whatever_was_found_before(tmp_pa
     finder = ImageFinder(root)
     assert finder.find("a.jpg", "f") == root / "a.jpg"
     for name in ("/a.jpg", "\\a.jpg", "../b.jpg", "b.jpg", "b"):
-        with pytest.raises(SceneError, match="leaves the scene folder"):
+        with pytest.raises(SceneError, match=r"^f: .* leaves"):
             finder.find(name, "f")
 
 
@@ -80,7 +80,7 @@ def test_entries_that_are_no_images_do_not_hide_the_others(tmp_path):
     for name in ("folder.jpg", "itself.jpg", "nowhere.jpg", "a" * 300 + ".jpg"):
         assert finder.find(f"images/{name}", "f") is None
     assert list(finder.tree(root / "images")) == ["a"]
-    with pytest.raises(SceneError, match=r"cannot be read .*; check its name"):
+    with pytest.raises(SceneError, match="check its name"):
         finder.find("a" * 300 + "/a.jpg", "f")
 
 
@@ -92,7 +92,7 @@ def test_a_folder_of_images_that_may_not_be_listed_is_named(tmp_path, monkeypatc
     (root / "images").mkdir()
     for name in ("scandir", "listdir"):
         monkeypatch.setattr(os, name, refuse)
-    with pytest.raises(SceneError, match=r"images: cannot be read \(Permission denied\); check"):
+    with pytest.raises(SceneError, match=r"images: .*permissions"):
         ImageFinder(root).tree(root / "images")
 
 
@@ -104,16 +104,16 @@ def test_hidden_files_are_skipped_and_linked_folders_not_entered(tmp_path):
     (tmp_path / ".again").symlink_to(tmp_path)
     names = sorted(path.relative_to(tmp_path).as_posix() for path in visible_files(tmp_path))
     assert names == ["a.jpg", "again", "sub/c.jpg"]
-    with pytest.raises(SceneError, match="nowhere: cannot be read"):
+    with pytest.raises(SceneError, match="nowhere: cannot"):
         list(visible_files(Path(tmp_path / "nowhere")))
 
 
 def test_files_are_read_up_to_a_limit(tmp_path):
     (tmp_path / "a").write_bytes(b"12345")
     assert read_bytes(tmp_path / "a", limit=5) == b"12345"
-    with pytest.raises(SceneError, match="is 5 bytes long, more than the limit of 4"):
+    with pytest.raises(SceneError, match="limit of 4"):
         read_bytes(tmp_path / "a", limit=4)
-    with pytest.raises(SceneError, match="b: cannot be read"):
+    with pytest.raises(SceneError, match="b: cannot"):
         read_bytes(tmp_path / "b")
-    with pytest.raises(SceneError, match="is not a file"):
+    with pytest.raises(SceneError, match="not a file"):
         read_bytes(tmp_path)

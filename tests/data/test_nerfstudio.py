@@ -108,7 +108,7 @@ def test_thermal_images_are_found_by_stem_where_the_file_does_not_name_them(writ
     writer.transforms(content)
     scene = load_scene(writer.root)
     assert [THERMAL in view.images for view in scene.train] == [True, True, False, True]
-    assert any("1 of 6 frames have no thermal image" in note for note in scene.notes)
+    assert any("1 of 6" in note and "thermal" in note for note in scene.notes)
 
 
 def test_thermal_alone(writer):
@@ -235,7 +235,7 @@ def test_explicit_lists_win_over_names(writer):
     scene = load_scene(writer.root)
     assert [view.name for view in scene.eval] == ["frame_train_00000"]
     assert len(scene.train) == 4
-    assert any("1 frames are in none" in note for note in scene.notes)
+    assert any("1 frames" in note for note in scene.notes)
 
 
 PLY = (
@@ -278,7 +278,7 @@ def test_points_of_colmap_are_turned_and_scaled(writer, binary):
 def test_points_that_are_not_finite_are_dropped_with_a_warning(writer):
     writer.transforms(writer.thermoscenes())
     (writer.root / "sparse_pc.ply").write_text(PLY + "1 2 nan\n1 2 3\n")
-    with pytest.warns(MrgsWarning, match="1 start points are not finite"):
+    with pytest.warns(MrgsWarning, match="1 start points"):
         assert load_scene(writer.root).points.positions.tolist() == [[1, 2, 3]]
 
 
@@ -300,82 +300,82 @@ def put_frame(**values):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (put(frames={}), '"frames" is {}, not a list'),
-        (put(frames=[]), '"frames" is \\[\\], not a list'),
-        (put(frames=[3]), "frame 0 is 3, not an object"),
-        (put(frames=[{}]), "frame 0 has no file_path"),
-        (put_frame(file_path=7), "file_path of frame 1 is 7, not a path"),
-        (put_frame(file_path="images/none.png"), "'images/none.png' of frame 1 is missing"),
+        (put(frames={}), '"frames" is {}'),
+        (put(frames=[]), r'"frames" is \[\]'),
+        (put(frames=[3]), "frame 0 is 3"),
+        (put(frames=[{}]), "no file_path"),
+        (put_frame(file_path=7), "file_path .* is 7"),
+        (put_frame(file_path="images/none.png"), "'images/none.png' .*missing"),
         (
             put_frame(thermal_file_path="thermal/none.png"),
-            "'thermal/none.png' of frame 1 is missing",
+            "'thermal/none.png' .*missing",
         ),
-        (put_frame(mask_path="none.png"), "'none.png' of frame 1 .* is missing"),
-        (put_frame(file_path="/etc/passwd"), "leaves the scene folder"),
-        (put_frame(file_path="../outside.png"), "leaves the scene folder"),
-        (put_frame(file_path="images/link.png"), "leaves the scene folder"),
+        (put_frame(mask_path="none.png"), "'none.png' .*missing"),
+        (put_frame(file_path="/etc/passwd"), "leaves the scene"),
+        (put_frame(file_path="../outside.png"), "leaves the scene"),
+        (put_frame(file_path="images/link.png"), "leaves the scene"),
         (put_frame(file_path="a\0b"), "not a usable path"),
-        (put_frame(file_path="x" * 5000), "is missing|not a usable path"),
-        (put(ply_file_path="../points.ply"), "leaves the scene folder"),
-        (put(ply_file_path="none.ply"), "none.ply: cannot be read"),
-        (put(ply_file_path=[]), "ply_file_path is \\[\\], not a path"),
-        (put_frame(transform_matrix=[[1, 0, 0], [0, 1, 0]]), "not a 3×4 or 4×4 matrix"),
-        (put_frame(transform_matrix=None), "not a 3×4 or 4×4 matrix"),
+        (put_frame(file_path="x" * 5000), "missing|usable"),
+        (put(ply_file_path="../points.ply"), "leaves the scene"),
+        (put(ply_file_path="none.ply"), "none.ply: cannot"),
+        (put(ply_file_path=[]), r"ply_file_path is \[\]"),
+        (put_frame(transform_matrix=[[1, 0, 0], [0, 1, 0]]), "3×4 or 4×4"),
+        (put_frame(transform_matrix=None), "3×4 or 4×4"),
         (
             put_frame(transform_matrix=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]),
             "last row",
         ),
         (set_pose("1.0"), "not a number"),
-        (set_pose(math.nan), "NaN, infinity or a huge number"),
-        (set_pose(10**400), "NaN, infinity or a huge number"),
+        (set_pose(math.nan), "NaN"),
+        (set_pose(10**400), "NaN"),
         (set_pose(3.0), "not a rotation"),
         (put_frame(thermal_transform_matrix=np.diag([1.0, 1, -1, 1]).tolist()), "not a rotation"),
-        (put(fl_x="20"), "fl_x of frame 0 .* is '20', not a number"),
-        (put(fl_x=None), "fl_x of frame 0 .* is None, not a number"),
-        (put(fl_x=True), "fl_x of frame 0 .* is True, not a number"),
-        (put(fl_x=math.nan), "fl_x of frame 0 .* not a plausible number"),
-        (put(fl_y=10**400), "fl_y of frame 0 .* not a plausible number"),
-        (put(fl_y=0), "focal length .* must be positive"),
-        (put(fl_x=-20.0), "focal length .* must be positive"),
-        (put(fl_x=1e-308), "focal length .* must be positive"),
-        (put(applied_scale=0), "applied_scale is 0; it must be positive"),
+        (put(fl_x="20"), "fl_x .* is '20'"),
+        (put(fl_x=None), "fl_x .* is None"),
+        (put(fl_x=True), "fl_x .* is True"),
+        (put(fl_x=math.nan), "fl_x .* plausible"),
+        (put(fl_y=10**400), "fl_y .* plausible"),
+        (put(fl_y=0), "focal length .*positive"),
+        (put(fl_x=-20.0), "focal length .*positive"),
+        (put(fl_x=1e-308), "focal length .*positive"),
+        (put(applied_scale=0), "applied_scale is 0"),
         (put(w=24.5), "is not whole"),
-        (put(h=0), "image size .* is not possible"),
-        (put(w=48), "is 24×16 px, but its intrinsics are for 48×16 px"),
-        (put(camera_model="EQUIRECTANGULAR"), "camera_model is 'EQUIRECTANGULAR'; undistort"),
+        (put(h=0), "image size .*possible"),
+        (put(w=48), "24×16 px, .*48×16 px"),
+        (put(camera_model="EQUIRECTANGULAR"), "'EQUIRECTANGULAR'; undistort"),
         (put(camera_model=["OPENCV"]), "camera_model is"),
-        (put(thermal_camera=3), "thermal_camera is 3, not an object"),
+        (put(thermal_camera=3), "thermal_camera is 3"),
         (put(k1=-1e5, k2=1e6), "fold the image"),
-        (put(train_filenames="all"), "train_filenames is 'all', not a list"),
-        (put(train_filenames=[]), "no view is left for training"),
-        (put(applied_scale="2"), "applied_scale is '2', not a number"),
-        (put(georeference="east"), "georeference is 'east'; prepare the scene again"),
-        (put(georeference={"origin": [48, 11]}), "georeference is .*; prepare the scene again"),
-        (put(georeference={"origin": {"latitude_deg": 48}}), "longitude_deg of the origin is None"),
+        (put(train_filenames="all"), "train_filenames is 'all'"),
+        (put(train_filenames=[]), "left for training"),
+        (put(applied_scale="2"), "applied_scale is '2'"),
+        (put(georeference="east"), "georeference is 'east'"),
+        (put(georeference={"origin": [48, 11]}), "georeference is .*prepare"),
+        (put(georeference={"origin": {"latitude_deg": 48}}), "longitude_deg .* None"),
         (
             put(georeference={"origin": {"latitude_deg": 91, "longitude_deg": 0}}),
-            "the origin 91°, 0° is no place on Earth",
+            "origin 91°, 0°",
         ),
-        (put(georeference={"residual_m": "1"}), "residual_m of georeference is '1', not a number"),
-        (put(georeference={"scale_error": -0.1}), "scale_error of georeference is -0.1; it cannot"),
-        (put(georeference={"scale_error": math.inf}), "scale_error .* not a plausible number"),
-        (put_frame(thermal_record=3), "thermal_record of frame 1 .*: it is not an object; prepare"),
-        (put(modalities="nir"), "modalities is 'nir', not a list"),
-        (put(modalities=[{}] * 17), "not a list of up to 16"),
-        (put(modalities=["nir"]), "a modality is an object"),
-        (put(modalities=[{"channels": 1}]), "name and title must be texts"),
-        (put(modalities=[{"name": "nir"}]), "channels .* must be a whole number"),
-        (put(modalities=[{"name": "nir", "channels": True}]), "channels .* must be a whole number"),
+        (put(georeference={"residual_m": "1"}), "residual_m .* is '1'"),
+        (put(georeference={"scale_error": -0.1}), r"scale_error .* is -0\.1"),
+        (put(georeference={"scale_error": math.inf}), "scale_error .* plausible"),
+        (put_frame(thermal_record=3), "thermal_record .*an object"),
+        (put(modalities="nir"), "modalities is 'nir'"),
+        (put(modalities=[{}] * 17), "up to 16"),
+        (put(modalities=["nir"]), "is an object"),
+        (put(modalities=[{"channels": 1}]), "name and title"),
+        (put(modalities=[{"name": "nir"}]), "channels .*whole number"),
+        (put(modalities=[{"name": "nir", "channels": True}]), "channels .*whole number"),
         (put(modalities=[{"name": "nir", "channels": 10**400}]), "has 1000.* channels"),
-        (put(modalities=[{"name": "nir", "channels": 2}]), "has 2 channels; images .* 1 or 3"),
+        (put(modalities=[{"name": "nir", "channels": 2}]), "has 2 channels"),
         (put(modalities=[{"name": "nir", "channels": 0}]), "at least one channel"),
         (put(modalities=[{"name": "../nir", "channels": 1}]), "lower-case identifier"),
-        (put(modalities=[{"name": "n" * 5000, "channels": 1}]), "at most 40 characters"),
+        (put(modalities=[{"name": "n" * 5000, "channels": 1}]), "40 characters"),
         (put(modalities=[{"name": "nir", "channels": 1, "title": "\x1b[2J"}]), "be printable"),
-        (put(modalities=[{"name": "nir", "channels": 1, "unit": 3}]), "unit .* must be a text"),
-        (put(modalities=[{"name": "images", "channels": 1}]), "images has another meaning"),
-        (put(modalities=[{"name": "depth_rgb", "channels": 1}]), "depth_rgb has another meaning"),
-        (put(modalities=[{"name": "rgb", "channels": 1}]), "rgb has 1 channels here and 3"),
+        (put(modalities=[{"name": "nir", "channels": 1, "unit": 3}]), "unit .*a text"),
+        (put(modalities=[{"name": "images", "channels": 1}]), "images has another"),
+        (put(modalities=[{"name": "depth_rgb", "channels": 1}]), "depth_rgb has another"),
+        (put(modalities=[{"name": "rgb", "channels": 1}]), "rgb has 1"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")
@@ -395,11 +395,11 @@ def test_errors_are_one_clear_line(writer, change, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "transforms.json: is not valid JSON"),
-        ("[" * 100_000, "is not valid JSON"),
-        ("\xff\xfe", "is not valid JSON"),
-        ("9" * 10_000, "is not valid JSON"),
-        ("[1, 2]", r"holds \[1, 2\] where a JSON object"),
+        ("{", r"transforms\.json: .*valid JSON"),
+        ("[" * 100_000, "valid JSON"),
+        ("\xff\xfe", "valid JSON"),
+        ("9" * 10_000, "valid JSON"),
+        ("[1, 2]", r"\[1, 2\]"),
     ],
 )
 def test_damaged_json(writer, text, message):
@@ -420,7 +420,7 @@ def test_a_mask_of_another_size_is_refused(writer):
     writer.image("mask.png", "L", (8, 8))
     content["frames"][0]["mask_path"] = "mask.png"
     writer.transforms(content)
-    with pytest.raises(SceneError, match=r"mask\.png: is 8×8 px"):
+    with pytest.raises(SceneError, match=r"mask\.png: .*8×8"):
         load_scene(writer.root)
 
 
@@ -428,7 +428,7 @@ def test_truncated_pixels_are_found_when_loaded(writer):
     writer.transforms(writer.thermoscenes())
     path = writer.root / "thermal/frame_train_00000.PNG"
     path.write_bytes(path.read_bytes()[:150])
-    with pytest.raises(SceneError, match=r"frame_train_00000\.PNG: cannot be decoded"):
+    with pytest.raises(SceneError, match=r"frame_train_00000\.PNG: .*decoded"):
         load_scene(writer.root).train[0].images[THERMAL].load()
 
 
@@ -436,5 +436,5 @@ def test_points_outside_the_folder_are_not_followed(writer, tmp_path: Path):
     writer.transforms(writer.thermoscenes())
     (writer.root / "sparse_pc.ply").symlink_to(tmp_path / "elsewhere.ply")
     (tmp_path / "elsewhere.ply").write_text(PLY + "1 2 3\n1 2 3\n")
-    with pytest.raises(SceneError, match="leaves the scene folder"):
+    with pytest.raises(SceneError, match="leaves the scene"):
         load_scene(writer.root)

@@ -10,9 +10,7 @@ import torch
 from PIL import Image
 
 from mrgs.data import load_scene
-from mrgs.data import oddities as oddities_module
-from mrgs.data.images import decode
-from mrgs.data.oddities import _thinned, oddities
+from mrgs.data.oddities import _looked_at, _thinned, oddities
 from mrgs.scene import RGB, Camera, PosedImage, View
 from tests.helpers.scenes import write_scene
 
@@ -83,9 +81,9 @@ def test_coordinates_of_a_map(folder):
 @pytest.mark.parametrize(
     ("modality", "value", "message"),
     [
-        ("images", 0, "RGB photos looked at are black"),
-        ("images", 99, "RGB photos looked at hold one colour only"),
-        ("thermal", 77, "thermal photos looked at hold one temperature only"),
+        ("images", 0, "RGB .* black"),
+        ("images", 99, "RGB .* one colour"),
+        ("thermal", 77, "thermal .* one temperature"),
     ],
 )
 def test_photos_of_one_value(folder, tmp_path, modality, value, message):
@@ -93,7 +91,7 @@ def test_photos_of_one_value(folder, tmp_path, modality, value, message):
         folder, tmp_path, modality, lambda pixels, _: Image.fromarray(np.full_like(pixels, value))
     )
     (found,) = oddities(scene)
-    assert message in found
+    assert re.search(message, found)
 
 
 def test_photos_that_are_the_same(folder, tmp_path):
@@ -104,7 +102,7 @@ def test_photos_that_are_the_same(folder, tmp_path):
         return Image.fromarray(first[0])
 
     (found,) = oddities(painted(folder, tmp_path, "images", same))
-    assert "RGB photos looked at are the same, pixel for pixel" in found
+    assert re.search(r"RGB .* the same", found)
 
 
 @pytest.mark.parametrize("bits", [12, 14])
@@ -114,16 +112,16 @@ def test_thermal_photos_that_use_few_of_16_bits(folder, tmp_path, bits):
         return Image.fromarray(np.minimum(values, 2**bits - 1))
 
     (found,) = oddities(painted(folder, tmp_path, "thermal", deep))
-    assert f"the thermal photos use {bits} of their 16 bits" in found
+    assert re.search(rf"thermal .* {bits} of .*16 bits", found)
 
 
 def test_poses_that_are_the_same(folder):
     scene = load_scene(folder)
     camera = scene.train[0].camera
     (found,) = oddities(with_cameras(scene, lambda *_: camera))
-    assert "all 6 training views have the same pose" in found
+    assert re.search(r"all 6 .* pose", found)
     (found,) = oddities(with_cameras(scene, lambda own, place: camera if place < 3 else own))
-    assert "2 of 6 training views have exactly the pose of another" in found
+    assert re.search(r"2 of 6 .* pose", found)
 
 
 def test_a_view_that_no_other_overlaps(folder):
@@ -140,7 +138,7 @@ def test_a_view_that_no_other_overlaps(folder):
         scene, lambda camera, place: moved(camera, 1e6 if place == 5 else 1e-4 * place)
     )
     (found,) = oddities(apart)
-    assert f"1 of 18 training views show nothing that another one shows ({many[5].name})" in found
+    assert re.search(rf"1 of 18 .*\({many[5].name}\)", found)
 
 
 def test_photos_that_serve_twice(folder):
@@ -149,7 +147,7 @@ def test_photos_that_serve_twice(folder):
     images = {each: replace(image, load=first.images[each].load, files=first.images[each].files)
               for each, image in second.images.items()}  # fmt: skip
     (found,) = oddities(replace(scene, train=(first, View(second.name, images), *others)))
-    assert "2 of 10 photos are used by several views, or as several modalities" in found
+    assert re.search(r"2 of 10 photos .*several", found)
 
 
 def test_large_photos_are_thinned_before_they_are_kept():
@@ -160,7 +158,7 @@ def test_large_photos_are_thinned_before_they_are_kept():
     assert torch.equal(_thinned(thinned), thinned)
 
 
-def test_a_large_jpeg_is_looked_at_without_reading_it_whole(folder, tmp_path, monkeypatch):
+def test_a_large_jpeg_is_looked_at_without_reading_it_whole(folder, tmp_path):
     black = tmp_path / "black.jpg"
     Image.new("RGB", (2560, 1280)).save(black)
     scene = load_scene(folder)
@@ -172,12 +170,7 @@ def test_a_large_jpeg_is_looked_at_without_reading_it_whole(folder, tmp_path, mo
         image = replace(view.images[RGB], load=whole, files=(black,))
         return View(view.name, {**view.images, RGB: image})
 
-    decoded = []
-    monkeypatch.setattr(
-        oddities_module,
-        "decode",
-        lambda path, least: decoded.append(decode(path, least)) or decoded[-1],
-    )
-    found = oddities(replace(scene, train=tuple(map(as_jpeg, scene.train))))
+    views = tuple(map(as_jpeg, scene.train))
+    found = oddities(replace(scene, train=views))
     assert any("are black" in text for text in found)
-    assert {tuple(each.values.shape) for each in decoded} == {(320, 640, 3)}
+    assert _looked_at(RGB, views[0].images[RGB]).shape == (320, 640, 3)

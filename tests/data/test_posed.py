@@ -35,7 +35,7 @@ def test_grey_becomes_three_channels(tmp_path):
 
 def test_floats_are_no_colours(tmp_path):
     Image.fromarray(np.zeros((31, 40), dtype=np.float32)).save(tmp_path / "a.tiff")
-    with pytest.raises(SceneError, match="holds floats where intensities are expected"):
+    with pytest.raises(SceneError, match="holds floats"):
         decode_rgb(tmp_path / "a.tiff")
 
 
@@ -57,13 +57,13 @@ def test_a_file_that_changed_its_size_after_opening(tmp_path):
     Image.new("RGB", (40, 31)).save(tmp_path / "a.png")
     image = posed_image(source(tmp_path / "a.png"), decode_rgb, None)
     Image.new("RGB", (41, 31)).save(tmp_path / "a.png")
-    with pytest.raises(SceneError, match="is 41×31 px, but its intrinsics are for 40×31 px"):
+    with pytest.raises(SceneError, match=r"41×31 .*40×31"):
         image.load()
 
 
 def test_a_distortion_that_folds_the_image_names_the_file(tmp_path):
     lens = Lens(40, 31, 30.0, 31.0, 20.0, 15.0, (-100.0, 0.0, 0.0, 0.0))
-    with pytest.raises(SceneError, match=r"a\.png: the distortion coefficients fold the image"):
+    with pytest.raises(SceneError, match=r"a\.png: .*distortion .*fold"):
         posed_image(source(tmp_path / "a.png", lens), decode_rgb, None)
 
 
@@ -138,7 +138,7 @@ def test_a_photo_that_became_as_small_as_it_may_be_decoded_is_still_refused(tmp_
     lens = Lens(160, 96, 120.0, 120.0, 80.0, 48.0)
     Image.new("RGB", (40, 24)).save(tmp_path / "a.jpg")
     image = posed_image(source(tmp_path / "a.jpg", lens), decode_rgb, None)
-    with pytest.raises(SceneError, match="is 40×24 px, but its intrinsics are for 160×96 px"):
+    with pytest.raises(SceneError, match=r"40×24 .*160×96"):
         image.load()
 
 

@@ -25,7 +25,7 @@ def bounds(root: Path, **content) -> None:
 
 def test_bounds_that_are_no_file_are_not_passed_over(tmp_path):
     (tmp_path / "temperature_bounds.json").mkdir()
-    with pytest.raises(SceneError, match=r"temperature_bounds\.json: is not a file"):
+    with pytest.raises(SceneError, match=r"bounds\.json: .*a file"):
         read_bounds(tmp_path, ReadingNotes())
 
 
@@ -48,19 +48,19 @@ def test_swapped_bounds(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({}, "absolute_min_temperature is None, not a number"),
+        ({}, "absolute_min_temperature is None"),
         (
             {"absolute_min_temperature": "cold", "absolute_max_temperature": 3},
-            "is 'cold', not a number",
+            "is 'cold'",
         ),
-        ({"absolute_min_temperature": 3, "absolute_max_temperature": 3}, "not a temperature range"),
+        ({"absolute_min_temperature": 3, "absolute_max_temperature": 3}, "temperature range"),
         (
             {"absolute_min_temperature": -300, "absolute_max_temperature": 3},
-            "not a temperature range",
+            "temperature range",
         ),
         (
             {"absolute_min_temperature": 3, "absolute_max_temperature": float("nan")},
-            "not a plausible number",
+            "plausible",
         ),
     ],
 )
@@ -77,11 +77,11 @@ def test_the_range_of_float_images_is_rounded_outwards(tmp_path):
 
 
 def test_float_images_that_are_not_celsius(tmp_path):
-    with pytest.raises(SceneError, match=r"a\.tiff: holds no finite temperature"):
+    with pytest.raises(SceneError, match=r"a\.tiff: .*no finite"):
         bounds_of_images([celsius(tmp_path / "a.tiff", np.nan)])
-    with pytest.raises(SceneError, match="not a temperature range in °C"):
+    with pytest.raises(SceneError, match="temperature range"):
         bounds_of_images([celsius(tmp_path / "b.tiff", -1000.0, 5.0)])
-    with pytest.raises(SceneError, match=r"c\.tiff: holds a temperature that is not plausible"):
+    with pytest.raises(SceneError, match=r"c\.tiff: .*plausible"):
         bounds_of_images([celsius(tmp_path / "c.tiff", 20.0, 3e38)])
 
 
@@ -91,7 +91,7 @@ def test_celsius_are_mapped_and_not_clamped(tmp_path):
     )
     assert values[..., 0].tolist() == [[0.0, 0.25, 1.25]]
     assert valid is None
-    with pytest.raises(SceneError, match="range is not known"):
+    with pytest.raises(SceneError, match="not known"):
         decode_thermal(tmp_path / "a.tiff", None)
 
 
@@ -113,7 +113,7 @@ def test_kinds_that_do_not_fit_together(tmp_path):
     Image.new("RGB", (1, 1)).save(tmp_path / "c.png")
     paths = [tmp_path / "a.png", celsius(tmp_path / "b.tiff", 10.0), tmp_path / "c.png"]
     kinds = [(path, probe(path).kind) for path in paths]
-    with pytest.raises(SceneError, match=r"b\.tiff: holds °C, but other thermal images do not"):
+    with pytest.raises(SceneError, match=r"b\.tiff: holds °C"):
         check_kinds(kinds, False, ReadingNotes())
     notes = ReadingNotes()
     assert check_kinds(kinds, True, notes) == "float"

@@ -103,7 +103,7 @@ def test_any_other_modality_is_clamped_harmonics(residuals, rows):
     expected = (evaluate_sh(dc, rest, directions, 2) + 0.5).clamp_min(0)
     found = field.intensities(NEAR_INFRARED, gaussians, CAMERA, 2, rows)
     torch.testing.assert_close(found, expected if rows is None else expected[rows])
-    with pytest.raises(IndexError, match="rows must lie in 0 to 39"):
+    with pytest.raises(IndexError, match=r"rows .*0 to 39"):
         field.intensities(NEAR_INFRARED, gaussians, CAMERA, 2, torch.tensor([40]))
 
 
@@ -174,7 +174,7 @@ def test_the_same_seed_gives_the_same_field_and_state_restores_it():
 
 def test_missing_neighbours_are_named():
     field = make_field()
-    with pytest.raises(ValueError, match="the heat transformation needs the 8 nearest neighbours"):
+    with pytest.raises(ValueError, match="8 nearest"):
         field.temperatures(make_gaussians(field), None, CAMERA, 3)
 
 
@@ -182,11 +182,9 @@ def test_neighbours_of_other_gaussians_are_refused():
     field = make_field()
     gaussians = make_gaussians(field)
     neighbours = nearest_neighbours(gaussians.means, 8)
-    with pytest.raises(
-        ValueError, match=r"neighbours of 40 Gaussians are needed, not of shape \(39, 8\)"
-    ):
+    with pytest.raises(ValueError, match=r"40 .*\(39, 8\)"):
         field.temperatures(gaussians, neighbours[1:], CAMERA, 3)
-    with pytest.raises(IndexError, match="neighbours must lie in 0 to 39, but reach from 1 to 40"):
+    with pytest.raises(IndexError, match=r"neighbours .*to 39, .*to 40"):
         field.temperatures(gaussians, neighbours.clamp_min(1) + (neighbours == 39), CAMERA, 3)
 
 
@@ -195,9 +193,9 @@ def test_rows_that_do_not_exist_are_refused(row):
     field = make_field()
     gaussians = make_gaussians(field)
     neighbours, rows = nearest_neighbours(gaussians.means, 8), torch.tensor([0, row])
-    with pytest.raises(IndexError, match="rows must lie in 0 to 39"):
+    with pytest.raises(IndexError, match=r"rows .*0 to 39"):
         field.colors(gaussians, CAMERA, 3, rows)
-    with pytest.raises(IndexError, match="rows must lie in 0 to 39"):
+    with pytest.raises(IndexError, match=r"rows .*0 to 39"):
         field.temperatures(gaussians, neighbours, CAMERA, 3, rows)
 
 
@@ -218,11 +216,11 @@ def test_number_of_neighbours(options, k):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"embedding_width": 20}, "embedding_width must be a positive multiple of 6, not 20"),
-        ({"position_frequencies": -1}, "position_frequencies must be at least 0, not -1"),
-        ({"neighbours_n": 0}, "neighbours_n must be at least 1, not 0"),
-        ({"hidden_width": 10**9}, "hidden_width must be at most 4,096, not 1000000000"),
-        ({"color_scale": float("nan")}, "color_scale must be at least -1,000,000,000,000, not nan"),
+        ({"embedding_width": 20}, "embedding_width .*20"),
+        ({"position_frequencies": -1}, "position_frequencies .*-1"),
+        ({"neighbours_n": 0}, "neighbours_n .*not 0"),
+        ({"hidden_width": 10**9}, "hidden_width .*4,096"),
+        ({"color_scale": float("nan")}, "color_scale .*nan"),
     ],
 )
 def test_impossible_configurations_are_named(options, message):

@@ -10,5 +10,5 @@ from mrgs.kernels.blur import separable
 
 @pytest.mark.skipif(not is_jitted(separable._add_rows), reason="nothing is compiled")
 def test_an_inner_function_is_called_by_kernels_alone():
-    with pytest.raises(TypeError, match="_add_rows can only be called by a kernel"):
+    with pytest.raises(TypeError, match="_add_rows"):
         separable._add_rows()

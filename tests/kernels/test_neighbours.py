@@ -12,12 +12,12 @@ from mrgs.scene import crowds
 from mrgs.system.operation import plainly
 
 
-def crowded_points() -> torch.Tensor:
-    """80 points at each of two places, and 140 others about them, in random order."""
+def crowded_points(each: int) -> torch.Tensor:
+    """So many points at each of two places, and 140 others about them, in random order."""
     generator = torch.Generator().manual_seed(3)
     places = [torch.tensor([1.0, 0.0, -0.0]), torch.tensor([1.0, 0.2, 0.1])]
     others = torch.randn(140, 3, generator=generator)
-    points = torch.cat([*(place.expand(80, 3) for place in places), others])
+    points = torch.cat([*(place.expand(each, 3) for place in places), others])
     return points[torch.randperm(len(points), generator=generator)]
 
 
@@ -36,9 +36,8 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("k", [1, 8, 60, 299])
-def test_points_at_crowded_places_have_their_nearest_neighbours(k, monkeypatch):
-    monkeypatch.setattr(crowds, "CROWDED", 50)
-    points = crowded_points()
+def test_points_at_crowded_places_have_their_nearest_neighbours(k):
+    points = crowded_points(crowds.CROWDED + 50)
     found = nearest_neighbours(points, k)
     with plainly():
         expected = nearest_neighbours_plain(points, k)
@@ -61,6 +60,6 @@ def test_no_tree_holds_a_crowd(flat, searched):
 
 
 def test_a_few_points_at_one_place_are_searched_as_all_others(searched):
-    points = crowded_points()
+    points = crowded_points(80)
     nearest_neighbours(points, 8)
     assert np.array_equal(searched[0], points.double().numpy())

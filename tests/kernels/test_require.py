@@ -211,19 +211,19 @@ def test_layers_that_do_not_fit_together_are_refused():
     function, arguments = CALLS["color_residuals"]
     head = ColorHead(WIDTH, 2, 8, 0.01)
     head.mlp[2] = torch.nn.Linear(8, 16)
-    with pytest.raises(ValueError, match="the colour head's weight 1 must be float32"):
+    with pytest.raises(ValueError, match="colour head's weight 1"):
         function(**{**arguments, "head": head})
     field = RadianceField(FieldConfig(embedding_width=WIDTH, neighbours_n=2))
     gaussians = random_gaussians(N, bands=15, embedding_width=WIDTH)
     assert len(heat.temperature_residuals(field, gaussians, neighbours())) == N
     wider = gaussians.with_tensors({**gaussians.tensors(), "embedding": ones(N, 2 * WIDTH)})
-    with pytest.raises(ValueError, match="φ_SH's weight 0 must be float32"):
+    with pytest.raises(ValueError, match="φ_SH's weight 0"):
         heat.temperature_residuals(field, wider, neighbours())
 
 
 def test_there_are_no_harmonics_above_degree_three():
     function, arguments = CALLS["shade"]
-    with pytest.raises(ValueError, match="at most 15 bands"):
+    with pytest.raises(ValueError, match="15 bands"):
         function(**{**arguments, "rest": ones(N, 24, 3), "degree": 4})
 
 
@@ -232,10 +232,10 @@ def test_a_camera_has_its_sizes():
     right = [ones(2, 3), ones(2, 4), ones(2, 3), [layer], torch.eye(4), torch.eye(3), 8, 8]
     rasterize(*right)
     for place, wrong in ((4, torch.eye(3)), (5, torch.eye(2)), (6, 0), (7, -1)):
-        with pytest.raises(ValueError, match="a camera has a viewmat"):
+        with pytest.raises(ValueError, match="viewmat"):
             rasterize(*right[:place], wrong, *right[place + 1 :])
         surface = [*right[:3], ones(2), *right[4:]]
-        with pytest.raises(ValueError, match="a camera has a viewmat"):
+        with pytest.raises(ValueError, match="viewmat"):
             median_depth(*surface[:place], wrong, *surface[place + 1 :])
 
 

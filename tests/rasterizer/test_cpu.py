@@ -9,7 +9,6 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from importlib import import_module
 
 import numba
 import pytest
@@ -19,6 +18,7 @@ from mrgs import rasterizer
 from mrgs.rasterizer import Layer, reference
 from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
+from mrgs.system.pieces import PIECE_ROWS
 from tests.helpers.rasterizers import (
     assert_gradients_of_needles,
     assert_same_bits,
@@ -256,12 +256,10 @@ def test_gradients_flow_only_into_what_requires_them(rasterize):
     assert not any(image.requires_grad for image in images_of(scene.render(rasterize)))
 
 
-@pytest.mark.parametrize("rows", [7, 1_000])
-def test_images_are_the_same_without_gradients(rasterize, monkeypatch, rows):
-    """Without them, so many Gaussians are projected at a time."""
-    for name in ("mrgs.system.pieces", "mrgs.kernels.rasterize.cpu.rasterize"):
-        monkeypatch.setattr(import_module(name), "PIECE_ROWS", rows)
-    scene = scene_of(5)
+@pytest.mark.parametrize("count", [60, PIECE_ROWS + 1_000])
+def test_images_are_the_same_without_gradients(rasterize, count):
+    """Without them, ``PIECE_ROWS`` Gaussians are projected at a time."""
+    scene = random_scene(5, count, dtype=torch.float32)
     alone, expected = (images_of(each.render(rasterize)) for each in (scene, scene.with_leaves()))
     assert all(torch.equal(*pair) for pair in zip(alone, expected, strict=True))
 
@@ -315,11 +313,9 @@ def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
     means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
     layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
     plain = inspect.unwrap(rasterize)
-    with pytest.raises(
-        ValueError, match=r"matching sizes; got torch.float32 \(1, 4\) on cpu where \(4, 4\)"
-    ):
+    with pytest.raises(ValueError, match=r"sizes; .*\(1, 4\) .*\(4, 4\)"):
         plain(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
-    with pytest.raises(ValueError, match=r"takes float32 tensors .* got torch.float64"):
+    with pytest.raises(ValueError, match=r"float32 .*got torch\.float64"):
         plain(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
 
 
@@ -346,7 +342,7 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> 
         means, torch.ones(1, 4), torch.full((1, 3), 0.1), [layer], torch.eye(4), K, 10, 8
     )
     raster.blends[0].image.mul_(2)
-    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+    with pytest.raises(RuntimeError, match="inplace operation"):
         raster.blends[0].image.sum().backward()
 
 

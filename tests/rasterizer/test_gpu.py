@@ -248,35 +248,32 @@ def test_many_tiles_are_numbered_by_wider_integers(rasterize, monkeypatch):
     assert_same_bits(render_and_differentiate(rasterize, scene), expected)
 
 
-def test_too_many_pairs_are_refused(rasterize, monkeypatch):
+def test_too_many_pairs_are_refused(gpu_device):
     from mrgs.kernels.rasterize.gpu import rasterize as function
 
-    monkeypatch.setattr(inspect.getmodule(function), "_MOST_PAIRS", 3)
-    with pytest.raises(
-        MrgsError,
-        match=r"the Gaussians reach \d+ tiles of the image together, and at most 3 can be",
-    ):
-        random_scene(1, 20, 20, 12, torch.float32).render(rasterize)
+    each = torch.full((2,), 2**31 - 1, dtype=torch.int32, device=gpu_device)
+    listed = {"depths": torch.ones(2, device=gpu_device), "tiles": 4, "pair_counts": each}
+    with pytest.raises(MrgsError, match="4,294,967,294 tiles"):
+        inspect.getmodule(function)._list(listed)
 
 
-def test_too_many_gaussians_are_refused(rasterize, monkeypatch):
+def test_too_many_gaussians_are_refused(gpu_device):
     from mrgs.kernels.rasterize.gpu import rasterize as function
 
-    monkeypatch.setattr(inspect.getmodule(function), "_MOST_GAUSSIANS", 19)
-    with pytest.raises(
-        MrgsError, match=r"there are 20 Gaussians, and a GPU can draw at most 19: use the CPU"
-    ):
-        random_scene(1, 20, 20, 12, torch.float32).render(rasterize)
+    def many(*columns: int) -> torch.Tensor:  # which take no memory
+        return torch.zeros(1, device=gpu_device).expand(2**28, *columns)
+
+    layer = Layer(many(), many(3), torch.zeros(3, device=gpu_device))
+    with pytest.raises(MrgsError, match="268,435,456 Gaussians"):
+        function(many(3), many(4), many(3), [layer], torch.eye(4), torch.eye(3), 8, 8)
 
 
 def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
     means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
     layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
-    with pytest.raises(
-        ValueError, match=r"on one device; got torch.float32 \(1, 4\) on \w+(:0)? where \(4, 4\)"
-    ):
+    with pytest.raises(ValueError, match=r"device; .*\(1, 4\) .*\(4, 4\)"):
         rasterize(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
-    with pytest.raises(ValueError, match=r"takes float32 tensors .* got torch.float64"):
+    with pytest.raises(ValueError, match=r"float32 .*got torch\.float64"):
         rasterize(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
 
 
@@ -303,7 +300,7 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) ->
     K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
     raster = rasterize(means, quats, scales, [layer], torch.eye(4), K, 10, 8)
     raster.blends[0].image.mul_(2)
-    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+    with pytest.raises(RuntimeError, match="inplace operation"):
         raster.blends[0].image.sum().backward()
 
 

@@ -94,11 +94,16 @@ def test_no_gaussian_in_front_of_the_camera():
     assert medians.isnan().all()
 
 
-def test_chunks_do_not_change_it(monkeypatch):
+def test_chunks_do_not_change_it():
+    """In a tall image, with the Gaussians where the second chunk of pixels begins."""
     scene = on_axis([2.0, 3.0, 4.0], [0.3, 0.4, 0.9])
+    viewmat, _, width, height = CAMERA
+    top = reference.CHUNK_ELEMENTS // 3 // width - height // 2
+    lowered = K + torch.tensor([[0.0, 0, 0], [0, 0, top], [0, 0, 0]])
+    tall = reference.median_depth(*scene, viewmat, lowered, width, top + 2 * height)
     whole = reference.median_depth(*scene, *CAMERA)
-    monkeypatch.setattr(reference, "CHUNK_ELEMENTS", 10)
-    torch.testing.assert_close(reference.median_depth(*scene, *CAMERA), whole, equal_nan=True)
+    assert whole[6:9].isfinite().any(dim=1).all()
+    torch.testing.assert_close(tall[top : top + height], whole, equal_nan=True)
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -321,16 +321,24 @@ def test_each_layer_is_blended_as_if_it_were_alone():
             assert torch.equal(image, image_of_both)
 
 
-def test_chunks_change_neither_images_nor_gradients(monkeypatch):
+def test_chunks_change_neither_images_nor_gradients():
+    scene = random_scene(2, n=40)
+    t = scene.tensors
+    projected = reference.project(
+        t["means"], t["quats"], t["scales"], scene.viewmat, scene.K, scene.width, scene.height
+    )
+    kept = projected.indices
+    given = [projected.means2d, projected.covs2d, projected.depths]
+    given += [t["rgb.opacities"][kept], t["rgb.features"][kept], t["rgb.background"]]
+    pixels = torch.rand(1_500_000 // len(kept), 2, dtype=torch.float64) * scene.width
+    assert len(pixels) * len(kept) > reference.CHUNK_ELEMENTS
     results = []
-    for elements in (2**30, 1000):
-        monkeypatch.setattr(reference, "CHUNK_ELEMENTS", elements)
-        scene = random_scene(2).with_leaves()
-        raster = scene.render(rasterize)
-        sum(image.square().sum() for blend in raster.blends for image in blend).backward()
-        results.append((raster, [t.grad for t in scene.tensors.values()]))
-    assert_same_images(results[0][0], results[1][0], atol=1e-12)
-    torch.testing.assert_close(results[0][1], results[1][1])
+    for function in (reference._blend_layers, reference._BlendInChunks.apply):
+        leaves = [tensor.detach().requires_grad_() for tensor in given]
+        images = function(pixels, *leaves)
+        sum(image.square().sum() for image in images).backward()
+        results.append(([*images], [leaf.grad for leaf in leaves]))
+    torch.testing.assert_close(results[1], results[0])
 
 
 @pytest.mark.parametrize("n", [0, 5])
@@ -365,30 +373,23 @@ unchecked_rasterize = unwrap(
 def test_wrong_shapes_are_named(name, shape):
     scene = random_scene(0, n=20)
     broken = replace(scene, tensors=scene.tensors | {name: torch.zeros(shape, dtype=torch.float64)})
-    with pytest.raises(
-        ValueError,
-        match=rf"^{name} must have the shape \[20, \d\], got \[{shape[0]}, {shape[1]}\]$",
-    ):
+    with pytest.raises(ValueError, match=rf"^{name} .*\[20, \d\].* \[{shape[0]}, {shape[1]}\]$"):
         broken.render(unchecked_rasterize)
 
 
 def test_wrong_layers_cameras_and_sizes_are_named():
     scene = random_scene(0, n=20)
-    with pytest.raises(ValueError, match="one layer or two, got 0"):
+    with pytest.raises(ValueError, match=r"layer .*got 0"):
         scene.render(unchecked_rasterize, ())
-    with pytest.raises(
-        ValueError, match=r"layers\[0\].opacities must have the shape \[20\], got \[3\]"
-    ):
+    with pytest.raises(ValueError, match=r"layers\[0\]\.opacities .*\[20\].* \[3\]"):
         replace(scene, tensors=scene.tensors | {"rgb.opacities": tensor(0.1, 0.2, 0.3)}).render(
             unchecked_rasterize
         )
-    with pytest.raises(
-        ValueError, match=r"layers\[1\].background must have the shape \[1\], got \[3\]"
-    ):
+    with pytest.raises(ValueError, match=r"layers\[1\]\.background .*\[1\].* \[3\]"):
         replace(
             scene, tensors=scene.tensors | {"thermal.background": tensor(0.1, 0.2, 0.3)}
         ).render(unchecked_rasterize)
-    with pytest.raises(ValueError, match=r"viewmat must have the shape \[4, 4\], got \[3, 4\]"):
+    with pytest.raises(ValueError, match=r"viewmat .*got \[3, 4\]"):
         replace(scene, viewmat=scene.viewmat[:3]).render(unchecked_rasterize)
-    with pytest.raises(ValueError, match="at least 1 pixel, got 0 x 29"):
+    with pytest.raises(ValueError, match="0 x 29"):
         replace(scene, width=0).render(unchecked_rasterize)

@@ -54,13 +54,13 @@ def test_an_empty_list_has_no_rows():
 @pytest.mark.parametrize(
     ("array", "message"),
     [
-        (NUMBERS + 1j, "points must be an array of real numbers, not complex ones"),
-        (torch.ones(2, 3) * 1j, "points must be an array of real numbers, not complex ones"),
-        ([[1, 2, 3], [4]], "points must be an array of numbers, its rows of one length"),
-        ([["a", "b", "c"]], "points must be an array of numbers"),
-        (None, "points must be an array of numbers"),
-        ((row for row in NUMBERS), "points must be an array of numbers"),
-        ([], r"points must have shape \[2, 3\], not \[0\]"),
+        (NUMBERS + 1j, "^points .*complex"),
+        (torch.ones(2, 3) * 1j, "^points .*complex"),
+        ([[1, 2, 3], [4]], "^points .*one length"),
+        ([["a", "b", "c"]], "^points .*of numbers"),
+        (None, "^points .*of numbers"),
+        ((row for row in NUMBERS), "^points .*of numbers"),
+        ([], r"^points .*\[2, 3\], not \[0\]"),
     ],
 )
 def test_what_is_no_array_of_numbers(array, message):
@@ -79,9 +79,9 @@ def test_floats_stay_as_they_are_and_integers_become_float64():
 def test_finite_numbers_and_whole_numbers():
     assert as_finite([1, 2], (2,), "target").dtype == torch.float64
     assert as_whole(np.int32(3), "width") == 3
-    with pytest.raises(ValueError, match="target holds NaN or infinity"):
+    with pytest.raises(ValueError, match="target holds NaN"):
         as_finite([1, np.nan], (2,), "target")
-    with pytest.raises(ValueError, match=r"width must be a whole number, not 3\.0"):
+    with pytest.raises(ValueError, match=r"^width .*3\.0"):
         as_whole(3.0, "width")
 
 

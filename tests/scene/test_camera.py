@@ -195,13 +195,16 @@ def test_the_field_of_view_spans_the_width(width, height, fov_deg):
 
 @pytest.mark.parametrize("fov_deg", [0.0, 180.0, float("nan")])
 def test_a_field_of_view_is_an_angle_of_a_pinhole(fov_deg):
-    with pytest.raises(ValueError, match="between 0° and 180°"):
+    with pytest.raises(ValueError, match="180°, not"):
         Camera.from_fov(4, 3, fov_deg)
 
 
-@pytest.mark.parametrize("size", [("64", 48), (64, "48"), (64, 48.0), (None, 48)])
-def test_the_size_for_a_field_of_view_must_be_whole_numbers(size):
-    with pytest.raises(ValueError, match=r"(width|height) must be a whole number, not "):
+@pytest.mark.parametrize(
+    ("size", "side"),
+    [(("64", 48), "width"), ((64, "48"), "height"), ((64, 48.0), "height"), ((None, 48), "width")],
+)
+def test_the_size_for_a_field_of_view_must_be_whole_numbers(size, side):
+    with pytest.raises(ValueError, match=f"^{side} .*whole"):
         Camera.from_fov(*size, 60)
 
 
@@ -222,7 +225,7 @@ def test_looking_at_a_target(position, target):
 
 def test_up_must_not_be_the_viewing_direction():
     for position, target in (([0, 0, 5.0], [0, 0, 0.0]), ([1.0, 2, 3], [1.0, 2, 3])):
-        with pytest.raises(ValueError, match="up must not point along"):
+        with pytest.raises(ValueError, match=r"^up .*along"):
             camera().look_at(position, target)
     camera().look_at([0, 0, 5.0], [0, 0, 0.0], up=[0.0, 1, 0])
 
@@ -243,22 +246,22 @@ def changed(matrix: np.ndarray, place: tuple[int, ...], value: float | np.ndarra
 @pytest.mark.parametrize(
     ("K", "viewmat", "size", "message"),
     [
-        (np.eye(4), np.eye(4), (4, 3), r"K must have shape \[3, 3\], not \[4, 4\]"),
-        (np.eye(3), np.eye(4)[:3], (4, 3), r"viewmat must have shape \[4, 4\], not \[3, 4\]"),
-        (np.eye(3), [["a"] * 4] * 4, (4, 3), "viewmat must be an array of numbers"),
-        (np.eye(3), np.eye(4), (0, 3), "at least one pixel, not 0×3"),
-        (np.eye(3), np.eye(4), (4.0, 3), "width must be a whole number, not 4.0"),
-        (np.eye(3), np.eye(4), (4, "3"), "height must be a whole number, not '3'"),
-        (np.zeros((3, 3)), np.eye(4), (4, 3), "last row of K is 0 0 0, not 0 0 1: give"),
-        (2 * np.eye(3), np.eye(4), (4, 3), "last row of K is 0 0 2, not 0 0 1: give"),
-        (np.diag([5.0, -5, 1]), np.eye(4), (4, 3), "focal lengths in K must be above 0, not 5 -5"),
-        (changed(np.eye(3), (0, 1), 0.2), np.eye(4), (4, 3), r"K has a skew \(K\[0, 1\] = 0.2"),
-        (changed(np.eye(3), (0, 0), np.inf), np.eye(4), (4, 3), "K holds NaN or infinity"),
-        (np.eye(3), changed(np.eye(4), (0, 3), np.nan), (4, 3), "viewmat holds NaN or infinity"),
-        (np.eye(3), np.diag([2.0, 2, 2, 1]), (4, 3), "not a rotation and a translation"),
-        (np.eye(3), np.diag([1.0, 1, -1, 1]), (4, 3), "not a rotation and a translation"),
-        (np.eye(3), changed(np.eye(4), (0, 1), 0.01), (4, 3), "not a rotation and a translation"),
-        (np.eye(3), changed(np.eye(4), (3,), 5.0), (4, 3), "last row of viewmat is 5 5 5 5, not 0"),
+        (np.eye(4), np.eye(4), (4, 3), r"^K .*\[3, 3\], not \[4, 4\]"),
+        (np.eye(3), np.eye(4)[:3], (4, 3), r"^viewmat .*\[4, 4\], not \[3, 4\]"),
+        (np.eye(3), [["a"] * 4] * 4, (4, 3), "^viewmat .*of numbers"),
+        (np.eye(3), np.eye(4), (0, 3), "not 0×3"),
+        (np.eye(3), np.eye(4), (4.0, 3), r"^width .*4\.0"),
+        (np.eye(3), np.eye(4), (4, "3"), "^height .*'3'"),
+        (np.zeros((3, 3)), np.eye(4), (4, 3), "K is 0 0 0,"),
+        (2 * np.eye(3), np.eye(4), (4, 3), "K is 0 0 2,"),
+        (np.diag([5.0, -5, 1]), np.eye(4), (4, 3), "K .*5 -5"),
+        (changed(np.eye(3), (0, 1), 0.2), np.eye(4), (4, 3), r"skew \(K\[0, 1\] = 0\.2"),
+        (changed(np.eye(3), (0, 0), np.inf), np.eye(4), (4, 3), "K holds NaN"),
+        (np.eye(3), changed(np.eye(4), (0, 3), np.nan), (4, 3), "viewmat holds NaN"),
+        (np.eye(3), np.diag([2.0, 2, 2, 1]), (4, 3), "not a rotation"),
+        (np.eye(3), np.diag([1.0, 1, -1, 1]), (4, 3), "not a rotation"),
+        (np.eye(3), changed(np.eye(4), (0, 1), 0.01), (4, 3), "not a rotation"),
+        (np.eye(3), changed(np.eye(4), (3,), 5.0), (4, 3), "viewmat is 5 5 5 5,"),
     ],
 )
 def test_what_is_no_camera(K, viewmat, size, message):
@@ -291,9 +294,9 @@ def test_sizes_of_numpy_become_ints():
 
 
 def test_places_are_finite():
-    with pytest.raises(ValueError, match="position holds NaN or infinity"):
+    with pytest.raises(ValueError, match="position holds NaN"):
         camera().look_at([np.nan, 1, 1], [0, 0, 0])
-    with pytest.raises(ValueError, match="target holds NaN or infinity"):
+    with pytest.raises(ValueError, match="target holds NaN"):
         camera().look_at([1, 1, 1], [0, 0, np.inf])
 
 

@@ -127,7 +127,7 @@ def test_any_capture_gives_finite_rigid_poses(seed: int, count: int, frames: int
 
 
 def test_errors() -> None:
-    with pytest.raises(ConfigError, match="at least one training camera"):
+    with pytest.raises(ConfigError, match="training camera"):
         orbit([], 5)
-    with pytest.raises(ConfigError, match="at least one frame, got 0"):
+    with pytest.raises(ConfigError, match="frame, got 0"):
         orbit(ring(), 0)

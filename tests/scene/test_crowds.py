@@ -6,15 +6,14 @@ from mrgs.scene import crowds as module
 from mrgs.scene.crowds import crowds, spare_points
 
 
-def test_crowds_are_places_with_many_points(monkeypatch):
-    monkeypatch.setattr(module, "CROWDED", 3)
+def test_crowds_are_places_with_many_points():
     places = np.array([[0.0, 0, 0], [0, 0, 1], [0, 0, 2]])
     which = np.array([0, 1, 2, 1, 0, 1, 1, 0, 1, 0])
     points = places[which]
     points[4] *= -1.0  # -0 is the same place
-    found = crowds(points, 1)
+    found = crowds(points, 1, most=3)
     assert [each.tolist() for each in found] == [[0, 4, 7, 9], [1, 3, 5, 6, 8]]
-    assert [each.tolist() for each in crowds(points, 4)] == [[1, 3, 5, 6, 8]]
+    assert [each.tolist() for each in crowds(points, 4, most=3)] == [[1, 3, 5, 6, 8]]
     assert spare_points(found, 3).tolist() == [9, 6, 8]
 
 

@@ -44,19 +44,19 @@ def test_names_are_lower_case_identifiers(name):
 
 @pytest.mark.parametrize("name", ["", "NIR", "near infrared", "2nd", "_nir", "nir_", "a.b", "a\n"])
 def test_other_names_are_refused(name):
-    with pytest.raises(ValueError, match="a modality's name must be a lower-case identifier"):
+    with pytest.raises(ValueError, match="lower-case"):
         Modality(name, 1)
 
 
 @pytest.mark.parametrize("channels", [0, -1])
 def test_a_modality_needs_a_channel(channels):
-    with pytest.raises(ValueError, match="modality nir needs at least one channel"):
+    with pytest.raises(ValueError, match=r"nir .*channel"):
         Modality("nir", channels)
 
 
 @pytest.mark.parametrize("texts", [{"unit": "W\n"}, {"title": "n" * 41}, {"title": "a\x1bb"}])
 def test_texts_that_cannot_be_shown_are_refused(texts):
-    with pytest.raises(ValueError, match="texts of modality nir must be printable and of at most"):
+    with pytest.raises(ValueError, match=r"nir .*printable"):
         Modality("nir", 1, **texts)
 
 
@@ -104,11 +104,11 @@ def test_a_registered_modality_is_known_by_its_name(near_infrared):
 
 @pytest.mark.parametrize("other", [Modality("nir", 3), Modality("rgb", 1), Modality("thermal", 2)])
 def test_a_name_stands_for_one_modality(other, near_infrared):
-    with pytest.raises(ValueError, match=f"there is another modality '{other}'"):
+    with pytest.raises(ValueError, match=f"another modality '{other}'"):
         register_modality(other)
     assert known_modalities() == (RGB, THERMAL, near_infrared)
 
 
 def test_an_unknown_name_is_named_with_those_that_are_known():
-    with pytest.raises(ValueError, match="unknown modality 'nir'; known are rgb, thermal"):
+    with pytest.raises(ValueError, match=r"'nir'; .*rgb, thermal"):
         modality_named("nir")

@@ -29,17 +29,17 @@ def test_a_record_survives_json(record):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (3, "it is not an object"),
-        ({"serial": 7}, "its serial is not a short text"),
-        ({"camera": "\x1b[2J"}, "its camera is not a short text"),
-        ({"taken": 5}, "its time is not a text"),
+        (3, "an object"),
+        ({"serial": 7}, "its serial"),
+        ({"camera": "\x1b[2J"}, "its camera"),
+        ({"taken": 5}, "its time"),
         ({"taken": "yesterday"}, "yesterday"),
-        ({"planck": [1, 2]}, "its Planck constants are not those that are known"),
-        ({"planck": {"r1": 1.0}}, "its Planck constants are not complete"),
-        ({"parameters": {"emissivity": "high"}}, "its parameters are not numbers"),
-        ({"given": {"colour": 1}}, "its given parameters are not those that are known"),
-        ({"given": {"emissivity": 2}}, "its given emissivity cannot be true"),
-        ({"parameters": {"colour": 1}}, "its parameters are not those that are known"),
+        ({"planck": [1, 2]}, "Planck .*known"),
+        ({"planck": {"r1": 1.0}}, "Planck .*complete"),
+        ({"parameters": {"emissivity": "high"}}, "its parameters .*numbers"),
+        ({"given": {"colour": 1}}, "given parameters"),
+        ({"given": {"emissivity": 2}}, "given emissivity"),
+        ({"parameters": {"colour": 1}}, "its parameters .*known"),
         ({**RECORD.to_json(), "planck": {"r1": 0, "r2": 1, "b": 1, "f": 1, "o": 1}}, "R1 = 0"),
     ],
 )
@@ -51,5 +51,5 @@ def test_what_is_no_record_is_refused(value, message):
 def test_a_wrong_emissivity_is_refused():
     value = RECORD.to_json()
     value["parameters"]["emissivity"] = 2.0
-    with pytest.raises(ValueError, match=r"it cannot be true .*2 is not between 0.01 and 1"):
+    with pytest.raises(ValueError, match=r"2 .*between 0\.01"):
         PhotoRecord.from_json(value)

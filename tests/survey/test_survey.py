@@ -54,19 +54,19 @@ def test_assignments_change_some_fields():
 @pytest.mark.parametrize(
     ("assignment", "message"),
     [
-        ("client", "write NAME=VALUE, with a NAME of title, object"),
-        ("nobody=1", "write NAME=VALUE, with a NAME of title, object"),
-        ("inside_c=warm", "inside_c must be of type float, not 'warm'"),
-        ("wind_m_s=-3", "wind_m_s must be from 0 to 100 m/s, not -3"),
-        ("hot_places=101", "hot_places must be from 0 to 100, not 101"),
-        ("cold_places=1.5", "cold_places must be of type int, not 1.5"),
-        ("standard=my own", "standard must be one of EN 13187, ISO 6781-3, IEC TS 62446-3"),
-        ("date=tomorrow", "date must be a day such as 2026-05-01, without a time, not 'tomorrow'"),
-        ("date=2026-05-01 10:00", "such as 2026-05-01, without a time, not '2026-05-01 10:00'"),
-        ("date=2026-05-01 10:00:00", "without a time, not '2026-05-01 10:00:00'"),
-        ("date=01.05.2026", "without a time, not '01.05.2026'"),
-        ("date=2026", "date must be a day such as 2026-05-01, without a time, not '2026'"),
-        ("remarks=" + "x" * 2001, "remarks must be a text of at most 2,000 printable characters"),
+        ("client", "NAME=VALUE, .*title, object"),
+        ("nobody=1", "NAME=VALUE, .*title, object"),
+        ("inside_c=warm", "inside_c .*'warm'"),
+        ("wind_m_s=-3", "wind_m_s .*m/s, .*-3"),
+        ("hot_places=101", "hot_places .*101"),
+        ("cold_places=1.5", r"cold_places .*1\.5"),
+        ("standard=my own", "standard .*EN 13187"),
+        ("date=tomorrow", "date .*'tomorrow'"),
+        ("date=2026-05-01 10:00", "date .*'2026-05-01 10:00'"),
+        ("date=2026-05-01 10:00:00", "date .*'2026-05-01 10:00:00'"),
+        ("date=01.05.2026", r"date .*'01\.05\.2026'"),
+        ("date=2026", "date .*'2026'"),
+        ("remarks=" + "x" * 2001, "remarks .*2,000"),
     ],
 )
 def test_what_cannot_be_stated(assignment, message):
@@ -85,7 +85,7 @@ def test_a_date_with_and_without_quotes(tmp_path, text):
 def test_a_time_that_yaml_takes_for_a_number(tmp_path):
     path = tmp_path / "survey.yaml"
     path.write_text("time: 10:30\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match="time must be of type str, not 630; put it in quotes"):
+    with pytest.raises(ConfigError, match=r"time .*630; .*quotes"):
         read_survey(path)
 
 
@@ -95,8 +95,8 @@ def test_a_file_that_is_no_survey(tmp_path):
     with pytest.raises(RunError, match="cannot be read"):
         read_survey(path)
     path.write_text("x" * 100_001, encoding="utf-8")
-    with pytest.raises(RunError, match=r"has more than 100,000 bytes: it is no survey"):
+    with pytest.raises(RunError, match=r"100,000 bytes"):
         read_survey(path)
     path.write_text("weather: sun\nclouds: 3\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"there is no field 'clouds'; known are title, object"):
+    with pytest.raises(ConfigError, match=r"'clouds'; .*title, object"):
         read_survey(path)

@@ -79,7 +79,7 @@ def test_its_photos_are_listed(two_boxes: Stage, tmp_path: Path) -> None:
 
 
 def test_an_unknown_band_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown bands uv: choose of nir"):
+    with pytest.raises(ConfigError, match=r"uv: .*nir"):
         synthesize(tmp_path / "scene", bands=["uv"])
 
 

@@ -71,9 +71,9 @@ def check_thermal_against_truth(scene: Path, name: str, blur_c: float = 0.5) -> 
     [
         ({"width": 33}, "33×24"),
         ({"height": 8}, "32×8"),
-        ({"train_views": 1}, "2 or more training views"),
-        ({"eval_views": -1}, "0 or more evaluation views"),
-        ({"samples": 0}, "1 or more samples"),
+        ({"train_views": 1}, "training views"),
+        ({"eval_views": -1}, "evaluation views"),
+        ({"samples": 0}, "samples"),
     ],
 )
 def test_arguments_that_cannot_be(tmp_path: Path, change: dict[str, Any], message: str) -> None:

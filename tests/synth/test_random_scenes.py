@@ -138,7 +138,7 @@ def test_what_is_wrong_is_found(two_boxes: Stage) -> None:
     assert "at nothing" in fault(cameras=dataclasses.replace(arc, target=(0.0, 0.0, 30.0)))
     assert "fewer than three" in fault(solids=two_boxes.solids)
     lamp = Lamp((0.0, 0.0, 0.3), (0.0, 0.0, 0.0), (0.2, 0.2), (1.0, 1.0, 1.0))
-    assert fault(lamps=(lamp,)) == "a lamp is visible"
+    assert "lamp" in fault(lamps=(lamp,))
     above = dataclasses.replace(lamp, position=(0.0, 0.0, 3.0))
     assert unseen([lamp, above], arc) == (above,)
 

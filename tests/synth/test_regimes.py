@@ -144,12 +144,12 @@ def test_small_thermal_photos_show_the_same(tmp_path: Path, original: Scene) -> 
 
 
 def test_what_cannot_be(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown regime fog: choose one of all, views-12"):
+    with pytest.raises(ConfigError, match=r"fog: .*all, views-12"):
         make_regime(SCENE, tmp_path / "out", "fog")
     with pytest.raises(ConfigError, match=r"no transforms\.json"):
         make_regime(tmp_path, tmp_path / "out", "all")
     main([str(SCENE), str(tmp_path / "out"), "--name", "views-8"])
-    with pytest.raises(ConfigError, match="holds a scene already"):
+    with pytest.raises(ConfigError, match="already"):
         make_regime(SCENE, tmp_path / "out", "all")
-    with pytest.raises(ConfigError, match="8 training views, fewer than 12"):
+    with pytest.raises(ConfigError, match=r"8 .*than 12"):
         make_regime(tmp_path / "out", tmp_path / "fewer", "views-12")

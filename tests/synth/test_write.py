@@ -82,7 +82,7 @@ def test_a_scene_is_never_overwritten(tmp_path: Path) -> None:
     folder = SceneFolder.create(tmp_path / "scene")
     SceneFolder.create(tmp_path / "scene")  # what an interrupted run left behind is empty
     folder.rgb("frame_train_00001", np.zeros((24, 32, 3), dtype=np.uint8))
-    with pytest.raises(ConfigError, match="holds a scene already"):
+    with pytest.raises(ConfigError, match="already"):
         SceneFolder.create(tmp_path / "scene")
 
 

@@ -12,14 +12,17 @@ CROWDED = 1_000
 """So many points at one place are still compared with each other."""
 
 
-def crowds(points: Float64[np.ndarray, "n 3"], kept: int) -> list[Int64[np.ndarray, "_"]]:
+def crowds(
+    points: Float64[np.ndarray, "n 3"], kept: int, most: int = CROWDED
+) -> list[Int64[np.ndarray, "_"]]:
     """The points of each crowded place, in ascending order.
 
     Args:
         points: at least one.
         kept: a place with so few points is none.
+        most: nor is one with so many.
     """
-    most = max(CROWDED, kept)
+    most = max(most, kept)
     if np.unique(points[:, 0], return_counts=True)[1].max() <= most:  # much faster than all axes
         return []
     _, place, counts = np.unique(points, axis=0, return_inverse=True, return_counts=True)

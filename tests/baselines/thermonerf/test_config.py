@@ -25,29 +25,21 @@ def test_the_learning_rate_decays_from_one_end_to_the_other():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("max_steps: 0", "x.yaml: max_steps must be at least 1, not 0"),
-        ("rays_per_batch: 0", "x.yaml: rays_per_batch must be at least 1, not 0"),
-        ("resolution: 3", "x.yaml: resolution must be at least 16 px, not 3"),
-        (
-            "learning_rate_final: 1",
-            "x.yaml: learning_rate_final must be positive and not above learning_rate, not 1.0 "
-            "with 0.01",
-        ),
-        ("method: mrgs", "x.yaml: method must be one of thermonerf, not 'mrgs'"),
-        (
-            "sampling: {field: 1}",
-            "x.yaml: sampling: the number of field samples must be at least 2, not 1",
-        ),
+        ("max_steps: 0", r"x\.yaml: max_steps .*not 0"),
+        ("rays_per_batch: 0", r"x\.yaml: rays_per_batch .*not 0"),
+        ("resolution: 3", r"x\.yaml: resolution .*not 3"),
+        ("learning_rate_final: 1", r"x\.yaml: learning_rate_final .*1\.0"),
+        ("method: mrgs", r"x\.yaml: method .*'mrgs'"),
+        ("sampling: {field: 1}", r"x\.yaml: sampling: .*not 1"),
     ],
 )
 def test_values_that_are_not_allowed_are_named(text, message):
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=message):
         from_yaml(text, "x.yaml")
-    assert str(caught.value) == message
 
 
 def test_text_that_is_not_yaml_is_named():
-    with pytest.raises(ConfigError, match=r"x\.yaml is not valid YAML"):
+    with pytest.raises(ConfigError, match=r"x\.yaml .*YAML"):
         from_yaml("[", "x.yaml")
 
 
@@ -61,7 +53,5 @@ def test_a_preset_sets_steps_and_rays():
     )
     assert make_config("fast", max_steps=7).max_steps == 7
     assert make_config() == ThermoNerfConfig()
-    with pytest.raises(
-        ConfigError, match="unknown preset 'slow'; choose one of fast, default, paper"
-    ):
+    with pytest.raises(ConfigError, match=r"'slow'; .*fast, default, paper"):
         make_config("slow")

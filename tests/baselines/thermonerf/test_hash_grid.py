@@ -23,15 +23,11 @@ def test_a_level_has_an_entry_per_corner_or_the_most_there_may_be():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ((0, 4, 8, 10), "levels must be at least 1, not 0"),
-        (
-            (2, 8, 4, 10),
-            "a grid's resolutions must be 1 <= coarsest <= finest <= 1048576, not 8, 4",
-        ),
-        ((2, 4, 8, 30), "log2_entries must be at most 24, not 30"),
+        ((0, 4, 8, 10), "levels .*not 0"),
+        ((2, 8, 4, 10), "resolutions .*not 8, 4"),
+        ((2, 4, 8, 30), "log2_entries .*not 30"),
     ],
 )
 def test_sizes_that_are_not_allowed_are_named(values, message):
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=message):
         HashGridConfig(*values)
-    assert str(caught.value) == message

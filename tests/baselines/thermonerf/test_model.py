@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import torch
 
-from mrgs.baselines.thermonerf import model as model_module
 from mrgs.baselines.thermonerf.frame import frame_of
+from mrgs.baselines.thermonerf.model import ALL_ROWS, CHUNK_RAYS
+from mrgs.baselines.thermonerf.rays import CameraRays
 from mrgs.baselines.thermonerf.step import new_model
 from mrgs.data import load_scene
 from mrgs.scene import RGB, THERMAL
@@ -26,15 +27,20 @@ def test_a_view_is_rendered_from_each_of_its_cameras(small_scene):
     torch.testing.assert_close(alone[THERMAL].image, both[THERMAL].image)
 
 
-def test_the_size_of_the_chunks_does_not_show(small_scene, monkeypatch):
+def test_the_size_of_the_chunks_does_not_show(small_scene):
     scene = load_scene(small_scene)
     model = new_model(small_config(), frame_of(scene))
-    camera = scene.eval[0].images[RGB].camera
-    whole = model.render({RGB: camera, THERMAL: camera})
-    monkeypatch.setattr(model_module, "CHUNK_RAYS", 17)
-    again = model.render({RGB: camera, THERMAL: camera})
+    camera = scene.eval[0].images[RGB].camera.resized(120, 90)
+    rays = CameraRays([camera], model.frame)
+    assert len(rays) > CHUNK_RAYS
+    rendering = model.render({RGB: camera, THERMAL: camera})
+    with torch.no_grad():
+        whole = model.trace(
+            rays.through(torch.arange(len(rays))), dict.fromkeys((RGB, THERMAL), ALL_ROWS)
+        )
     for modality in (RGB, THERMAL):
-        torch.testing.assert_close(whole[modality], again[modality])
+        image = rendering[modality].image.flatten(0, 1)
+        torch.testing.assert_close(image, whole.values[modality].reshape(image.shape))
 
 
 def test_depth_is_that_of_the_surface(small_scene):

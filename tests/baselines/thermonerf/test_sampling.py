@@ -64,5 +64,5 @@ def test_samples_gather_where_the_weight_is():
 
 
 def test_too_few_samples_are_refused():
-    with pytest.raises(ConfigError, match="samples must be at least 2, not 1"):
+    with pytest.raises(ConfigError, match=r"samples .*not 1"):
         SamplingConfig(proposal=16, field=1)

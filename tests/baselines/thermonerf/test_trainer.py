@@ -113,10 +113,11 @@ def test_what_needs_gaussians_refuses(small_scene, tmp_path):
     folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
     with pytest.raises(RunError) as caught:
         load_run(folder.path)
-    assert str(caught.value) == (
-        f"{folder.path} is a run of thermonerf, which has no Gaussians to export, view or report "
-        "on; `mrgs eval` and `mrgs render` work with it"
-    )
+    text = str(caught.value)
+    assert text.startswith(str(folder.path))
+    assert "thermonerf" in text
+    assert "`mrgs eval`" in text
+    assert "`mrgs render`" in text
 
 
 def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene, tmp_path):
@@ -124,16 +125,13 @@ def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene
         small_scene, tmp_path / "run", make_config("mrgs", max_steps=1, max_gaussians=50)
     )
     assert open_run(folder.path).gaussian_count == len(load_run(folder.path).model.gaussians)
-    with pytest.raises(
-        RunError,
-        match="run is a run of mrgs, not of thermonerf",
-    ):
+    with pytest.raises(RunError, match=r"of mrgs, .*thermonerf"):
         train_thermonerf(small_scene, folder.path, small_config(), resume=True)
 
 
 def test_a_run_is_never_overwritten(small_scene, tmp_path):
     folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
-    with pytest.raises(RunError, match="already holds a run: resume it"):
+    with pytest.raises(RunError, match="resume it"):
         train_thermonerf(small_scene, folder.path, small_config(1))
 
 
@@ -146,7 +144,7 @@ def test_a_run_that_died_before_its_first_checkpoint_is_begun_anew(small_scene, 
 
 def test_somebody_elses_configuration_is_kept(small_scene, tmp_path):
     (tmp_path / "config.yaml").write_text("theme: dark\n")
-    with pytest.raises(RunError, match=r"holds a config\.yaml that is not a run's"):
+    with pytest.raises(RunError, match=r"config\.yaml .*not a"):
         train_thermonerf(small_scene, tmp_path, small_config(1))
 
 
@@ -154,15 +152,15 @@ def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp
     folder = train_thermonerf(small_scene, tmp_path / "run", small_config(2))
     text = folder.config_file.read_text()
     folder.config_file.write_text(text.replace("hidden_width: 16", "hidden_width: 32"))
-    with pytest.raises(RunError, match=r"does not fit the run's config\.yaml"):
+    with pytest.raises(RunError, match=r"not fit .*config\.yaml"):
         open_run(folder.path)
     folder.config_file.write_text(text + "colour: red\n")
-    with pytest.raises(RunError, match=r"there is no field 'colour'.*; fix the file or retrain"):
+    with pytest.raises(RunError, match=r"'colour'.*; fix"):
         open_run(folder.path)
     folder.config_file.write_text(text)
     path = folder.newest_checkpoint()
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(RunError, match="no checkpoint that is whole"):
+    with pytest.raises(RunError, match="no checkpoint"):
         open_run(folder.path)
 
 
@@ -183,11 +181,8 @@ def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, monkeyp
     with pytest.raises(TrainingError) as caught:
         train_thermonerf(small_scene, tmp_path / "run", small_config(20, checkpoint_every=3))
     kept = tmp_path / "run/checkpoints/step_000003.safetensors"
-    assert str(caught.value) == (
-        "3 steps in a row gave values that are not finite, at step 6; "
-        f"the last good checkpoint is {kept}. "
-        "Resume with a smaller learning rate, or check the scene's poses and images"
-    )
+    assert "at step 6;" in str(caught.value)
+    assert str(kept) in str(caught.value)
     assert all(tensor.isfinite().all() for tensor in load_file(kept).values())
     assert load_facts(kept).skipped_steps == 1
 

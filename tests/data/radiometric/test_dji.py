@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.data.radiometric import Overrides, dji, read_thermal_photo
-from mrgs.data.radiometric.dji import SIZES, TOOL
+from mrgs.data.radiometric import Overrides, read_thermal_photo
+from mrgs.data.radiometric.dji import SIZES, TOOL, run_tool
 from mrgs.errors import SceneError, ToolError
 
 
@@ -63,9 +63,10 @@ def r_jpeg(folder):
 
 def test_without_the_tool_an_r_jpeg_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
-    command = r"dji_irp -s DJI_0001_T.JPG -a measure -o DJI_0001_T.raw --measurefmt float32"
-    with pytest.raises(ToolError, match=f"is a DJI R-JPEG.* install the SDK .*{command}"):
+    command = "dji_irp -s DJI_0001_T.JPG -a measure -o DJI_0001_T.raw --measurefmt float32"
+    with pytest.raises(ToolError, match=r"Thermal SDK") as caught:
         read_thermal_photo(r_jpeg(tmp_path))
+    assert command in str(caught.value)  # to be run elsewhere
 
 
 def test_with_the_tool_it_is_read(tmp_path, tool):
@@ -74,7 +75,7 @@ def test_with_the_tool_it_is_read(tmp_path, tool):
     photo = read_thermal_photo(path)
     assert photo.temperature_c.shape == (512, 640)
     assert photo.temperature_c[0, 0] == 20
-    assert photo.facts.source == "DJI R-JPEG, read by dji_irp"
+    assert TOOL in photo.facts.source
     arguments = ast.literal_eval(log.read_text())
     assert arguments[:4] == ["-s", str(path), "-a", "measure"]
     assert arguments[-2:] == ["--measurefmt", "float32"]
@@ -98,9 +99,8 @@ def test_what_the_user_knows_better_is_handed_on(tmp_path, tool):
     assert dict(photo.facts.record.given) == {
         "emissivity": 0.93, "distance_m": 12, "humidity": 0.55, "reflected_c": -4.5,
     }  # fmt: skip
-    assert photo.facts.warnings == (
-        "window_c had no effect: DJI's tool computes the temperatures.",
-    )
+    (warning,) = photo.facts.warnings
+    assert warning.startswith("window_c had no effect")
 
 
 @pytest.mark.parametrize("name", ["unit", "bounds_c"])
@@ -109,41 +109,46 @@ def test_what_is_meant_by_numbers_that_it_does_not_hold_has_no_effect(tmp_path, 
     overrides = Overrides(**{name: {"unit": "kelvin", "bounds_c": (0, 50)}[name]})
     photo = read_thermal_photo(r_jpeg(tmp_path), overrides)
     assert photo.temperature_c[0, 0] == 20
-    assert photo.facts.warnings == (f"{name} had no effect: DJI's tool computes the temperatures.",)
+    (warning,) = photo.facts.warnings
+    assert warning.startswith(f"{name} had no effect")
 
 
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ("time.sleep(60)", r"did not end within 0\.5 s"),
         (
             "print('ERROR: not a valid R-JPEG')\nsys.exit(3)",
-            r"failed with status 3 \(ERROR: not a valid R-JPEG\)",
+            r"status 3 \(ERROR: not a valid R-JPEG\)",
         ),
-        ("sys.exit(1)", r"failed with status 1 \(no message\)"),
-        ("", "dji_irp wrote 0 bytes"),
-        ("open(arguments['-o'], 'wb').write(bytes(1000))", "dji_irp wrote 1000 bytes"),
-        ("open(arguments['-o'], 'wb').truncate(10**9)", "dji_irp wrote 1000000000 bytes"),
+        ("sys.exit(1)", r"status 1 \(no message\)"),
+        ("", "wrote 0 bytes"),
+        ("open(arguments['-o'], 'wb').write(bytes(1000))", "wrote 1000 bytes"),
+        ("open(arguments['-o'], 'wb').truncate(10**9)", "wrote 1000000000 bytes"),
         (
             "open(arguments['-o'], 'wb').write(np.full(640 * 512, 9e9, '<f4').tobytes())",
-            "none of its numbers is a temperature in celsius",
+            "temperature in celsius",
         ),
     ],
-    ids=["hangs", "fails", "fails silently", "nothing", "too little", "too much", "nonsense"],
+    ids=["fails", "fails silently", "nothing", "too little", "too much", "nonsense"],
 )
-def test_a_tool_that_does_not_work_is_one_line(tmp_path, tool, monkeypatch, body, message):
+def test_a_tool_that_does_not_work_is_one_line(tmp_path, tool, body, message):
     tool(body)
-    if "sleep" in body:
-        monkeypatch.setattr(dji, "TIME_LIMIT_S", 0.5)
     with pytest.raises(SceneError, match=message) as caught:
         read_thermal_photo(r_jpeg(tmp_path))
     assert "\n" not in str(caught.value)
 
 
+def test_a_tool_that_hangs_is_given_up(tmp_path, tool):
+    log = tool("time.sleep(60)")
+    program = log.parent / "bin" / TOOL
+    with pytest.raises(ToolError, match=r"within 0\.5 s"):
+        run_tool(str(program), r_jpeg(tmp_path), tmp_path / "out", {}, limit_s=0.5)
+
+
 def test_a_tool_that_is_no_program_is_one_line(tmp_path, tool):
     tool()
     (tmp_path / "bin" / TOOL).write_bytes(b"\x7fELF nothing")
-    with pytest.raises(SceneError, match="dji_irp cannot be run"):
+    with pytest.raises(SceneError, match="cannot be run"):
         read_thermal_photo(r_jpeg(tmp_path))
 
 
@@ -166,9 +171,9 @@ def test_bare_numbers(save, form, factor):
         save("a.raw", np.rint(celsius * 10 / (10 / factor)).astype(form).tobytes())
     )
     np.testing.assert_allclose(photo.temperature_c, celsius, atol=0.51 if factor == 1 else 0.051)
-    assert photo.facts.source == "output of DJI's Thermal SDK"
+    assert "SDK" in photo.facts.source
 
 
 def test_bare_numbers_of_another_length(save):
-    with pytest.raises(SceneError, match="has 1000 bytes, which is no image of a DJI camera"):
+    with pytest.raises(SceneError, match="1000 bytes"):
         read_thermal_photo(save("a.raw", bytes(1000)))

@@ -170,7 +170,7 @@ def test_a_visible_photo_of_another_kind_is_left_out_and_said(save):
 def test_a_damaged_visible_photo_leaves_the_temperatures(save):
     photo = read_thermal_photo(save("a.jpg", FlirPhoto(visible=b"\xff\xd8\xff nothing").jpeg()))
     assert photo.valid.all()
-    with pytest.raises(SceneError, match="cannot be decoded as an image"):
+    with pytest.raises(SceneError, match="decoded"):
         photo.facts.visible.pixels()
 
 
@@ -192,75 +192,65 @@ def test_pixels_without_a_temperature_are_masked(save):
 def test_temperatures_outside_of_the_calibration_are_said(save):
     written = FlirPhoto(info_fields={0x90: struct.pack("<2f", 250 + 273.15, 100 + 273.15)})
     warnings = read_thermal_photo(save("a.jpg", written.jpeg())).facts.warnings
-    assert any("100 to 250 °C that the camera is calibrated for" in warning for warning in warnings)
+    assert any("100 to 250 °C" in warning and "calibrated" in warning for warning in warnings)
 
 
 def test_overrides_without_effect_are_said(save):
     photo = read_thermal_photo(save("a.jpg", FlirPhoto().jpeg()), Overrides(unit="kelvin"))
-    assert (
-        "unit had no effect: the temperatures follow from the camera's signal."
-        in photo.facts.warnings
-    )
+    assert any(each.startswith("unit had no effect") for each in photo.facts.warnings)
 
 
-@pytest.mark.parametrize("record", [0x01, 0x20])
-def test_a_missing_record(save, record):
-    with pytest.raises(
-        SceneError, match=r"its thermal record holds no (raw image|camera info with the Planck)"
-    ):
+@pytest.mark.parametrize(("record", "what"), [(0x01, "no raw image"), (0x20, "no camera info")])
+def test_a_missing_record(save, record, what):
+    with pytest.raises(SceneError, match=what):
         read_thermal_photo(save("a.jpg", FlirPhoto(without=(record,)).jpeg()))
 
 
 @pytest.mark.parametrize("kept", [30, 100, 500, 1400, 2000])
 def test_a_record_that_is_cut_off(save, kept):
-    with pytest.raises(
-        SceneError, match=r"its thermal record (is cut off|does not start as FLIR's do)"
-    ):
+    with pytest.raises(SceneError, match=r"cut off|not start"):
         read_thermal_photo(save("a.jpg", FlirPhoto().jpeg(FlirPhoto().record()[:kept])))
 
 
 def test_a_file_that_is_cut_off(save):
     whole = FlirPhoto(part_bytes=1000).jpeg()
     for kept in (500, 1500, len(whole) - 900):
-        with pytest.raises(
-            SceneError,
-            match=r"its thermal record is cut off or damaged \(\d of 3 parts are whole\)",
-        ):
+        with pytest.raises(SceneError, match=r"\d of 3 parts"):
             read_thermal_photo(save("a.jpg", whole[:kept]))
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({0x58: bytes(12), 0x308: bytes(8)}, "its Planck constants are missing"),
+        ({0x58: bytes(12), 0x308: bytes(8)}, "constants are missing"),
         (
             {0x58: struct.pack("<f", float("nan"))},
-            r"its Planck constants are absurd \(not a number\)",
+            r"\(not a number\)",
         ),
-        ({0x58: struct.pack("<f", -3.0)}, r"its Planck constants are absurd \(R1 = -3"),
-        ({0x5C: struct.pack("<f", 3.0)}, r"its Planck constants are absurd \(B = 3\)"),
-        ({0x60: struct.pack("<f", 99.0)}, r"its Planck constants are absurd \(F = 99\)"),
+        ({0x58: struct.pack("<f", -3.0)}, r"absurd \(R1 = -3"),
+        ({0x5C: struct.pack("<f", 3.0)}, r"absurd \(B = 3\)"),
+        ({0x60: struct.pack("<f", 99.0)}, r"absurd \(F = 99\)"),
         (
             {0x308: struct.pack("<i", -(10**9))},
-            "its Planck constants are absurd: they give no plausible",
+            "absurd: .* plausible",
         ),
         (
             {0x20: struct.pack("<f", 0.0)},
-            "its emissivity of 0 is not between 0.01 and 1; give the true one",
+            r"emissivity of 0 .*0\.01",
         ),
         (
             {0x24: struct.pack("<f", float("inf"))},
-            "its distance_m of inf is not between .*; give the true one",
+            "distance_m of inf",
         ),
         (
             {0x2C: struct.pack("<f", 0.0)},
-            "its atmospheric_c of -273.15 is not between .*",
+            r"atmospheric_c of -273\.15",
         ),
         (
             {0x70: struct.pack("<5f", 9, 9, 9, 9, 9)},
-            "of the radiation pass; give a distance of 0 m",
+            "distance of 0 m",
         ),
-        ({0x00: b"\7\7"}, "its camera info is damaged"),
+        ({0x00: b"\7\7"}, "info is damaged"),
     ],
 )
 def test_camera_info_that_cannot_be(save, fields, message):
@@ -287,18 +277,18 @@ def test_an_absurd_parameter_is_replaced_by_hand(save):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (struct.pack("<3H26x", 2, 0, 9), "its raw image of 0 x 9 pixels cannot be"),
-        (struct.pack("<3H26x", 2, 60000, 60000), "its raw image of 60000 x 60000 pixels cannot be"),
-        (struct.pack("<3H26x", 0, 8, 8), "the header of its raw image is damaged"),
+        (struct.pack("<3H26x", 2, 0, 9), "0 x 9 pixels"),
+        (struct.pack("<3H26x", 2, 60000, 60000), "60000 x 60000 pixels"),
+        (struct.pack("<3H26x", 0, 8, 8), "header .* damaged"),
         (
             struct.pack("<3H26x", 2, 8, 8) + bytes(100),
-            r"cut off \(100 of 128 bytes of the raw image\)",
+            "100 of 128 bytes",
         ),
         (
             struct.pack("<3H26x", 2, 8, 8) + b"\xff\xd8\xff\xf7",
-            "compressed with JPEG-LS, which is not read",
+            "JPEG-LS",
         ),
-        (struct.pack("<3H26x", 2, 8, 8) + b"\x89PNG\r\n\x1a\n", "its raw image cannot be decoded"),
+        (struct.pack("<3H26x", 2, 8, 8) + b"\x89PNG\r\n\x1a\n", "cannot be decoded"),
     ],
 )
 def test_raw_images_that_cannot_be(save, content, message):
@@ -309,14 +299,12 @@ def test_raw_images_that_cannot_be(save, content, message):
 def test_a_raw_png_of_another_size(save):
     written = FlirPhoto(storage="png").raw_data()
     content = struct.pack("<3H26x", 2, 8, 8) + written[32:]
-    with pytest.raises(
-        SceneError, match=r"32 x 24 pixels of type .* where 8 x 8 of 16 bits are announced"
-    ):
+    with pytest.raises(SceneError, match=r"32 x 24 "):
         read_thermal_photo(save("a.jpg", FlirPhoto(raw_content=content).jpeg()))
 
 
 def test_a_directory_without_end(save):
     record = bytearray(FlirPhoto().record())
     record[0x1C:0x20] = b"\x7f\xff\xff\xff"
-    with pytest.raises(SceneError, match="lists 2147483647 parts; it is damaged"):
+    with pytest.raises(SceneError, match="2147483647 parts"):
         read_thermal_photo(save("a.jpg", FlirPhoto().jpeg(bytes(record))))

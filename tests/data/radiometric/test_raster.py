@@ -22,7 +22,7 @@ SCENE_C = np.linspace(5, 30, 20 * 30, dtype=np.float32).reshape(20, 30)
 def test_sixteen_bits_whose_unit_is_plain(save, name, unit, counts):
     photo = read_thermal_photo(save(name, np.rint(counts).astype(np.uint16)))
     np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.0051)
-    assert photo.facts.notes == (f"The numbers are taken for {unit}.",)
+    assert [f" {unit}." in note for note in photo.facts.notes] == [True]
 
 
 @pytest.mark.parametrize(
@@ -51,26 +51,25 @@ def test_two_units_that_both_fit_are_not_guessed(save):
     path = save("a.png", np.rint(10 * (SCENE_C + 285)).astype(np.uint16))
     with pytest.raises(
         SceneError,
-        match=r"\(290\d(\.\d+)? to 31\d\d(\.\d+)?\) may be celsius\*100 or kelvin\*10; give the "
-        r"unit",
+        match=r"\(290\d(\.\d+)? to 31\d\d(\.\d+)?\) .*celsius\*100 or kelvin\*10",
     ):
         read_thermal_photo(path)
 
 
 def test_no_unit_that_fits(save):
-    with pytest.raises(SceneError, match=r"fit no usual unit; give the unit, such as celsius\*100"):
+    with pytest.raises(SceneError, match=r"no usual unit"):
         read_thermal_photo(save("a.png", np.full((4, 5), 60000, dtype=np.uint16)))
 
 
 def test_a_unit_that_cannot_be(save):
-    with pytest.raises(SceneError, match="none of its numbers is a temperature in celsius"):
+    with pytest.raises(SceneError, match="temperature in celsius"):
         read_thermal_photo(
             save("a.png", np.full((4, 5), 60000, dtype=np.uint16)), Overrides(unit="celsius")
         )
 
 
 def test_nothing_but_zeros(save):
-    with pytest.raises(SceneError, match="holds no number but 0; it is empty"):
+    with pytest.raises(SceneError, match="but 0"):
         read_thermal_photo(save("a.png", np.zeros((4, 5), dtype=np.uint16)))
 
 
@@ -83,16 +82,15 @@ def test_float_tiff(save, unit, offset):
     assert photo.valid.sum() == photo.valid.size - 3
     np.testing.assert_array_equal(np.isfinite(photo.temperature_c), photo.valid)
     np.testing.assert_allclose(photo.temperature_c[photo.valid], SCENE_C[photo.valid], atol=1e-4)
-    assert photo.facts.notes == (f"The numbers are taken for {unit}.",)
+    assert [f" {unit}." in note for note in photo.facts.notes] == [True]
 
 
 def test_numbers_that_may_be_hot_celsius_are_doubted(save):
     values = SCENE_C + np.float32(273.15)
     photo = read_thermal_photo(save("a.tiff", values))
-    assert photo.facts.warnings == (
-        "The numbers are taken for kelvin, because they would be very hot in °C: give the unit if "
-        "they are.",
-    )
+    (warning,) = photo.facts.warnings
+    assert "for kelvin" in warning
+    assert "give the unit" in warning
     for unit, shift in (("celsius", 273.15), ("kelvin", 0)):
         given = read_thermal_photo(save("a.tiff", values), Overrides(unit=unit))
         np.testing.assert_allclose(given.temperature_c, SCENE_C + shift, atol=1e-3)
@@ -151,10 +149,7 @@ def test_grey_without_bounds_is_relative(save):
     photo = read_thermal_photo(save("a.png", np.array([[0, 51], [102, 255]], dtype=np.uint8)))
     np.testing.assert_allclose(photo.relative, [[0, 0.2], [0.4, 1]], atol=1e-6)
     assert photo.temperature_c is None
-    assert (
-        "absolute temperatures need bounds (the °C of black and white) or"
-        in photo.facts.warnings[0]
-    )
+    assert "need bounds" in photo.facts.warnings[0]
 
 
 def grey_in_colour() -> np.ndarray:
@@ -176,33 +171,25 @@ def test_a_colour_palette_has_no_temperatures_but_is_used(save):
     assert photo.temperature_c is None
     assert photo.valid.all()
     assert 0 < photo.relative[0, 0] < photo.relative[0, 5] < 1
-    assert "shows colours and holds no temperatures" in photo.facts.warnings[0]
-    assert photo.facts.warnings[1].startswith(
-        "emissivity had no effect: the file holds finished numbers"
-    )
-    with pytest.raises(
-        SceneError, match="shows a colour palette, which gives no absolute temperatures"
-    ):
+    assert "shows colours" in photo.facts.warnings[0]
+    assert photo.facts.warnings[1].startswith("emissivity had no effect")
+    with pytest.raises(SceneError, match="palette"):
         read_thermal_photo(path, Overrides(bounds_c=(0, 1)))
 
 
 def test_grey_with_a_unit(save):
-    with pytest.raises(
-        SceneError, match="shades of grey, not temperatures; give the °C of black and white"
-    ):
+    with pytest.raises(SceneError, match="shades of grey") as caught:
         read_thermal_photo(save("a.png", np.eye(3, dtype=np.uint8)), Overrides(unit="kelvin"))
+    assert caught.value.options == ("bounds_c",)
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "a.tif: is empty; copy the photo from the camera again"),
-        (
-            b"hello",
-            "a.tif: is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables",
-        ),
-        (b"\x89PNG\r\n\x1a\n", "a.tif: it cannot be decoded as an image"),
-        (b"\xff\xd8\xff\xe0", "a.tif: it cannot be decoded as an image"),
+        (b"", "a.tif: is empty"),
+        (b"hello", "a.tif: is not an"),
+        (b"\x89PNG\r\n\x1a\n", "a.tif: .*decoded"),
+        (b"\xff\xd8\xff\xe0", "a.tif: .*decoded"),
     ],
 )
 def test_no_image(save, content, message):
@@ -213,14 +200,14 @@ def test_no_image(save, content, message):
 def test_an_image_that_is_cut_off(save):
     file = io.BytesIO()
     Image.fromarray(np.rint(100 * SCENE_C).astype(np.uint16)).save(file, "PNG")
-    with pytest.raises(SceneError, match="cannot be decoded as an image"):
+    with pytest.raises(SceneError, match="decoded"):
         read_thermal_photo(save("a.png", file.getvalue()[:200]))
 
 
-def test_an_image_that_is_too_large(save, monkeypatch):
-    monkeypatch.setattr("mrgs.data.radiometric.pixels.MAX_PIXELS", 10)
-    with pytest.raises(SceneError, match="megapixels; reduce it before use"):
-        read_thermal_photo(save("a.png", np.zeros((4, 5), dtype=np.uint8)))
+def test_an_image_that_is_too_large(save):
+    path = save("a.png", np.zeros((4001, 5000), dtype=np.uint8))
+    with pytest.raises(SceneError, match="20 megapixels"):
+        read_thermal_photo(path)
 
 
 def test_a_missing_file(tmp_path):
@@ -231,13 +218,13 @@ def test_a_missing_file(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"emissivity": 0.0}, "emissivity = 0 is not between 0.01 and 1"),
-        ({"humidity": 50.0}, r"humidity = 50 is not between 0 and 1 \(write 50 % as 0.5\)"),
-        ({"distance_m": float("nan")}, "distance_m = nan is not between"),
-        ({"unit": "rankine"}, "the unit 'rankine' is not known"),
-        ({"unit": "kelvin*0"}, r"the unit 'kelvin\*0' has a factor of 0"),
-        ({"bounds_c": (30.0, 10.0)}, "30 to 10 is not a range in °C; give the smaller value first"),
-        ({"bounds_c": (1.0, 2.0), "unit": "kelvin"}, "a unit and bounds are both given"),
+        ({"emissivity": 0.0}, r"emissivity = 0 .*0\.01"),
+        ({"humidity": 50.0}, r"humidity = 50 .*0\.5"),
+        ({"distance_m": float("nan")}, "distance_m = nan"),
+        ({"unit": "rankine"}, "'rankine'"),
+        ({"unit": "kelvin*0"}, r"'kelvin\*0' .* factor"),
+        ({"bounds_c": (30.0, 10.0)}, "30 to 10"),
+        ({"bounds_c": (1.0, 2.0), "unit": "kelvin"}, "unit and bounds"),
     ],
 )
 def test_overrides_that_cannot_be(given, message):
@@ -247,11 +234,12 @@ def test_overrides_that_cannot_be(given, message):
 
 def test_bounds_without_effect_are_said(save):
     photo = read_thermal_photo(save("a.tiff", SCENE_C), Overrides(bounds_c=(0, 50)))
-    assert photo.facts.warnings == ("bounds_c had no effect: the numbers are temperatures.",)
+    (warning,) = photo.facts.warnings
+    assert warning.startswith("bounds_c had no effect")
 
 
 def test_bounds_for_other_integers(save):
-    with pytest.raises(SceneError, match="no 16-bit shades of grey; give a unit instead of bounds"):
+    with pytest.raises(SceneError, match="16-bit shades"):
         read_thermal_photo(
             save("a.tif", np.full((3, 4), -5, dtype=np.int16)), Overrides(bounds_c=(0, 50))
         )

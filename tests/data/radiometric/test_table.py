@@ -126,14 +126,12 @@ def test_missing_numbers_are_masked(tmp_path):
 
 @pytest.mark.parametrize("text", ["no table here\n", "a,b,c\nd,e,f\n", "1;2\n", "\n\n"])
 def test_no_table(tmp_path, text):
-    with pytest.raises(
-        SceneError, match="holds no table of numbers; export the temperatures of all pixels as CSV"
-    ):
+    with pytest.raises(SceneError, match="no table of"):
         read(tmp_path, text)
 
 
 def test_a_text_that_is_too_long(tmp_path):
-    with pytest.raises(SceneError, match="too long for a table of one photo"):
+    with pytest.raises(SceneError, match="too long for"):
         read(tmp_path, "1" * (MAX_BYTES + 1))
 
 

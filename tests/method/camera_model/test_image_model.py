@@ -132,9 +132,7 @@ def test_every_parameter_has_a_learning_rate():
 
 
 def test_a_rate_that_is_no_rate_is_named():
-    with pytest.raises(
-        ConfigError, match="the learning rate thermal_gain_rate must be at least 0, not -1"
-    ):
+    with pytest.raises(ConfigError, match=r"thermal_gain_rate .*-1"):
         ImageModelConfig(thermal_gain_rate=-1.0)
 
 

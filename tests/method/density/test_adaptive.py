@@ -224,9 +224,9 @@ def test_the_schedule():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"every": 0}, "every of the densification must be at least 1, not 0"),
-        ({"max_gaussians": 0}, "max_gaussians must be from 1 to 1,000,000,000, not 0"),
-        ({"prune_opacity": 0.5}, "densification: 0 < prune_opacity < reset_opacity < 1 must hold"),
+        ({"every": 0}, "every .*not 0"),
+        ({"max_gaussians": 0}, "max_gaussians .*not 0"),
+        ({"prune_opacity": 0.5}, "prune_opacity < reset_opacity"),
     ],
 )
 def test_impossible_schedules_are_named(options, message):

@@ -170,16 +170,16 @@ def test_total_loss_weighs_its_terms():
 def test_total_loss_refuses_what_it_does_not_know():
     with pytest.raises(KeyError, match="tempreature"):
         total_loss({"tempreature": torch.tensor(1.0)}, {"temperature": 1.0})
-    with pytest.raises(ValueError, match="a loss needs at least one term"):
+    with pytest.raises(ValueError, match="one term"):
         total_loss({}, {})
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"dssim": 1.5}, "dssim must lie between 0 and 1, not 1.5"),
-        ({"smooth": -1.0}, "smooth must be at least 0, not -1.0"),
-        ({"opaque": float("nan")}, "opaque must be at least 0, not nan"),
+        ({"dssim": 1.5}, r"dssim .*1\.5"),
+        ({"smooth": -1.0}, r"smooth .*-1\.0"),
+        ({"opaque": float("nan")}, "opaque .*nan"),
     ],
 )
 def test_impossible_weights_are_named(options, message):

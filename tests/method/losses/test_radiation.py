@@ -207,9 +207,7 @@ def test_weight_decays_between_its_ends():
 
 
 def test_impossible_schedules_are_named():
-    with pytest.raises(
-        ConfigError, match=r"the weights of L_boltz must be positive, not 0\.0 and 0\.01"
-    ):
+    with pytest.raises(ConfigError, match=r"L_boltz .*0\.0 and 0\.01"):
         RadiationConfig(start=0.0)
-    with pytest.raises(ConfigError, match="L_boltz cannot decay from step 500 to step 500"):
+    with pytest.raises(ConfigError, match=r"L_boltz .*step 500"):
         RadiationConfig(decay_until=500)

@@ -5,7 +5,7 @@ import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
-from mrgs.method.start.fitted_residuals import fit_residuals, leave_the_rest
+from mrgs.method.start.fitted_residuals import ROWS, fit_residuals, leave_the_rest
 from mrgs.scene import RGB, THERMAL, Gaussians
 from mrgs.system.operation import Operation
 from tests.helpers.gaussians import random_gaussians
@@ -13,11 +13,13 @@ from tests.helpers.gaussians import random_gaussians
 CAMERA = torch.zeros(3)
 
 
-def start(**options) -> tuple[RadianceField, Gaussians, torch.Tensor]:
+def start(
+    kind: type[RadianceField] = RadianceField, count: int = 200, **options
+) -> tuple[RadianceField, Gaussians, torch.Tensor]:
     """A field and Gaussians whose temperature rises along x; the last ten are seen by no photo."""
     torch.manual_seed(0)
-    field = RadianceField(FieldConfig(temperature_scale=1.0, **options))
-    gaussians = random_gaussians(200, bands=0, seed=1, modalities=(RGB, THERMAL))
+    field = kind(FieldConfig(temperature_scale=1.0, **options))
+    gaussians = random_gaussians(count, bands=0, seed=1, modalities=(RGB, THERMAL))
     field.set_frame(gaussians.means)
     gaussians.sh_rest[RGB] = torch.zeros_like(gaussians.sh_rest[RGB])
     gaussians.embedding = field.initial_embedding(gaussians.means)
@@ -80,19 +82,20 @@ def test_nothing_happens_without_steps_residuals_or_photos(options, steps, known
         assert torch.equal(tensor, state[name])
 
 
-def test_an_edited_equation_is_fitted_and_not_its_kernel(monkeypatch) -> None:
+def test_an_edited_equation_is_fitted_and_not_its_kernel() -> None:
     operation = RadianceField.temperature_residuals
     edited = Operation(lambda *arguments: 2 * operation.plain(*arguments))
     edited.name = operation.name
-    monkeypatch.setattr(RadianceField, "temperature_residuals", edited)
-    field, gaussians, temperatures = start()
+    field, gaussians, temperatures = start(
+        type("Edited", (RadianceField,), {"temperature_residuals": edited})
+    )
     fit_residuals(field, gaussians, temperatures, 200, torch.Generator().manual_seed(0))
     assert edited.rejected
     found = temperatures_of(field, gaussians)
     torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)
 
 
-def test_the_kernel_is_checked_on_few_gaussians(monkeypatch) -> None:
+def test_the_kernel_is_checked_on_few_gaussians() -> None:
     """The plain definition takes memory for all that it is given."""
     operation = RadianceField.temperature_residuals
     sizes = []
@@ -103,8 +106,7 @@ def test_the_kernel_is_checked_on_few_gaussians(monkeypatch) -> None:
 
     checked = Operation(plain)
     checked.name = operation.name
-    monkeypatch.setattr(RadianceField, "temperature_residuals", checked)
-    monkeypatch.setattr("mrgs.method.start.fitted_residuals.ROWS", 50)
-    fit_residuals(*start(), 2, torch.Generator().manual_seed(0))
-    assert set(sizes) == {50}
+    kind = type("Checked", (RadianceField,), {"temperature_residuals": checked})
+    fit_residuals(*start(kind, ROWS + 100), 2, torch.Generator().manual_seed(0))
+    assert set(sizes) == {ROWS}
     assert not checked.rejected

@@ -72,7 +72,7 @@ def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPho
     given = {name: v for name, v in overrides.of_parameters().items() if name in _OPTIONS}
     with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
         output = Path(folder, "measured.raw")
-        _run_tool(tool, path, output, given)
+        run_tool(tool, path, output, given)
         size = output.stat().st_size if output.is_file() else 0
         data = output.read_bytes() if 0 < size <= MAX_BYTES else b""
     facts = PhotoFacts(
@@ -86,7 +86,9 @@ def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPho
     return _bare_numbers(data, path, facts, given_unit, f"{TOOL} wrote {size} bytes")
 
 
-def _run_tool(tool: str, path: Path, output: Path, given: dict[str, float]) -> None:
+def run_tool(
+    tool: str, path: Path, output: Path, given: dict[str, float], limit_s: float = TIME_LIMIT_S
+) -> None:
     """Run DJI's tool on a photo, with the values that replace the photo's own."""
     arguments = ["-s", os.path.abspath(path), "-a", "measure", "-o", str(output)]
     arguments += ["--measurefmt", "float32"]
@@ -99,12 +101,12 @@ def _run_tool(tool: str, path: Path, output: Path, given: dict[str, float]) -> N
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            timeout=TIME_LIMIT_S,
+            timeout=limit_s,
             check=False,
         )
     except subprocess.TimeoutExpired:
         raise _tool_error(
-            path, f"{tool} did not end within {TIME_LIMIT_S:g} s; try it by hand"
+            path, f"{tool} did not end within {limit_s:g} s; try it by hand"
         ) from None
     except OSError as error:
         raise _tool_error(
