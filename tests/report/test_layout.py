@@ -6,7 +6,6 @@ import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,7 @@ from mrgs.runs.open import Run
 from mrgs.scene import THERMAL
 from mrgs.training.run_folder import RunFolder
 from tests.helpers.browsers import chromium, needs_chromium, new_page
-
-needs_weasyprint = pytest.mark.skipif(
-    find_spec("weasyprint") is None, reason="weasyprint is not installed"
-)
-pytestmark = pytest.mark.filterwarnings("ignore:HarfBuzz-Subset:DeprecationWarning")
-"""WeasyPrint misses a library that is optional as yet."""
+from tests.helpers.pdf import needs_pango
 
 LONG_WORD = "x" * 250
 LONG_NAME = "Fensterlaibung_Nordseite_Obergeschoss_12"
@@ -65,7 +59,7 @@ def lines_of(sheet: Any) -> Iterator[Any]:
     return (box for box in sheet.descendants() if getattr(box, "text", "").strip())
 
 
-@needs_weasyprint
+@needs_pango
 def test_nothing_runs_off_the_paper(sheets: list[Any]):
     for sheet in sheets:
         right = sheet.content_box_x() + sheet.width
@@ -73,7 +67,7 @@ def test_nothing_runs_off_the_paper(sheets: list[Any]):
         assert wide == []
 
 
-@needs_weasyprint
+@needs_pango
 def test_names_of_rows_and_numbers_are_not_broken_into_letters(sheets: list[Any]):
     texts = [box.text.strip() for sheet in sheets for box in lines_of(sheet)]
     for whole in ("Objekt", "S2", "B1", "T_refl −5,0\xa0°C", "Adresse"):
@@ -83,7 +77,7 @@ def test_names_of_rows_and_numbers_are_not_broken_into_letters(sheets: list[Any]
     assert not [text for text in texts if text.endswith("T_re-")]
 
 
-@needs_weasyprint
+@needs_pango
 def test_a_long_row_of_the_survey_goes_on_on_the_next_page(sheets: list[Any]):
     first, second = sheets[:2]
     bottom = first.content_box_y() + first.height

@@ -1,21 +1,17 @@
 from __future__ import annotations
 
 import sys
-from importlib.util import find_spec
 
 import pytest
 from PIL import Image, ImageFile
 
 from mrgs.errors import ConfigError
 from mrgs.report.pdf import write_pdf
-
-pytestmark = pytest.mark.filterwarnings("ignore:HarfBuzz-Subset:DeprecationWarning")
-"""WeasyPrint misses a library that is optional as yet."""
+from tests.helpers.pdf import needs_pango
 
 
+@needs_pango
 def test_a_page_becomes_a_pdf_and_nothing_is_fetched(tmp_path):
-    if find_spec("weasyprint") is None:
-        pytest.skip("weasyprint is not installed")
     secret = tmp_path / "secret.css"
     secret.write_text("h1 { color: red }", encoding="utf-8")
     page = tmp_path / "report.html"
@@ -30,9 +26,8 @@ def test_a_page_becomes_a_pdf_and_nothing_is_fetched(tmp_path):
     assert not ImageFile.LOAD_TRUNCATED_IMAGES
 
 
+@needs_pango
 def test_no_file_beside_the_page_comes_into_a_pdf(tmp_path):
-    if find_spec("weasyprint") is None:
-        pytest.skip("weasyprint is not installed")
     picture, page = tmp_path / "secret.png", tmp_path / "report.html"
     Image.new("RGB", (20, 10), (250, 10, 10)).save(picture)
     sizes = []
