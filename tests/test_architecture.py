@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -76,6 +77,7 @@ def imported_modules(tree: ast.AST) -> list[str]:
     return names
 
 
+@cache
 def parse(name: str) -> ast.Module:
     return ast.parse(FILES[name].read_text(encoding="utf-8"), name)
 

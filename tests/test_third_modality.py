@@ -92,6 +92,7 @@ def test_it_is_rendered_as_it_was_photographed(run: Run) -> None:
     torch.testing.assert_close(alone[NIR].image, rendering[NIR].image)
 
 
+@pytest.mark.slow
 def test_a_run_is_resumed_bit_for_bit(run: Run, scene_folder: Path, tmp_path: Path) -> None:
     half = tmp_path / "half"
     train(scene_folder, half, config(), stop_at=STEPS // 2)

@@ -464,6 +464,7 @@ def test_synth_keeps_what_is_there(small_scene, tmp_path, capsys):
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_synth_without_mitsuba_says_how_to_get_it(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     refused(capsys, r'pip install .*"\.\[synth\]"', "synth", tmp_path / "new")
@@ -686,6 +687,7 @@ def test_the_signs_in_printed_tables_are_explained():
     assert how_to_read([dataclasses.replace(table, rows=rows[:1])], seeds=3) == []
 
 
+@pytest.mark.slow
 def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tmp_path, capsys):
     output = tmp_path / "nerf"
     options = ("--method", "thermonerf", "--output", output, "--max-steps", "2")

@@ -196,6 +196,7 @@ def test_a_gaussian_that_reaches_beyond_what_counts_is_not_held(scene):
     assert held.tolist() == [False, False, True, False]
 
 
+@pytest.mark.slow
 def test_a_training_that_was_killed_goes_on(joined, scene, tmp_path):
     """After a block, within one, and while the blocks are joined; the result is the same to the
     bit."""
@@ -239,6 +240,7 @@ def test_single_blocks_are_trained_for_job_arrays_and_joined_later(scene, tmp_pa
         started.train_block(3)
 
 
+@pytest.mark.slow
 def test_a_method_with_heads_gives_the_same_bits_whatever_was_drawn_before(scene, tmp_path):
     config = short_config("mrgs", max_steps=4, checkpoint_every=4)
     found = []

@@ -234,6 +234,7 @@ def test_the_neighbours_alone_have_no_figure(here, opened, small_scene, tmp_path
     assert opened == []
 
 
+@pytest.mark.slow
 def test_a_method_of_the_neighbours_may_stand_in_the_depth_figure(
     here, opened, small_scene, tmp_path
 ):

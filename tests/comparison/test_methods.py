@@ -66,6 +66,7 @@ def test_a_configuration_survives_its_text(method):
         from_text("3")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["3dgs-rgbt", "thermonerf"])
 def test_every_method_is_trained_continued_and_read_back(method, small_scene, tmp_path):
     config = configure(Variant(method, method), tiny_options(), 0)

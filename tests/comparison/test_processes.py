@@ -91,6 +91,7 @@ def test_the_request_holds_absolute_paths(make_jobs, tmp_path, monkeypatch):
     assert paths == [str(tmp_path / name) for name in ("scene", "seed_0", "lpips.safetensors")]
 
 
+@pytest.mark.slow
 def test_a_poisoned_current_folder_is_not_imported_from(tmp_path, monkeypatch):
     """The real child, which fails for want of a scene: all that it imports before comes from
     elsewhere."""

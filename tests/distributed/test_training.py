@@ -7,6 +7,7 @@ import re
 import socket
 from pathlib import Path
 
+import pytest
 import torch
 from safetensors.torch import load_file
 
@@ -55,6 +56,7 @@ def started(count: int, *arguments: object) -> list[Started]:
     return processes
 
 
+@pytest.mark.slow
 def test_two_processes_do_bit_by_bit_what_one_does_with_two_views_per_step(small_scene, tmp_path):
     (tmp_path / "eventful.yaml").write_text(EVENTFUL)
     options = (*SMALL, "--max-steps", STEPS, "--config", tmp_path / "eventful.yaml")
@@ -74,6 +76,7 @@ def test_two_processes_do_bit_by_bit_what_one_does_with_two_views_per_step(small
     assert [entries_of(folder.path) for folder in (one, two)] == [entries_of(one.path)] * 2
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_ends_the_others_with_one_line(small_scene, tmp_path):
     output = tmp_path / "run"
     options = (*SMALL, "--max-steps", 100_000, "--output", output)

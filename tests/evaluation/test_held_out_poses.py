@@ -63,6 +63,7 @@ def test_right_poses_are_found_right():
     assert not error.found.is_wrong
 
 
+@pytest.mark.slow
 def test_a_model_of_something_else_tells_nothing():
     """Each half of a photo differs from it in another way."""
     error = held_out_error(Showing(colored_ball(seed=5)), photographed(wrong_px=2.0).train)

@@ -28,6 +28,7 @@ def test_ctrl_c_while_loading_is_one_line(tmp_path):
     assert holds(interruptions.imports(tmp_path, [0.5]))
 
 
+@pytest.mark.slow
 @on_linux
 def test_a_training_whose_output_is_closed_saves_what_it_has(tmp_path):
     assert holds(interruptions.outputs(tmp_path, ["full output"]))
@@ -38,11 +39,13 @@ def test_what_killed_processes_leave_is_removed(tmp_path):
     assert holds(kills.writes(tmp_path))
 
 
+@pytest.mark.slow
 @on_linux
 def test_a_file_that_cannot_grow_is_one_line(tmp_path):
     assert holds(places.file_size(tmp_path, [2048], "check"))
 
 
+@pytest.mark.slow
 @on_linux
 def test_a_name_that_is_not_text_is_printed_in_ascii(tmp_path):
     assert holds(places.names(tmp_path, ["\udcff [a](b)|c"]))

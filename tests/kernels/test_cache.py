@@ -108,6 +108,7 @@ def edit(path: Path, before: str, after: str) -> None:
     path.write_text(path.read_text().replace(before, after))
 
 
+@pytest.mark.slow
 def test_what_was_edited_and_what_depends_on_it_is_compiled_again(package):
     assert printed(start(package)) == ["14.0", "9.0", "scaled", "twice", "squared"]
     assert printed(start(package)) == ["14.0", "9.0"]
@@ -136,6 +137,7 @@ def holding_a_lock(package: Path) -> subprocess.Popen[str]:
     return holder
 
 
+@pytest.mark.slow
 def test_the_lock_of_a_killed_process_ends_with_it(package):
     holder = holding_a_lock(package)
     waiting = start(package)
@@ -144,6 +146,7 @@ def test_the_lock_of_a_killed_process_ends_with_it(package):
     assert printed(waiting)[2:] == ["scaled", "twice", "squared"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("locks", ["_patience = 0.1", "_lock = property(lambda self: open('/'))"])
 def test_without_the_lock_a_kernel_is_compiled_after_a_while(package, locks):
     holder = holding_a_lock(package)
@@ -154,6 +157,7 @@ def test_without_the_lock_a_kernel_is_compiled_after_a_while(package, locks):
         holder.communicate("x")
 
 
+@pytest.mark.slow
 def test_a_constant_is_known_by_its_value_wherever_it_comes_from(package):
     assert printed(start(package))[:2] == ["14.0", "9.0"]
     assert printed(start(package, HALF="5.0")) == ["14.0", "90.0", "squared"]
@@ -177,6 +181,7 @@ def test_a_damaged_kernel_is_compiled_again(package, suffix):
     assert printed(start(package)) == ["14.0", "9.0"]
 
 
+@pytest.mark.slow
 def test_a_folder_that_others_can_write_to_is_not_used(package, tmp_path):
     open_to_all = tmp_path / "cache"
     open_to_all.mkdir()

@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 DIGESTS = """
 import hashlib
 import torch
@@ -30,6 +32,7 @@ print_digest(features, inputs)
 """
 
 
+@pytest.mark.slow
 def test_a_process_that_compiles_the_heads_computes_the_bits_of_one_that_loads_them(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     digests = [

@@ -131,6 +131,7 @@ def test_a_result_that_is_gone_is_made_again_and_nothing_else(own, small_scene):
     assert watcher.ran == ["report"]
 
 
+@pytest.mark.slow
 def test_what_is_stated_or_marked_later_is_reported(own, small_scene):
     def run_again() -> list[str]:
         watcher = Watcher()
@@ -179,6 +180,7 @@ def exported_again(file: Path, content: bytes) -> None:
     os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 
+@pytest.mark.slow
 def test_a_photo_with_its_old_size_and_time_is_a_change(small_scene, tmp_path):
     scene, output = shutil.copytree(small_scene, tmp_path / "scene"), tmp_path / "results"
 
@@ -198,6 +200,7 @@ def test_a_photo_with_its_old_size_and_time_is_a_change(small_scene, tmp_path):
     assert ran("score") == ["check", "train"]
 
 
+@pytest.mark.slow
 def test_a_photo_exported_again_is_prepared(prepared, tmp_path):
     photos, options = photos_in(tmp_path / "photos"), PrepareOptions(thermal_fov_deg=57.0)
     for number in range(2):

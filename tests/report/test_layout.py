@@ -59,6 +59,7 @@ def lines_of(sheet: Any) -> Iterator[Any]:
     return (box for box in sheet.descendants() if getattr(box, "text", "").strip())
 
 
+@pytest.mark.slow
 @needs_pango
 def test_nothing_runs_off_the_paper(sheets: list[Any]):
     for sheet in sheets:
@@ -67,6 +68,7 @@ def test_nothing_runs_off_the_paper(sheets: list[Any]):
         assert wide == []
 
 
+@pytest.mark.slow
 @needs_pango
 def test_names_of_rows_and_numbers_are_not_broken_into_letters(sheets: list[Any]):
     texts = [box.text.strip() for sheet in sheets for box in lines_of(sheet)]
@@ -77,6 +79,7 @@ def test_names_of_rows_and_numbers_are_not_broken_into_letters(sheets: list[Any]
     assert not [text for text in texts if text.endswith("T_re-")]
 
 
+@pytest.mark.slow
 @needs_pango
 def test_a_long_row_of_the_survey_goes_on_on_the_next_page(sheets: list[Any]):
     first, second = sheets[:2]

@@ -317,6 +317,7 @@ def ended(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Ended:
     return Ended(done, folder)
 
 
+@pytest.mark.slow
 def test_a_loop_that_is_open_when_the_process_ends_keeps_its_step(ended):
     assert (ended.process.returncode, ended.process.stderr) == (0, "")
     assert load_run(ended.folder / "open").facts.step == 2

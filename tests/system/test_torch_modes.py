@@ -222,6 +222,7 @@ def test_where_one_setting_cannot_be_made_the_others_are_the_callers_again():
         assert made[-3:] == ["high", "highest", "high"]
 
 
+@pytest.mark.slow
 def test_frozen_flags_of_torch_do_not_matter():
     """In a process of its own: they cannot be thawed."""
     code = (

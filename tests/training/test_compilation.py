@@ -92,6 +92,7 @@ def test_another_process_helps_where_there_is_a_core_and_something_to_do(
     assert started == [write_yaml(config), "closed"] * starts
 
 
+@pytest.mark.slow
 def test_the_child_compiles_half_and_ends_with_its_parent(tmp_path):
     config = make_config("mrgs-plus", "fast")
     child = Child(CHILD, {"config": write_yaml(config)}, tmp_path / "log")

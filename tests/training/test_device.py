@@ -305,6 +305,7 @@ def test_all_of_a_step_is_on_one_device(method, small_scene, stop_kernels, monke
         assert tensor.device == device or name.endswith(".step"), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["mrgs-plus", "3dgs-rgbt"])
 def test_the_kernels_train_as_the_cpu_does(method, start):
     """Two steps with every kernel of a GPU against two with those of the CPU, all on CPU

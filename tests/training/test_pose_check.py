@@ -87,6 +87,7 @@ def test_wrong_poses_are_found_and_refined(tmp_path):
     assert difference(run) < 0.97 * difference(without)
 
 
+@pytest.mark.slow
 def test_right_poses_stay_as_they_are_and_the_model_is_the_same(tmp_path):
     scene = photographed(wrong_px=0.0)
     run = train(scene, tmp_path / "run", config())
@@ -161,6 +162,7 @@ def test_poses_are_checked_once_and_later_where_that_failed():
     assert found == [False, True, True, False]
 
 
+@pytest.mark.slow
 def test_of_many_views_some_are_looked_at_from_all_over():
     assert spread(9, 3) == [0, 3, 6]
     loaded: list[int] = []
@@ -184,6 +186,7 @@ def test_masked_pixels_do_not_count_and_no_gradient_is_kept():
     assert with_gradients == [False] * (2 * 3 * 2)
 
 
+@pytest.mark.slow
 def test_what_is_said_of_the_poses_is_in_pixels_of_the_photos(tmp_path, monkeypatch):
     monkeypatch.setattr(PoseCheck, "agreement", lambda check: PoseAgreement(2.0, 0.0))
     monkeypatch.setattr(PoseCheck, "pixel_size", lambda check: 3.0)

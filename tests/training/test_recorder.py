@@ -346,6 +346,7 @@ def train(small_scene, gpu_device, monkeypatch):
     return taken
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", [False, True])
 def test_replayed_steps_are_those_that_are_not(poses, train, kept, gpu_device):
     if gpu_device != "cpu":

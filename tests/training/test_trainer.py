@@ -233,7 +233,8 @@ def test_a_scene_of_one_modality_prunes_what_it_does_not_see(options, make_scene
 
 
 @pytest.mark.parametrize(
-    ("method", "cut", "degree"), [("mrgs", 60, 0), ("mrgs", 68, 3), ("3dgs-rgbt", 60, 3)]
+    ("method", "cut", "degree"),
+    [("mrgs", 60, 0), pytest.param("mrgs", 68, 3, marks=pytest.mark.slow), ("3dgs-rgbt", 60, 3)],
 )
 def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     method, cut, degree, small_scene, tmp_path
@@ -577,6 +578,7 @@ class TakingMemory(AdaptiveDensityControl):
             self.memory.take()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["loss", "observe", "movable", "after_step"])
 def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
     where, small_scene, tmp_path, tmp_path_factory

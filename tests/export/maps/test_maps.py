@@ -299,6 +299,7 @@ def test_all_files_of_an_export_name_the_wanted_crs(tmp_path, front, front_scene
     np.testing.assert_allclose(las.xyz, moved[:3].T, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_beyond_utm_maps_lie_in_a_polar_crs_or_in_none(tmp_path, front, front_scene):
     world = WorldFrame(True, True, EarthPosition(86.0, 20.0, 0.0))
     arctic, options = replace(front_scene, world=world), MapOptions(pixel_size_m=0.5)

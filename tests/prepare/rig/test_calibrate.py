@@ -36,6 +36,7 @@ def test_the_thermal_camera_is_found_from_edges_alone(room):
     assert torch.equal(world_to_thermal, expected)
 
 
+@pytest.mark.slow
 def test_inverted_contrast_does_not_matter():
     room = build_room(views=3, inverted=True)
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
@@ -50,6 +51,7 @@ def turned(pixels: Pixels) -> Pixels:
     return Pixels(pixels.values.rot90().contiguous(), None)
 
 
+@pytest.mark.slow
 def test_thermal_images_that_lie_on_their_side_are_placed(room):
     """A thermal camera that does not note how it was held, beside one that does."""
     pairs = [
@@ -64,6 +66,7 @@ def test_thermal_images_that_lie_on_their_side_are_placed(room):
     assert found.warnings == ()
 
 
+@pytest.mark.slow
 def test_a_result_repeats(room):
     given = RigOptions(thermal_lens=room.lens, extrinsics=room.extrinsics)
     found, again = (calibrate_rig(room.pairs[:3], room.points, given) for _ in range(2))
@@ -71,6 +74,7 @@ def test_a_result_repeats(room):
     assert found.lens == again.lens
 
 
+@pytest.mark.slow
 def test_shutters_that_do_not_fire_together_are_corrected_and_told():
     room = build_room(views=4, motion_rad=0.012)
     found = calibrate_rig(room.pairs, room.points, KNOWN_FIELD)
@@ -99,6 +103,7 @@ def test_unrelated_images_are_refused(room):
         calibrate_rig(pairs, room.points, KNOWN_FIELD)
 
 
+@pytest.mark.slow
 def test_flat_thermal_images_are_refused(room):
     flat = Pixels(torch.full((120, 160, 1), 21.5))
     pairs = [replace(pair, load_thermal=lambda: flat) for pair in room.pairs[:3]]
@@ -109,6 +114,7 @@ def test_flat_thermal_images_are_refused(room):
         calibrate_rig(pairs, room.points, given)
 
 
+@pytest.mark.slow
 def test_an_uncertain_result_is_refused(room):
     strict = RigOptions(thermal_lens=room.lens, max_uncertainty_px=1e-3)
     with pytest.raises(SceneError, match=r"0\.\d px .* 0\.001 px"):

@@ -59,6 +59,7 @@ def test_an_unknown_field_of_view_is_found():
     assert found.best.score > 1.5 * found.chance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [90.0, -90.0, 180.0, 87.0])
 def test_quarter_turns_are_found(turn_deg):
     """As where only one of the cameras notes how they were held."""
@@ -69,6 +70,7 @@ def test_quarter_turns_are_found(turn_deg):
     assert found.stands_out
 
 
+@pytest.mark.slow
 def test_pairs_that_do_not_belong_together_stand_out_no_more_than_chance():
     right = pairs(1.1, 0.0, (0.0, 0.0))
     wrong = [
@@ -84,6 +86,7 @@ def test_focal_widths():
     assert focal_widths(90.0) == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_each_camera_that_is_tried_is_reported():
     upright, turned = [], []
     first_guess(pairs(1.1, 0.0, (0.05, -0.04)), 48.0, lambda *tried: upright.append(tried))

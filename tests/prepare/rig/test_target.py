@@ -44,6 +44,7 @@ def test_a_target_that_stands_still(still_room):
     assert stages[-1] == "matching"
 
 
+@pytest.mark.slow
 def test_a_target_that_is_moved():
     boards = [
         make_board(

@@ -102,6 +102,7 @@ def drawn():
     return draw_board(make_board(SLANTED), LENS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inner", [(5, 5), (6, 4), (7, 5), (6, 6), (5, 4), (3, 3)])
 def test_other_counts_are_not_found(inner, drawn):
     assert detect_chessboard(drawn[0], inner) is None
@@ -119,6 +120,7 @@ def test_there_is_no_board_in_noise(blur_px):
     assert detect_chessboard(np.zeros((60, 80)), (3, 3)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", sorted(path.name for path in (TABLETOP / "images").iterdir())[::24]
 )
