@@ -16,7 +16,8 @@ PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-c
 demo: $(VENV)/.installed
 	$(BIN)/mrgs demo
 
-# Of the tests, `make test` leaves out the slow ones (docs/testing.md); `make test-all` leaves none.
+# `make test` leaves out the slow tests; `make test-all` leaves out none, and checks the shapes of all
+# arrays (docs/testing.md).
 SELECT = -m "not slow"
 
 # The types are checked while the tests run; what is said of them comes at the end.
@@ -31,6 +32,7 @@ tests: $(VENV)/.dev-installed
 	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 40 $(SELECT)
 
 test-all: SELECT =
+test-all: export CHECK_ARRAYS = 1
 test-all: test
 
 # Attacks for two hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes one.

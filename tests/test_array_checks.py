@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import pytest
@@ -13,6 +14,10 @@ from mrgs.data.images import of_eight_bit_levels
 from mrgs.scene import RGB, Gaussians
 from mrgs.training.photos import bytes_per_pixel
 from tests.helpers.array_checks import has_arrays
+
+pytestmark = pytest.mark.skipif(
+    not os.environ.get("CHECK_ARRAYS"), reason="only where CHECK_ARRAYS is set"
+)
 
 Reader = Callable[[str], Float[Tensor, "h w"]]
 

@@ -38,6 +38,9 @@ def config(method: str = "mrgs-plus") -> TrainConfig:
     return make_config(method, "fast", max_steps=STEPS, max_gaussians=400, seed=2)
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The generated table-top, small, with near-infrared photos."""
@@ -92,7 +95,6 @@ def test_it_is_rendered_as_it_was_photographed(run: Run) -> None:
     torch.testing.assert_close(alone[NIR].image, rendering[NIR].image)
 
 
-@pytest.mark.slow
 def test_a_run_is_resumed_bit_for_bit(run: Run, scene_folder: Path, tmp_path: Path) -> None:
     half = tmp_path / "half"
     train(scene_folder, half, config(), stop_at=STEPS // 2)

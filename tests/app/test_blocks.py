@@ -26,6 +26,7 @@ def run(scene: Path, folder: Path, *options: str) -> int:
     return main(["train", str(scene), "--output", str(folder), *SHORT, *options])
 
 
+@pytest.mark.slow
 def test_blocks_are_trained_one_by_one_and_joined(scene, tmp_path, capsys):
     blocks = ("--blocks", "1x2", "--overlap", "0.1")
     assert run(scene, tmp_path, *blocks, "--block", "2") == 0

@@ -127,6 +127,7 @@ def changed(view: View, change: Callable[[Pixels], Pixels]) -> View:
     return View(view.name, {each: load(image) for each, image in view.images.items()})
 
 
+@pytest.mark.slow
 def test_photos_of_nothing_that_the_model_shows_tell_nothing():
     generator = torch.Generator().manual_seed(0)
 

@@ -157,6 +157,7 @@ EVERY_FORM = (
 )
 
 
+@pytest.mark.slow
 def test_a_tensor_of_another_form_is_refused_although_the_digests_are_right(kind, folder):
     path = folder.newest_checkpoint()
     good = load_file(path)
@@ -212,6 +213,7 @@ def test_neighbours_and_views_that_do_not_exist_are_refused(gaussians_run):
             load_gaussians(path)
 
 
+@pytest.mark.slow
 def test_a_generator_of_any_bits_is_refused_or_draws(gaussians_run):
     path = gaussians_run.newest_checkpoint()
     good = load_file(path)
@@ -226,7 +228,9 @@ def test_a_generator_of_any_bits_is_refused_or_draws(gaussians_run):
             assert 0 <= torch.randint(5, (1_000,), generator=generator).min() < 5
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize(
+    "value", [float("nan"), pytest.param(float("inf"), marks=pytest.mark.slow)]
+)
 def test_values_that_are_not_finite_count_as_damage(value, kind, folder):
     path = folder.newest_checkpoint()
     good = load_file(path)

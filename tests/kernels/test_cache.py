@@ -168,7 +168,7 @@ def test_a_constant_is_known_by_its_value_wherever_it_comes_from(package):
     assert printed(start(package)) == ["32.0", "18.0", "scaled", "twice"]
 
 
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("suffix", [pytest.param(".nbi", marks=pytest.mark.slow), ".nbc"])
 def test_a_damaged_kernel_is_compiled_again(package, suffix):
     printed(start(package))
     cut, flipped, empty = package.rglob(f"*{suffix}")

@@ -71,6 +71,7 @@ def test_lengths_are_those_of_the_world(marks, view) -> None:
     assert marks.world.length_unit == "m"
 
 
+@pytest.mark.slow
 def test_marks_are_kept_with_the_run(marks, run, view) -> None:
     camera = view.images[THERMAL].camera
     marks.spot(camera, (48, 40), note="the cup")
@@ -88,6 +89,7 @@ def test_marks_are_kept_with_the_run(marks, run, view) -> None:
     assert [mark.name for mark in marks.marks.marks] == ["S1", "B1", "Plate"]
 
 
+@pytest.mark.slow
 def test_a_copy_of_another_runs_marks_is_refused(marks, view, small_scene, tmp_path_factory):
     marks.spot(view.images[THERMAL].camera, (48, 40))
     output = tmp_path_factory.mktemp("other") / "run"

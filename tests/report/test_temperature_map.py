@@ -42,6 +42,7 @@ def differs(one, other) -> np.ndarray:
     return np.argwhere((np.asarray(one) != np.asarray(other)).any(axis=2))
 
 
+@pytest.mark.slow
 def test_areas_with_an_emissivity_of_their_own_are_corrected_as_the_marks_are(
     front, front_scene, drawn
 ):

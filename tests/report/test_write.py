@@ -376,6 +376,7 @@ def test_proposals_are_kept_until_they_are_judged(run: Run, sharp: Scene, tmp_pa
         assert min(math.dist(mark.points[0], place) for place in judged) > mark.radius
 
 
+@pytest.mark.slow
 def test_proposals_in_a_region_have_its_emissivity(run: Run, sharp: Scene):
     marks, scene = open_marks(run, sharp), sharp
     found = propose(marks, scene, marks.meter.regions(marks.marks), Survey())
@@ -415,6 +416,7 @@ def test_what_is_uncertain_by_more_than_it_differs_is_held_back(run: Run, sharp:
     assert marks.marks.proposals == ()
 
 
+@pytest.mark.slow
 def test_the_survey_says_how_many_places_are_proposed(run: Run, sharp: Scene):
     marks = open_marks(run, sharp)
     regions = marks.meter.regions(marks.marks)

@@ -323,6 +323,7 @@ def test_a_loop_that_is_open_when_the_process_ends_keeps_its_step(ended):
     assert load_run(ended.folder / "open").facts.step == 2
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
 def test_a_fork_says_so_only_if_something_was_computed_before_it(ended):
     found = ended.process.stdout.splitlines()

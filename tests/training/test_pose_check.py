@@ -77,6 +77,7 @@ def logged(folder: Path) -> float:
     return found
 
 
+@pytest.mark.slow
 def test_wrong_poses_are_found_and_refined(tmp_path):
     scene = photographed(wrong_px=2.0)
     with pytest.warns(MrgsWarning, match="poses .* pixels"):

@@ -281,6 +281,7 @@ def test_the_seed_decides(small_scene, tmp_path):
     assert not torch.equal(first, final("c", seed=2))
 
 
+@pytest.mark.slow
 def test_a_run_that_died_in_a_step_goes_on_from_the_last_checkpoint(small_scene, tmp_path):
     config = short_config(max_steps=60, checkpoint_every=20)
     whole = train(small_scene, tmp_path / "whole", config)

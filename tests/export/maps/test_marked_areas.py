@@ -23,6 +23,8 @@ AREA = Mark("B1", "box", CORNERS, (0.0, -6.0, 2.0), emissivity=0.3, reflected_c=
 OWN = SurfaceSettings(0.3, -5.0)
 OPTIONS = MapOptions(pixel_size_m=0.05, plane=((-3.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 0.0, 4.0)))
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def maps(front, front_scene):

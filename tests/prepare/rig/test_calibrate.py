@@ -93,6 +93,7 @@ def test_a_given_lens_and_offset_stay_and_their_residual_is_told(room):
     assert found.residual_px[0] < 1
 
 
+@pytest.mark.slow
 def test_unrelated_images_are_refused(room):
     rng = torch.Generator().manual_seed(0)
     noise = [Pixels(torch.rand(120, 160, 1, generator=rng)) for _ in range(3)]
