@@ -90,9 +90,9 @@ def main(
     warnings.simplefilter("ignore")  # the parent has read the same scene and shown its warnings
     warnings.simplefilter("always", KernelWarning)
     warnings.showwarning = cast(Any, _send_warning)
-    reporter = Reporter(listen)
     weights = request["lpips_weights"]
     try:
+        reporter = Reporter(listen)
         scored = run(
             Path(request["scene"]),
             Path(request["folder"]),
