@@ -71,7 +71,7 @@ $(VENV)/.%-installed: $(VENV)/.installed
 # What is pinned stays; `make pins ARGS=--upgrade` takes the newest versions that pyproject.toml allows.
 pins: $(VENV)/.installed
 	$(PIP) uv
-	$(BIN)/uv pip compile pyproject.toml --extra dev --extra docs --extra bench $(ARGS) \
+	$(BIN)/uv pip compile pyproject.toml --quiet --extra dev --extra docs --extra bench $(ARGS) \
 		--universal --python-version 3.10 --no-header --no-annotate --no-emit-index-url \
 		--output-file constraints.txt
 
