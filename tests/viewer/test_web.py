@@ -155,12 +155,9 @@ def test_on_the_network_the_token_is_asked_for_as_well(small_run):
 
 
 def test_only_this_computer_is_served_unless_the_user_says_otherwise(viewer):
-    others = {
-        found[4][0] for found in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
-    }
-    for address in sorted(each for each in others if not each.startswith("127.")):
-        with pytest.raises(OSError, match=r"refused|timed out"):
-            socket.create_connection((address, viewer.port), 5)
+    # Who listens on all addresses answers at this one as well, on whatever network.
+    with pytest.raises(OSError, match=r"refused|timed out|assign|unreachable"):
+        socket.create_connection(("127.0.0.2", viewer.port), 5)
 
 
 @pytest.mark.parametrize(
