@@ -1,7 +1,8 @@
 """Rotations in float64: the exponential map of SO(3), quaternions, and the axes of cameras.
 
 Rotation vectors are axis times angle in radians; quaternions are wxyz (scalar first). Nothing here
-carries gradients: the rasterizer and density control rotate Gaussians with torch.
+carries gradients: the rasterizer and density control rotate Gaussians with torch. Tensors are taken
+where arrays are; NumPy 2.2 converts them only when it is asked to (``np.asarray``).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ It is its own inverse."""
 def rigid_transform(rotation: ArrayLike, translation: ArrayLike) -> Float64[Tensor, "4 4"]:
     """The homogeneous matrix of a rotation [3, 3] and a translation [3]."""
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, translation
+    matrix[:3, :3], matrix[:3, 3] = np.asarray(rotation), np.asarray(translation)
     return torch.from_numpy(matrix)
 
 
@@ -37,22 +38,22 @@ def opengl_camera_to_world(viewmat: Float64[Tensor, "4 4"]) -> Float64[np.ndarra
 
 def matrix_from_quaternion(wxyz: ArrayLike) -> Float64[np.ndarray, "*n 3 3"]:
     """Rotation matrices of quaternions wxyz [4] or [N, 4] of any length but 0."""
-    return Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
+    return Rotation.from_quat(np.asarray(wxyz), scalar_first=True).as_matrix()
 
 
 def quaternion_from_matrix(matrix: ArrayLike) -> Float64[np.ndarray, "*n 4"]:
     """Unit quaternions wxyz of rotation matrices [3, 3] or [N, 3, 3]."""
-    return Rotation.from_matrix(matrix).as_quat(scalar_first=True)
+    return Rotation.from_matrix(np.asarray(matrix)).as_quat(scalar_first=True)
 
 
 def matrix_from_rotvec(rotvec: ArrayLike) -> Float64[np.ndarray, "*n 3 3"]:
     """The exponential map of SO(3) (Rodrigues' formula) of rotation vectors [3] or [N, 3]."""
-    return Rotation.from_rotvec(rotvec).as_matrix()
+    return Rotation.from_rotvec(np.asarray(rotvec)).as_matrix()
 
 
 def rotvec_from_matrix(matrix: ArrayLike) -> Float64[np.ndarray, "*n 3"]:
     """The logarithm map of SO(3): rotation vectors, at most π long, of [3, 3] or [N, 3, 3]."""
-    return Rotation.from_matrix(matrix).as_rotvec()
+    return Rotation.from_matrix(np.asarray(matrix)).as_rotvec()
 
 
 def cross_matrix(v: Float64[Tensor, "*n 3"]) -> Float64[Tensor, "*n 3 3"]:
