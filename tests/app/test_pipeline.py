@@ -13,7 +13,7 @@ from mrgs.app.cli import main
 from mrgs.app.commands import COMMANDS
 from mrgs.app.pipeline import PipelineTerminal, rough
 from mrgs.errors import SceneError
-from mrgs.pipeline.quality import QUALITIES, Quality
+from mrgs.pipeline.plan import QUALITIES, Quality
 from mrgs.prepare import PrepareOptions
 from tests.helpers.photos import photo
 

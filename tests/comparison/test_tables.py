@@ -1,15 +1,28 @@
 from __future__ import annotations
 
 import re
+import statistics
 from dataclasses import replace
 
 import pytest
 
 from mrgs.comparison.results import Outcome, failed
 from mrgs.comparison.table import Table
-from mrgs.comparison.tables import NAMES, Outcomes, all_tables
+from mrgs.comparison.tables import (
+    ABLATION,
+    NAMES,
+    PAPER_METHODS,
+    Outcomes,
+    all_tables,
+    published,
+    published_figure,
+    published_rows,
+    scene_title,
+)
+from mrgs.evaluation.figures import Missing
 from tests.helpers.comparison import metrics_document, outcome_of
 
+PAPER_SCENES = tuple(published()["scenes"])
 TRUTH = {"mae_c": 0.2, "camera_mae_c": 0.4, "depth_median_relative_error": 0.015}
 ALIGNED = {
     "error_px": 1.7,
@@ -233,3 +246,63 @@ def test_a_third_modality_has_a_table():
     assert nir.figures[:4] == ["nir.psnr", "nir.ssim", "nir.lpips", "gaussians_k"]
     assert nir.rows[0].cells[0].mean == 33.0
     assert [nir.rows[0].cells[4].note, nir.rows[1].cells[0].note] == ["not scored", "no"]
+
+
+def test_the_ten_scenes_of_thermoscenes():
+    assert len(PAPER_SCENES) == len(set(published()["scenes"].values())) == 10
+    assert scene_title("heater_water_cup") == "Hot Water Cup"
+    assert scene_title("tabletop") == "tabletop"
+
+
+@pytest.mark.parametrize("table", ["thermal", "rgb"])
+def test_the_large_tables_are_complete(table):
+    third = "mae_c" if table == "thermal" else "lpips"
+    for scene in PAPER_SCENES:
+        assert tuple(published_rows(table, scene)) == PAPER_METHODS
+        for row in published_rows(table, scene).values():
+            assert tuple(row) == ("psnr", "ssim", third, "gaussians_k")
+
+
+@pytest.mark.parametrize(
+    ("table", "row", "psnr"),
+    [
+        ("thermal", "MrGS", 32.62),
+        ("thermal", "3DGS_RGB-T", 31.35),
+        ("thermal", "ThermoNeRF", 29.46),
+        ("rgb", "MrGS", 22.08),
+        ("rgb", "3DGS_RGB-T", 20.75),
+        ("rgb", "ThermoNeRF", 19.48),
+    ],
+)
+def test_the_averages_over_the_ten_scenes(table, row, psnr):
+    figures = [published_figure(table, row, f"{table}.psnr", scene) for scene in PAPER_SCENES]
+    assert statistics.mean(figures) == pytest.approx(psnr, abs=0.005)
+
+
+def test_the_average_number_of_gaussians():
+    counts = {
+        row: statistics.mean(
+            published_figure("thermal", row, "gaussians_k", scene) for scene in PAPER_SCENES
+        )
+        for row in ("MrGS", "3DGS_RGB-T")
+    }
+    assert counts == {"MrGS": pytest.approx(194.4), "3DGS_RGB-T": pytest.approx(468.8)}
+
+
+def test_ablation_and_neighbours():
+    winter = published_rows("ablation", "buildingA_winter")
+    assert tuple(winter) == tuple(ABLATION)
+    assert [row["psnr"] for row in winter.values()] == [27.95, 29.28, 29.53, 29.81, 30.02]
+    assert [row["gaussians_k"] for row in winter.values()] == [342, 201, 160, 188, 155]
+    cup = published_rows("neighbours", "heater_water_cup")
+    assert {n: row["minutes"] for n, row in cup.items()} == {"1": 17, "3": 27, "5": 35, "7": 58}
+
+
+def test_what_the_paper_does_not_say():
+    for row, key, scene, word in (
+        ("MrGS", "thermal.psnr", "tabletop", "this scene"),
+        ("ThermoNeRF", "gaussians_k", "trees", "does not say"),
+    ):
+        figure = published_figure("thermal", row, key, scene)
+        assert isinstance(figure, Missing)
+        assert word in figure.reason

@@ -10,15 +10,14 @@ import torch
 
 from mrgs.evaluation.contact_sheet import (
     CELL_PX,
-    HEADER_PX,
-    SheetRow,
     SheetRows,
+    ViewImages,
     contact_sheet,
-    sheet_row,
 )
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.report import RunFacts
+from mrgs.pictures.sheet import HEADING_PX, MARGIN_PX
 from mrgs.scene import RGB, THERMAL, Reach, Rendering, TemperatureRange, View, evenly_spaced
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.views import CELSIUS, ramp_view, render_with_error, rendering_of
@@ -29,11 +28,11 @@ Render = Callable[[View], Rendering]
 
 def rows_of(
     views: list[View], render: Render, temperature: TemperatureRange | None
-) -> tuple[list[SheetRow], Metrics]:
-    rows: list[SheetRow] = []
+) -> tuple[list[tuple[ViewMetrics, ViewImages]], Metrics]:
+    rows: list[tuple[ViewMetrics, ViewImages]] = []
 
-    def visit(view: View, rendering: Rendering, metrics: object) -> None:
-        rows.append(sheet_row(view, rendering, metrics, temperature))
+    def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
+        rows.append((metrics, ViewImages.of(view, rendering, temperature)))
 
     return rows, evaluate(views, render, temperature, visit=visit)
 
@@ -60,8 +59,8 @@ def test_with_aligned_poses_the_heading_says_so_and_has_their_means() -> None:
     def drawn(metrics: Metrics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The left and the right of the heading, and what lies below it."""
         sheet = np.asarray(contact_sheet(rows, FACTS, metrics, CELSIUS))
-        heading, half = sheet[:HEADER_PX], sheet.shape[1] // 2
-        return heading[:, :half], heading[:, half:], sheet[HEADER_PX:]
+        end, half = MARGIN_PX + HEADING_PX, sheet.shape[1] // 2
+        return sheet[:end, :half], sheet[:end, half:], sheet[end:]
 
     (plain, given, below), (says_so, theirs, same) = (
         drawn(metrics),
@@ -90,7 +89,7 @@ def test_the_background_is_infinitely_far() -> None:
     rendering = render_with_error(view)
     rendering[RGB].depth[:5] = 900.0
     ball = Reach(view.images[RGB].camera.position, 10.0)
-    row = sheet_row(view, rendering, ViewMetrics("a", {}, None), None, ball)
+    row = ViewImages.of(view, rendering, None, ball)
     assert np.isinf(row.depth[:5]).all()
     assert (row.depth[5:] == 2).all()
 
@@ -104,13 +103,13 @@ def shown_of(thermal: list[float | Missing], rgb: list[float | Missing]) -> list
         }
         metrics = ViewMetrics(str(number), figures, None)
 
-        def make(metrics: ViewMetrics = metrics) -> SheetRow:
+        def make(metrics: ViewMetrics = metrics) -> ViewImages:
             made.append(metrics.name)
-            return SheetRow(metrics, {}, {}, None)
+            return ViewImages({}, {}, None)
 
         shown.add(number, metrics, make)
-    assert {row.metrics.name for row in shown.rows} <= set(made)
-    return [int(row.metrics.name) for row in shown.rows]
+    assert {metrics.name for metrics, _ in shown.rows} <= set(made)
+    return [int(metrics.name) for metrics, _ in shown.rows]
 
 
 @pytest.mark.parametrize("bad", [20.0, math.nan])
@@ -132,23 +131,24 @@ def test_each_modality_has_its_worst_view() -> None:
 
 def test_the_error_changes_the_picture() -> None:
     rows, metrics = rows_of([ramp_view()], render_with_error, CELSIUS)
-    rows[0].renderings[THERMAL][2, 2] -= 1.5
+    view, images = rows[0]
+    images.renderings[THERMAL][2, 2] -= 1.5
     sheets = [np.asarray(contact_sheet(rows, FACTS, metrics, CELSIUS)) for _ in range(2)]
     np.testing.assert_array_equal(*sheets)
-    colder = rows[0].renderings[THERMAL] + np.linspace(-1, 0, 24, dtype=np.float32)
-    spoiled = replace(rows[0], renderings=rows[0].renderings | {THERMAL: colder})
-    assert (sheets[0] != np.asarray(contact_sheet([spoiled], FACTS, metrics, CELSIUS))).any(
-        axis=2
-    ).sum() > 1000
+    colder = images.renderings[THERMAL] + np.linspace(-1, 0, 24, dtype=np.float32)
+    spoiled = replace(images, renderings=images.renderings | {THERMAL: colder})
+    other = np.asarray(contact_sheet([(view, spoiled)], FACTS, metrics, CELSIUS))
+    assert (sheets[0] != other).any(axis=2).sum() > 1000
 
 
 def test_rows_hold_celsius_and_mark_invalid_pixels() -> None:
     valid = torch.ones(18, 24, dtype=torch.bool)
     valid[0, 0] = False
     rows, _ = rows_of([ramp_view(valid=valid)], render_with_error, CELSIUS)
-    assert np.isnan(rows[0].photos[THERMAL][0, 0])
-    assert rows[0].photos[THERMAL][8, 10] == pytest.approx(26.0, abs=1e-4)
-    assert np.nanmax(np.abs(rows[0].errors[THERMAL] - 1.0)) < 1e-4
+    images = rows[0][1]
+    assert np.isnan(images.photos[THERMAL][0, 0])
+    assert images.photos[THERMAL][8, 10] == pytest.approx(26.0, abs=1e-4)
+    assert np.nanmax(np.abs(images.errors[THERMAL] - 1.0)) < 1e-4
 
 
 def test_without_celsius_the_sheet_says_so() -> None:
@@ -156,7 +156,7 @@ def test_without_celsius_the_sheet_says_so() -> None:
     sheet = np.asarray(contact_sheet(rows, FACTS, metrics, None))
     with_scale = np.asarray(contact_sheet(rows, FACTS, metrics, TemperatureRange(0.0, 1.0)))
     assert sheet.shape == with_scale.shape
-    assert not np.array_equal(sheet[-60:], with_scale[-60:])
+    assert not np.array_equal(sheet[-90:], with_scale[-90:])
 
 
 def test_all_views_of_one_temperature_can_be_drawn() -> None:
@@ -172,7 +172,7 @@ def test_a_third_modality_has_two_columns() -> None:
     three = draw([ramp_view(nir=True)], render_with_error, CELSIUS)
     assert 2 * CELL_PX < three.shape[1] - two.shape[1] < 2 * CELL_PX + 40
     rows, _ = rows_of([ramp_view(nir=True)], render_with_error, CELSIUS)
-    assert rows[0].photos[NEAR_INFRARED].shape == (20, 16, 3)
+    assert rows[0][1].photos[NEAR_INFRARED].shape == (20, 16, 3)
 
 
 def test_no_rows_is_a_mistake_of_the_program() -> None:

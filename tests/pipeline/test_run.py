@@ -20,7 +20,7 @@ from mrgs.pipeline import run as run_module
 from mrgs.pipeline import stages as stages_module
 from mrgs.pipeline.intake import take_in
 from mrgs.pipeline.ledger import LEDGER
-from mrgs.pipeline.quality import QUALITIES, Quality
+from mrgs.pipeline.plan import QUALITIES, Quality
 from mrgs.prepare import Preparation, PrepareOptions, StageReport
 from tests.helpers.photos import photo
 from tests.helpers.scenes import write_scene
@@ -412,7 +412,7 @@ def test_a_new_photo_is_prepared(prepared, tmp_path):
 
 
 def test_missing_extras_are_noticed_before_the_first_stage(tmp_path, monkeypatch):
-    monkeypatch.setattr("mrgs.pipeline.plan.installed_version", lambda: None)
+    monkeypatch.setattr("mrgs.pipeline.run.installed_version", lambda: None)
     photos = photos_in(tmp_path / "photos")
     with pytest.raises(ConfigError, match=r"\"mrgs\[sfm\]\""):
         run_pipeline(photos, quality="fast")
@@ -420,14 +420,14 @@ def test_missing_extras_are_noticed_before_the_first_stage(tmp_path, monkeypatch
 
 
 def test_a_full_disk_is_noticed_before_the_first_stage(small_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("mrgs.pipeline.plan.free_disk", lambda folder: 1_000_000)
+    monkeypatch.setattr("mrgs.pipeline.run.free_disk", lambda folder: 1_000_000)
     with pytest.raises(RunError, match=r"0\.1 GB, .*0\.0 GB"):
         run_pipeline(small_scene, tmp_path / "results", quality="fast")
     assert not (tmp_path / "results").exists()
 
 
 def test_little_memory_is_said(small_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("mrgs.pipeline.computer.free_memory", lambda: 10_000_000)
+    monkeypatch.setattr("mrgs.pipeline.run.free_memory", lambda: 10_000_000)
     watcher = Watcher(stop_at="check")
     with pytest.raises(KeyboardInterrupt):
         run_pipeline(small_scene, tmp_path / "results", quality="fast", monitor=watcher)

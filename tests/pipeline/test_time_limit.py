@@ -7,7 +7,7 @@ import pytest
 
 from mrgs.data import load_scene
 from mrgs.method.config import make_config
-from mrgs.pipeline.costs import step_cost
+from mrgs.pipeline.forecast import step_seconds
 from mrgs.pipeline.time_limit import MARGIN, PILOT_STEPS, Pace, measure_pace, steps_within
 from mrgs.runs.registry import Method, find_method
 from mrgs.scene import RGB, PosedImage, View
@@ -21,10 +21,14 @@ def test_a_training_that_does_not_grow_takes_its_pace():
 
 def test_growth_leaves_time_for_fewer_steps():
     pace = Pace(
-        loading_s=0.0, step_s=step_cost(10_000, 100.0), gaussians=10_000, kpx=100.0, mean_kpx=100.0
+        loading_s=0.0,
+        step_s=step_seconds(10_000, 100.0),
+        gaussians=10_000,
+        kpx=100.0,
+        mean_kpx=100.0,
     )
     steps = steps_within(60.0, pace, 50_000)
-    at_the_cap = 60.0 / (MARGIN * step_cost(50_000, 100.0))
+    at_the_cap = 60.0 / (MARGIN * step_seconds(50_000, 100.0))
     assert at_the_cap < steps < 1.15 * at_the_cap
 
 
@@ -55,9 +59,9 @@ def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene):
 
 
 def test_coarse_photos_leave_time_for_more_steps():
-    pace = Pace(0.0, step_cost(1000, 600.0), gaussians=1000, kpx=600.0, mean_kpx=300.0)
+    pace = Pace(0.0, step_seconds(1000, 600.0), gaussians=1000, kpx=600.0, mean_kpx=300.0)
     steps = steps_within(60.0, pace, 1000)
-    assert steps == int(60.0 / (MARGIN * step_cost(1000, 300.0)))
+    assert steps == int(60.0 / (MARGIN * step_seconds(1000, 300.0)))
 
 
 def test_a_pilot_trains_on_photos_of_full_resolution(small_scene):

@@ -162,7 +162,7 @@ def _parsed(argv: Sequence[str]) -> Any:
 
 def _prepare(command: Prepare) -> None:
     _without_blas_threads()
-    from mrgs.pipeline.expect import expect_prepare
+    from mrgs.pipeline.forecast import expect_prepare
     from mrgs.prepare import prepare
 
     options = command.photo.options()
@@ -276,7 +276,7 @@ def _measure(command: Measure) -> None:
 
 def _export(command: Export) -> None:
     from mrgs.export import export
-    from mrgs.pipeline.expect import expect_export
+    from mrgs.pipeline.forecast import expect_export
     from mrgs.runs.open import load_run
     from mrgs.system.memory import release_when_freed
 
@@ -302,7 +302,7 @@ def _export(command: Export) -> None:
 
 
 def _report(command: Report) -> None:
-    from mrgs.pipeline.expect import expect_report
+    from mrgs.pipeline.forecast import expect_report
     from mrgs.report import write_report
     from mrgs.report.pdf import require_weasyprint, write_pdf
     from mrgs.runs.open import load_run

@@ -19,6 +19,7 @@ from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, 
 from mrgs.prepare import PrepareOptions, StageReport
 from mrgs.scene import Scene
 from mrgs.system.room import free_disk
+from mrgs.system.wording import counted
 from mrgs.training.driver import Statistics
 from mrgs.training.run_folder import RunConfig
 
@@ -180,14 +181,11 @@ class PipelineTerminal(Monitor):
 
 def _plan_lines(plan: PipelinePlan) -> dict[str, str]:
     """What was understood and what will happen, by title."""
-    computer, quality, intake = plan.computer, plan.quality, plan.intake
-    cores = f"{computer.cores} core{'' if computer.cores == 1 else 's'}"
-    if computer.share < 0.75 * computer.cores:
-        cores += f" ({computer.share:.1f} of them free now)"
-    facts = [cores]
-    if computer.free_memory is not None:
+    quality, intake = plan.quality, plan.intake
+    facts = [counted(plan.cores, "core")]
+    if plan.free_memory is not None:
         facts.append(
-            f"{computer.free_memory / GIGABYTE:.1f} GB memory free "
+            f"{plan.free_memory / GIGABYTE:.1f} GB memory free "
             f"(about {plan.memory / GIGABYTE:.1f} needed)"
         )
     free = free_disk(plan.output) / GIGABYTE

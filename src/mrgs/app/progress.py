@@ -340,9 +340,7 @@ class PrepareProgress:
         now = self._clock()
         text = f"{step} {done}/{total}" if total else step
         if left_s is None and self.forecast is not None:
-            from mrgs.pipeline.expect import left_in_stage
-
-            left_s = left_in_stage(self.forecast, step, done, total)
+            left_s = self.forecast.left(step, done / total if total else None)
         elif left_s is None and done and step == self._step:
             left_s = (now - self._started) / done * (total - done)
         if left_s is not None:
@@ -417,7 +415,7 @@ def _plan(scene: Scene, config: RunConfig) -> str:
 
 def _hint_at_resolution(scene: Scene, config: RunConfig) -> str | None:
     """What a smaller resolution would save, where photos are so large that this is much."""
-    from mrgs.pipeline.costs import step_cost
+    from mrgs.pipeline.forecast import step_seconds
     from mrgs.training import TrainConfig
 
     cameras = scene.train[0].cameras.values()
@@ -428,7 +426,7 @@ def _hint_at_resolution(scene: Scene, config: RunConfig) -> str | None:
     shares = [min(1.0, LARGE_PX / camera.width) ** 2 for camera in cameras]
     reduced = sum(count * share for count, share in zip(pixels, shares, strict=True))
     cap = config.densification.max_gaussians
-    factor = step_cost(cap, sum(pixels) / 1e3) / step_cost(cap, reduced / 1e3)
+    factor = step_seconds(cap, sum(pixels) / 1e3) / step_seconds(cap, reduced / 1e3)
     if factor < WORTH_A_HINT:
         return None
     return (

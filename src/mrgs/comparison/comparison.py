@@ -15,11 +15,8 @@ from mrgs.comparison.figures import (
     WITH_BOLTZ,
     WITHOUT_BOLTZ,
     Exhibit,
-    depth_block,
-    depth_figure,
-    drawn,
-    qualitative_block,
-    qualitative_figure,
+    depth_section,
+    qualitative_section,
 )
 from mrgs.comparison.methods import Options
 from mrgs.comparison.plan import PlannedRun, neighbour_methods, plan
@@ -34,14 +31,15 @@ from mrgs.comparison.text import to_csv, to_latex, to_markdown
 from mrgs.data import load_scene
 from mrgs.distributed.processes import Processes
 from mrgs.errors import ConfigError, MrgsError
-from mrgs.evaluation.contact_sheet import SheetRow
+from mrgs.evaluation.contact_sheet import ViewImages
 from mrgs.evaluation.figures import to_json
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.renders import evaluate_renders, find_renders
 from mrgs.pictures.files import write_png
+from mrgs.pictures.sheet import stack
 from mrgs.render import Rendering
 from mrgs.runs.open import open_run
-from mrgs.scene import BUILT_IN, Scene, View
+from mrgs.scene import BUILT_IN, THERMAL, Scene, View
 from mrgs.system import gpu
 from mrgs.system.atomic import remove, write_text
 from mrgs.system.gpu import DeviceName
@@ -281,28 +279,20 @@ def _write_figures(
     renders: Mapping[str, Path],
     options: Options,
 ) -> None:
-    """``qualitative.png``, and ``depth.png`` where both of its methods are there; the first seed of
-    each run."""
-    pictures, depths = [], []
+    """Write ``qualitative.png``, and ``depth.png`` where both of its methods are there, of the
+    first seed; files of an earlier call that have no contents now are removed."""
+    figures: dict[str, list[Image.Image]] = {"qualitative.png": [], "depth.png": []}
     for scene in outcomes.scenes:
         exhibit = _exhibit(scene, outcomes, planned, renders, options)
         if not exhibit.shown.keys().isdisjoint(outcomes.methods):
-            pictures.append(qualitative_block(exhibit, outcomes.methods))
+            figures["qualitative.png"].append(qualitative_section(exhibit, outcomes.methods))
         if {WITH_BOLTZ, WITHOUT_BOLTZ} <= exhibit.shown.keys():
-            depths.append(depth_block(exhibit))
-    _write_figure(
-        folder / "qualitative.png",
-        qualitative_figure(pictures, outcomes.methods) if pictures else None,
-    )
-    _write_figure(folder / "depth.png", depth_figure(depths) if depths else None)
-
-
-def _write_figure(path: Path, figure: Image.Image | None) -> None:
-    """Where there is none, that of an earlier call is removed."""
-    if figure is None:
-        remove(path)
-    else:
-        write_png(path, figure)
+            figures["depth.png"].append(depth_section(exhibit))
+    for name, sections in figures.items():
+        if sections:
+            write_png(folder / name, stack(sections))
+        else:
+            remove(folder / name)
 
 
 def _exhibit(
@@ -318,7 +308,7 @@ def _exhibit(
     loaded = load_scene(path, resolution=options.resolution)
     view = loaded.eval[len(loaded.eval) // 2]
     wanted = _in_figures(outcomes)
-    shown: dict[str, SheetRow] = {}
+    shown: dict[str, ViewImages] = {}
     figures: dict[str, Any] = {}
     for each in outcomes.all:
         if (
@@ -329,7 +319,10 @@ def _exhibit(
         ):
             continue
         try:
-            shown[each.method] = drawn(loaded, view, _render(each, loaded, view, planned, renders))
+            rendering = _render(each, loaded, view, planned, renders)
+            shown[each.method] = ViewImages.of(
+                view, rendering, loaded.temperature, loaded.reach, THERMAL
+            )
         except MrgsError:  # scored, but its checkpoints or images were removed since
             continue
         figures[each.method] = next(

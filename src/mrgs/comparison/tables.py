@@ -1,12 +1,14 @@
-"""The tables of the paper's experiments, from the outcomes of runs."""
+"""The tables of the paper's experiments: the outcomes of runs, beside what the paper published."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from importlib.resources import files
+from typing import Any
 
-from mrgs.comparison import paper
 from mrgs.comparison.results import Cell, Outcome, kind_of, over_scenes, over_seeds
 from mrgs.comparison.table import Group, Row, Table
 from mrgs.evaluation.figures import REPORTED, Figure, Missing
@@ -19,6 +21,7 @@ NAMES = (*(modality.name for modality in REPORTED), "ablation", "neighbours", "t
 CELSIUS = ("thermal.psnr", "thermal.ssim", "thermal.mae_c", "gaussians_k")
 WITHOUT_CELSIUS = ("thermal.psnr", "thermal.psnr_matched", "thermal.ssim", "gaussians_k")
 NEIGHBOURS = (*CELSIUS, "minutes")
+IMAGES = ("psnr", "ssim", "lpips")
 TRUTH = ("truth.mae_c", "truth.camera_mae_c", "truth.ratio", "truth.depth_percent")
 ALIGNED = (
     "poses.error_px",
@@ -37,6 +40,9 @@ ABLATION = {
 }
 """What each method has, in the columns of the paper's Table 3."""
 
+PAPER_METHODS = ("ThermoNeRF", "3DGS_RGB-T", "MrGS")
+"""Rows of the paper's tables of thermal and RGB images."""
+
 MEAN = "mean"
 MATCHED = (
     "PSNR matched, for scenes without °C: after the rendering took the gain and the offset "
@@ -45,6 +51,19 @@ MATCHED = (
 PUBLISHED = (
     "Rows marked (paper) are the paper's own figures, on other hardware and a longer "
     "schedule; they are not ranked."
+)
+
+TRUTH_REMARKS = (
+    "MAE to exact: of the rendered view, mean over the frame.",
+    "Camera's own MAE: of the camera's image of the same view.",
+    "Ratio: the first over the second; below 1, the model is a better thermometer than the camera.",
+    "Depth error: median of |rendered − exact| / exact over a view, mean over the views.",
+)
+ALIGNED_REMARKS = (
+    "Pose error: how far off what the model shows a typical held-out photo is at the pose as "
+    "given.",
+    "A dash: the photos fit the model at the poses as given, the model cannot tell, or the scene "
+    "does not have the figure.",
 )
 
 
@@ -72,11 +91,7 @@ class Outcomes:
         ] or [Missing("not run")]
 
     def mean(self, method: str, figure: str, among: Sequence[str] | None = None) -> Cell:
-        """The mean over the scenes where any method has the figure.
-
-        Args:
-            among: only of these scenes; None for all.
-        """
+        """The mean over the scenes, by default all, where any method has the figure."""
         among = self.scenes if among is None else among
         scenes = [scene for scene in self.scenes_with(figure) if scene in among] or among
         return over_scenes([self.figures(scene, method, figure) for scene in scenes], scenes)
@@ -94,6 +109,43 @@ class Outcomes:
         ]
 
 
+@cache
+def published() -> dict[str, Any]:
+    """``paper.json``: figures by table, the paper's name of the scene, row and figure.
+
+    ``scenes`` maps ThermoScenes' folder names to the paper's names. The rows of the ablation have
+    the method names of this program, the rows of ``neighbours`` the paper's n.
+    """
+    text = files("mrgs.comparison").joinpath("paper.json").read_text(encoding="utf-8")
+    content: dict[str, Any] = json.loads(text)
+    return content
+
+
+def scene_title(scene: str) -> str:
+    """The paper's name of a ThermoScenes scene; the folder's name for other scenes."""
+    return str(published()["scenes"].get(scene, scene))
+
+
+def published_rows(table: str, scene: str) -> dict[str, dict[str, float | None]]:
+    """The paper's rows of a table for a scene; empty if it has none."""
+    rows: dict[str, dict[str, float | None]] = published().get(table, {}).get(scene_title(scene))
+    return rows or {}
+
+
+def published_figure(table: str, row: str, figure: str, scene: str) -> Figure:
+    """A figure of the paper, by its key in ``results.figure_keys``."""
+    figures = published_rows(table, scene).get(row)
+    if figures is None:
+        return Missing("the paper has no figures of this scene")
+    value = figures.get(figure.rpartition(".")[2])
+    return Missing("the paper does not say") if value is None else float(value)
+
+
+def _published_cell(table: str, row: str, figure: str, scene: str) -> Cell:
+    value = published_figure(table, row, figure, scene)
+    return Cell(None, note=value.reason) if isinstance(value, Missing) else Cell(value)
+
+
 def all_tables(outcomes: Outcomes) -> list[Table]:
     """All tables that have contents."""
     tables = []
@@ -101,15 +153,27 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
         caption = "novel views of scenes and methods: held-out views, full frame."
         for modality, title in _scored(outcomes).items():
             figures_of = partial(_figures_of, outcomes, modality)
-            tables.append(_methods_by_scenes(outcomes, modality, f"{title} {caption}", figures_of))
+            tables.append(_by_scene(outcomes, modality, f"{title} {caption}", figures_of))
     if sum(method in ABLATION for method in outcomes.methods) > 1:
         tables.append(_ablation(outcomes))
     if outcomes.neighbours:
         tables.append(_neighbours(outcomes))
     if with_truth := _scenes_with_any(outcomes, TRUTH):
-        tables.append(_truth(outcomes, with_truth))
+        caption = "Against exact temperatures and depths, of scenes that have them."
+        tables.append(
+            _by_scene(outcomes, "truth", caption, lambda _: TRUTH, with_truth, TRUTH_REMARKS)
+        )
     if with_aligned := _scenes_with_any(outcomes, ALIGNED[1:]):
-        tables.append(_aligned(outcomes, with_aligned))
+        figures = tuple(figure for figure in ALIGNED if outcomes.scenes_with(figure))
+        caption = (
+            "Scores after aligning each held-out photo with the model, for scenes whose poses seem "
+            "wrong: at a wrong pose a sharp model scores no better than a blurred one."
+        )
+        tables.append(
+            _by_scene(
+                outcomes, "aligned", caption, lambda _: figures, with_aligned, ALIGNED_REMARKS
+            )
+        )
     return tables
 
 
@@ -127,10 +191,10 @@ def _scored(outcomes: Outcomes) -> dict[str, str]:
 
 
 def _figures_of(outcomes: Outcomes, modality: str, scenes: Sequence[str]) -> tuple[str, ...]:
-    """What the images of scenes are judged by: the paper's figures, or what takes the place of the
-    MAE."""
+    """The paper's figures of a modality's images; PSNR matched in place of the MAE where no scene
+    has °C."""
     if modality != THERMAL.name:
-        return (*(f"{modality}.{key}" for key in ("psnr", "ssim", "lpips")), "gaussians_k")
+        return (*(f"{modality}.{key}" for key in IMAGES), "gaussians_k")
     celsius, matched = (
         set(outcomes.scenes_with(key)) for key in ("thermal.mae_c", "thermal.psnr_matched")
     )
@@ -139,50 +203,56 @@ def _figures_of(outcomes: Outcomes, modality: str, scenes: Sequence[str]) -> tup
     return WITHOUT_CELSIUS
 
 
-def _methods_by_scenes(
+def _by_scene(
     outcomes: Outcomes,
     name: str,
     caption: str,
     figures_of: Callable[[Sequence[str]], tuple[str, ...]],
+    scenes: tuple[str, ...] | None = None,
+    remarks: Sequence[str] = (),
 ) -> Table:
     """A row per method and a group of columns per scene, as the paper's Tables 1 and 2.
 
-    ``figures_of`` gives the figures below a scene and, given all scenes, below the mean.
+    Args:
+        outcomes: of all runs.
+        name: of the table.
+        caption: what it shows.
+        figures_of: the figures below a scene and, given all scenes, below the mean.
+        scenes: the columns; None for all scenes.
+        remarks: sentences below the table.
     """
-    groups = [Group(_title(scene), figures_of((scene,))) for scene in outcomes.scenes]
-    columns = [(scene, key) for scene in outcomes.scenes for key in figures_of((scene,))]
-    means = figures_of(outcomes.scenes) if len(outcomes.scenes) > 1 else ()
+    scenes = outcomes.scenes if scenes is None else scenes
+    columns = [(scene, key) for scene in scenes for key in figures_of((scene,))]
+    means = figures_of(scenes) if len(scenes) > 1 else ()
     rows = []
     for method in outcomes.methods:
         cells = [over_seeds(outcomes.figures(scene, method, key)) for scene, key in columns]
-        cells += [outcomes.mean(method, key) for key in means]
+        cells += [outcomes.mean(method, key, scenes) for key in means]
         rows.append(Row((method,), tuple(cells)))
-    remarks = [MATCHED] if any(key == "thermal.psnr_matched" for _, key in columns) else []
-    remarks += _remarks_on_means(outcomes, outcomes.scenes, means)
-    if any(paper.rows_of(name, scene) for scene in outcomes.scenes):
-        for row in paper.METHODS:
-            cells = [paper.cell(name, scene, row, key) for scene, key in columns]
-            cells += [paper.mean_cell(name, outcomes.scenes, row, key) for key in means]
+    matched = [MATCHED] if any(key == "thermal.psnr_matched" for _, key in columns) else []
+    remarks = [*remarks, *matched, *_remarks_on_means(outcomes, scenes, means)]
+    if any(published_rows(name, scene) for scene in scenes):
+        for row in PAPER_METHODS:
+            cells = [_published_cell(name, row, key, scene) for scene, key in columns]
+            for key in means:
+                found = [[published_figure(name, row, key, scene)] for scene in scenes]
+                cells.append(over_scenes(found, scenes))
             rows.append(Row((f"{row} (paper)",), tuple(cells), published=True))
         remarks.append(PUBLISHED)
+    groups = [Group(scene_title(scene), figures_of((scene,))) for scene in scenes]
     groups += [Group(MEAN, means)] if means else []
     return Table(name, caption, ("",), tuple(groups), tuple(rows), tuple(remarks))
 
 
 def _ablation(outcomes: Outcomes) -> Table:
     """A block of rows per scene, as the paper's Table 3."""
-    methods = [method for method in ABLATION if method in outcomes.methods]
-    rows = []
-    for scene in outcomes.scenes:
-        for method in methods:
-            cells = tuple(over_seeds(outcomes.figures(scene, method, key)) for key in CELSIUS)
-            rows.append(Row((_title(scene), *ABLATION[method]), cells, block=scene))
-        rows += _published_rows("ablation", scene, CELSIUS, ABLATION)
+    labels = {method: ABLATION[method] for method in ABLATION if method in outcomes.methods}
+    rows = _blocks(outcomes, "ablation", CELSIUS, labels, ABLATION)
     remarks = [PUBLISHED] if any(row.published for row in rows) else []
     if len(outcomes.scenes) > 1:
-        for method in methods:
+        for method, label in labels.items():
             cells = tuple(outcomes.mean(method, key) for key in CELSIUS)
-            rows.append(Row((MEAN, *ABLATION[method]), cells, block=MEAN))
+            rows.append(Row((MEAN, *label), cells, block=MEAN))
         remarks += _remarks_on_means(outcomes, outcomes.scenes, CELSIUS)
     return Table(
         "ablation",
@@ -196,13 +266,10 @@ def _ablation(outcomes: Outcomes) -> Table:
 
 def _neighbours(outcomes: Outcomes) -> Table:
     """A row per n, as the paper's Table 4."""
-    rows = []
-    for scene in outcomes.scenes:
-        for n, method in sorted(outcomes.neighbours.items()):
-            cells = tuple(over_seeds(outcomes.figures(scene, method, key)) for key in NEIGHBOURS)
-            rows.append(Row((_title(scene), f"n = {n}"), cells, block=scene))
-        labels = {str(n): (f"n = {n}",) for n in sorted(outcomes.neighbours)}
-        rows += _published_rows("neighbours", scene, NEIGHBOURS, labels)
+    methods = {n: outcomes.neighbours[n] for n in sorted(outcomes.neighbours)}
+    labels = {method: (f"n = {n}",) for n, method in methods.items()}
+    paper_labels = {str(n): (f"n = {n}",) for n in methods}
+    rows = _blocks(outcomes, "neighbours", NEIGHBOURS, labels, paper_labels)
     remarks = [
         "Each Gaussian exchanges heat with K = n² − 1 neighbours.",
         "The time is that of the training alone.",
@@ -220,89 +287,38 @@ def _neighbours(outcomes: Outcomes) -> Table:
     )
 
 
-def _truth(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
-    """Errors against exact temperatures and depths, where a scene has them."""
-    remarks = [
-        "MAE to exact: of the rendered view, mean over the frame.",
-        "Camera's own MAE: of the camera's image of the same view.",
-        "Ratio: the first over the second; below 1, the model is a better thermometer than the "
-        "camera.",
-        "Depth error: median of |rendered − exact| / exact over a view, mean over the views.",
-    ]
-    caption = "Against exact temperatures and depths, of scenes that have them."
-    return _same_figures(outcomes, scenes, "truth", caption, TRUTH, remarks)
-
-
-def _aligned(outcomes: Outcomes, scenes: tuple[str, ...]) -> Table:
-    """Scores with each held-out photo aligned with the model, of scenes whose poses are wrong."""
-    remarks = [
-        "Pose error: how far off what the model shows a typical held-out photo is at the "
-        "pose as given.",
-        "A dash: the photos fit the model at the poses as given, the model cannot tell, or the "
-        "scene does not have the figure.",
-    ]
-    caption = (
-        "Scores after aligning each held-out photo with the model, for scenes whose poses seem "
-        "wrong: at a wrong pose a sharp model scores no better than a blurred one."
-    )
-    figures = [figure for figure in ALIGNED if outcomes.scenes_with(figure)]
-    return _same_figures(outcomes, scenes, "aligned", caption, tuple(figures), remarks)
-
-
-def _same_figures(
+def _blocks(
     outcomes: Outcomes,
-    scenes: tuple[str, ...],
-    name: str,
-    caption: str,
-    figures: tuple[str, ...],
-    remarks: Sequence[str],
-) -> Table:
-    """A row per method, and the same columns below each scene and the mean."""
-    several = len(scenes) > 1
-    rows = []
-    for method in outcomes.methods:
-        cells = [
-            over_seeds(outcomes.figures(scene, method, key)) for scene in scenes for key in figures
-        ]
-        cells += [outcomes.mean(method, key, scenes) for key in figures] if several else []
-        rows.append(Row((method,), tuple(cells)))
-    groups = [Group(_title(scene), figures) for scene in scenes]
-    groups += [Group(MEAN, figures)] if several else []
-    remarks = [*remarks, *(_remarks_on_means(outcomes, scenes, figures) if several else [])]
-    return Table(name, caption, ("",), tuple(groups), tuple(rows), tuple(remarks))
-
-
-def _published_rows(
-    table: str, scene: str, figures: Sequence[str], labels: Mapping[str, tuple[str, ...]]
+    table: str,
+    figures: Sequence[str],
+    labels: Mapping[str, tuple[str, ...]],
+    paper_labels: Mapping[str, tuple[str, ...]],
 ) -> list[Row]:
-    """The paper's rows for a scene, where it has them."""
-    return [
-        Row(
-            (f"{_title(scene)} (paper)", *labels[row]),
-            tuple(paper.cell(table, scene, row, key) for key in figures),
-            block=scene,
-            published=True,
-        )
-        for row in labels
-        if row in paper.rows_of(table, scene)
-    ]
+    """Per scene a row for each labelled method, and the paper's rows where it has them."""
+    rows = []
+    for scene in outcomes.scenes:
+        title = scene_title(scene)
+        for method, label in labels.items():
+            cells = [over_seeds(outcomes.figures(scene, method, key)) for key in figures]
+            rows.append(Row((title, *label), tuple(cells), block=scene))
+        for row in paper_labels:
+            if row in published_rows(table, scene):
+                cells = [_published_cell(table, row, key, scene) for key in figures]
+                label = (f"{title} (paper)", *paper_labels[row])
+                rows.append(Row(label, tuple(cells), block=scene, published=True))
+    return rows
 
 
 def _remarks_on_means(
     outcomes: Outcomes, scenes: Sequence[str], figures: Sequence[str]
 ) -> list[str]:
-    """Which means leave some of a table's scenes out, because no method has the figure there."""
+    """Which means leave out some of a table's scenes because no method has the figure there."""
     remarks = []
     for figure in figures:
         there = outcomes.scenes_with(figure)
-        gone = [_title(scene) for scene in scenes if scene not in there]
+        gone = [scene_title(scene) for scene in scenes if scene not in there]
         if there and gone:
             remarks.append(
                 f"The mean {kind_of(figure).heading} leaves out {', '.join(gone)}, which has none."
             )
     return remarks
-
-
-def _title(scene: str) -> str:
-    """The paper's name of a scene, or the folder's."""
-    return paper.scene_title(scene) or scene

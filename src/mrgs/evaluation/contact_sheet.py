@@ -1,33 +1,23 @@
-"""One picture per run: photos, renderings, the temperature error and the depth of some held-out
-views."""
+"""One picture per run: photos, renderings, temperature errors and depth of some held-out views."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics
 from mrgs.evaluation.figures import Figures, Missing
 from mrgs.evaluation.report import RunFacts, format_figure
-from mrgs.pictures.drawing import (
-    HAIRLINE,
-    INK,
-    MUTED,
-    Scale,
-    blank,
-    draw_text,
-    fit_text,
-    scale_bar,
-    text_width,
-)
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import shown_depth, shown_values, to_rgb8
-from mrgs.pictures.palette import PaletteName, display_range, round_up
+from mrgs.pictures.palette import display_range, round_up
+from mrgs.pictures.sheet import Bar, Panel, PanelRow, draw_heading, draw_section, stack
 from mrgs.pictures.values import unit_label
 from mrgs.scene import (
     THERMAL,
@@ -43,34 +33,61 @@ from mrgs.scene import (
 
 CELL_PX = 288
 LABEL_PX = 148
-MARGIN_PX = 36
-GAP_PX = 10
-HEADER_PX = 92
-TITLE_PX = 30
-FOOTER_PX = 62
 
 ImageValues: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
-"""A picture as it is, or the values that a palette shows; invalid ones are NaN."""
+"""sRGB, or values that a palette shows; invalid ones are NaN."""
 
-PHOTO, RENDERING, ERROR, DEPTH = "photo", "rendering", "error", "depth"
+DEPTH_NOTE = "z-depth in scene units"
+NORMALISED_NOTE = "normalised: the scene has no °C"
 
 
 @dataclass(frozen=True, eq=False)
-class SheetRow:
-    """The images of one view on the sheet.
+class ViewImages:
+    """The images of one view.
 
     Attributes:
-        metrics: the view's figures.
-        photos: of each modality that the view has: pictures [H, W, 3], or values with a unit in
-            that unit [H, W] (normalised temperatures where the scene has no °C).
+        photos: of each modality of the view: sRGB [H, W, 3], or values with a unit in that unit
+            [H, W] (normalised temperatures where the scene has no °C).
         renderings: of each modality that the model renders, in the unit and size of its photo.
-        depth: z-depth in scene units, infinite where it is the background's; None if not known.
+        depth: z-depth in scene units, infinite for the background; None if not known.
     """
 
-    metrics: ViewMetrics
     photos: Mapping[Modality, ImageValues]
     renderings: Mapping[Modality, ImageValues]
     depth: Float[np.ndarray, "h w"] | None
+
+    @classmethod
+    def of(
+        cls,
+        view: View,
+        rendering: Rendering,
+        temperature: TemperatureRange | None,
+        ball: Reach | None = None,
+        depth_of: Modality | None = None,
+    ) -> ViewImages:
+        """The images of a view with its photos, and of a rendering that is compared with them.
+
+        Args:
+            view: with its photos.
+            rendering: of the view.
+            temperature: the scene's; None without °C.
+            ball: how far the scene reaches; depth beyond it is the background's. None if unbounded.
+            depth_of: the modality whose depth is shown if known; None for the first.
+
+        Raises:
+            SceneError: a photo cannot be read.
+        """
+        seen = rendering.with_depth(depth_of or next(iter(rendering)))
+        photos = {each: image.load() for each, image in view.images.items()}
+        rendered = {each: Pixels(blend.image.detach().cpu()) for each, blend in rendering.items()}
+        depth = None
+        if seen is not None:
+            depth = shown_depth(rendering.surface_depth(seen), view.images.get(seen), ball)
+        return cls(
+            {each: _values(each, pixels, temperature) for each, pixels in photos.items()},
+            {each: _values(each, pixels, temperature) for each, pixels in rendered.items()},
+            depth,
+        )
 
     @property
     def errors(self) -> dict[Modality, Float[np.ndarray, "h w"]]:
@@ -80,149 +97,6 @@ class SheetRow:
             for modality, photo in self.photos.items()
             if modality.is_metric and modality in self.renderings
         }
-
-
-class SheetRows:
-    """The views on a sheet: a few, evenly spaced, and those with the worst scores, which a mean
-    hides.
-
-    Args:
-        count: number of views that will be added.
-    """
-
-    def __init__(self, count: int) -> None:
-        self._spread = evenly_spaced(count)
-        self._rows: dict[int, SheetRow] = {}
-        self._worst: dict[Modality, tuple[float, int]] = {}
-
-    def add(self, number: int, metrics: ViewMetrics, make_row: Callable[[], SheetRow]) -> None:
-        """Add view ``number``, counted from 0; its row is made only if the sheet shows it, going by
-        the views added so far."""
-        for modality, figures in metrics.figures.items():
-            psnr = figures["psnr"]
-            if isinstance(psnr, float):
-                score = (-math.inf if math.isnan(psnr) else psnr, number)
-                self._worst[modality] = min(score, self._worst.get(modality, score))
-        shown = {*self._spread, *(place for _, place in self._worst.values())}
-        self._rows = {place: row for place, row in self._rows.items() if place in shown}
-        if number in shown:
-            self._rows[number] = make_row()
-
-    @property
-    def rows(self) -> list[SheetRow]:
-        """The rows of the views added so far that the sheet shows, in the order of the views."""
-        return [self._rows[number] for number in sorted(self._rows)]
-
-
-class _Scales(NamedTuple):
-    """The scales of a sheet.
-
-    Attributes:
-        values: of each modality with a unit; the unit is empty for temperatures without °C.
-        errors: of each of these modalities.
-        depth: from far to near, scene units.
-    """
-
-    values: dict[Modality, Scale]
-    errors: dict[Modality, Scale]
-    depth: Scale
-
-
-class _SheetColumn(NamedTuple):
-    """A column of the sheet; the depth belongs to no modality."""
-
-    modality: Modality | None
-    kind: str
-
-    @property
-    def title(self) -> str:
-        """Heading of the column."""
-        return self.kind if self.modality is None else f"{self.modality.title} {self.kind}"
-
-
-def sheet_row(
-    view: View,
-    rendering: Rendering,
-    metrics: ViewMetrics,
-    temperature: TemperatureRange | None,
-    ball: Reach | None = None,
-    depth_of: Modality | None = None,
-) -> SheetRow:
-    """Make the contact sheet's row of one view.
-
-    Args:
-        view: with its photos.
-        rendering: compared with them.
-        metrics: the view's figures.
-        temperature: the scene's; None without °C.
-        ball: how far the scene reaches; the background beyond it does not count on the scale of the
-            depth. None if there is none.
-        depth_of: the modality whose depth is shown if it is known, else another one; None for the
-            first.
-    """
-    seen = rendering.with_depth(depth_of or next(iter(rendering)))
-    return SheetRow(
-        metrics=metrics,
-        photos={
-            modality: _values(modality, image.load(), temperature)
-            for modality, image in view.images.items()
-        },
-        renderings={
-            modality: _values(modality, Pixels(blend.image.detach().cpu()), temperature)
-            for modality, blend in rendering.items()
-        },
-        depth=None
-        if seen is None
-        else shown_depth(rendering.surface_depth(seen), view.images.get(seen), ball),
-    )
-
-
-def contact_sheet(
-    rows: Sequence[SheetRow],
-    facts: RunFacts,
-    metrics: Metrics,
-    temperature: TemperatureRange | None,
-    palette: PaletteName = "inferno",
-) -> Image.Image:
-    """Draw the sheet: a row per view and a column per image; a column that no row has is left out.
-
-    Photos and renderings of a modality with a unit share one range, that of the photos shown; its
-    errors have another, symmetric about zero.
-
-    Args:
-        rows: with aligned poses, if ``metrics`` has such.
-        facts: of the run, for the heading.
-        metrics: for the heading.
-        temperature: the scene's scale; None without °C.
-        palette: of the values with a unit.
-
-    Raises:
-        ValueError: there are no rows.
-    """
-    if not rows:
-        raise ValueError("a contact sheet needs at least one row")
-    scales = _scales(rows, temperature, palette)
-    cells = [_cells(row, scales) for row in rows]
-    columns = _columns(cells)
-    heights = [_row_height(row) for row in cells]
-    left = MARGIN_PX + LABEL_PX
-    width = left + len(columns) * CELL_PX + (len(columns) - 1) * GAP_PX + MARGIN_PX
-    height = (
-        HEADER_PX + TITLE_PX + sum(heights) + GAP_PX * (len(rows) - 1) + FOOTER_PX + MARGIN_PX // 2
-    )
-    sheet = blank((width, height))
-    _draw_header(sheet, facts, metrics)
-    offsets = {column: left + index * (CELL_PX + GAP_PX) for index, column in enumerate(columns)}
-    for column, x in offsets.items():
-        draw_text(sheet, (x, HEADER_PX + 18), column.title, 15, INK)
-    y = HEADER_PX + TITLE_PX
-    for row, images, row_height in zip(rows, cells, heights, strict=True):
-        _draw_label(sheet, row.metrics, y)
-        for column, x in offsets.items():
-            _draw_cell(sheet, images.get(column), (x, y), row_height)
-        y += row_height + GAP_PX
-    _draw_scale_bars(sheet, scales, offsets, y + 4)
-    return sheet
 
 
 def _values(
@@ -236,79 +110,136 @@ def _values(
     )
 
 
-def _scales(
-    rows: Sequence[SheetRow], temperature: TemperatureRange | None, palette: PaletteName
-) -> _Scales:
-    shown = in_order(modality for row in rows for modality in (*row.photos, *row.renderings))
-    values, errors = {}, {}
-    for modality in shown:
-        if modality.is_metric:
-            unit = unit_label(modality, temperature)
-            photos = _pool([{**row.renderings, **row.photos}.get(modality) for row in rows])
-            values[modality] = Scale(palette, *display_range(photos), unit)
-            differences = np.abs(_pool([row.errors.get(modality) for row in rows]))
-            limit = round_up(display_range(differences, tail=1.0)[1])
-            errors[modality] = Scale("error", -limit, limit, unit)
-    near, far = display_range(_pool([row.depth for row in rows]), tail=1.0)
-    return _Scales(values, errors, Scale("depth", far, near, ""))
+class SheetRows:
+    """The views on a sheet: a few, evenly spaced, and the ones with the worst scores, which a mean
+    hides.
+
+    Args:
+        count: number of views that will be added.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._spread = evenly_spaced(count)
+        self._rows: dict[int, tuple[ViewMetrics, ViewImages]] = {}
+        self._worst: dict[Modality, tuple[float, int]] = {}
+
+    def add(self, number: int, metrics: ViewMetrics, images: Callable[[], ViewImages]) -> None:
+        """Add view ``number``, counted from 0; its images are made only if the sheet shows it,
+        going by the views added so far."""
+        for modality, figures in metrics.figures.items():
+            psnr = figures["psnr"]
+            if isinstance(psnr, float):
+                score = (-math.inf if math.isnan(psnr) else psnr, number)
+                self._worst[modality] = min(score, self._worst.get(modality, score))
+        shown = {*self._spread, *(place for _, place in self._worst.values())}
+        self._rows = {place: row for place, row in self._rows.items() if place in shown}
+        if number in shown:
+            self._rows[number] = metrics, images()
+
+    @property
+    def rows(self) -> list[tuple[ViewMetrics, ViewImages]]:
+        """The views that the sheet shows, of the ones added so far, in their order."""
+        return [self._rows[number] for number in sorted(self._rows)]
 
 
-def _pool(images: Sequence[np.ndarray | None]) -> np.ndarray:
+def contact_sheet(
+    rows: Sequence[tuple[ViewMetrics, ViewImages]],
+    facts: RunFacts,
+    metrics: Metrics,
+    temperature: TemperatureRange | None,
+) -> Image.Image:
+    """Draw the sheet: a row per view and a column per kind of image that any row has.
+
+    Photos and renderings of a modality with a unit share one range, that of the photos shown; its
+    errors have another, symmetric about zero.
+
+    Args:
+        rows: with aligned poses, if ``metrics`` has them.
+        facts: of the run, for the heading.
+        metrics: for the heading.
+        temperature: the scene's scale; None without °C.
+
+    Raises:
+        ValueError: there are no rows.
+    """
+    if not rows:
+        raise ValueError("a contact sheet needs at least one row")
+    images = [each for _, each in rows]
+    columns, bars = _columns(images, temperature)
+    panel_rows = [
+        PanelRow(
+            view.name, [Panel(pictures[number]) for pictures in columns.values()], _figures(view)
+        )
+        for number, (view, _) in enumerate(rows)
+    ]
+    section = draw_section([*columns], panel_rows, bars, cell_px=CELL_PX, label_px=LABEL_PX)
+    return stack([_heading(section.width, facts, metrics), section])
+
+
+def _columns(
+    rows: Sequence[ViewImages], temperature: TemperatureRange | None
+) -> tuple[dict[str, list[UInt8[np.ndarray, "h w 3"] | None]], list[Bar]]:
+    """Pictures of each row by column title, and the bars that explain their colours."""
+    columns: dict[str, list[UInt8[np.ndarray, "h w 3"] | None]] = {}
+    bars: list[Bar] = []
+
+    def add(
+        kinds: Mapping[str, list[ImageValues | None]], scale: Scale | None = None, note: str = ""
+    ) -> None:
+        first = len(columns)
+        for title, values in kinds.items():
+            if any(each is not None for each in values):
+                columns[title] = [colored(each, scale) for each in values]
+        if scale is not None and len(columns) > first:
+            bars.append(Bar(scale, note, (first, len(columns) - 1)))
+
+    for modality in in_order(each for row in rows for each in (*row.photos, *row.renderings)):
+        kinds = {
+            f"{modality.title} photo": [row.photos.get(modality) for row in rows],
+            f"{modality.title} rendering": [row.renderings.get(modality) for row in rows],
+        }
+        if not modality.is_metric:
+            add(kinds)
+            continue
+        unit = unit_label(modality, temperature)
+        known = pooled([{**row.renderings, **row.photos}.get(modality) for row in rows])
+        scale = Scale("inferno", *display_range(known), unit)
+        add(kinds, scale, "" if unit else NORMALISED_NOTE)
+        errors = [row.errors.get(modality) for row in rows]
+        add({f"{modality.title} error": [*errors]}, error_scale(errors, unit), error_note(modality))
+    depths = [row.depth for row in rows]
+    near, far = display_range(pooled(depths), tail=1.0)
+    add({"depth": [*depths]}, Scale("depth", far, near, ""), DEPTH_NOTE)
+    return columns, bars
+
+
+def colored(values: ImageValues | None, scale: Scale | None) -> UInt8[np.ndarray, "h w 3"] | None:
+    """Values in the colours of a scale; sRGB, which has no scale, as it is."""
+    return values if values is None or scale is None else scale.colorize(values)
+
+
+def error_scale(errors: Sequence[np.ndarray | None], unit: str) -> Scale:
+    """The scale of all errors, symmetric about zero."""
+    limit = round_up(display_range(np.abs(pooled(errors)), tail=1.0)[1])
+    return Scale("error", -limit, limit, unit)
+
+
+def error_note(modality: Modality) -> str:
+    """What the colours of the errors mean."""
+    signs = "blue too cold, red too warm" if modality == THERMAL else "blue too low, red too high"
+    return f"rendering minus photo: {signs}"
+
+
+def pooled(images: Sequence[np.ndarray | None]) -> Float[np.ndarray, " n"]:
+    """The values of all images that there are."""
     there = [image.ravel() for image in images if image is not None]
     return np.concatenate(there) if there else np.zeros(0, np.float32)
 
 
-def _cells(row: SheetRow, scales: _Scales) -> dict[_SheetColumn, UInt8[np.ndarray, "h w 3"]]:
-    """The row's pictures; values and depths through their palettes."""
-    cells = {}
-    for kind, images in ((PHOTO, row.photos), (RENDERING, row.renderings)):
-        for modality, values in images.items():
-            scale = scales.values.get(modality)
-            shown = values if scale is None else scale.colorize(values)
-            cells[_SheetColumn(modality, kind)] = shown
-    for modality, error in row.errors.items():
-        cells[_SheetColumn(modality, ERROR)] = scales.errors[modality].colorize(error)
-    if row.depth is not None:
-        cells[_SheetColumn(None, DEPTH)] = scales.depth.colorize(row.depth)
-    return cells
-
-
-def _columns(cells: Sequence[Mapping[_SheetColumn, np.ndarray]]) -> list[_SheetColumn]:
-    """Those that any row has: by modality photo, rendering and error, then the depth."""
-    there = {column for row in cells for column in row}
-    modalities = in_order(column.modality for column in there if column.modality is not None)
-    columns = [
-        _SheetColumn(modality, kind)
-        for modality in modalities
-        for kind in (PHOTO, RENDERING, ERROR)
-    ]
-    return [column for column in [*columns, _SheetColumn(None, DEPTH)] if column in there]
-
-
-def _row_height(images: Mapping[_SheetColumn, np.ndarray]) -> int:
-    """The tallest image at the cell's width, but no taller than 4:3 upright."""
-    heights = [round(CELL_PX * image.shape[0] / image.shape[1]) for image in images.values()]
-    return min(max([*heights, CELL_PX // 2]), CELL_PX * 4 // 3)
-
-
-def _draw_cell(
-    sheet: Image.Image, pixels: np.ndarray | None, corner: tuple[int, int], height: int
-) -> None:
-    """The image, as large as the cell allows, in its middle; a dash where there is none."""
-    x, y = corner
-    if pixels is None:
-        draw_text(sheet, (x + CELL_PX / 2, y + height / 2), "-", 18, MUTED, anchor="mm")
-        return
-    image = Image.fromarray(pixels)
-    scale = min(CELL_PX / image.width, height / image.height)
-    size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
-    image = image.resize(size, Image.Resampling.LANCZOS if scale < 1 else Image.Resampling.BICUBIC)
-    sheet.paste(image, (x + (CELL_PX - image.width) // 2, y + (height - image.height) // 2))
-
-
-def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
-    """Method and scene on the left, the means as large numbers on the right."""
-    numbers, shown = [], metrics.aligned or metrics
+def _heading(width: int, facts: RunFacts, metrics: Metrics) -> Image.Image:
+    """Scene and method on the left, the means as large numbers on the right."""
+    shown = metrics.aligned or metrics
+    numbers: list[tuple[str, str | None]] = []
     for modality, mean in shown.mean.items():
         numbers.append((f"{modality.title} PSNR", _with_unit(mean, "psnr", "dB")))
         numbers.append((f"{modality.title} MAE", _with_unit(mean, "mae_c", "°C")))
@@ -316,68 +247,24 @@ def _draw_header(sheet: Image.Image, facts: RunFacts, metrics: Metrics) -> None:
         ("Gaussians", None if facts.gaussians is None else f"{facts.gaussians:,}"),
         ("steps", None if facts.steps is None else f"{facts.steps:,}"),
     ]
-    right = float(sheet.width - MARGIN_PX)
-    title_end = MARGIN_PX + 260
-    for caption, value in reversed(
-        [(caption, value) for caption, value in numbers if value is not None]
-    ):
-        width = max(text_width(value, 22), text_width(caption, 13))
-        if right - width < title_end:
-            break
-        draw_text(sheet, (right, 46), value, 22, INK, anchor="rs")
-        draw_text(sheet, (right, 66), caption, 13, MUTED, anchor="rs")
-        right -= width + 34
-    room = right - MARGIN_PX
-    draw_text(sheet, (MARGIN_PX, 46), fit_text(facts.scene, 28, room), 28, INK, bold=True)
     line = f"{facts.method} · mean of {len(shown.views)} held-out views"
     if metrics.aligned is not None:
         line += ", each aligned with the model"
-    draw_text(sheet, (MARGIN_PX, 66), fit_text(line, 13, room), 13, MUTED)
-    ImageDraw.Draw(sheet).line([(MARGIN_PX, 80), (sheet.width - MARGIN_PX, 80)], fill=HAIRLINE)
+    known = [(caption, value) for caption, value in numbers if value is not None]
+    return draw_heading(width, facts.scene, line, known)
 
 
-def _draw_label(sheet: Image.Image, metrics: ViewMetrics, y: int) -> None:
-    """The view's name and its figures, at the left of its row."""
-    draw_text(sheet, (MARGIN_PX, y + 15), fit_text(metrics.name, 15, LABEL_PX - 14), 15, INK)
+def _figures(view: ViewMetrics) -> list[tuple[str, str]]:
+    """The lines below a view's name."""
     lines = []
-    for modality in in_order(metrics.figures):
-        figures = metrics.figures[modality]
+    for modality in in_order(view.figures):
+        figures = view.figures[modality]
         lines.append((modality.title, _with_unit(figures, "psnr", "dB")))
         lines.append(("", _with_unit(figures, "ssim", "SSIM")))
         lines.append(("", _with_unit(figures, "mae_c", "°C MAE")))
-    baseline = y + 40
-    for caption, value in lines:
-        if value is None:
-            continue
-        draw_text(sheet, (MARGIN_PX, baseline), caption, 12, MUTED)
-        draw_text(sheet, (MARGIN_PX + 54, baseline), value, 12, INK)
-        baseline += 18
+    return [(caption, value) for caption, value in lines if value is not None]
 
 
 def _with_unit(figures: Figures, name: str, unit: str) -> str | None:
     figure = figures.get(name, Missing("not a figure of this modality"))
     return None if isinstance(figure, Missing) else f"{format_figure(name, figure)} {unit}"
-
-
-def _draw_scale_bars(
-    sheet: Image.Image, scales: _Scales, offsets: Mapping[_SheetColumn, int], y: int
-) -> None:
-    """One bar under the columns that it explains."""
-    bars: list[tuple[tuple[_SheetColumn, ...], Scale, str]] = [
-        ((_SheetColumn(None, DEPTH),), scales.depth, "z-depth in scene units")
-    ]
-    for modality, scale in scales.values.items():
-        images = _SheetColumn(modality, PHOTO), _SheetColumn(modality, RENDERING)
-        bars.append((images, scale, "" if scale.unit else "normalised: the scene has no °C"))
-        signs = (
-            "blue too cold, red too warm" if modality == THERMAL else "blue too low, red too high"
-        )
-        error = _SheetColumn(modality, ERROR)
-        bars.append(((error,), scales.errors[modality], f"rendering minus photo: {signs}"))
-    for columns, scale, note in bars:
-        starts = [offsets[column] for column in columns if column in offsets]
-        if not starts:
-            continue
-        bar = scale_bar(scale, starts[-1] + CELL_PX - starts[0], "horizontal")
-        sheet.paste(bar, (starts[0], y))
-        draw_text(sheet, (starts[0], y + bar.height + 14), note, 12, MUTED)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.evaluation.contact_sheet import SheetRows, contact_sheet, sheet_row
+from mrgs.evaluation.contact_sheet import SheetRows, ViewImages, contact_sheet
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, Visitor, evaluate
 from mrgs.evaluation.held_out_poses import (
     NOT_KNOWN,
@@ -194,7 +194,7 @@ def _visitor(scene: Scene, shown: SheetRows, on_view: Callable[[], None]) -> Vis
         shown.add(
             next(numbers),
             metrics,
-            lambda: sheet_row(view, rendering, metrics, scene.temperature, ball),
+            lambda: ViewImages.of(view, rendering, scene.temperature, ball),
         )
         on_view()
 

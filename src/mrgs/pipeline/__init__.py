@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from mrgs.system.lazy import lazy_imports
 
 if TYPE_CHECKING:
-    from mrgs.pipeline.monitor import Monitor as Monitor
+    from mrgs.pipeline.plan import Monitor as Monitor
     from mrgs.pipeline.plan import PipelinePlan as PipelinePlan
     from mrgs.pipeline.plan import PlannedStage as PlannedStage
     from mrgs.pipeline.run import PipelineResults as PipelineResults

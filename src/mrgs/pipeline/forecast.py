@@ -1,24 +1,194 @@
-"""Time left of work in parts of different length."""
+"""How long work takes: expected lengths, linear in what is worked on, corrected by the measured
+pace.
+
+The coefficients are wall-clock seconds on one core of a server of 2024 (decision 029). On another
+computer, or beside other programs, the forecasts become right as soon as some of the work is done.
+"""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mrgs.errors import MrgsError
+from mrgs.export.write import BAKING
+from mrgs.method.config import TrainConfig
+from mrgs.pipeline.intake import Intake, Size, take_in
+from mrgs.pipeline.plan import QUALITIES, Quality
+from mrgs.prepare.contract import Progress
+from mrgs.prepare.options import PrepareOptions
+from mrgs.runs.open import Run
+from mrgs.scene import Scene
+from mrgs.system.threads import available_cores
+from mrgs.training.resolution import coarse_size
+
+PARALLEL = 0.5
+"""Share of the work that is spread over the cores (Amdahl)."""
+
+MATURE = 0.3
+"""Share of the steps after which a model has reached its cap on the Gaussians."""
 
 TRUST = 0.1
 """Share of the whole work after which the measured pace counts as much as the expected one."""
 
 ALMOST_DONE = 0.95
-"""A part whose progress is not known counts as done to at most this share."""
+"""Largest assumed share of a part whose progress is not known."""
+
+
+@dataclass(frozen=True)
+class Workload:
+    """What the lengths of the stages depend on.
+
+    Attributes:
+        views: of the scene.
+        held_out: of these, the views that are scored.
+        source_px: pixels of a view's images as they are.
+        kpx: thousands of pixels of a view's images in training, at their full resolution.
+        mean_kpx: the same as a mean over the steps, of which the first are coarser.
+        start: Gaussians at the start.
+        gaussians: Gaussians at the end.
+        steps: of training.
+        photos: whether the scene is made from photos.
+        finds_poses: whether their poses must be found.
+        has_two_cameras: whether a thermal camera must be placed.
+        compiles_s: seconds of compiling.
+    """
+
+    views: int
+    held_out: int
+    source_px: int
+    kpx: float
+    mean_kpx: float
+    start: int
+    gaussians: int
+    steps: int
+    photos: bool = False
+    finds_poses: bool = False
+    has_two_cameras: bool = False
+    compiles_s: float = 0.0
+
+    @classmethod
+    def of(cls, intake: Intake, quality: Quality, compiles_s: float = 0.0) -> Workload:
+        """The workload of photos or a scene at a quality."""
+        sizes = [reduced(size, quality.resolution) for size in intake.sizes.values()]
+        start = 450 * intake.views if intake.points is None else intake.points
+        photos = intake.kind == "photos"
+        return cls(
+            views=intake.views,
+            held_out=intake.held_out,
+            source_px=sum(map(math.prod, intake.sizes.values())),
+            kpx=sum(map(math.prod, sizes)) / 1e3,
+            mean_kpx=mean_kpx(sizes, quality.config()),
+            start=min(start, quality.max_gaussians),
+            gaussians=quality.max_gaussians,
+            steps=quality.max_steps,
+            photos=photos,
+            finds_poses=photos and not intake.poses_given,
+            has_two_cameras=len(intake.sizes) > 1,
+            compiles_s=compiles_s,
+        )
+
+    @classmethod
+    def of_run(cls, run: Run, scene: Scene) -> Workload:
+        """The workload of a trained model."""
+        pixels = sum(camera.width * camera.height for camera in scene.train[0].cameras.values())
+        views, held_out = len(scene.train) + len(scene.eval), len(scene.eval)
+        kpx, gaussians = pixels / 1e3, run.gaussian_count
+        return cls(views, held_out, pixels, kpx, kpx, gaussians, gaussians, run.config.max_steps)
+
+
+def reduced(size: Size, resolution: int) -> Size:
+    """The size of an image in training, at its full resolution."""
+    scale = min(1.0, resolution / size[0])
+    return round(scale * size[0]), round(scale * size[1])
+
+
+def mean_kpx(sizes: Sequence[Size], config: TrainConfig) -> float:
+    """Thousands of pixels of images of these sizes, as a mean over the steps of a training."""
+    shares = Counter(config.pixel_size_at(step) for step in range(1, config.max_steps + 1))
+    return sum(
+        count / config.max_steps * math.prod(coarse_size(*size, pixel_size)) / 1e3
+        for pixel_size, count in shares.items()
+        for size in sizes
+    )
+
+
+def mean_gaussians(start: int, most: int) -> float:
+    """Mean number of Gaussians over a training: a ramp from the start to the cap, then the cap."""
+    return MATURE * (start + most) / 2 + (1 - MATURE) * most
+
+
+def step_seconds(gaussians: float, kpx: float) -> float:
+    """Length of a training step with thousands of pixels of images."""
+    return 0.014 + 1.55e-6 * gaussians + 0.2e-3 * kpx
+
+
+def stage_parts(work: Workload, cores: int | None = None) -> dict[str, dict[str, float]]:
+    """Seconds of the parts of each stage, by name, in order; on all available cores by default."""
+    views, held_out, kpx, million = work.views, work.held_out, work.kpx, work.gaussians / 1e6
+    render = 0.004 + 0.6 * million + 0.06e-3 * kpx
+    surface = views * (render + 0.1e-3 * kpx)
+    step = step_seconds(mean_gaussians(work.start, work.gaussians), work.mean_kpx)
+    baking = 0.5 + 0.002 * views + 2 * held_out * render
+    stages = {
+        "prepare" if work.photos else "check": _prepare_parts(work),
+        "train": {"compiling": 3 + work.compiles_s, "steps": step * work.steps},
+        "score": {"scoring": 1 + held_out * (8 * render + 0.2e-3 * kpx)},
+        "render": {"rendering": (held_out or views) * (render + 0.5e-3 * kpx)},
+        "report": {
+            "anomalies": 1 + surface + views * render,
+            "measurements and pictures": 5 + 3 * surface,
+            "scores and page": 1,
+        },
+        "page": {BAKING: baking, "page": 0.5},
+        "exports": {
+            BAKING: baking,
+            **dict.fromkeys(("ply", "spz", "glb"), 10 * million),
+            "splat": 30 * million,
+            "points": surface,
+            "las": 50 * million,
+            "mesh": 3 + 3 * surface,
+            "cameras": views * (0.005 + 0.2e-3 * kpx),
+            "ortho": 1 + 3 * surface,
+            "elevation": 1 + surface,
+        },
+    }
+    share = 1 - PARALLEL + PARALLEL / (cores or available_cores())
+    return {
+        name: {part: share * seconds for part, seconds in parts.items()}
+        for name, parts in stages.items()
+    }
+
+
+def _prepare_parts(work: Workload) -> dict[str, float]:
+    """Parts of the first stage; a part is a title, or "title: step", as ``prepare`` reports it."""
+    views = work.views
+    reading = views * (0.02 + 0.04e-6 * work.source_px)
+    if not work.photos:
+        return {"reading images": reading}
+    parts = {"pairs": 0.1 + 0.005 * views, "images": reading}
+    if work.finds_poses:
+        pairs = min(views * (views - 1) / 2, max(30 * views, 4950))
+        parts["poses: features"] = 1.5e-6 * min(work.source_px, 1600 * 1200) * views
+        parts["poses: matching"] = 0.12 * pairs
+        parts["poses: mapping"] = 0.35 * views
+    if work.has_two_cameras:
+        parts["thermal camera: reading pairs"] = 0.25 * views
+        parts["thermal camera: matching"] = 0.65 * views
+    return {**parts, "page": 2 + 0.02 * views}
 
 
 def pace_so_far(taken: float, expected: float, whole: float) -> float:
-    """Seconds per expected second, as far as what is done can be trusted to tell.
+    """Measured seconds per expected second, drawn towards 1 while little of the work is done.
 
     Args:
-        taken: seconds that it took.
-        expected: seconds that were expected for it.
-        whole: seconds that were expected for all; of little done, the pace says little.
+        taken: measured seconds.
+        expected: seconds that were expected for the same work.
+        whole: seconds that were expected for all of the work.
     """
     trust = TRUST * whole
     return (taken + trust) / (expected + trust) if expected + trust > 0 else 1.0
@@ -42,13 +212,14 @@ class Forecast:
         self._started = self._part_started = clock()
         self._part = ""
 
-    def left(self, part: str, share: float | None = None) -> float | None:
-        """Seconds left; None for a part that is not known.
+    def left(self, text: str, share: float | None = None) -> float | None:
+        """Seconds left; None for an unknown part.
 
         Args:
-            part: that is being worked on.
-            share: of it that is done, 0 to 1; None if that is not known.
+            text: the part, or "part: step".
+            share: done of it, 0 to 1; None if not known.
         """
+        part = text if text in self._parts else text.partition(": ")[0]
         if part not in self._parts:
             return None
         now = self._clock()
@@ -64,5 +235,41 @@ class Forecast:
         return self._pace(done, now) * (self._whole - done)
 
     def _pace(self, done: float, now: float) -> float:
-        """Seconds per expected second, once so much is done."""
         return pace_so_far(now - self._started, done, self._whole)
+
+
+def expect_prepare(
+    photos: Path, options: PrepareOptions, progress: Progress | None = None
+) -> Forecast | None:
+    """Forecast of ``mrgs prepare``; None for photos that cannot be used, which it reports itself.
+
+    Args:
+        photos: their folder.
+        options: facts about the photos.
+        progress: called with "pairs: step", the number of files that are done, and of all files.
+    """
+
+    def report(step: str, done: int, total: int) -> None:
+        if progress is not None:
+            progress(f"pairs: {step}", done, total)
+
+    try:
+        intake = take_in(photos, options, report)
+    except MrgsError:
+        return None
+    parts = stage_parts(Workload.of(intake, QUALITIES["fast"]))
+    return Forecast(parts["prepare"]) if "prepare" in parts else None
+
+
+def expect_export(run: Run, scene: Scene, format: str) -> Forecast:
+    """Forecast of ``mrgs export`` of one format, or of "all"."""
+    stages = stage_parts(Workload.of_run(run, scene))
+    parts = stages["exports"] | stages["page"]
+    if format != "all":
+        parts = {name: seconds for name, seconds in parts.items() if name in (BAKING, format)}
+    return Forecast(parts)
+
+
+def expect_report(run: Run, scene: Scene) -> Forecast:
+    """Forecast of ``mrgs report``."""
+    return Forecast(stage_parts(Workload.of_run(run, scene))["report"])

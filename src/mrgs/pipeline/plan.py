@@ -1,24 +1,60 @@
-"""What a pipeline is going to do, how long that takes, and whether the computer suffices for it."""
+"""What a pipeline is going to do: its quality, its stages, and the monitor that follows it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from mrgs.errors import ConfigError, RunError
-from mrgs.export.las import require_laspy
-from mrgs.pipeline.computer import Computer
-from mrgs.pipeline.costs import Cost, Workload, reduced
+from mrgs.errors import MrgsError
+from mrgs.method.config import DEFAULT_METHOD, TrainConfig
 from mrgs.pipeline.intake import Intake
-from mrgs.pipeline.quality import Quality
+from mrgs.prepare.contract import StageReport
 from mrgs.prepare.options import PrepareOptions
-from mrgs.prepare.sfm.process import check_version, installed_version
-from mrgs.scene import THERMAL
-from mrgs.system.room import free_disk
-from mrgs.training.memory import training_bytes
-from mrgs.training.photos import bytes_per_pixel
+from mrgs.runs.registry import find_method
+from mrgs.scene import Scene
+from mrgs.training.driver import Statistics
+from mrgs.training.run_folder import RunConfig
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How much work a pipeline puts into a model.
+
+    Attributes:
+        name: unique.
+        preset: of ``mrgs train``.
+        max_steps: training steps.
+        max_gaussians: cap on the Gaussians.
+        resolution: photos wider than this many pixels are downscaled to it.
+    """
+
+    name: str
+    preset: str
+    max_steps: int
+    max_gaussians: int
+    resolution: int
+
+    def config(self) -> TrainConfig:
+        """The configuration of the training."""
+        config: TrainConfig = find_method(DEFAULT_METHOD).configure(
+            self.preset,
+            max_steps=self.max_steps,
+            max_gaussians=self.max_gaussians,
+            resolution=self.resolution,
+        )
+        return config
+
+
+QUALITIES: dict[str, Quality] = {
+    each.name: each
+    for each in (
+        Quality("fast", "fast", 1_500, 20_000, 640),
+        Quality("default", "default", 4_000, 50_000, 1_024),
+        Quality("best", "default", 8_000, 100_000, 1_600),
+    )
+}
 
 
 @dataclass(frozen=True)
@@ -41,7 +77,7 @@ class PlannedStage:
 
     @property
     def seconds(self) -> float:
-        """Time that it is expected to take; 0 if it is done."""
+        """Expected duration; 0 if it is done."""
         return 0.0 if self.is_done else sum(self.parts.values())
 
 
@@ -50,9 +86,10 @@ class PipelinePlan:
     """What a pipeline is going to do.
 
     Attributes:
-        intake: what the folder holds.
+        intake: contents of the source folder.
         quality: of the model.
-        computer: that does the work.
+        cores: available to the process.
+        free_memory: bytes; None if not known.
         device: what trains and renders, such as "cpu" or a GPU's name.
         output: folder of all results.
         stages: in order.
@@ -63,7 +100,8 @@ class PipelinePlan:
 
     intake: Intake
     quality: Quality
-    computer: Computer
+    cores: int
+    free_memory: int | None
     device: str
     output: Path
     stages: tuple[PlannedStage, ...]
@@ -73,71 +111,58 @@ class PipelinePlan:
 
     @property
     def seconds(self) -> float:
-        """Time that all stages are expected to take."""
+        """Expected duration of all stages."""
         return sum(stage.seconds for stage in self.stages)
 
 
-def planned_seconds(cost: Cost, computer: Computer) -> dict[str, float]:
-    """The time that the parts of a stage take on a computer."""
-    return {part: computer.seconds(each, cost.parallel) for part, each in cost.parts.items()}
+class Monitor:
+    """Follows a pipeline. This one shows nothing and accepts nothing; override its methods."""
 
+    def planned(self, plan: PipelinePlan) -> None:
+        """Called once, before the first stage."""
 
-def require_extras(intake: Intake, options: PrepareOptions) -> tuple[str, ...]:
-    """Check that what the stages need is installed.
+    def reused(self, stage: PlannedStage) -> None:
+        """Called instead of ``running`` for a stage that an earlier call has finished."""
 
-    Returns:
-        Sentences about what is left out for want of an extra.
+    def running(self, stage: PlannedStage, rest_s: float) -> AbstractContextManager[None]:
+        """A context in which a stage runs.
 
-    Raises:
-        ConfigError: an extra is missing that a stage cannot do without.
-    """
-    if intake.kind == "photos" and options.poses is None:
-        check_version(installed_version())
-    try:
-        require_laspy()
-    except ConfigError as error:
-        return (f"the export las is left out: {error}",)
-    return ()
+        Args:
+            stage: that begins.
+            rest_s: expected seconds of the stages after it.
+        """
+        return nullcontext()
 
+    def progress(self, part: str, done: int, total: int, left_s: float | None) -> None:
+        """Called while the photos are inspected, and while a stage runs.
 
-def require_disk(needed: int, output: Path) -> None:
-    """Check that the results fit on the disk.
+        Args:
+            part: of the stage.
+            done: finished items of the part.
+            total: all items of the part; 0 if not known.
+            left_s: seconds until the stage is finished; None if not known.
+        """
 
-    Raises:
-        RunError: they do not.
-    """
-    free = free_disk(output)
-    if free < needed:
-        raise RunError(
-            f"{output}: the results need about {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are "
-            f"free; make room, or choose a folder on another disk",
-            options=("output",),
-        )
+    def prepared(self, report: StageReport) -> None:
+        """Called with the result of each part of the first stage."""
 
+    def training_started(self, scene: Scene, config: RunConfig) -> None:
+        """Called before the first training step."""
 
-def disk_bytes(work: Workload, intake: Intake) -> int:
-    """Bytes that a pipeline writes, roughly: the scene, two checkpoints, renderings, exports."""
-    thermal = intake.sizes.get(THERMAL, (0, 0))
-    scene = 0
-    if work.photos:
-        features = 1_000_000 * work.views
-        scene = intake.bytes + 4 * thermal[0] * thermal[1] * work.views + features
-    model = (3 * 1_100 + 1_500) * work.gaussians
-    images = int(1e3 * work.kpx) * (12 * (work.held_out or work.views) + 2 * work.views)
-    return int(1.2 * (scene + model + images)) + 50_000_000
+    def stepped(self, statistics: Statistics) -> bool | None:
+        """Called after each training step; returning True stops the pipeline with a checkpoint."""
+        return None
 
+    def accepts(self, warnings: Sequence[str], page: Path) -> bool:
+        """Whether to continue in spite of warnings about the scene, which ``page`` shows."""
+        return False
 
-def needed_memory(work: Workload, intake: Intake, quality: Quality) -> int:
-    """Bytes of memory that training needs at most, roughly."""
-    bytes_each = sum(
-        bytes_per_pixel(modality) * math.prod(reduced(size, quality.resolution))
-        for modality, size in intake.sizes.items()
-    )
-    return training_bytes(
-        quality.config(),
-        intake.sizes,
-        work.gaussians,
-        pixels=round(1e3 * work.kpx),
-        photo_bytes=bytes_each * (work.views - work.held_out),
-        compiles=work.compiling_s > 0,
-    )
+    def accepts_relative(self, reason: MrgsError) -> bool:
+        """Whether to continue with thermal photos without temperatures; called before anything is
+        computed, with the reason and the remedy, whose ``options`` names what would help."""
+        return False
+
+    def answer(self, error: MrgsError, options: PrepareOptions) -> PrepareOptions | None:
+        """The options completed by missing information that ``error.options`` names; None to give
+        up."""
+        return None

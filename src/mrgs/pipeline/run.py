@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
-from mrgs.pipeline.computer import Computer, measure_computer
-from mrgs.pipeline.costs import Workload, stage_costs
-from mrgs.pipeline.expect import left_in_stage
-from mrgs.pipeline.forecast import Forecast, pace_so_far
+from mrgs.export.las import require_laspy
+from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, reduced, stage_parts
 from mrgs.pipeline.intake import Intake, take_in
 from mrgs.pipeline.ledger import LEDGER
-from mrgs.pipeline.monitor import Monitor
-from mrgs.pipeline.plan import (
-    PipelinePlan,
-    PlannedStage,
-    disk_bytes,
-    needed_memory,
-    planned_seconds,
-    require_disk,
-    require_extras,
-)
-from mrgs.pipeline.quality import QUALITIES, Quality
+from mrgs.pipeline.plan import QUALITIES, Monitor, PipelinePlan, PlannedStage, Quality
 from mrgs.pipeline.stages import Job, Report, Stage
 from mrgs.prepare.options import PrepareOptions
+from mrgs.prepare.sfm.process import check_version, installed_version
+from mrgs.scene import THERMAL
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName
+from mrgs.system.memory import free_memory
+from mrgs.system.room import free_disk
+from mrgs.system.threads import available_cores
 from mrgs.training.compilation import compiling_progress
+from mrgs.training.memory import training_bytes
+from mrgs.training.photos import bytes_per_pixel
 from mrgs.training.run_folder import RunFolder
 
 CACHED_SHARE = 0.01
-"""Of the time that photos take to be prepared, where all results come from the cache."""
+"""Share of the time to prepare photos that is needed if all results are in the cache."""
 
 
 @dataclass(frozen=True)
@@ -95,26 +91,27 @@ def run_pipeline(
     intake, options = _taken_in(source, options or PrepareOptions(), monitor)
     target = (default_output(source) if output is None else Path(output)).absolute()
     _require_own(source, target)
-    missing = require_extras(intake, options)
+    missing = _require_extras(intake, options)
     on_cpu = gpu.choose_device(device) == HOST
     compiling_s = compiling_progress(chosen.config()).seconds_left if on_cpu else 0.0
     work = Workload.of(intake, chosen, compiling_s)
     disk = disk_bytes(work, intake)
-    require_disk(disk - _size_of(target), target)
+    _require_disk(disk, target)
     with RunFolder(target).locked():
         job = Job(intake, chosen, options, target, device, monitor)
         job.ledger.open()
-        computer, memory = measure_computer(), needed_memory(work, intake, chosen)
+        memory, free = needed_memory(work, intake, chosen), free_memory()
         plan = PipelinePlan(
             intake,
             chosen,
-            computer,
+            available_cores(),
+            free,
             title,
             target,
-            _planned(job, work, computer),
+            _planned(job, work),
             memory,
             disk,
-            (*missing, *_doubts(memory, computer)),
+            (*missing, *_doubts(memory, free)),
         )
         monitor.planned(plan)
         if not plan.stages[0].is_done:
@@ -183,27 +180,78 @@ def _require_own(source: Path, output: Path) -> None:
         raise RunError(f"{output} holds something else: choose a new folder", options=("output",))
 
 
-def _size_of(folder: Path) -> int:
-    """Bytes of what an earlier call has written."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+def _require_extras(intake: Intake, options: PrepareOptions) -> tuple[str, ...]:
+    """Check that what the stages need is installed; returns notes about what is left out.
+
+    Raises:
+        ConfigError: an extra is missing that a stage cannot do without.
+    """
+    if intake.kind == "photos" and options.poses is None:
+        check_version(installed_version())
+    try:
+        require_laspy()
+    except ConfigError as error:
+        return (f"the export las is left out: {error}",)
+    return ()
 
 
-def _doubts(memory: int, computer: Computer) -> tuple[str, ...]:
-    if computer.free_memory is None or memory <= computer.free_memory:
-        return ()
-    return (
-        f"training needs about {memory / 1e9:.1f} GB of memory, and "
-        f"{computer.free_memory / 1e9:.1f} GB are free: close other programs, or choose a lower "
-        f"quality",
+def _require_disk(needed: int, output: Path) -> None:
+    """Check that the results fit on the disk, beside what an earlier call has written.
+
+    Raises:
+        RunError: they do not.
+    """
+    written = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
+    free = free_disk(output)
+    if free < needed - written:
+        raise RunError(
+            f"{output}: the results need about {(needed - written) / 1e9:.1f} GB, and "
+            f"{free / 1e9:.1f} GB are free; make room, or choose a folder on another disk",
+            options=("output",),
+        )
+
+
+def disk_bytes(work: Workload, intake: Intake) -> int:
+    """Bytes that a pipeline writes, roughly: the scene, two checkpoints, renderings, exports."""
+    scene = 0
+    if work.photos:
+        thermal_px = math.prod(intake.sizes.get(THERMAL, (0, 0)))
+        scene = intake.bytes + (4 * thermal_px + 1_000_000) * work.views
+    model = (3 * 1_100 + 1_500) * work.gaussians
+    images = int(1e3 * work.kpx) * (12 * (work.held_out or work.views) + 2 * work.views)
+    return int(1.2 * (scene + model + images)) + 50_000_000
+
+
+def needed_memory(work: Workload, intake: Intake, quality: Quality) -> int:
+    """Bytes of memory that training needs at most, roughly."""
+    bytes_each = sum(
+        bytes_per_pixel(modality) * math.prod(reduced(size, quality.resolution))
+        for modality, size in intake.sizes.items()
+    )
+    return training_bytes(
+        quality.config(),
+        intake.sizes,
+        work.gaussians,
+        pixels=round(1e3 * work.kpx),
+        photo_bytes=bytes_each * (work.views - work.held_out),
+        compiles=work.compiles_s > 0,
     )
 
 
-def _planned(job: Job, work: Workload, computer: Computer) -> tuple[PlannedStage, ...]:
-    costs, stages, done = stage_costs(work), job.stages, True
-    planned = []
-    for number, (stage, (name, cost)) in enumerate(zip(stages, costs.items(), strict=True), 1):
+def _doubts(memory: int, free: int | None) -> tuple[str, ...]:
+    if free is None or memory <= free:
+        return ()
+    return (
+        f"training needs about {memory / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free: "
+        f"close other programs, or choose a lower quality",
+    )
+
+
+def _planned(job: Job, work: Workload) -> tuple[PlannedStage, ...]:
+    stages, done, planned = job.stages, True, []
+    expected = stage_parts(work).items()
+    for number, (stage, (name, parts)) in enumerate(zip(stages, expected, strict=True), 1):
         done = done and _is_done(job, stage)
-        parts = planned_seconds(cost, computer)
         if not done and number == 1 and _is_cached(job, stage):
             parts = {part: CACHED_SHARE * seconds for part, seconds in parts.items()}
         planned.append(PlannedStage(name, number, len(stages), parts, done))
@@ -268,7 +316,8 @@ def _reporting(forecast: Forecast, monitor: Monitor) -> Report:
     """Passes the progress of a stage on, with the time left."""
 
     def report(text: str, done: int, total: int) -> None:
-        monitor.progress(text, done, total, left_in_stage(forecast, text, done, total))
+        left_s = forecast.left(text, done / total if total else None)
+        monitor.progress(text, done, total, left_s)
 
     return report
 

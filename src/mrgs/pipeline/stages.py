@@ -16,8 +16,7 @@ from mrgs.marks.store import judged_content
 from mrgs.method.config import DEFAULT_METHOD
 from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.ledger import Ledger, file_stamp
-from mrgs.pipeline.monitor import Monitor
-from mrgs.pipeline.quality import QUALITIES, Quality
+from mrgs.pipeline.plan import QUALITIES, Monitor, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
 from mrgs.prepare.cache import CACHE_FOLDER, digest, fingerprint, stamps
 from mrgs.report import write_report

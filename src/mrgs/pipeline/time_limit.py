@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mrgs.method.config import TrainConfig
-from mrgs.pipeline.costs import mean_gaussians, mean_kpx, step_cost
+from mrgs.pipeline.forecast import mean_gaussians, mean_kpx, step_seconds
 from mrgs.runs.registry import Method
 from mrgs.scene import Scene
 
@@ -105,5 +105,5 @@ def steps_within(seconds: float, pace: Pace, max_gaussians: int | None) -> int:
     growth = 1.0
     if max_gaussians is not None and pace.gaussians:
         mean = mean_gaussians(pace.gaussians, max(max_gaussians, pace.gaussians))
-        growth = step_cost(mean, pace.mean_kpx) / step_cost(pace.gaussians, pace.kpx)
+        growth = step_seconds(mean, pace.mean_kpx) / step_seconds(pace.gaussians, pace.kpx)
     return max(1, int((seconds - pace.loading_s) / (MARGIN * growth * pace.step_s)))
