@@ -18,7 +18,6 @@ FLOORS = {
     "errors": 0,
     "system": 1,
     "scene": 2,
-    "distributed": 2,
     "survey": 3,
     "data": 3,
     "field": 3,

@@ -78,14 +78,6 @@ class NotFiniteError(TrainingError):
     """The model holds a NaN or an infinity, and was not saved."""
 
 
-class LinkError(TrainingError):
-    """The link to other processes is lost, or was never there; the last checkpoint is kept."""
-
-
-class PeerError(MrgsError):
-    """Another process has failed and says why, so this one ends without a word."""
-
-
 class MrgsWarning(UserWarning):
     """Something was repaired or skipped; the result is usable, the message says what changed."""
 

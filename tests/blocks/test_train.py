@@ -19,19 +19,17 @@ from mrgs.blocks.density import Part
 from mrgs.blocks.plan import BlockOptions, make_plan, read_plan
 from mrgs.blocks.refinement import SEAM_WIDTH
 from mrgs.blocks.region import Region, Ring, ScenePlane
-from mrgs.blocks.together import train_together
 from mrgs.blocks.train import BlockTraining
 from mrgs.data import load_scene
-from mrgs.errors import ConfigError, FolderInUseError, PeerError, RunError
+from mrgs.errors import ConfigError, FolderInUseError, RunError
 from mrgs.evaluation import evaluate_run
 from mrgs.method.camera_model.image_model import PointSpread
 from mrgs.runs.open import load_run
-from mrgs.scene import PointCloud, TemperatureRange
+from mrgs.scene import PointCloud
 from mrgs.training.checkpoint import load_state
 from mrgs.training.run_folder import RunFolder
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.scenes import write_scene
-from tests.helpers.threaded_processes import together
 from tests.helpers.training import short_config
 
 STEPS = 8
@@ -287,21 +285,6 @@ def test_a_block_without_a_photo_is_left_to_its_neighbour(scene, tmp_path):
     assert "1 of 2" in said[-2]
     assert "6 photos" in said[-1]
     assert [len(cell.views) for cell in start.plan.cells] == [6]
-
-
-def test_processes_that_see_another_scene_train_no_block(scene, tmp_path):
-    own = training(tmp_path / "run", scene)
-    other = replace(own.scene, temperature=TemperatureRange(0.0, 1.0))
-
-    def start(processes):
-        train_together(own if processes.is_first else replace(own, scene=other), processes)
-
-    first, second = together(start, 2)
-    assert isinstance(first, RunError)
-    assert "process 1 on" in str(first)
-    assert "another scene" in str(first)
-    assert isinstance(second, PeerError)
-    assert not (tmp_path / "run").exists()
 
 
 def test_a_folder_that_holds_another_run_is_refused(joined, scene, tmp_path):

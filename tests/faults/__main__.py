@@ -29,7 +29,6 @@ from tests.faults import (
     memory,
     messages,
     places,
-    processes,
     soak,
 )
 from tests.faults.program import SMALL, run, small_scene
@@ -45,13 +44,7 @@ def attacks() -> Iterator[tuple[str, Attack]]:
     rng = random.Random(0)
     moments = [rng.uniform(0.1, 1) for _ in range(30)]
     yield "kill -9 of trainings", lambda at: kills.trainings(at, 50)
-    yield "kill -9 of processes under torchrun", lambda at: processes.kills(at, 20)
-    yield "kill -9 of four processes under torchrun", lambda at: processes.kills(at, 20, 4)
-    yield "checkpoints of torchrun and other numbers of processes", processes.other_counts
     yield "signals to blocks", lambda at: blocks.kills(at, 20)
-    yield "kill -9 of blocks under torchrun", lambda at: blocks.kills_together(at, 20)
-    yield "requests to stop torchrun", processes.stops
-    yield "a full disk under torchrun", processes.full_disk
     yield "kill -9 of writers", kills.writes
     yield "kill -9 of prepare", lambda at: interruptions.preparations(at, moments, signal.SIGKILL)
     yield "signals to trainings", lambda at: interruptions.trainings(at, 3 * interruptions.SIGNALS)
@@ -63,7 +56,7 @@ def attacks() -> Iterator[tuple[str, Attack]]:
     yield "limited file sizes", lambda at: places.file_size(at, (2048, 8192, 65536))
     if os.geteuid() == 0:
         yield "full disks", _full_disks
-        yield "the full disk of a block under torchrun", blocks.full_disk
+        yield "the full disk of a block", blocks.full_disk
     yield "unusual names", lambda at: places.names(at, commands=("eval", "report", "export"))
     yield "fuzzed thermal photos", lambda at: fuzz.radiometric(at, 5000)
     yield "fuzzed poses", lambda at: fuzz.poses(at, 2000)

@@ -185,7 +185,6 @@ def test_no_thread_is_left_behind():
 def test_the_limit_is_a_share_of_the_free_memory(free, limit, monkeypatch):
     monkeypatch.setattr(photos, "free_memory", lambda: free)
     assert photos.kept_limit() == limit
-    assert photos.kept_limit(processes=4) == limit // 4
 
 
 def test_photos_of_each_size_count_as_large_as_they_are():

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import pytest
 import torch
 
 from mrgs.training.view_sums import LOSS, THERMAL_ERROR, ViewSums
-
-TERMS = ("rgb", "thermal", "smooth")
 
 
 def summed(*views: tuple[float, dict[str, float], float | None]) -> ViewSums:
@@ -24,11 +21,6 @@ def summed(*views: tuple[float, dict[str, float], float | None]) -> ViewSums:
             {"gradients": torch.tensor([1.0, loss])},
         )
     return found
-
-
-def means(sums: ViewSums) -> Iterable[float]:
-    for each in (sums.mean(LOSS), sums.mean(THERMAL_ERROR), *sums.terms.values()):
-        yield math.nan if each is None else float(each)
 
 
 def test_each_number_is_the_mean_over_the_views_that_have_it():
@@ -49,12 +41,3 @@ def test_what_no_view_has_is_not_there():
     sums = summed((1.0, {"rgb": 0.1}, None))
     assert sums.mean(THERMAL_ERROR) is None
     assert sums.terms.keys() == {"rgb"}
-
-
-def test_sums_of_several_processes_are_those_of_one():
-    first = (1.0, {"rgb": 0.1, "thermal": 0.4}, 0.2)
-    second = (2.0, {"rgb": 0.3}, None)
-    parts = [summed(each).to_tensor(TERMS) for each in (first, second)]
-    together = ViewSums.from_tensor(parts[0] + parts[1], TERMS, {}, torch.device("cpu"))
-    assert list(means(together)) == pytest.approx(list(means(summed(first, second))))
-    assert together.terms.keys() == {"rgb", "thermal"}

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mrgs.app.commands import Train
-from mrgs.app.interrupts import Interrupted, interrupts
+from mrgs.app.interrupts import Interrupted
 from mrgs.app.progress import TrainingProgress
-from mrgs.app.together import FollowingProgress
 from mrgs.errors import ConfigError
 
 if TYPE_CHECKING:
-    from mrgs.distributed.processes import Processes
     from mrgs.system.gpu import DeviceName
 
 
@@ -40,9 +38,7 @@ def require_blocks(command: Train) -> None:
             raise ConfigError(f"{option} does not work with --blocks: leave it out")
 
 
-def train_in_blocks(
-    command: Train, output: Path, config: Any, device: DeviceName, processes: Processes | None
-) -> None:
+def train_in_blocks(command: Train, output: Path, config: Any, device: DeviceName) -> None:
     """Train what is left, and join the blocks if all are finished."""
     from mrgs.blocks.plan import BlockOptions
     from mrgs.blocks.train import BlockTraining
@@ -52,7 +48,6 @@ def train_in_blocks(
     from mrgs.training.run_folder import RunFolder
 
     assert command.blocks is not None
-    leads = processes is None or processes.is_first
     if not isinstance(config, TrainConfig) or find_method(command.method).train is not Method.train:
         raise ConfigError(f"{command.method} cannot be trained in blocks: leave --blocks out")
     training = BlockTraining(
@@ -62,21 +57,14 @@ def train_in_blocks(
         BlockOptions(command.blocks, command.overlap),
         device,
         command.plain,
-        _follow if leads else _follow_silently,
+        _follow,
         lambda line: print(line, flush=True),
     )
-    if processes is not None and processes.count > 1:
-        if command.block is not None:
-            raise ConfigError("--block is for job arrays: leave it out under torchrun")
-        from mrgs.blocks.together import train_together
-
-        train_together(training, processes)
-    elif command.block is None:
+    if command.block is None:
         training.train_all()
     else:
         training.train_block(command.block)
-    if leads:
-        _say_what_next(command, output, training.unfinished())
+    _say_what_next(command, output, training.unfinished())
 
 
 @contextmanager
@@ -88,17 +76,6 @@ def _follow(title: str) -> Iterator[Mapping[str, Any]]:
         yield {"on_start": progress.start, "on_step": progress.step}
     if progress.unfinished:
         print("checkpoint saved; re-run the same command to resume", file=progress.sink)
-        raise Interrupted
-
-
-@contextmanager
-def _follow_silently(title: str) -> Iterator[Mapping[str, Any]]:
-    """Follow a training in a process that is not torchrun's first, without showing it; ends the
-    command if it was interrupted."""
-    progress = FollowingProgress()
-    with progress:
-        yield {"on_start": progress.start, "on_step": progress.step}
-    if interrupts.received is not None:
         raise Interrupted
 
 

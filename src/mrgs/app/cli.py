@@ -8,7 +8,7 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mrgs.app.arguments import EXIT_USER_ERROR, flags_of, parse
 from mrgs.app.commands import (
@@ -41,13 +41,8 @@ from mrgs.app.terminal import (
     print_viewer_address,
     scene_if_there,
 )
-from mrgs.app.together import muted, processes_of, silenced
 from mrgs.app.training import train
-from mrgs.distributed.launch import Launch
-from mrgs.errors import ConfigError, MrgsError, PeerError
-
-if TYPE_CHECKING:
-    from mrgs.distributed.processes import Processes
+from mrgs.errors import ConfigError, MrgsError
 
 EXIT_BAD_SCENE = 1
 
@@ -64,21 +59,16 @@ def main(argv: list[str] | None = None) -> int:
     # Threads that spin while they wait cost more than they save on shared cores. Read once, when
     # torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    launch = Launch.from_environment()
-    with interrupts, plain_warnings(), silenced(launch):
+    with interrupts, plain_warnings():
         try:
-            status = _run(argv, launch)
+            status = _run(argv)
             sys.stdout.flush()
             return status
-        except PeerError:
-            return EXIT_USER_ERROR
         except KeyboardInterrupt:
-            with muted(launch):
-                return _stopped()
+            return _stopped()
         except Exception as error:
             if interrupts.received is not None:  # a library has turned it into an error of its own
-                with muted(launch):
-                    return _stopped()
+                return _stopped()
             line = _line(error)
             if line is None:
                 raise
@@ -86,19 +76,15 @@ def main(argv: list[str] | None = None) -> int:
             return EXIT_USER_ERROR
 
 
-def _run(argv: list[str] | None, launch: Launch | None) -> int:
+def _run(argv: list[str] | None) -> int:
     """Run the command that the arguments name; returns the exit code."""
-    with muted(launch):
-        command = _parsed(sys.argv[1:] if argv is None else argv)
-    if isinstance(command, (Train, CompareMethods)):
-        with processes_of(launch) as processes:
-            return _COOPERATIVE[type(command)](command, processes)
-    if launch is not None and launch.world_size > 1:
-        _refuse_processes(launch)
+    command = _parsed(sys.argv[1:] if argv is None else argv)
     handlers: dict[type, Callable[[Any], int | None]] = {
         RunAll: _run_all,
         Prepare: _prepare,
         Check: _check,
+        Train: train,
+        CompareMethods: compare,
         Eval: _eval,
         Render: _render,
         ViewRun: _view,
@@ -109,20 +95,6 @@ def _run(argv: list[str] | None, launch: Launch | None) -> int:
         Synth: synth,
     }
     return handlers[type(command)](command) or 0
-
-
-def _refuse_processes(launch: Launch) -> None:
-    """Say that a command works in one process.
-
-    Raises:
-        ConfigError: in the first process.
-        PeerError: in the others.
-    """
-    if launch.is_first:
-        raise ConfigError(
-            "only mrgs train and mrgs compare run in several processes: leave torchrun out"
-        )
-    raise PeerError("the first process says why")
 
 
 def _stopped() -> int:
@@ -359,13 +331,6 @@ def _bundled_scene() -> Path:
     raise ConfigError(
         "the bundled scene is not installed; run `mrgs demo` from a checkout, or reinstall mrgs"
     )
-
-
-_COOPERATIVE: dict[type, Callable[[Any, Processes | None], int]] = {
-    Train: train,
-    CompareMethods: compare,
-}
-"""Commands that several processes can share."""
 
 
 if __name__ == "__main__":

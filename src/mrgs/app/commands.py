@@ -92,7 +92,7 @@ class Train:
     seed: int = 0
     """Random seed."""
     batch: Maybe[int] = None
-    """Views per step; by default 1, or one per process under torchrun (docs/large-scenes.md)."""
+    """Views per step; 1 by default (docs/large-scenes.md)."""
     config: Maybe[Path] = None
     """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
     resume: Annotated[bool, tyro.conf.arg(help=RESUME_HELP)] = False

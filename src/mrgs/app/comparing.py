@@ -13,15 +13,10 @@ from mrgs.errors import ConfigError, TrainingError
 
 if TYPE_CHECKING:
     from mrgs.comparison.table import Table
-    from mrgs.distributed.processes import Processes
 
 
-def compare(command: CompareMethods, processes: Processes | None) -> int:
-    """Train and score methods side by side; returns the exit code.
-
-    Args:
-        command: its options.
-        processes: those that share the trainings, if there are several.
+def compare(command: CompareMethods) -> None:
+    """Train and score methods side by side.
 
     Raises:
         MrgsError: what was asked for cannot be done, or a training failed.
@@ -29,11 +24,6 @@ def compare(command: CompareMethods, processes: Processes | None) -> int:
     from mrgs.comparison import Options, Variant
     from mrgs.comparison import compare as compare_methods
 
-    if processes is not None and not processes.is_first:
-        from mrgs.comparison.shared import follow_jobs
-
-        follow_jobs(processes, command.lpips_weights, command.device)
-        return 0
     variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
     options = Options(
         command.methods,
@@ -57,7 +47,6 @@ def compare(command: CompareMethods, processes: Processes | None) -> int:
             device=command.device,
             lpips_weights=command.lpips_weights,
             say=lambda line: print(line, flush=True),
-            processes=processes,
         )
     except KeyboardInterrupt:
         print("interrupted runs keep their checkpoints; re-run the same command to resume")
@@ -73,7 +62,6 @@ def compare(command: CompareMethods, processes: Processes | None) -> int:
             f"{len(comparison.failures)} rows of the tables have no scores, first {name} "
             f"({reason}); fix the cause and re-run the same command"
         )
-    return 0
 
 
 def how_to_read(tables: Sequence[Table], seeds: int) -> list[str]:

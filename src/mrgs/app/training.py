@@ -13,16 +13,14 @@ from typing import TYPE_CHECKING, Any
 from mrgs.app.arguments import read_text
 from mrgs.app.blocks import require_blocks, train_in_blocks
 from mrgs.app.commands import Train
-from mrgs.app.interrupts import Interrupted, interrupts
+from mrgs.app.interrupts import Interrupted
 from mrgs.app.progress import TrainingProgress
 from mrgs.app.terminal import note_gpu, print_viewer_address
-from mrgs.app.together import FollowingProgress
 from mrgs.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
     import torch
 
-    from mrgs.distributed.processes import Processes
     from mrgs.runs.registry import Method
     from mrgs.scene import Scene
     from mrgs.training import StepStatistics, TrainConfig
@@ -30,12 +28,8 @@ if TYPE_CHECKING:
     from mrgs.viewer import LiveView
 
 
-def train(command: Train, processes: Processes | None) -> int:
-    """Train; returns the exit code.
-
-    Args:
-        command: its options.
-        processes: those that train together, if there are several.
+def train(command: Train) -> None:
+    """Train.
 
     Raises:
         MrgsError: what was asked for cannot be done.
@@ -43,21 +37,16 @@ def train(command: Train, processes: Processes | None) -> int:
     """
     from mrgs.system.gpu import choose_device
 
-    if processes is not None:
-        processes.connect()
-    leads = processes is None or processes.is_first
     output = _output(command)
-    method = _possible_method(command, output, processes, leads)
+    method = _possible_method(command, output)
     device = command.device if method.uses_gpu else "cpu"
-    config = _configuration(command, method, processes, device)
+    config = _configuration(command, method, device)
     chosen = choose_device(device)
     if command.blocks is not None:
-        train_in_blocks(command, output, config, device, processes)
-        return 0
-    progress: TrainingProgress | FollowingProgress = (
-        _progress(command, chosen) if leads else FollowingProgress()
-    )
-    with progress, _live_view(command, output, leads) as live:
+        train_in_blocks(command, output, config, device)
+        return
+    progress = _progress(command, chosen)
+    with progress, _live_view(command, output) as live:
         method.train(
             command.scene,
             output,
@@ -68,18 +57,11 @@ def train(command: Train, processes: Processes | None) -> int:
             plain=command.plain,
             tensorboard=command.tensorboard,
             **_hooks(progress, live),
-            **({"processes": processes} if processes and method.has_gaussians else {}),
         )
-    if isinstance(progress, TrainingProgress):
-        _say_what_next(command, output, progress, processes)
-    elif interrupts.received is not None:
-        raise Interrupted
-    return 0
+    _say_what_next(command, output, progress)
 
 
-def _possible_method(
-    command: Train, output: Path, processes: Processes | None, leads: bool
-) -> Method:
+def _possible_method(command: Train, output: Path) -> Method:
     """The method to train with, which can follow the options; of a resumed run, its own.
 
     Raises:
@@ -90,38 +72,36 @@ def _possible_method(
     from mrgs.runs.registry import find_method
     from mrgs.training.run_folder import RunFolder
 
-    goes_on = command.resume and leads and command.blocks is None
+    goes_on = command.resume and command.blocks is None
     name = method_of(RunFolder(output)).name if goes_on else command.method
-    method = find_method(name if processes is None else processes.share_json(name))
-    _require_possible(command, method, processes)
+    method = find_method(name)
+    _require_possible(command, method)
     if goes_on:
         _require_own_settings(command, method, RunFolder(output))
     require_blocks(command)
     return method
 
 
-def _configuration(command: Train, method: Method, processes: Processes | None, device: str) -> Any:
+def _configuration(command: Train, method: Method, device: str) -> Any:
     """The configuration that the options ask for, with the steps that fit into the minutes."""
-    together = 1 if processes is None or command.blocks is not None else processes.count
-    batch = command.batch or together
-    config = _configured(command, method, command.max_steps, batch)
+    config = _configured(command, method, command.max_steps)
     if command.minutes is None:
         return config
     steps = _steps_in_time(command, method, config, device)
-    config = _configured(command, method, steps, batch)
+    config = _configured(command, method, steps)
     if config.max_steps != steps:
         raise ConfigError(f"--minutes chooses the steps: leave max_steps out of {command.config}")
     return config
 
 
-def _configured(command: Train, method: Method, max_steps: int | None, batch: int) -> Any:
+def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
     return method.configure(
         command.preset,
         max_steps=max_steps,
         max_gaussians=command.max_gaussians,
         resolution=command.resolution,
         seed=command.seed,
-        batch=batch,
+        batch=command.batch or 1,
         changes="" if command.config is None else read_text(command.config),
         source=str(command.config),
     )
@@ -142,7 +122,7 @@ def _steps_in_time(command: Train, method: Method, config: Any, device: str) -> 
     return steps
 
 
-def _require_possible(command: Train, method: Method, processes: Processes | None) -> None:
+def _require_possible(command: Train, method: Method) -> None:
     """Options that the method can follow.
 
     Raises:
@@ -158,12 +138,8 @@ def _require_possible(command: Train, method: Method, processes: Processes | Non
     if command.minutes is not None:
         if command.resume or command.max_steps is not None:
             raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
-        if processes is not None and processes.count > 1:
-            raise ConfigError("--minutes measures one process: under torchrun, use --max-steps")
         if not 0 < command.minutes < math.inf:
             raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
-    if not method.has_gaussians and processes is not None and processes.count > 1:
-        raise ConfigError(f"{method.name} trains in one process: leave torchrun out")
     if command.accept_changes and not command.resume:
         raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
     if command.device == "cuda" and not method.uses_gpu:
@@ -216,18 +192,14 @@ def _output(command: Train) -> Path:
     return command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
 
 
-def _say_what_next(
-    command: Train, output: Path, progress: TrainingProgress, processes: Processes | None
-) -> None:
+def _say_what_next(command: Train, output: Path, progress: TrainingProgress) -> None:
     """How to go on with an unfinished run, or what to do with a finished one."""
-    if progress.unfinished or (processes is not None and processes.stopped):
+    if progress.unfinished:
         go_on = shlex.join(
             ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
         )
         print(f"checkpoint saved; resume with: {go_on}", file=progress.sink)
-        if progress.unfinished:
-            raise Interrupted
-        return  # another process was asked to stop
+        raise Interrupted
     if command.resume and not progress.has_stepped:
         print(f"already finished at step {progress.max_steps:,}")
     quoted = shlex.quote(str(output))
@@ -242,11 +214,9 @@ def _progress(command: Train, device: torch.device) -> TrainingProgress:
     return TrainingProgress(compiles=device == HOST and not command.plain)
 
 
-def _live_view(
-    command: Train, output: Path, leads: bool
-) -> LiveView | AbstractContextManager[None]:
-    """The view of the training, if it is asked for; one process of several shows it."""
-    if not (command.view and leads):
+def _live_view(command: Train, output: Path) -> LiveView | AbstractContextManager[None]:
+    """The view of the training, if it is asked for."""
+    if not command.view:
         return nullcontext()
 
     from mrgs.viewer import LiveView
@@ -254,7 +224,7 @@ def _live_view(
     return LiveView(output, port=command.port, on_ready=print_viewer_address)
 
 
-def _hooks(progress: TrainingProgress | FollowingProgress, live: LiveView | None) -> dict[str, Any]:
+def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
     """What ``train`` calls: the terminal's line, and the view if there is one."""
     if live is None:
         return {"on_start": progress.start, "on_step": progress.step}

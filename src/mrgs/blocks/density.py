@@ -79,9 +79,6 @@ class LocalDensityControl(Strategy):
         here shows what they do elsewhere."""
         return self.part.holds(gaussians)
 
-    def may_change_at(self, step: int) -> bool:  # noqa: D102
-        return self.inner.may_change_at(step)
-
     def observe(  # noqa: D102
         self, passes: Sequence[ScreenPoints]
     ) -> Mapping[str, Float[Tensor, " n"]]:
@@ -98,9 +95,6 @@ class LocalDensityControl(Strategy):
 @dataclass(frozen=True)
 class FixedGaussians(Strategy):
     """No Gaussians are added or removed."""
-
-    def may_change_at(self, step: int) -> bool:  # noqa: D102
-        return False
 
     def after_step(  # noqa: D102
         self, state: StrategyState, optimizer: GaussianOptimizer, step: DensityStep

@@ -23,13 +23,11 @@ from mrgs.comparison.plan import PlannedRun, neighbour_methods, plan
 from mrgs.comparison.processes import run_jobs
 from mrgs.comparison.progress import Progress
 from mrgs.comparison.results import Outcome, failed, outcome
-from mrgs.comparison.shared import lead_jobs
 from mrgs.comparison.single import Scores, is_scored, read_metrics, run_scores
 from mrgs.comparison.table import Table
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables
 from mrgs.comparison.text import to_csv, to_latex, to_markdown
 from mrgs.data import load_scene
-from mrgs.distributed.processes import Processes
 from mrgs.errors import ConfigError, MrgsError
 from mrgs.evaluation.contact_sheet import ViewImages
 from mrgs.evaluation.figures import to_json
@@ -76,7 +74,6 @@ def compare(
     device: DeviceName = "auto",
     lpips_weights: Path | None = None,
     say: Say = lambda line: None,
-    processes: Processes | None = None,
 ) -> Comparison:
     """Train and score every method on every scene, then write tables and figures.
 
@@ -94,8 +91,6 @@ def compare(
         device: where they train and render, if their method can use a GPU.
         lpips_weights: weights for LPIPS; without them it is left out.
         say: called with lines of progress.
-        processes: that share out the runs, one at a time each. The first one calls this, the others
-            ``comparison.shared.follow_jobs``; all see the scenes and the output under these paths.
 
     Raises:
         MrgsError: a scene, an option or the output folder cannot be used.
@@ -104,11 +99,6 @@ def compare(
     """
     if jobs < 1:
         raise ConfigError(f"the number of jobs must be at least 1, not {jobs}", options=("jobs",))
-    if jobs > 1 and processes is not None:
-        raise ConfigError(
-            "under torchrun each process does one run at a time: start more processes instead",
-            options=("jobs",),
-        )
     gpu.choose_device(device)  # better now than in every run
     renders = dict(renders or {})
     _check_names(options, renders)
@@ -116,7 +106,7 @@ def compare(
         Lpips.from_file(lpips_weights)  # better now than after the first training
     planned = plan(scenes, output, options)
     due = _due(planned, lpips_weights, say)
-    failures = _do(due, jobs, device, lpips_weights, say, processes) if due else {}
+    failures = _do(due, jobs, device, lpips_weights, say) if due else {}
     found = [
         _run_outcome(job, run_scores(job.folder) if job in due else job.scores, failures)
         for job in planned
@@ -175,14 +165,10 @@ def _do(
     device: DeviceName,
     lpips_weights: Path | None,
     say: Say,
-    processes: Processes | None,
 ) -> dict[PlannedRun, str]:
     """Train and score runs; returns the reasons of failures."""
     _check_room(due)
-    progress = Progress(due, jobs if processes is None else processes.count, say)
-    if processes is not None:
-        hooks = (progress.on_message, progress.on_tick)
-        return lead_jobs(due, processes, lpips_weights, *hooks, device)
+    progress = Progress(due, jobs, say)
     return run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick, device)
 
 

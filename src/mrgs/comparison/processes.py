@@ -38,7 +38,6 @@ def run_jobs(
     on_message: Callable[[PlannedRun, Message], None],
     on_tick: Callable[[], None],
     device: DeviceName = "auto",
-    threads: int | None = None,
     child: Sequence[str] = CHILD,
 ) -> dict[PlannedRun, str]:
     """Execute all runs, ``count`` at a time.
@@ -52,7 +51,6 @@ def run_jobs(
             starts.
         on_tick: called about once a second.
         device: where they train and render.
-        threads: of each process, instead of the cores divided among them.
         child: arguments of the Python process that does a run.
 
     Returns:
@@ -64,7 +62,7 @@ def run_jobs(
     """
     waiting, running, failures = list(jobs), list[_Run](), dict[PlannedRun, str]()
     inbox: _Inbox = queue.Queue()
-    threads = threads or threads_each(max(1, min(count, len(jobs))))
+    threads = threads_each(max(1, min(count, len(jobs))))
     try:
         while waiting or running:
             while waiting and len(running) < count:

@@ -96,8 +96,7 @@ class TrainConfig:
         method: the method's name in the registry (``mrgs.runs.registry``).
         preset: the preset's name.
         max_steps: training steps.
-        batch: views per step. Several processes share them out; how many processes there are
-            changes a run's result by rounding alone.
+        batch: views per step.
         resolution: images wider than this many pixels are reduced to it; None keeps them.
         coarse_until: share of the training in which photos and renderings are coarser: a quarter of
             the photos' resolution in its first half, half of it in the second; not in the paper.

@@ -123,10 +123,6 @@ class Driver(ABC, Generic[S]):
     def _skipped_in_a_row(self) -> int:
         """Steps that the state says were skipped since the last good one."""
 
-    def _stops_now(self, is_asked: bool) -> bool:
-        """Whether the training ends after this step, if it is asked to."""
-        return is_asked
-
     def _describe_model(self) -> Mapping[str, float | None]:
         """What the log says of the model every ``LOG_MODEL_EVERY`` steps."""
         return {}
@@ -146,7 +142,7 @@ class Driver(ABC, Generic[S]):
         while self._step_done < last:
             with self._kept():
                 statistics = self._next_step()
-                if self._stops_now(on_step is not None and _is_true(on_step(statistics))):
+                if on_step is not None and _is_true(on_step(statistics)):
                     last = self._step_done
             self._save_if_due(last)
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import torch
 
-from mrgs.distributed.processes import Processes
 from mrgs.errors import ConfigError
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
@@ -27,7 +26,6 @@ from mrgs.system.room import warn_if_short
 from mrgs.training import checkpoint
 from mrgs.training.compilation import shared_compiling
 from mrgs.training.memory import checkpoint_bytes
-from mrgs.training.peers import Peers
 from mrgs.training.run_folder import CHECKPOINTS_KEPT, RunFolder
 from mrgs.training.start import TrainingStart, start_training
 from mrgs.training.state import TrainingState, initial_state
@@ -66,7 +64,6 @@ def open_training(
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
-    processes: Processes | None = None,
     part: TrainingPart | None = None,
 ) -> Iterator[Trainer]:
     """Within this block the run's folder is locked, and a trainer is ready for its first step; see
@@ -80,9 +77,8 @@ def open_training(
         return initial_state(loaded, own, chosen, strategy, terms)
 
     on_kernels = chosen == HOST and not (plain or is_plain())
-    compiles = on_kernels and (processes is None or processes.launch.local_rank == 0)
     with (
-        shared_compiling(config) if compiles else nullcontext(),
+        shared_compiling(config) if on_kernels else nullcontext(),
         start_training(
             scene,
             output,
@@ -95,18 +91,16 @@ def open_training(
             read_config=lambda folder: folder.read_config(from_yaml),
             initial_state=at_start,
             load_state=lambda path, own: checkpoint.load_state(path, own, chosen, strategy, terms),
-            peers=None if processes is None else Peers(processes, chosen, strategy, terms),
         ) as run,
     ):
         _require_enough_views(run, len(run.scene.train) if part is None else len(part.views))
-        if processes is None or processes.is_first:
-            _check_room(run)
-            _warn_if_too_near(run.scene)
+        _check_room(run)
+        _warn_if_too_near(run.scene)
         if part is not None:
             run.state.sampler.restrict(part.views)
-        # A resumed run goes on with the cameras as they are now, in every process.
+        # A resumed run goes on with the cameras as they are now.
         run.state.model.dilation = run.config.dilation_of(run.facts.capture)
-        with closing(Trainer(run, processes)) as trainer:
+        with closing(Trainer(run)) as trainer:
             yield trainer
 
 
@@ -126,7 +120,6 @@ def train(
     on_step: OnStep | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
     on_model: Callable[[Model, CameraResponse], None] | None = None,
-    processes: Processes | None = None,
     part: TrainingPart | None = None,
 ) -> RunFolder:
     """Train a model of a scene into a run folder.
@@ -155,8 +148,6 @@ def train(
         on_model: called after it with the model that is trained, which ``on_step`` may look at and
             must not change, and with what the scene's cameras are taken to do to its renderings, as
             far as is learned by then.
-        processes: that train the run together; all of them call this with the same arguments, but
-            for the hooks, and the first one alone writes into ``output``.
         part: of the scene to which the training is limited; a resumed run needs it again.
 
     Warns:
@@ -170,12 +161,11 @@ def train(
             terms, or other photos, poses or intrinsics.
         DeviceError: the GPU was asked for and cannot be used.
         ConfigError: a parameter is not what it should be, TensorBoard was asked for and is not
-            installed, or there are more processes, or more views in a step, than there are views.
+            installed, or a step has more views than the scene.
         TrainingError: three steps in a row gave values that are not finite (on a GPU this is found
             up to ten steps later), the model holds such a value (found up to a hundred steps
             later, and always before it is saved), or the GPU's memory does not suffice; the last
             good checkpoint is kept.
-        LinkError, PeerError: another process is gone; the first one has saved a checkpoint.
     """
     if stop_at is not None and whole_number(stop_at, "stop_at") < 1:
         raise ConfigError(f"stop_at must be at least 1, not {stop_at}", options=("stop_at",))
@@ -191,7 +181,6 @@ def train(
         strategy=strategy,
         terms=terms,
         on_start=on_start,
-        processes=processes,
         part=part,
     ) as trainer:
         if on_model is not None:

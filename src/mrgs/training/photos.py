@@ -203,11 +203,10 @@ class _Blocks:
         return place.view(tensor.dtype).view(tensor.shape).copy_(tensor)
 
 
-def kept_limit(processes: int = 1) -> int:
-    """Bytes of photos that each of so many processes on this machine would keep if it started a
-    training on the CPU now."""
+def kept_limit() -> int:
+    """Bytes of photos that a training on the CPU would keep if it started now."""
     free = free_memory()
-    return (LIMIT_IF_UNKNOWN if free is None else int(SHARE_OF_FREE_MEMORY * free)) // processes
+    return LIMIT_IF_UNKNOWN if free is None else int(SHARE_OF_FREE_MEMORY * free)
 
 
 def kept_bytes(scene: Scene) -> int:

@@ -18,7 +18,6 @@ from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_facts
 from mrgs.training.facts import CheckpointFacts, facts_to_resume, require_scene
 from mrgs.training.newest import load_newest
-from mrgs.training.peers import Peers
 from mrgs.training.run_folder import RunConfig, RunFolder
 from mrgs.training.tensorboard import tensorboard_log
 
@@ -59,7 +58,6 @@ def start_training(
     read_config: Callable[[RunFolder], C],
     initial_state: Callable[[Scene, C], S],
     load_state: Callable[[Path, C], S],
-    peers: Peers | None = None,
 ) -> Iterator[TrainingStart[C, S]]:
     """Within this block the run's folder is locked, and no other process trains in it.
 
@@ -75,7 +73,6 @@ def start_training(
         read_config: the configuration of the run that is continued.
         initial_state: the state at step 0.
         load_state: the state in a checkpoint.
-        peers: the processes that train the run together; only the first one uses the folder.
 
     Warns:
         MrgsWarning: the scene can be used, but is odd (see ``mrgs.data.oddities``) or has changed,
@@ -91,15 +88,9 @@ def start_training(
     require_own_threads()
     require_scene(scene)
     folder = RunFolder(output)
-    leads = peers is None or peers.lead
-    if leads:
-        resume = resume or (peers is not None and peers.were_restarted(folder))
-        config = _config_in_force(folder, config, resume, read_config)
+    config = _config_in_force(folder, config, resume, read_config)
     if isinstance(scene, Scene) and not resume:
         config = replace(cast(Any, config), resolution=scene.resolution)
-    if peers is not None:
-        folder, resume = peers.agree(folder, cast(Any, config), resume)
-        config = config if leads else read_config(folder)
     with own_modes():
         loaded = (
             scene
@@ -112,9 +103,7 @@ def start_training(
         if on_start is not None:
             on_start(loaded, config)
         with own_modes():
-            if peers is not None and not leads:
-                state, facts = cast(Any, peers.receive(loaded, cast(Any, config)))
-            elif resume:
+            if resume:
                 state, facts = load_newest(
                     folder,
                     lambda path: (load_state(path, config), load_facts(path)),
@@ -125,9 +114,7 @@ def start_training(
             else:
                 facts = CheckpointFacts.at_start(loaded)
                 state = initial_state(loaded, config)
-            if peers is not None and leads:
-                peers.share(cast(Any, state), facts)
-        with tensorboard_log(folder, facts.step) if tensorboard and leads else nullcontext():
+        with tensorboard_log(folder, facts.step) if tensorboard else nullcontext():
             yield TrainingStart(folder, facts, loaded, config, state)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -17,9 +17,6 @@ from mrgs.training.recorder import Recorder
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import PhotographedView, forward_backward, view_inputs
 from mrgs.training.view_sums import LOSS, THERMAL_ERROR, ViewSums
-
-SumOverProcesses: TypeAlias = Callable[[TrainingState, ViewSums], ViewSums]
-"""Adds to the gradients and measurements of a process those of all others."""
 
 
 class StepStatistics:
@@ -107,7 +104,6 @@ def training_step(
     views: Sequence[PhotographedView],
     config: TrainConfig,
     scale: SceneScale,
-    sum_up: SumOverProcesses | None = None,
     recorder: Recorder | None = None,
 ) -> StepResult:
     """Render views, compare them with their photos, move the parameters once.
@@ -117,23 +113,20 @@ def training_step(
 
     Args:
         state: changed in place.
-        views: those that this process renders; without others, the ``batch`` of the configuration.
+        views: the ``batch`` of the configuration.
         config: of the run.
         scale: of the scene.
-        sum_up: adds what other processes have found in other views.
         recorder: replays the pass of a step's only view on a GPU.
     """
     state.step += 1
     state.model.sh_degree = config.sh_degree_at(state.step)
     state.refresh_neighbours(config)
-    if sum_up is not None or len(views) > 1:
+    if len(views) > 1:
         recorder = None
     while True:
         found = ViewSums()
         for each in views:
             _add_view(state, each, config, scale, found, recorder)
-        if sum_up is not None:
-            found = sum_up(state, found)
         result = _move(state, found, config, recorder)
         if recorder is None or recorder.had_room():
             break

@@ -8,9 +8,7 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from mrgs.distributed.processes import Processes
-from mrgs.errors import LinkError, PeerError, TrainingError
-from mrgs.method.camera_model.pose_error import PoseAgreement
+from mrgs.errors import TrainingError
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.parts import part_spreads
@@ -22,13 +20,11 @@ from mrgs.training import checkpoint
 from mrgs.training.device_photos import DevicePhotos
 from mrgs.training.driver import Driver
 from mrgs.training.facts import CheckpointFacts
-from mrgs.training.gradient_exchange import GradientExchange
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.memory import retried_when_full
-from mrgs.training.photos import HostPhotos, PhotoSource, kept_limit
+from mrgs.training.photos import HostPhotos, PhotoSource
 from mrgs.training.pose_check import PoseCheck, checks_poses_now
 from mrgs.training.recorder import Recorder
-from mrgs.training.replicas import align_replicas
 from mrgs.training.start import TrainingStart
 from mrgs.training.state import TrainingState
 from mrgs.training.step import (
@@ -52,11 +48,7 @@ class Trainer(Driver[StepStatistics]):
         state: all that changes during training.
     """
 
-    def __init__(
-        self,
-        run: TrainingStart[TrainConfig, TrainingState],
-        processes: Processes | None = None,
-    ) -> None:
+    def __init__(self, run: TrainingStart[TrainConfig, TrainingState]) -> None:
         self.folder, self.scene, self.config, self.state = (
             run.folder,
             run.scene,
@@ -64,21 +56,9 @@ class Trainer(Driver[StepStatistics]):
             run.state,
         )
         device = run.state.device
-        self._processes = processes
-        has_others = processes is not None and processes.count > 1
-        batch = run.config.batch
-        self._share = _share_of(batch, processes)
-        self._exchange = (
-            GradientExchange(processes, batch, self._share) if processes and has_others else None
-        )
         self._scale = SceneScale.of(run.scene)
         self._recorder = Recorder(device) if device.type == "cuda" and not is_plain() else None
-        here = 1 if processes is None else processes.launch.local_world_size
-        self._photos: PhotoSource = (
-            HostPhotos(kept_limit(here))
-            if device == HOST
-            else DevicePhotos(device, host_limit_bytes=kept_limit(here))
-        )
+        self._photos: PhotoSource = HostPhotos() if device == HOST else DevicePhotos(device)
         super().__init__(
             run.folder, run.facts, run.config.max_steps, run.config.checkpoint_every, device
         )
@@ -97,25 +77,20 @@ class Trainer(Driver[StepStatistics]):
         result = self._with_enough_memory(self._step_on_next_views)
         if checks_poses_now(self.state, self.config):
             self._check_poses()
-        self._align_replicas()
         self._with_enough_memory(lambda: self._control_density(result))
         return result.statistics
 
     def _step_on_next_views(self) -> StepResult:
-        views = [self._with_photos(number) for number in self.state.sampler.next()[self._share]]
+        views = [self._with_photos(number) for number in self.state.sampler.next()]
         self._fetch_next_views()
-        return training_step(
-            self.state, views, self.config, self._scale, self._exchange, self._recorder
-        )
+        return training_step(self.state, views, self.config, self._scale, self._recorder)
 
     def _check_poses(self) -> None:
         """Refine the poses of the training photos from here on, if they turn out to be wrong."""
-        poses, processes = self.state.image_model.poses, self._processes
+        poses = self.state.image_model.poses
         assert poses is not None
         check = PoseCheck(self.state, self._with_photos, self.config)
         found = self._with_enough_memory(check.agreement)
-        if processes is not None:
-            found = PoseAgreement(*processes.share_json(list(found)))
         photo_px = self._with_enough_memory(check.pixel_size) * found.agreed_px
         self.folder.append_log({"step": self.state.step, "pose_error_px": photo_px})
         if found.is_wrong:
@@ -123,8 +98,7 @@ class Trainer(Driver[StepStatistics]):
                 f"{self.scene.name}: the poses of the training photos are off by some "
                 f"{photo_px:.1f} pixels, so they are refined with the model"
             )
-            motions = self._with_enough_memory(check.motions)
-            poses.begin(motions if processes is None else processes.share_tensor(motions))
+            poses.begin(self._with_enough_memory(check.motions))
             if self._recorder is not None:
                 self._recorder.forget()
         poses.note_checked()
@@ -133,27 +107,6 @@ class Trainer(Driver[StepStatistics]):
         view = self.scene.train[number]
         photos = {modality: self._photos.load(image) for modality, image in view.images.items()}
         return PhotographedView(number, view, photos)
-
-    def _stops_now(self, is_asked: bool) -> bool:
-        """Processes stop together: after the step in which all have heard that one was asked."""
-        if self._processes is None or self._exchange is None:
-            return is_asked
-        if is_asked:
-            self._exchange.ask_to_stop()
-        self._processes.stopped = self._exchange.stops and self.state.step < self.config.max_steps
-        return self._processes.stopped
-
-    def _align_replicas(self) -> None:
-        """Before the Gaussians may change, have the same ones on all processes."""
-        if self._processes is None or self._exchange is None:
-            return
-        if self.state.strategy.may_change_at(self.state.step) and align_replicas(
-            self._processes, self.state
-        ):
-            warn(
-                "the machines round differently, so all take the first one's model whenever "
-                "Gaussians are added or removed"
-            )
 
     def _control_density(self, result: StepResult) -> None:
         state = self.state
@@ -170,7 +123,7 @@ class Trainer(Driver[StepStatistics]):
 
     def _fetch_next_views(self) -> None:
         """Let their photos come while the step is computed, if there is memory for them."""
-        following = self.state.sampler.peek()[self._share]
+        following = self.state.sampler.peek()
         if not following:
             return
         images = [
@@ -204,10 +157,6 @@ class Trainer(Driver[StepStatistics]):
 
         try:
             return retried_when_full(action, undo)
-        except (LinkError, PeerError):
-            undo()
-            self._save_last_good_step()
-            raise
         except RuntimeError as error:
             if not lacks_memory(error):
                 raise
@@ -250,13 +199,4 @@ class Trainer(Driver[StepStatistics]):
         return checkpoint.tensors_of(self.state)
 
     def _write_checkpoint(self, path: Path, facts: CheckpointFacts) -> None:
-        if self._processes is None or self._processes.is_first:
-            checkpoint.save(path, self.state, facts)
-
-
-def _share_of(batch: int, processes: Processes | None) -> slice:
-    """Which views of a step this process renders."""
-    if processes is None:
-        return slice(0, batch)
-    rank, count = processes.rank, processes.count
-    return slice(rank * batch // count, (rank + 1) * batch // count)
+        checkpoint.save(path, self.state, facts)

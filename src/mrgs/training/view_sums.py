@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -69,31 +69,3 @@ class ViewSums:
         """Means of the unweighted terms, by name."""
         names = [name for name in self.totals if name.startswith(_TERM)]
         return {name.removeprefix(_TERM): self.totals[name] / self.counts[name] for name in names}
-
-    def to_tensor(self, terms: Sequence[str]) -> Float[Tensor, " k"]:
-        """Totals and counts, in an order that follows from the names of all terms."""
-        names = _names(terms)
-        totals = [float(self.totals.get(name, 0)) for name in names]
-        return torch.tensor(totals + [float(self.counts.get(name, 0)) for name in names])
-
-    @classmethod
-    def from_tensor(
-        cls,
-        values: Float[Tensor, " k"],
-        terms: Sequence[str],
-        observed: dict[str, Tensor],
-        device: torch.device,
-    ) -> ViewSums:
-        """The sums that ``to_tensor`` gave, or a sum of several, on the device of the training."""
-        names = _names(terms)
-        totals, counts = values[: len(names)].to(device), values[len(names) :].tolist()
-        given = [place for place, count in enumerate(counts) if count > 0]
-        return cls(
-            {names[place]: totals[place] for place in given},
-            {names[place]: counts[place] for place in given},
-            observed,
-        )
-
-
-def _names(terms: Sequence[str]) -> list[str]:
-    return [LOSS, THERMAL_ERROR, *(f"{_TERM}{name}" for name in terms)]

@@ -11,9 +11,8 @@ from torch import Tensor
 class ViewSampler:
     """Every view once per round, each round in a new random order.
 
-    With several views per step, the views are dealt into as many groups, and each step takes one of
-    each: so the processes of a training read the photos of their own groups alone. In groups that
-    are smaller than others, one view comes twice in a round.
+    With several views per step, the views are dealt into as many groups, and each step takes one
+    view of each group. In groups that are smaller than others, one view comes twice in a round.
 
     Args:
         count: number of views.

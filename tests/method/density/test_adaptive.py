@@ -216,9 +216,6 @@ def test_the_schedule():
         400,
     ]
     assert [step for step in range(1, 1_000) if config.resets_at(step)] == [150, 300]
-    assert [step for step in range(1, 1_000) if config.may_change_at(step)] == [
-        step for step in range(1, 1_000) if config.densifies_at(step) or config.resets_at(step)
-    ]
 
 
 @pytest.mark.parametrize(

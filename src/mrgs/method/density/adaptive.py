@@ -80,10 +80,6 @@ class AdaptiveDensityControl(Strategy):
         """No view drew any of them yet."""
         return _no_views(len(gaussians), gaussians.means.device)
 
-    def may_change_at(self, step: int) -> bool:
-        """Where it densifies or resets opacities."""
-        return self.densifies_at(step) or self.resets_at(step)
-
     def observe(self, passes: Sequence[ScreenPoints]) -> dict[str, Float[Tensor, " n"]]:
         """The norms of a view's gradients, in units of half the image's size (3DGS), and which
         Gaussians it drew."""

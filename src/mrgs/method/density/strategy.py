@@ -103,16 +103,11 @@ class Strategy(ABC):
         """The Gaussians that a step may move; None for all, which is the default."""
         return None
 
-    def may_change_at(self, step: int) -> bool:
-        """Whether ``after_step`` may change the Gaussians after this step, counted from 1; always
-        by default. Several processes compare their models before it does."""
-        return True
-
     def observe(self, passes: Sequence[ScreenPoints]) -> Mapping[str, Float[Tensor, " n"]]:
         """What the strategy wants to know of a view, for each Gaussian; nothing by default.
 
-        A step may have several views, rendered by several processes; ``after_step`` gets the sum
-        over them. The names are the same for all views.
+        A step may have several views; ``after_step`` gets the sum over them. The names are the
+        same for all views.
 
         Args:
             passes: projected centres of the view's passes; their ``offset.grad``, if there is one,
