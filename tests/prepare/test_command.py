@@ -13,10 +13,11 @@ from mrgs.app.arguments import flag_of
 from mrgs.app.cli import main
 from mrgs.app.options import PhotoOptions
 from mrgs.app.progress import PrepareProgress
-from mrgs.check import Problem, SceneCheck
+from mrgs.check import Problem
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import SceneError
 from mrgs.prepare import KnownDistance, Preparation, PrepareOptions, Skipped, StageReport
+from mrgs.prepare.page.check import SceneCheck
 
 
 @pytest.fixture
@@ -195,7 +196,7 @@ def test_check_lists_problems_and_its_exit_code_is_1_on_errors(severity, code, m
         problems = (Problem(severity, "Points lie behind.", "Turn the poses."),)
         return SceneCheck(problems, ("8 views.",), scene / "check.html")
 
-    monkeypatch.setattr("mrgs.check.check_scene", check_scene)
+    monkeypatch.setattr("mrgs.prepare.page.check.check_scene", check_scene)
     assert main(["check", "scene"]) == code
     assert capsys.readouterr().out.splitlines() == [
         "8 views.",

@@ -168,7 +168,7 @@ def _without_blas_threads() -> None:
 
 def _check(command: Check) -> int:
     _without_blas_threads()
-    from mrgs.check import check_scene
+    from mrgs.prepare.page.check import check_scene
 
     with PrepareProgress() as progress:
         found = check_scene(command.scene, progress.step)

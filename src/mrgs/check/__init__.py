@@ -1,7 +1,6 @@
-"""Whether a scene that was made elsewhere can be trained, and its problems."""
+"""Problems of a scene: one list of rules for ``check``, ``train`` and ``prepare``."""
 
-from mrgs.check.check import check_scene
-from mrgs.check.page import PAGE
-from mrgs.check.problems import Problem, SceneCheck, Severity
+from mrgs.check.problem import Problem, Severity
+from mrgs.check.rules import fast_problems, warn_of_problems
 
-__all__ = ["PAGE", "Problem", "SceneCheck", "Severity", "check_scene"]
+__all__ = ["Problem", "Severity", "fast_problems", "warn_of_problems"]

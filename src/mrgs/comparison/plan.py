@@ -8,11 +8,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mrgs.check import warn_of_problems
 from mrgs.comparison.methods import Options, Variant, configure
 from mrgs.comparison.same_data import SceneData, are_stale, require_same_data
 from mrgs.comparison.single import Scores, require_same_config, run_scores
 from mrgs.data import load_scene
-from mrgs.data.oddities import warn_of_oddities
 from mrgs.errors import ConfigError, SceneError
 from mrgs.system.atomic import write_text
 from mrgs.training import make_config
@@ -126,7 +126,7 @@ def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, SceneDat
                 "some, or list them in val_filenames"
             )
         with suppress(SceneError):  # a photo that cannot be read: the runs will say it
-            warn_of_oddities(loaded)
+            warn_of_problems(loaded)
         other = named.setdefault(loaded.name, SceneData(loaded)).scene.path
         if other != loaded.path:
             raise ConfigError(

@@ -6,8 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float, Float32
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from torch import Tensor
 from torch.nn import functional
 
@@ -76,6 +77,33 @@ def resize(
     if valid is None:
         return reduced, None
     return reduced, _reduce(valid[None].float(), width, height)[0] > 0.999
+
+
+def reduced(
+    values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, width: int
+) -> tuple[Float32[Tensor, "y x c"], Bool[Tensor, "y x"] | None]:
+    """An image and its mask, at most ``width`` pixels wide."""
+    height, full_width = values.shape[:2]
+    if full_width <= width:
+        return values.contiguous(), valid
+    return resize(values.contiguous(), valid, width, max(1, round(height * width / full_width)))
+
+
+def sampled(
+    values: Float[np.ndarray, "h w"],
+    u: Float[np.ndarray, "*n"],
+    v: Float[np.ndarray, "*n"],
+    step: float = 1.0,
+) -> Float[np.ndarray, "*n"]:
+    """Bilinear interpolation at pixel positions (u, v); the value at the border beyond it.
+
+    Args:
+        values: on a grid with one value per ``step`` pixels.
+        u: columns, in pixels.
+        v: rows, in pixels.
+        step: distance of two values, in pixels.
+    """
+    return map_coordinates(values, [v / step - 0.5, u / step - 0.5], order=1, mode="nearest")
 
 
 def _rays(

@@ -8,7 +8,7 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 
-from mrgs.check import Severity, check_scene
+from mrgs.check import Severity
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.export import FORMATS, export
@@ -19,6 +19,7 @@ from mrgs.pipeline.ledger import Ledger, file_stamp
 from mrgs.pipeline.plan import QUALITIES, Monitor, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
 from mrgs.prepare.cache import CACHE_FOLDER, digest, fingerprint, stamps
+from mrgs.prepare.page.check import check_scene
 from mrgs.report import write_report
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.registry import find_method

@@ -10,8 +10,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mrgs.check import fast_problems
 from mrgs.data import load_scene
-from mrgs.data.oddities import oddities
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare.cache import CACHE_FOLDER, digest, stamps
@@ -136,13 +136,13 @@ def thermal_camera(work: Work, calibrate: Calibrate) -> StageSummary:
 
 @dataclass(frozen=True)
 class WrittenScene:
-    """Numbers of views, lowest and highest temperature in °C, and what is odd, as training will
-    find them."""
+    """Numbers of views, lowest and highest temperature in °C, and problems, as training will find
+    them."""
 
     train: int
     eval: int
     range_c: tuple[float, float] | None
-    odd: tuple[str, ...]
+    problems: tuple[str, ...]
 
 
 def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary:
@@ -153,7 +153,8 @@ def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary
         read = load_scene(work.scene)
         bounds = read.temperature
         range_c = None if bounds is None else (bounds.min_c, bounds.max_c)
-        return WrittenScene(len(read.train), len(read.eval), range_c, tuple(oddities(read)))
+        problems = tuple(f"{each.text} {each.remedy}".rstrip() for each in fast_problems(read))
+        return WrittenScene(len(read.train), len(read.eval), range_c, problems)
 
     options = work.options
     split_and_bounds = (options.eval_every, options.overrides.bounds_c)
@@ -168,7 +169,7 @@ def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary
     if written.range_c is not None:
         bounds = "{:g} °C to {:g} °C".format(*written.range_c).replace("-", "−")
     lines = (f"{written.train} training views, {written.eval} held out, {bounds}.",)
-    return StageSummary(lines, tuple(f"{text[0].upper()}{text[1:]}." for text in written.odd))
+    return StageSummary(lines, written.problems)
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,9 @@ from mrgs.errors import ConfigError
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
-from mrgs.rasterizer.near_plane import too_near
 from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
-from mrgs.system.callers import warn
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.limits import whole_number
 from mrgs.system.operation import is_plain
@@ -95,7 +93,6 @@ def open_training(
     ):
         _require_enough_views(run, len(run.scene.train) if part is None else len(part.views))
         _check_room(run)
-        _warn_if_too_near(run.scene)
         if part is not None:
             run.state.sampler.restrict(part.views)
         # A resumed run goes on with the cameras as they are now.
@@ -153,7 +150,7 @@ def train(
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
             in its place; the newest checkpoint is damaged and an older one is used; changes of the
-            scene are accepted; or much of the scene lies before the near plane.
+            scene are accepted; or the scene has a problem.
 
     Raises:
         SceneError: the scene cannot be used.
@@ -196,13 +193,6 @@ def _check_room(run: TrainingStart[TrainConfig, TrainingState]) -> None:
     most = max(run.config.densification.max_gaussians, len(run.state.model.gaussians))
     size = checkpoint_bytes(run.config, run.scene.modalities, most)
     warn_if_short(run.folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
-
-
-def _warn_if_too_near(scene: Scene) -> None:
-    """Warn of a scene whose unit of length puts much of it before the near plane."""
-    near = too_near(scene.train_cameras, scene.points.positions)
-    if near is not None:
-        warn(f"{scene.name}: {near.text} {near.remedy}")
 
 
 def _require_enough_views(run: TrainingStart[TrainConfig, TrainingState], count: int) -> None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
+from mrgs.check import warn_of_problems
 from mrgs.data import load_scene
-from mrgs.data.oddities import warn_of_oddities
 from mrgs.scene import Scene
 from mrgs.system.forks import require_own_threads, will_compute
 from mrgs.system.operation import plainly
@@ -75,7 +75,7 @@ def start_training(
         load_state: the state in a checkpoint.
 
     Warns:
-        MrgsWarning: the scene can be used, but is odd (see ``mrgs.data.oddities``) or has changed,
+        MrgsWarning: the scene has a problem that ``mrgs.check`` finds, or has changed,
             and that is accepted; or the newest checkpoint is damaged, and an older one is used.
 
     Raises:
@@ -98,7 +98,7 @@ def start_training(
             else load_scene(scene, resolution=config.resolution, seed=config.seed)
         )
     will_compute()
-    warn_of_oddities(loaded)
+    warn_of_problems(loaded)
     with folder.training(config, resume), plainly(plain):
         if on_start is not None:
             on_start(loaded, config)

@@ -10,10 +10,10 @@ from PIL import Image
 
 from mrgs.data.images import DRAFT_MARGIN, probe
 from mrgs.data.posed import decode_rgb
+from mrgs.data.undistort import reduced
 from mrgs.pictures.files import to_rgb8
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.prepare.contract import ConvertedView
-from mrgs.prepare.page.previews import reduced
 from mrgs.scene import RGB
 from mrgs.scene.view import evenly_spaced
 

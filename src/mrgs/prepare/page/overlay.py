@@ -10,9 +10,9 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
+from mrgs.data.undistort import sampled
 from mrgs.prepare.page.previews import Preview
 from mrgs.prepare.rig.depth import STEP_PX, inverse_depth
-from mrgs.prepare.rig.images import sampled
 from mrgs.scene import THERMAL, Camera, PointCloud
 
 EDGE_COLOR = (0, 240, 255)

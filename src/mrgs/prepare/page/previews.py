@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +12,11 @@ from jaxtyping import Bool, Float32, UInt8
 from torch import Tensor
 
 from mrgs.data.images import DRAFT_MARGIN, decode, with_channels
-from mrgs.data.undistort import resize
+from mrgs.data.undistort import reduced
 from mrgs.errors import SceneError
 from mrgs.pictures.files import to_rgb8
 from mrgs.prepare.contract import ConvertedView
 from mrgs.scene import THERMAL, Camera, Modality, Pixels, TemperatureRange, View
-from mrgs.system.wording import counted, listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +96,6 @@ def preview_of_files(
     return Preview(view.name, status, False, images)
 
 
-def views_text(names: Sequence[str], most: int = 5) -> str:
-    """Number of views and the names of the first ones, for a sentence."""
-    return f"{counted(len(names), 'view')} ({listed(names, most)})"
-
-
 def _camera(camera: Camera, width: int) -> Camera:
     return camera.with_width(width) if camera.width > width else camera
 
@@ -123,13 +117,3 @@ def _shown(
     if valid is not None:
         shown = torch.where(valid, shown, torch.nan)
     return shown.numpy()
-
-
-def reduced(
-    values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, width: int
-) -> tuple[Float32[Tensor, "y x c"], Bool[Tensor, "y x"] | None]:
-    """An image and its mask, at most ``width`` pixels wide."""
-    height, full_width = values.shape[:2]
-    if full_width <= width:
-        return values.contiguous(), valid
-    return resize(values.contiguous(), valid, width, max(1, round(height * width / full_width)))

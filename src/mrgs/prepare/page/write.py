@@ -13,17 +13,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from mrgs.check.agreement import Agreement, agreements, jump
 from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.pictures.values import capitalised
-from mrgs.prepare.consistency import (
-    GAIN_CAUSE,
-    RADIOMETRIC_CAUSE,
-    RADIOMETRIC_REMEDY,
-    Agreement,
-    agreements,
-)
 from mrgs.prepare.contract import (
     ConvertedPhotos,
     Georeference,
@@ -35,7 +29,7 @@ from mrgs.prepare.page.cameras import lens_rows, rig_facts
 from mrgs.prepare.page.measure import MeasuredPhoto, measured_photos
 from mrgs.prepare.page.overlay import thermal_overlay
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
-from mrgs.prepare.page.previews import Preview, preview_of_files, preview_of_view, views_text
+from mrgs.prepare.page.previews import Preview, preview_of_files, preview_of_view
 from mrgs.prepare.page.temperatures import Temperatures, setting_rows, temperatures
 from mrgs.prepare.page.world import World, orbit_facts, plans, world_of
 from mrgs.prepare.work import Work
@@ -230,13 +224,9 @@ def _disagreements(content: _Content, work: Work) -> tuple[str, ...]:
     names = [view.name for view, agreement in pairs if agreement is not None and agreement.jumps]
     if not names:
         return ()
-    cause, remedy = GAIN_CAUSE, "Photograph with a fixed span, or provide radiometric files."
-    if any(view.facts.record.is_radiometric for view in work.images.views):
-        cause, remedy = RADIOMETRIC_CAUSE, RADIOMETRIC_REMEDY
-    return (
-        f"In {views_text(names)} the same places are warmer or colder than in the others, "
-        f"{cause}. {remedy}",
-    )
+    radiometric = any(view.facts.record.is_radiometric for view in work.images.views)
+    problem = jump(THERMAL, names, radiometric)
+    return (f"{problem.text} {problem.remedy}",)
 
 
 def _time(stage: StageReport) -> str:

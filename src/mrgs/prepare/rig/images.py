@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32
-from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from mrgs.data.images import DRAFT_MARGIN, LUMINANCE
@@ -93,23 +92,6 @@ def reduced_pair(
             reduced, max(1, round(height * reduced / width))
         ),
     ), (width, height)
-
-
-def sampled(
-    values: Float[np.ndarray, "h w"],
-    u: Float[np.ndarray, "*n"],
-    v: Float[np.ndarray, "*n"],
-    step: float = 1.0,
-) -> Float[np.ndarray, "*n"]:
-    """Bilinear interpolation at pixel positions (u, v); the value at the border beyond it.
-
-    Args:
-        values: on a grid with one value per ``step`` pixels.
-        u: columns, in pixels.
-        v: rows, in pixels.
-        step: distance of two values, in pixels.
-    """
-    return map_coordinates(values, [v / step - 0.5, u / step - 0.5], order=1, mode="nearest")
 
 
 def too_few_points(names: list[str]) -> SceneError:

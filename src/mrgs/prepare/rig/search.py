@@ -18,7 +18,8 @@ from jaxtyping import Float, Float32
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter
 
-from mrgs.prepare.rig.images import Plane, ReducedPair, sampled
+from mrgs.data.undistort import sampled
+from mrgs.prepare.rig.images import Plane, ReducedPair
 from mrgs.prepare.rig.structure import structure
 
 CLEAR = 1.3

@@ -9,8 +9,9 @@ from jaxtyping import Bool, Float, Float32
 from scipy.ndimage import gaussian_filter
 
 from mrgs.data.lens import Lens
+from mrgs.data.undistort import sampled
 from mrgs.prepare.rig.depth import STEP_PX
-from mrgs.prepare.rig.images import ReducedPair, sampled
+from mrgs.prepare.rig.images import ReducedPair
 
 _ITERATIONS = 6
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter, zoom
 
-from mrgs.prepare.rig.images import sampled
+from mrgs.data.undistort import sampled
 from mrgs.prepare.rig.target.lattice import Cell, lattices
 from mrgs.prepare.rig.target.plane import board_points, homography, transformed
 from mrgs.prepare.rig.target.saddles import Saddles, find_saddles, refined

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter, maximum_filter
 
-from mrgs.prepare.rig.images import sampled
+from mrgs.data.undistort import sampled
 
 _LEAST_CONTRAST = 0.04
 """σ⁴(Hxy² − Hxx Hyy) over the variance around: about 0.4 where four sharp squares meet, whatever

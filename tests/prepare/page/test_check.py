@@ -8,9 +8,10 @@ import re
 
 import pytest
 
-from mrgs.check import Problem, check_scene
-from mrgs.check.problems import worst_first
+from mrgs.check import Problem
+from mrgs.check.problem import worst_first
 from mrgs.errors import RunError, SceneError
+from mrgs.prepare.page.check import check_scene
 
 
 def texts(check) -> str:

@@ -10,17 +10,17 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from mrgs.check.images import image_problems
-from mrgs.check.statistics import LOOKED_AT_PX, measure_view, sharpness
+from mrgs.check.photos import WIDTH_PX, measure, sharpness
 from mrgs.data.files import scene_error
 from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
+from tests.check.conftest import Checked
 from tests.helpers.changed_views import repainted, with_image, without
 
 
 def only_problem(looked, severity: str = "warning"):
     """The one problem of the images."""
-    (problem,) = image_problems(looked.scene, list(looked.statistics.values()))
+    (problem,) = looked.photo_problems()
     assert problem.severity == severity
     assert problem.remedy
     return problem.text
@@ -44,7 +44,7 @@ def test_an_image_that_cannot_be_decoded_is_told(tabletop):
         ),
         every=100,
     )
-    (problem,) = image_problems(broken.scene, list(broken.statistics.values()))
+    (problem,) = broken.photo_problems()
     assert problem.severity == "error"
     assert "images/a.jpg" in problem.text
 
@@ -60,7 +60,9 @@ def test_views_that_lack_an_image_are_told(tabletop, modality):
 def test_a_scene_of_photos_alone_is_told(tabletop):
     scene = tabletop.scene
     views = [tuple(without(view, THERMAL) for view in part) for part in (scene.train, scene.eval)]
-    (problem,) = image_problems(replace(scene, train=views[0], eval=views[1], temperature=None), [])
+    (problem,) = Checked(
+        replace(scene, train=views[0], eval=views[1], temperature=None), {}
+    ).photo_problems()
     assert problem.severity == "warning"
     assert "temperatures" in problem.text
 
@@ -68,13 +70,13 @@ def test_a_scene_of_photos_alone_is_told(tabletop):
 def test_thermal_images_alone_are_a_note(tabletop):
     scene = tabletop.scene
     views = [tuple(without(view, RGB) for view in part) for part in (scene.train, scene.eval)]
-    (problem,) = image_problems(replace(scene, train=views[0], eval=views[1]), [])
+    (problem,) = Checked(replace(scene, train=views[0], eval=views[1]), {}).photo_problems()
     assert problem.severity == "note"
     assert "RGB" in problem.text
 
 
 def test_missing_bounds_are_told(tabletop):
-    (problem,) = image_problems(replace(tabletop.scene, temperature=None), [])
+    (problem,) = Checked(replace(tabletop.scene, temperature=None), {}).photo_problems()
     assert "no temperature_bounds.json" in problem.text
     assert "absolute_min_temperature" in problem.remedy
 
@@ -102,7 +104,7 @@ def test_uniform_images_are_told(tabletop, modality):
         every=100,
         first=2,
     )
-    problems = image_problems(changed.scene, list(changed.statistics.values()))
+    problems = changed.photo_problems()
     (found,) = [problem for problem in problems if "uniform" in problem.text]
     assert found.severity == "warning"
     assert f"{modality.title} image" in found.text
@@ -116,9 +118,7 @@ def test_saturated_thermal_images_are_told(tabletop):
     changed = tabletop.changed(
         lambda view: with_image(view, THERMAL, lambda image: repainted(image, clipped))
     )
-    texts = [
-        problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
-    ]
+    texts = [problem.text for problem in changed.photo_problems()]
     assert any("upper end" in text for text in texts)
     assert not any("lower end" in text for text in texts)
 
@@ -133,9 +133,7 @@ def test_automatic_gain_is_told(tabletop, gain, offset):
         every=9,
     )
     names = [tabletop.scene.train[index].name for index in (0, 9, 18)]
-    texts = [
-        problem.text for problem in image_problems(changed.scene, list(changed.statistics.values()))
-    ]
+    texts = [problem.text for problem in changed.photo_problems()]
     assert [views_of(text) for text in texts if "warmer or colder" in text] == [(3, names)], texts
 
 
@@ -147,10 +145,7 @@ def test_radiometric_photos_that_do_not_agree_get_another_remedy(tabletop):
         return replace(changed, record=record)
 
     changed = tabletop.changed(lambda view: with_image(view, THERMAL, warmer), every=9)
-    statistics = list(changed.statistics.values())
-    (problem,) = (
-        each for each in image_problems(changed.scene, statistics) if "warmer" in each.text
-    )
+    (problem,) = (each for each in changed.photo_problems() if "warmer" in each.text)
     assert "photos are radiometric" in problem.text
     assert "Export" not in problem.remedy
 
@@ -186,19 +181,11 @@ def test_blurred_photos_are_told(tabletop, blur):
 
 
 def test_large_photos_are_measured_in_fewer_pixels(tabletop):
-    asked = []
-
-    def fewer(image: PosedImage) -> PosedImage:
-        def look(width: int) -> Pixels:
-            asked.append(width)
-            return Pixels(image.load().values[::2, ::2])
-
-        return replace(image, load_at_least=look)
-
-    view = with_image(tabletop.scene.train[0], RGB, fewer)
-    found = measure_view(view, "training", None, 240)
-    assert asked == [LOOKED_AT_PX]
-    assert found.preview.images[RGB].pixels.shape == (120, 160, 3)
+    image = tabletop.scene.train[0].images[RGB]
+    found = measure(Pixels(image.load().values[::2, ::2]), image)
+    assert found.small.shape == (120, 160)
+    assert found.camera.width == 160
+    assert found.spread == pytest.approx(measure(image.look(WIDTH_PX), image).spread, abs=0.05)
 
 
 def test_sharpness_does_not_depend_on_contrast_and_falls_with_blur():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.prepare.consistency import agreements, brightness
+from mrgs.check.agreement import agreements
 from mrgs.scene import Camera, PointCloud
 
 CAMERA = Camera(
@@ -48,10 +48,3 @@ def test_images_that_share_too_little_are_not_judged():
     assert [agreement is None for agreement in found] == [False, False, False, True, True]
     assert agreements(images, [CAMERA] * 5, points(10)) == [None] * 5
     assert agreements([RAMP, RAMP], [CAMERA] * 2, points()) == [None] * 2
-
-
-def test_luma_runs_from_black_to_white():
-    np.testing.assert_allclose(
-        brightness(np.array([[[0, 0, 0], [255, 255, 255], [255, 0, 0]]], dtype=np.uint8)),
-        [[0, 1, 0.299]],
-    )

@@ -1,4 +1,4 @@
-"""Whether images agree on the points that they see; automatic gain or exposure makes them
+"""Comparison of images at the points that they see: automatic gain or exposure makes them
 differ."""
 
 from __future__ import annotations
@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
-from mrgs.data.images import LUMINANCE
-from mrgs.prepare.rig.images import sampled
-from mrgs.scene import Camera, PointCloud
+from mrgs.check.problem import Problem, views_text
+from mrgs.data.undistort import sampled
+from mrgs.scene import THERMAL, Camera, Modality, PointCloud
 from mrgs.scene.view import evenly_spaced
 
 FEWEST_VIEWS = 3
@@ -22,24 +21,10 @@ _FEWEST_POINTS = 30
 _MOST_POINTS = 3000
 _ROUNDS = 3
 _JUMP = 0.03
-"""Images that miss the others' values by more than this share of the set's range count as jumping,
-if ..."""
+"""Smallest error of an image that jumps, as a share of the set's range."""
 
 _EXPLAINED = 0.6
-"""... a change of gain and offset takes the error below this share of what it was."""
-
-
-GAIN_CAUSE = "as automatic gain or a changed span makes them"
-RADIOMETRIC_CAUSE = (
-    "though the photos are radiometric: the surfaces have warmed or cooled, the camera has "
-    "drifted, or its settings were changed"
-)
-"""Why thermal images do not agree, the second where their temperatures come from the camera's
-signal."""
-
-RADIOMETRIC_REMEDY = (
-    "Compare these photos and their settings with the others, and leave out those that do not fit."
-)
+"""Largest share of that error which remains after gain and offset have been removed."""
 
 
 @dataclass(frozen=True)
@@ -140,9 +125,24 @@ def _line(
     return float(gain), float(mean_y - gain * mean_x)
 
 
-def brightness(pixels: np.ndarray) -> Float[np.ndarray, "h w"]:
-    """Luma of 8-bit colours [H, W, 3], 0 to 1 (ITU-R BT.601, before linearisation); values [H, W]
-    as they are."""
-    if pixels.ndim == 2:
-        return pixels
-    return (torch.from_numpy(pixels).double() @ LUMINANCE.double() / 255).numpy()
+def jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem:
+    """The warning about images that do not agree with the others.
+
+    Args:
+        modality: of the images.
+        names: of their views.
+        radiometric: whether the temperatures are computed from the thermal camera's signal.
+    """
+    changed, cause = "warmer or colder", "as automatic gain or a changed span makes them"
+    remedy = "Export all thermal images with one fixed span, or from radiometric files."
+    if modality != THERMAL:
+        changed, cause = "brighter or darker", "as automatic exposure makes them"
+        remedy = "The colours will be a mixture; fix exposure and white balance next time."
+    elif radiometric:
+        cause = (
+            "though the photos are radiometric: the surfaces have warmed or cooled, the camera has "
+            "drifted, or its settings were changed"
+        )
+        remedy = "Compare these photos and their settings with the others, and leave out outliers."
+    text = f"In {views_text(names)} the same places are {changed} than in the others, {cause}."
+    return Problem("warning", text, remedy)

@@ -7,10 +7,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs.check.poses import NO_POINTS, pose_problems
+from mrgs.check.cameras import TooNear, too_near
+from mrgs.check.problem import NO_POINTS
 from mrgs.data import load_scene
 from mrgs.scene import THERMAL, Camera, PointCloud, View
+from tests.check.conftest import pose_problems
 from tests.helpers.changed_views import with_cameras, with_image
+from tests.helpers.views import small_camera
 
 FLIP = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
 
@@ -134,7 +137,7 @@ def test_views_of_one_pose_are_told_and_more_so_if_one_is_held_out(tabletop):
     scene = tabletop.scene
     again = replace(scene.train[3], name="again")
     (problem,) = pose_problems(replace(scene, train=(*scene.train, again)))
-    assert f"same pose ({scene.train[3].name} and again)" in problem.text
+    assert f"another view ({scene.train[3].name}, again)" in problem.text
     assert "held out" not in problem.text
     (problem,) = pose_problems(replace(scene, eval=(*scene.eval, again)))
     assert "In 1 of them" in problem.text
@@ -160,7 +163,7 @@ def test_a_thermal_camera_that_looks_elsewhere_is_told(tabletop):
     [
         (lambda K: K[0].mul_(20), "field of view"),
         (lambda K: K[0, :1].mul_(0.1), "field of view"),
-        (lambda K: K[0, 2:].mul_(1.7), "85% of its width"),
+        (lambda K: K[0, 2:].mul_(1.7), "85% of the width"),
         (lambda K: K[1, 1:2].mul_(3), "0.33 times"),
     ],
 )
@@ -191,3 +194,36 @@ def test_a_scene_without_points_is_told(make_scene):
     scene = load_scene(folder)
     assert any(note.startswith(NO_POINTS) for note in scene.notes)
     assert any("sparse_pc.ply" in problem.remedy for problem in pose_problems(scene))
+
+
+def wall(depth: float, count: int = 1000) -> torch.Tensor:
+    """Points of a wall before ``small_camera``, all in its image."""
+    across = torch.rand(count, 2, generator=torch.Generator().manual_seed(0)) - 0.5
+    return torch.cat([across * 0.5 * depth, torch.full((count, 1), depth)], dim=1)
+
+
+@pytest.mark.parametrize(("depth", "factor"), [(0.0099, 1_000), (1e-3, 1_000), (9e-9, 10**9)])
+def test_a_wall_before_the_near_plane_is_too_near(depth, factor):
+    assert too_near([small_camera()], wall(depth)) == TooNear(1.0, factor)
+
+
+@pytest.mark.parametrize("depth", [0.0101, 1.0, 1e6])
+def test_a_wall_behind_it_is_not(depth):
+    assert too_near([small_camera()], wall(depth)) is None
+
+
+def test_only_what_the_cameras_see_counts():
+    beside = wall(1e-3) + torch.tensor([1.0, 0, 0])
+    behind = wall(-1e-3)
+    assert too_near([small_camera()], torch.cat([wall(0.02), beside, behind])) is None
+    assert too_near([small_camera()], behind) is None
+    assert too_near([small_camera()], torch.empty(0, 3)) is None
+
+
+def test_strays_do_not_count():
+    assert too_near([small_camera()], torch.cat([wall(1e-3, 200), wall(2.0)])) is None
+    assert too_near([small_camera()], torch.cat([wall(1e-3, 5), wall(0.5)])) is None
+    found = too_near([small_camera(), small_camera()], torch.cat([wall(1e-3, 200), wall(0.5, 800)]))
+    assert found is not None
+    assert found.share == pytest.approx(0.2)
+    assert found.factor == 10

@@ -1,0 +1,189 @@
+"""``mrgs check``: the problems of a scene in any layout, and a page that shows it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mrgs.check.photos import WIDTH_PX, measure
+from mrgs.check.problem import Evidence, PhotoStatistics, Problem, cameras_by_modality, worst_first
+from mrgs.check.rules import find_problems
+from mrgs.data import load_scene
+from mrgs.data.colmap_model import MODEL_FOLDERS
+from mrgs.data.files import scene_error
+from mrgs.data.transforms import pinhole_lens
+from mrgs.errors import MrgsWarning, SceneError
+from mrgs.pictures.values import capitalised
+from mrgs.prepare.contract import Progress
+from mrgs.prepare.page.cameras import lens_rows
+from mrgs.prepare.page.overlay import thermal_overlay
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
+from mrgs.prepare.page.previews import Preview, preview_of_pixels
+from mrgs.prepare.page.temperatures import setting_rows, temperatures
+from mrgs.prepare.page.world import World, world_of
+from mrgs.prepare.page.write import write_scene_page
+from mrgs.scene import Modality, Pixels, Scene
+from mrgs.scene.view import evenly_spaced
+
+PAGE = "check.html"
+
+
+@dataclass(frozen=True)
+class SceneCheck:
+    """Result of ``check_scene``.
+
+    Attributes:
+        problems: worst first.
+        lines: facts about the scene, one sentence each.
+        page: the page that shows it.
+    """
+
+    problems: tuple[Problem, ...]
+    lines: tuple[str, ...]
+    page: Path
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is no error among the problems."""
+        return all(problem.severity != "error" for problem in self.problems)
+
+
+def check_scene(
+    scene: str | Path, progress: Progress | None = None, output: Path | None = None
+) -> SceneCheck:
+    """Check a scene in any layout that ``load_scene`` reads; nothing in it is changed.
+
+    Every image is read once, large photos at a fraction of their size. The page ``check.html`` in
+    the scene's folder shows cameras and points, each view with its thermal image over its photo,
+    temperatures and lenses.
+
+    Args:
+        scene: the folder, or its transforms file.
+        progress: called with a step's name, the number of views that are done, and of all.
+        output: folder of the page; by default the scene's.
+
+    Raises:
+        SceneError: there is no such folder, or no scene in it.
+        RunError: the page cannot be written.
+    """
+    scene = Path(scene)
+    folder = scene if scene.is_dir() else scene.parent
+    if not scene.is_dir() and not (scene.is_file() and scene.suffix == ".json"):
+        raise scene_error(scene, "not a folder; give the scene's folder")
+    page = (output or folder) / PAGE
+    try:
+        loaded, corrected = _load(scene)
+    except SceneError as error:
+        patterns = ("transforms*.json", *(f"{each}/cameras.*" for each in MODEL_FOLDERS))
+        if not (scene.is_file() or any(any(scene.glob(pattern)) for pattern in patterns)):
+            raise
+        unread = (Problem("error", str(error)),)
+        return SceneCheck(unread, (), _write(page, folder, unread))
+    previews, evidence = _read_views(loaded, progress or (lambda step, done, total: None))
+    problems = worst_first([*corrected, *find_problems(evidence)])
+    lines = _facts(loaded)
+    return SceneCheck(problems, lines, _write(page, folder, problems, lines, loaded, previews))
+
+
+def _load(scene: Path) -> tuple[Scene, list[Problem]]:
+    """The scene, and what the reader corrected."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MrgsWarning)
+        loaded = load_scene(scene)
+    corrected = [str(item.message).removeprefix(f"{loaded.name}: ") for item in caught]
+    remedy = "It is corrected at each reading; fix the file."
+    return loaded, [Problem("warning", text, remedy) for text in corrected]
+
+
+def _read_views(scene: Scene, report: Progress) -> tuple[list[Preview], Evidence]:
+    """The preview of every view, training views first, and the statistics of its photos; a photo
+    that cannot be read is missing in both."""
+    width = thumbnail_width(len(scene.views))
+    previews: list[Preview] = []
+    photos: dict[Modality, dict[str, PhotoStatistics]] = {each: {} for each in scene.modalities}
+    unreadable: list[str] = []
+    for done, view in enumerate(scene.views):
+        report("reading images", done, len(scene.views))
+        pixels: dict[Modality, Pixels] = {}
+        for modality, image in view.images.items():
+            try:
+                pixels[modality] = image.look(WIDTH_PX)
+            except SceneError as error:
+                unreadable.append(str(error))
+                continue
+            photos.setdefault(modality, {})[view.name] = measure(pixels[modality], image)
+        status = "training" if done < len(scene.train) else "held out"
+        previews.append(preview_of_pixels(view, status, scene.temperature, width, pixels))
+    report("reading images", len(scene.views), len(scene.views))
+    return previews, Evidence(scene, photos, unreadable)
+
+
+def _facts(scene: Scene) -> tuple[str, ...]:
+    """Contents of the scene, one sentence each."""
+    lines = [f"{len(scene.train)} training views, {len(scene.eval)} held out."]
+    for modality, cameras in cameras_by_modality(scene).items():
+        sizes = sorted({(camera.width, camera.height) for camera in cameras.values()})
+        shown = ", ".join(f"{width}×{height}" for width, height in sizes)
+        lines.append(f"{len(cameras)} {modality.title} images, {shown} px.")
+    if scene.temperature is not None:
+        lines.append(f"Temperatures from {scene.temperature}.")
+    lines.append(
+        f"{len(scene.points.positions):,} start points; the cameras span {2 * scene.extent:.3g} "
+        f"{scene.world.length_unit}."
+    )
+    return (*lines, *scene.notes)
+
+
+def _write(
+    page: Path,
+    folder: Path,
+    problems: Sequence[Problem],
+    lines: Sequence[str] = (),
+    scene: Scene | None = None,
+    previews: Sequence[Preview] = (),
+) -> Path:
+    """Write the page; the scene is None if it cannot be read."""
+    return write_scene_page(
+        page,
+        "prepare/page/check.html",
+        f"Scene check: {folder.resolve().name}",
+        None if scene is None else _world(scene),
+        problems=problems,
+        errors=sum(problem.severity == "error" for problem in problems),
+        lines=lines,
+        north=scene is not None and scene.world.north,
+        shown=None if scene is None else _shown(scene, previews),
+    )
+
+
+def _world(scene: Scene) -> World:
+    """Cameras and points."""
+    cameras = {view.name: view.camera for view in scene.views}
+    held_out = frozenset(view.name for view in scene.eval)
+    return world_of(cameras, held_out, scene.points, scene.world.metric, scene.world.north)
+
+
+def _shown(scene: Scene, previews: Sequence[Preview]) -> dict[str, Any]:
+    """Views, temperatures and lenses."""
+    shown = [previews[index] for index in evenly_spaced(len(previews), MOST_SHOWN)]
+    warped = {view.name: thermal_overlay(view, scene.points) for view in shown}
+    overlays = {name: image for name, image in warped.items() if image is not None}
+    unit = "" if scene.temperature is None else "°C"
+    records = [] if scene.temperature is None else scene.records
+    return {
+        "pairs": pairs(shown, overlays, unit, len(previews)),
+        "temperatures": temperatures(
+            previews, unit, setting_rows(records) if records else [], {}, len(previews)
+        ),
+        "lenses": [
+            row
+            for modality, cameras in cameras_by_modality(scene).items()
+            for row in lens_rows(
+                {name: pinhole_lens(camera) for name, camera in cameras.items()},
+                capitalised(modality.title),
+            )
+        ],
+    }
