@@ -285,8 +285,8 @@ def poses_and_points(evidence: Evidence) -> Iterator[Problem]:
 
 
 def _better_convention(evidence: Evidence, share: float) -> tuple[str, str, float] | None:
-    """The convention with which most training cameras see clearly more points than ``share``, what to do,
-    and the median share with it; None if there is none.
+    """The convention with which most training cameras see clearly more points than ``share``, what
+    to do, and the median share with it; None if there is none.
 
     The median, because some cameras may by chance look at points of another world.
     """
