@@ -8,7 +8,7 @@ import pytest
 
 from mrgs.check import cameras, photos
 from mrgs.check.photos import WIDTH_PX, measure
-from mrgs.check.problem import Evidence, PhotoStatistics, Problem
+from mrgs.check.problem import Evidence, ImageStatistics, Problem
 from mrgs.check.rules import RULES
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
@@ -28,10 +28,10 @@ def pose_problems(scene: Scene) -> list[Problem]:
     return problems_of(cameras, Evidence(scene))
 
 
-def measured(view: View) -> dict[Modality, PhotoStatistics | str]:
+def measured(view: View) -> dict[Modality, ImageStatistics | str]:
     """The statistics of the view's photos, or why one cannot be read."""
 
-    def of(image: PosedImage) -> PhotoStatistics | str:
+    def of(image: PosedImage) -> ImageStatistics | str:
         try:
             return measure(image.look(WIDTH_PX), image)
         except SceneError as error:
@@ -45,11 +45,11 @@ class Checked:
     """A scene and the statistics of its photos, by view."""
 
     scene: Scene
-    statistics: dict[str, dict[Modality, PhotoStatistics | str]]
+    statistics: dict[str, dict[Modality, ImageStatistics | str]]
 
     @property
     def evidence(self) -> Evidence:
-        photos: dict[Modality, dict[str, PhotoStatistics]] = {}
+        photos: dict[Modality, dict[str, ImageStatistics]] = {}
         unreadable = []
         for view in self.scene.views:
             for modality, found in self.statistics.get(view.name, {}).items():

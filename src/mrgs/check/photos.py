@@ -15,7 +15,7 @@ from torch import Tensor
 from mrgs.check.agreement import agreements, jump
 from mrgs.check.problem import (
     Evidence,
-    PhotoStatistics,
+    ImageStatistics,
     Problem,
     Severity,
     cameras_by_modality,
@@ -63,7 +63,7 @@ _EXPECTED: dict[Modality, tuple[Severity, str]] = {
 """Severity if no view has an image of a modality, and what the model will then lack."""
 
 
-def measure_few(scene: Scene) -> dict[Modality, dict[str, PhotoStatistics]]:
+def measure_few(scene: Scene) -> dict[Modality, dict[str, ImageStatistics]]:
     """Statistics of the photos of ``FEW_VIEWS`` training views, from as few pixels as suffice.
 
     Raises:
@@ -87,7 +87,7 @@ def _fast_pixels(modality: Modality, photo: PosedImage) -> Pixels:
     return Pixels(decode(photo.files[0], FAST_WIDTH_PX).values)
 
 
-def measure(pixels: Pixels, photo: PosedImage) -> PhotoStatistics:
+def measure(pixels: Pixels, photo: PosedImage) -> ImageStatistics:
     """Statistics of a photo's pixels."""
     values = pixels.values
     luminance = values @ LUMINANCE if values.shape[-1] == 3 else values.mean(dim=-1)
@@ -97,7 +97,7 @@ def measure(pixels: Pixels, photo: PosedImage) -> PhotoStatistics:
     some = values[::step, ::step].numpy()
     small, valid = reduced(luminance[..., None], pixels.valid, _SMALL_PX)
     small = small[..., 0] if valid is None else torch.where(valid, small[..., 0], torch.nan)
-    return PhotoStatistics(
+    return ImageStatistics(
         sharpness(luminance.double().numpy()),
         low_end=(known <= _AT_END).float().mean().item() if known.numel() else 0.0,
         high_end=(known >= 1 - _AT_END).float().mean().item() if known.numel() else 0.0,

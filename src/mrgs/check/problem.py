@@ -42,7 +42,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class PhotoStatistics:
+class ImageStatistics:
     """Statistics of an image's usable pixels; of a colour image, of its luminance.
 
     Attributes:
@@ -80,7 +80,7 @@ class Evidence:
     """
 
     scene: Scene
-    photos: Mapping[Modality, Mapping[str, PhotoStatistics]] = field(default_factory=dict)
+    photos: Mapping[Modality, Mapping[str, ImageStatistics]] = field(default_factory=dict)
     unreadable: Sequence[str] = ()
 
     @cached_property

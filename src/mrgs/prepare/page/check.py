@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mrgs.check.photos import WIDTH_PX, measure
-from mrgs.check.problem import Evidence, PhotoStatistics, Problem, cameras_by_modality, worst_first
+from mrgs.check.problem import Evidence, ImageStatistics, Problem, cameras_by_modality, worst_first
 from mrgs.check.rules import find_problems
 from mrgs.data import load_scene
 from mrgs.data.colmap_model import MODEL_FOLDERS
@@ -103,7 +103,7 @@ def _read_views(scene: Scene, report: Progress) -> tuple[list[Preview], Evidence
     that cannot be read is missing in both."""
     width = thumbnail_width(len(scene.views))
     previews: list[Preview] = []
-    photos: dict[Modality, dict[str, PhotoStatistics]] = {each: {} for each in scene.modalities}
+    photos: dict[Modality, dict[str, ImageStatistics]] = {each: {} for each in scene.modalities}
     unreadable: list[str] = []
     for done, view in enumerate(scene.views):
         report("reading images", done, len(scene.views))
