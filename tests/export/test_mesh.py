@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from mrgs.errors import RunError
-from mrgs.export.fusion import fuse
-from mrgs.export.mesh import _without_specks, build_mesh, write_mesh_ply
+from mrgs.export.mesh import _without_specks, build_mesh, fuse, write_mesh_ply
 from mrgs.scene import RGB, Camera
 from mrgs.scene.depth_map import DepthMap
 from tests.helpers.exports import read_ply

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.export.las import write_las
-from mrgs.export.points import write_points_ply
+from mrgs.export.points import write_las, write_points_ply
 from mrgs.export.surface_points import MIN_OPACITY, surface_points
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.exports import read_ply

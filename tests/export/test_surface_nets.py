@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mrgs.export.surface_nets import surface_nets
+from mrgs.export.mesh import surface_nets
 
 
 def ball(size: int = 20, radius: float = 6.3) -> np.ndarray:

@@ -17,7 +17,7 @@ from mrgs.runs.open import load_run
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.messages import AnyMessage
 from mrgs.viewer.opening import start_at, start_camera
-from mrgs.viewer.worker import Worker
+from mrgs.viewer.source import Worker
 from tests.faults.fuzz import JSON, fuzz
 from tests.faults.tally import Tally
 from tests.helpers.subjects import subject_of

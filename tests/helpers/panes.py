@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
-from mrgs.viewer.fields import PaneImages
-from mrgs.viewer.layout import Pane
+from mrgs.viewer.panes import Pane, PaneImages
 
 SIZE = (160, 120)
 RANGE = TemperatureRange(0.0, 50.0)

@@ -10,14 +10,11 @@ import torch
 
 from mrgs.marks import Mark
 from mrgs.marks.measure import NARROW_COLD, NARROW_HOT, MarkMeter
-from mrgs.marks.resolution import Resolution
-from mrgs.marks.survey import PhotoSurvey
+from mrgs.marks.photo_readings import BLURRED, READING, RENDERED, USUAL_BLUR_PX, PhotoReadings
+from mrgs.marks.photo_survey import PhotoSurvey, Resolution
 from mrgs.marks.tables import facts_of_reading, text_rows
 from mrgs.marks.texts import mark_text
-from mrgs.marks.uncertainty import UncertaintyMeter
-from mrgs.marks.uncertainty.budget import Budget
-from mrgs.marks.uncertainty.photo_parts import BLURRED, READING, RENDERED
-from mrgs.marks.uncertainty.witnesses import USUAL_BLUR_PX, PhotoWitnesses
+from mrgs.marks.uncertainty import Budget, UncertaintyMeter
 from mrgs.method.camera_model.point_spread import blur
 from mrgs.scene import (
     THERMAL,
@@ -67,7 +64,7 @@ class WallWithSpot:
             View(f"v{number}", {THERMAL: PosedImage(camera, lambda c=camera: self.photo(c))})
             for number, camera in enumerate(CAMERAS)
         ]
-        witnesses = PhotoWitnesses(self, ideal_cameras, views, RANGE)
+        witnesses = PhotoReadings(self, ideal_cameras, views, RANGE)
         meter = MarkMeter(self, RANGE, CAMERAS, uncertainty=UncertaintyMeter(witnesses, Budget()))
         return meter.read(mark)
 
@@ -159,7 +156,7 @@ def test_photos_wider_than_what_is_compared_are_blurred_by_their_own_pixels(widt
 
     photo = respond(wall(camera), camera, {THERMAL: 1.0})[THERMAL].image.float()
     view = View("v", {THERMAL: PosedImage(camera, lambda: Pixels(photo))})
-    seen = PhotoWitnesses(wall, respond, [view], RANGE)[0].image
+    seen = PhotoReadings(wall, respond, [view], RANGE)[0].image
     row, column = (side // 2 for side in seen.shape[:2])
     middle = seen[row - 20 : row + 20, column - 20 : column + 20]
     assert np.abs(middle[..., READING] - middle[..., RENDERED]).max() < 0.15
@@ -176,7 +173,7 @@ def blurring_of(wall: WallWithSpot, gain: float, sigma_px: float | None) -> np.n
 
     photo = respond(wall(CAMERAS[1]), CAMERAS[1], {})[THERMAL].image.float()
     view = View("v", {THERMAL: PosedImage(CAMERAS[1], lambda: Pixels(photo))})
-    change = PhotoWitnesses(wall, respond, [view], RANGE)[0].image[..., BLURRED]
+    change = PhotoReadings(wall, respond, [view], RANGE)[0].image[..., BLURRED]
     return change[58:62, 78:82]
 
 

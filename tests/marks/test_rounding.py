@@ -9,8 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from mrgs.marks.uncertainty.rounding import OF_ONE_VALUE, block_variances, of_mean
-from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.marks.photo_readings import OF_ONE_VALUE, PhotoReadings, block_variances, rounding_of_mean
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, ideal_cameras
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
@@ -22,11 +21,11 @@ def test_it_is_twice_the_error_of_a_mean_of_rounded_values(noise):
     true = np.linspace(0.0, 1.0, 200, endpoint=False)
     normal = np.random.default_rng(0).normal(size=(20_000, 1))
     error = np.round(true + noise * normal).mean(axis=0) - true
-    assert of_mean(noise**2) == pytest.approx(2 * np.sqrt(np.mean(error**2)), abs=0.01)
+    assert rounding_of_mean(noise**2) == pytest.approx(2 * np.sqrt(np.mean(error**2)), abs=0.01)
 
 
 def test_without_noise_a_mean_is_no_better_than_one_value():
-    assert of_mean(0.0) == pytest.approx(OF_ONE_VALUE, rel=0.01)
+    assert rounding_of_mean(0.0) == pytest.approx(OF_ONE_VALUE, rel=0.01)
 
 
 def test_blocks_with_masked_pixels_are_left_out():
@@ -52,12 +51,12 @@ def rounded_photo(number: int, noise: float, folder: Path) -> View:
 
 def part_of_photos(noise: float, folder: Path) -> float:
     views = [rounded_photo(number, noise, folder) for number in range(3)]
-    witnesses = PhotoWitnesses(render_wall, ideal_cameras, views, RANGE)
+    witnesses = PhotoReadings(render_wall, ideal_cameras, views, RANGE)
     spread = np.linspace(0.0, 0.3, 5, dtype=np.float32)
     points = np.stack([spread, 0 * spread, spread], axis=1)
     return float(witnesses.of_mark(points, 20.0).photos[0])
 
 
 def test_coarse_steps_count_for_a_mark_where_noise_does_not_average_them(tmp_path):
-    assert part_of_photos(0.05, tmp_path) > 0.9 * of_mean(0.05**2) * STEP_C
+    assert part_of_photos(0.05, tmp_path) > 0.9 * rounding_of_mean(0.05**2) * STEP_C
     assert part_of_photos(0.8, tmp_path) < 0.5 * OF_ONE_VALUE * STEP_C

@@ -12,16 +12,15 @@ from mrgs.data.radiometric.measurement import Measurement
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
-from mrgs.marks.texts import mark_text
-from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
-from mrgs.marks.uncertainty.budget import USUAL_AIR, Budget
-from mrgs.marks.uncertainty.photo_parts import (
+from mrgs.marks.photo_readings import (
     OF_MARK,
     OF_POINT,
     SHIFT_PX,
+    PhotoReadings,
     SightingSums,
 )
-from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.marks.texts import mark_text
+from mrgs.marks.uncertainty import USUAL_AIR, Budget, Uncertainty, UncertaintyMeter
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
 from mrgs.scene.radiometry import ObjectParameters, Planck
 from mrgs.survey import Survey
@@ -44,7 +43,7 @@ def meter_of(budget: Budget | None = None, views: list[View] | None = None) -> M
     if views is None:
         views = [photo_of_wall(number, shift) for number, shift in enumerate(SHIFTS_C)]
     cameras = [view.camera for view in views]
-    witnesses = PhotoWitnesses(render_wall, ideal_cameras, views, RANGE)
+    witnesses = PhotoReadings(render_wall, ideal_cameras, views, RANGE)
     capture = CaptureSettings() if budget is None else budget.capture
     uncertainty = UncertaintyMeter(witnesses, budget or Budget())
     return MarkMeter(render_wall, RANGE, cameras, capture, uncertainty)

@@ -14,7 +14,7 @@ from PIL import Image
 from mrgs.marks import Mark
 from mrgs.pictures.drawing import Box
 from mrgs.report import overlays
-from mrgs.report.overlays import (
+from mrgs.report.plan import (
     MARK,
     RING_PX,
     SMALL_PX,

@@ -13,8 +13,8 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions
 from mrgs.pictures.palette import palette_table
-from mrgs.report.overlays import MARK
-from mrgs.report.temperature_map import (
+from mrgs.report.plan import (
+    MARK,
     MOST_PX,
     TemperatureMap,
     draw_temperature_map,

@@ -25,7 +25,7 @@ from mrgs.marks.measure import (
     SEVERAL_SURFACES,
 )
 from mrgs.marks.texts import PART_NAMES
-from mrgs.marks.uncertainty.budget import Budget
+from mrgs.marks.uncertainty import Budget
 from mrgs.pictures.settings import SETTINGS
 from mrgs.report.conditions import LABELS, conditions_of
 from mrgs.report.texts import LANGUAGES, Texts, catalogue

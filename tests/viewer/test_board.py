@@ -16,8 +16,7 @@ from mrgs.marks.store import MarkStore
 from mrgs.render import Model
 from mrgs.scene import Camera
 from mrgs.survey import SURVEY_FILE
-from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.numbers import MarkNumbers
+from mrgs.viewer.board import MarkBoard, MarkNumbers
 from mrgs.viewer.opening import board_of
 from mrgs.viewer.source import Result, TrainedSource
 

@@ -9,7 +9,7 @@ from mrgs.field import FieldConfig, RadianceField
 from mrgs.rasterizer.dilation import AS_PUBLISHED
 from mrgs.render import Model, rows_in_view
 from mrgs.scene import Camera, Gaussians
-from mrgs.viewer.detail import LEVEL_FACTOR, LevelsOfDetail
+from mrgs.viewer.source import LEVEL_FACTOR, LevelsOfDetail
 from tests.helpers.gaussians import random_gaussians
 
 AROUND = Camera.from_fov(64, 48, 90.0).look_at((0, -8, 0), (0, 0, 0))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mrgs.scene import RGB, THERMAL
-from mrgs.viewer.fields import render_pane
+from mrgs.viewer.panes import render_pane
 
 
 def test_beside_a_photo_the_camera_is_imitated(subject, small_run, camera):

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from mrgs.scene import RGB, THERMAL
-from mrgs.viewer.layout import panes_of, place_at
+from mrgs.viewer.panes import panes_of, place_at
 from tests.helpers.scenes import write_scene
 from tests.helpers.subjects import MODES
 

@@ -5,8 +5,6 @@ import pytest
 
 from mrgs.pictures.palette import palette_table
 from mrgs.scene import THERMAL, Reach
-from mrgs.viewer.fields import PaneImages, difference
-from mrgs.viewer.layout import Pane
 from mrgs.viewer.painting import (
     ISOTHERM_COLOR,
     ISOTHERM_ON_RAINBOW,
@@ -17,6 +15,7 @@ from mrgs.viewer.painting import (
     paint,
     split,
 )
+from mrgs.viewer.panes import Pane, PaneImages, difference
 from mrgs.viewer.settings import Settings
 from tests.helpers.panes import RANGE, SIZE, heat, thermal_pane
 

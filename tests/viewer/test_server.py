@@ -21,8 +21,8 @@ from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Blend, Camera, Gaussians, Rendering
 from mrgs.training import StepStatistics, make_config, train
 from mrgs.viewer import LiveView, view
-from mrgs.viewer.address import require_free
 from mrgs.viewer.browser import Browser
+from mrgs.viewer.gate import require_free
 from mrgs.viewer.opening import open_viewer
 from mrgs.viewer.source import LiveSource
 

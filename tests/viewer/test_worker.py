@@ -6,7 +6,7 @@ from concurrent.futures import CancelledError
 
 import pytest
 
-from mrgs.viewer.worker import Worker
+from mrgs.viewer.source import Worker
 
 PATIENCE_S = 60.0
 

@@ -34,9 +34,10 @@ class Format:
     in_all: bool = True
 
 
-def _format(name: str, files: str, **options: Any) -> Format:
-    """The format whose writer is the module of its name."""
-    return Format(name, files, imported(f"mrgs.export.{name}", "export"), **options)
+def _format(name: str, files: str, writer: str = "", **options: Any) -> Format:
+    """The format whose writer is ``export`` of the module of its name, or ``MODULE:FUNCTION``."""
+    module, _, function = (writer or f"{name}:export").partition(":")
+    return Format(name, files, imported(f"mrgs.export.{module}", function), **options)
 
 
 _FORMATS = (
@@ -45,20 +46,27 @@ _FORMATS = (
     _format("glb", "splats as glTF with KHR_gaussian_splatting"),
     _format("splat", "splats without view dependence"),
     _format("points", "the opaque splats as points with colour and temperature"),
-    _format("las", "the same points", require=imported("mrgs.export.las", "require")),
+    _format(
+        "las",
+        "the same points",
+        "points:export_las",
+        require=imported("mrgs.export.points", "require_las"),
+    ),
     _format("mesh", "triangles with colour and temperature"),
     _format("cameras", "transforms.json, a COLMAP model and the undistorted images"),
     _format("page", "one HTML file"),
     _format(
         "ortho",
         "map from above in °C: GeoTIFF and PNG; not part of all",
-        require=imported("mrgs.export.ortho", "require"),
+        "maps.ortho:export",
+        require=imported("mrgs.export.maps.ortho", "require"),
         in_all=False,
     ),
     _format(
         "elevation",
         "map of a façade in °C: GeoTIFF and PNG; not part of all",
-        require=imported("mrgs.export.elevation", "require"),
+        "maps.elevation:export",
+        require=imported("mrgs.export.maps.elevation", "require"),
         in_all=False,
     ),
 )

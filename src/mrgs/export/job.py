@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from mrgs.export.correction import correction_note
-from mrgs.export.loss import BakingLoss
+from mrgs.export.loss import BakingLoss, correction_note
 from mrgs.export.maps.options import MapOptions
 from mrgs.export.sidecar import color_facts, write_sidecar
 from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats, temperature_name

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.mark import Mark, Marks
+from mrgs.marks.photo_survey import RESOLVED_PX, PhotoSurvey, Resolution
 from mrgs.marks.regions import Regions
-from mrgs.marks.resolution import RESOLVED_PX, Resolution
 from mrgs.marks.surface import (
     SeenSurface,
     SurfaceRenderer,
@@ -26,7 +26,6 @@ from mrgs.marks.surface import (
     see,
     thermal_values,
 )
-from mrgs.marks.survey import PhotoSurvey
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.pictures.values import in_unit
 from mrgs.scene import THERMAL, Camera, TemperatureRange

@@ -17,8 +17,8 @@ import torch
 from jaxtyping import Float
 from torch.nn.functional import interpolate
 
+from mrgs.marks.photo_survey import PhotoSurvey
 from mrgs.marks.surface import ROBUST_STEPS, SAME_SURFACE, tukey_weights
-from mrgs.marks.survey import PhotoSurvey
 from mrgs.scene import RGB, THERMAL, Camera, View, evenly_spaced
 from mrgs.scene.depth_map import DepthMap
 

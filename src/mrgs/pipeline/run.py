@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
-from mrgs.export.las import require_laspy
+from mrgs.export.points import require_laspy
 from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, reduced, stage_parts
 from mrgs.pipeline.intake import Intake, take_in
 from mrgs.pipeline.ledger import LEDGER

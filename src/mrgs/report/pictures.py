@@ -10,12 +10,12 @@ import torch
 from PIL import Image
 
 from mrgs.marks.mark import Mark
-from mrgs.marks.resolution import square_about
+from mrgs.marks.photo_survey import square_about
 from mrgs.pictures.drawing import Scale, above_scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
-from mrgs.report.overlays import LABEL_PX, draw_marks
+from mrgs.report.plan import LABEL_PX, draw_marks
 from mrgs.report.spots import SAME_DEPTH, Renderer, Spot
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
 

@@ -1,18 +1,167 @@
-"""Where the marks are: seen from above, or where all cameras face one side, from the front."""
+"""Where the marks are: on a plan from above or from the front, and on a temperature map."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 from PIL import Image, ImageDraw
 
+from mrgs.errors import ConfigError, RunError
+from mrgs.export.crs import coordinate_system
+from mrgs.export.maps.draw import OrthographicMap
+from mrgs.export.maps.elevation import facade_map
+from mrgs.export.maps.options import MapOptions
+from mrgs.export.maps.ortho import map_from_above
+from mrgs.export.maps.picture import frame_map, map_body, map_scale
 from mrgs.marks.mark import Mark
-from mrgs.pictures.drawing import INK, MUTED, draw_text
+from mrgs.marks.regions import Regions
+from mrgs.pictures.drawing import (
+    INK,
+    MUTED,
+    Box,
+    draw_plate,
+    draw_strokes,
+    draw_text,
+    fit_text,
+    text_width,
+)
 from mrgs.pictures.palette import round_down
-from mrgs.report.overlays import LABEL_PX, RIM, draw_names, draw_place, small_picture
+from mrgs.runs.baked import BakedModel, bake
+from mrgs.runs.open import Run
 from mrgs.scene import Scene
+
+LABEL_PX = 24
+SMALL_PX = 420
+MARK, RIM = (200, 70, 0), (255, 255, 255)
+WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+RING_PX, STROKE_PX = 13, 3
+MANY = 15
+"""Names from which on they are written in smaller letters."""
+
+SMALL_LABEL_PX = 18
+MOST_STEPS = 6
+"""Heights of a name that it may stand away from its place."""
+
+
+def draw_marks(
+    image: Image.Image, marks: Mapping[str, Mark], places: Mapping[str, Float64[np.ndarray, "_ 2"]]
+) -> None:
+    """A ring about each spot and the outline of the other marks, then their names.
+
+    Args:
+        image: to draw on.
+        marks: by name.
+        places: pixels of the corners of those that are drawn.
+    """
+    for name, corners in places.items():
+        path = [*map(tuple, corners)]
+        if marks[name].kind == "spot":
+            _draw_ring(image, *corners[0])
+        else:
+            draw_strokes(image, [[*path, path[0]] if marks[name].is_area else path], STROKE_PX)
+    middles = {name: corners.mean(axis=0) for name, corners in places.items()}
+    draw_names(image, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
+
+
+def _draw_ring(image: Image.Image, x: float, y: float) -> None:
+    """White between two black lines."""
+    draw = ImageDraw.Draw(image)
+    for radius, color, width in ((RING_PX + 1, BLACK, 5), (RING_PX, WHITE, 3)):
+        draw.ellipse([x - radius, y - radius, x + radius, y + radius], outline=color, width=width)
+
+
+def draw_place(
+    image: Image.Image, mark: Mark, corners: Float64[np.ndarray, "n 2"], radius: float
+) -> None:
+    """A dot for a spot, the outline of the other kinds, at pixels of a plan."""
+    draw, path = ImageDraw.Draw(image), [*map(tuple, corners)]
+    if mark.is_area:
+        path.append(path[0])
+    for color, wider in ((RIM, 4), (MARK, 0)):
+        if mark.kind != "spot":
+            draw.line(path, fill=color, width=round(radius) + wider, joint="curve")
+    x, y = np.mean(corners, axis=0)
+    draw.ellipse((x - radius, y - radius, x + radius, y + radius), MARK, RIM, 2)
+
+
+def small_picture(image: Image.Image) -> Image.Image:
+    """A picture for beside others: at most ``SMALL_PX`` wide and high."""
+    share = SMALL_PX / max(image.size)
+    size = round(image.width * share), round(image.height * share)
+    return image.resize(size, Image.Resampling.LANCZOS)
+
+
+def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) -> dict[str, Box]:
+    """Write names beside their places, so that none covers another, nor another's place: where
+    there are many, in smaller letters, and farther away where it is crowded. A name for which there
+    is no room is left out. Returns the boxes of the others."""
+    size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
+    labels = {name: fit_text(name, size, image.width / 2) for name in places}
+    boxes = _boxes_of(image, labels, places, size)
+    for name, box in boxes.items():
+        (x, y), (left, top, right, bottom) = places[name], box
+        end = (min(max(x, left), right), min(max(y, top), bottom))
+        ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
+    for name, box in boxes.items():
+        draw_plate(image, box, labels[name], size)
+    return boxes
+
+
+def _boxes_of(
+    image: Image.Image,
+    labels: Mapping[str, str],
+    places: Mapping[str, tuple[float, float]],
+    size: int,
+) -> dict[str, Box]:
+    """Boxes for the names that there is room for."""
+    taken = np.zeros((image.height, image.width), bool)
+    for x, y in places.values():
+        taken[_pixels_of((x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX))] = True
+    found = {}
+    for name, (x, y) in places.items():
+        wide, half = text_width(labels[name], size) + size / 2, size / 2 + 4
+        for box in _boxes_about(x, y, wide, half):
+            if _is_free(box, taken):
+                found[name] = box
+                taken[_pixels_of(box)] = True
+                break
+    return found
+
+
+def _boxes_about(x: float, y: float, wide: float, half: float) -> Iterator[Box]:
+    """Boxes of a size to the right and to the left of a place, then above and below it; the nearest
+    first."""
+    for distance in range(MOST_STEPS):
+        away = RING_PX + 2 + 2 * half * distance
+        for down in range(-distance - 1, distance + 2):
+            middle = y + 2 * half * down
+            for left in (x + away, x - away - wide):
+                yield left, middle - half, left + wide, middle + half
+        for middle in (y - away - half, y + away + half):
+            yield x - wide / 2, middle - half, x + wide / 2, middle + half
+
+
+def _is_free(box: Box, taken: Bool[np.ndarray, "h w"]) -> bool:
+    """Whether a box lies in an image and on no pixel that is taken: by one look, however many other
+    boxes there are."""
+    left, top, right, bottom = box
+    height, width = taken.shape
+    inside = left >= 0 and top >= 0 and right <= width and bottom <= height
+    return inside and not taken[_pixels_of(box)].any()
+
+
+def _pixels_of(box: Box) -> tuple[slice, slice]:
+    """Rows and columns that a box touches, from the image's first on."""
+    left, top, right, bottom = box
+    return (
+        slice(max(math.floor(top), 0), max(math.ceil(bottom), 0)),
+        slice(max(math.floor(left), 0), max(math.ceil(right), 0)),
+    )
+
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 1440, 840, 40
 SMALL_RADIUS_PX = 22
@@ -136,3 +285,127 @@ def _axes(level: Float64[np.ndarray, "3"] | None) -> Float64[np.ndarray, "3 3"]:
         return np.eye(3)
     towards, up = -level / np.linalg.norm(level), np.array([0.0, 0.0, 1.0])
     return np.stack([np.cross(up, towards), up, towards])
+
+
+MOST_PX = 1200
+"""Longer side of the map."""
+
+SMALL_DRAWN_PX, SMALL_RADIUS = 1200, 0.02
+WHITE_SHARE = 0.3
+"""In the colours of the small map, so that the mark stands out."""
+
+LOOKS_DOWN = 0.7
+"""Mean share of the cameras' directions that points down, above which a scene is seen from
+above."""
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureMap:
+    """A map for a report.
+
+    Attributes:
+        drawn: the map.
+        from_the_front: whether it shows a façade; else the scene from above.
+        north: whether north is up.
+    """
+
+    drawn: OrthographicMap
+    from_the_front: bool
+    north: bool
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height, metres."""
+        grid = self.drawn.grid
+        return grid.width * grid.pixel_m, grid.height * grid.pixel_m
+
+    def shows(self, mark: Mark) -> bool:
+        """Whether all of a mark lies on the map."""
+        corners, size = self._pixels(mark), self.drawn.celsius.shape[::-1]
+        return bool(((corners >= 0) & (corners <= size)).all())
+
+    def picture(self, marks: Mapping[str, Mark], decimal: str = ".") -> Image.Image:
+        """The temperatures with legend and scale bar, and the marks that lie on the map under
+        their names; ``decimal`` is written before the decimals of the legend's numbers."""
+        scale = map_scale(self.drawn, "inferno")._replace(decimal=decimal)
+        body, metres_per_px = map_body(self.drawn, scale)
+        zoom = self.drawn.grid.pixel_m / metres_per_px
+        shown = {
+            name: zoom * self._pixels(each) for name, each in marks.items() if self.shows(each)
+        }
+        draw_marks(body, marks, shown)
+        return frame_map(body, metres_per_px, scale, 0.0 if self.north else None)
+
+    def small(self, mark: Mark) -> Image.Image:
+        """Where a mark is that lies on the map: in the colours of the photos, where there are
+        any."""
+        colors = self.drawn.bands[1:4].transpose(1, 2, 0)
+        if np.isnan(colors).all():
+            image, metres_per_px = map_body(self.drawn, map_scale(self.drawn, "grey"))
+        else:
+            pale = np.nan_to_num(WHITE_SHARE * 255 + (1 - WHITE_SHARE) * colors, nan=255)
+            zoom = SMALL_DRAWN_PX / max(colors.shape[:2])
+            size = round(zoom * colors.shape[1]), round(zoom * colors.shape[0])
+            image = Image.fromarray(pale.astype(np.uint8)).resize(size, Image.Resampling.BICUBIC)
+            metres_per_px = self.drawn.grid.pixel_m / zoom
+        corners = self._pixels(mark) * (self.drawn.grid.pixel_m / metres_per_px)
+        draw_place(image, mark, corners, SMALL_RADIUS * max(image.size))
+        return small_picture(image)
+
+    def _pixels(self, mark: Mark) -> Float64[np.ndarray, "n 2"]:
+        """Pixels of a mark in the map; NaN for what is too far before or behind its plane."""
+        grid, points = self.drawn.grid, np.array(mark.points, dtype=np.float64)
+        corners = (grid.to_map(points) - (grid.left, grid.top)) * (1, -1) / grid.pixel_m
+        corners[~grid.inside(points)] = np.nan
+        return corners
+
+
+def temperature_map(run: Run, scene: Scene, regions: Regions) -> TemperatureMap | None:
+    """The map of a scene that has °C and metres, and is a façade or seen from above; None for all
+    others.
+
+    Args:
+        run: with the model.
+        scene: that it was trained on.
+        regions: surfaces with an emissivity of their own, which the map shows corrected.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    if scene.temperature is None or not scene.world.metric:
+        return None
+    if not (faces_one_side(scene) or _is_seen_from_above(scene)):
+        return None
+    baked = bake(run.model, scene.train_cameras, run.temperature)
+    try:
+        return draw_temperature_map(baked, scene, regions)
+    except (ConfigError, RunError):
+        return None
+
+
+def draw_temperature_map(
+    baked: BakedModel, scene: Scene, regions: Regions | None = None
+) -> TemperatureMap:
+    """The map of a façade, or of a scene from above.
+
+    Args:
+        baked: the model, as the photos have it.
+        scene: that it was trained on.
+        regions: surfaces with an emissivity of their own, which the map shows corrected.
+
+    Raises:
+        ConfigError: which way is up is not known, or pyproj is not installed.
+        RunError: there is no façade.
+        SceneError: a photo cannot be read.
+    """
+    if faces_one_side(scene):
+        drawn, _ = facade_map(baked, scene, MapOptions(), most_px=MOST_PX, regions=regions)
+        return TemperatureMap(drawn, True, False)
+    system = coordinate_system(scene)
+    drawn = map_from_above(baked, scene, system, MapOptions(), most_px=MOST_PX, regions=regions)
+    return TemperatureMap(drawn, False, system.north)
+
+
+def _is_seen_from_above(scene: Scene) -> bool:
+    down = [-camera.forward[2].item() for camera in scene.train_cameras]
+    return sum(down) / len(down) > LOOKS_DOWN

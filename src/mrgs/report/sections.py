@@ -18,7 +18,7 @@ from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.settings import settings_of
 from mrgs.pictures.values import capitalised
-from mrgs.report.settings import known_row
+from mrgs.report.conditions import known_row
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View, WorldFrame, in_order

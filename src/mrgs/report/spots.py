@@ -32,7 +32,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import label
 
-from mrgs.marks.resolution import square_about
+from mrgs.marks.photo_survey import square_about
 from mrgs.scene import THERMAL, Camera, Reach, Rendering, View, evenly_spaced
 
 VIEWS = 60

@@ -17,7 +17,14 @@ from mrgs.marks.tables import DASH
 from mrgs.marks.texts import PART_NAMES
 from mrgs.pictures.html import PAGE_STYLE, InlineImage, inline_image, write_html
 from mrgs.pictures.settings import settings_of
-from mrgs.report.conditions import conditions_of, pixel_cm_text, stated_rows
+from mrgs.report.conditions import (
+    air_sentence,
+    conditions_of,
+    emissivity_sentence,
+    given_rows,
+    pixel_cm_text,
+    stated_rows,
+)
 from mrgs.report.marks import (
     CHART_HEIGHT,
     CHART_LEFT,
@@ -28,7 +35,7 @@ from mrgs.report.marks import (
 )
 from mrgs.report.pdf import require_weasyprint, write_pdf
 from mrgs.report.pictures import Overview, overviews
-from mrgs.report.plan import Plan
+from mrgs.report.plan import Plan, TemperatureMap, temperature_map
 from mrgs.report.proposals import Anomaly, Proposals, ShownProposal, propose, show_proposals
 from mrgs.report.sections import (
     capture_rows,
@@ -37,8 +44,6 @@ from mrgs.report.sections import (
     thermal_pixel_m,
     training_rows,
 )
-from mrgs.report.settings import air_sentence, emissivity_sentence, given_rows
-from mrgs.report.temperature_map import TemperatureMap, temperature_map
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene

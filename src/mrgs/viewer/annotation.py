@@ -25,9 +25,8 @@ from mrgs.pictures.drawing import (
     scale_bar,
     text_width,
 )
-from mrgs.viewer.fields import PaneImages
-from mrgs.viewer.layout import Pane
 from mrgs.viewer.painting import Scales
+from mrgs.viewer.panes import Pane, PaneImages
 
 TEXT_PX = 14
 CROSS_PX, STROKE_PX, DOT_PX = 9, 2, 4

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from typing import Any
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning
-from mrgs.marks.mark import Mark, MarkKind, Marks, Place
+from mrgs.marks.mark import MOST_MARKS, Mark, MarkKind, Marks, Place
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.stereo import PhotoStereo
@@ -18,7 +19,88 @@ from mrgs.marks.surface import SeenSurface
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.scene import Camera
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
-from mrgs.viewer.numbers import MarkNumbers
+
+
+class MarkNumbers:
+    """Gives each mark a number that stays its own when it is renamed, also by another program."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, Mark] = {}
+        self._unused = itertools.count(1)
+
+    def of(self, marks: Sequence[Mark]) -> list[int]:
+        """The number of each mark: that of the mark that had its name and lay at its place, else of
+        one that lay there, else a new one."""
+        found: dict[int, int] = {}
+        for key in (_name_and_geometry, _geometry):
+            known = self._known.items()
+            left = {key(mark): number for number, mark in known if number not in found.values()}
+            for index, mark in enumerate(marks):
+                if index not in found and key(mark) in left:
+                    found[index] = left.pop(key(mark))
+        numbers = [
+            found[index] if index in found else next(self._unused) for index in range(len(marks))
+        ]
+        self._known = dict(zip(numbers, marks, strict=True))
+        return numbers
+
+
+def _geometry(mark: Mark) -> Hashable:
+    return mark.kind, mark.points, mark.eye
+
+
+def _name_and_geometry(mark: Mark) -> Hashable:
+    return mark.name, _geometry(mark)
+
+
+MOST_CACHED = 4 * MOST_MARKS
+
+
+class CachedMeter(MarkMeter):
+    """Measures marks in a model that does not change, and remembers what it found: another note, a
+    new name or one more mark change nothing of what the others measure. Surfaces with an emissivity
+    of their own may lie on any of them, so that after a change of these all are measured again.
+    """
+
+    def __init__(self, *args: Any, **more: Any) -> None:
+        super().__init__(*args, **more)
+        self._own: list[tuple[str, Mark]] = []
+        self._regions: Regions | None = None
+        self._measured_with: tuple[Regions, UncertaintyMeter | None] | None = None
+        self._readings: dict[tuple[Mark, str], MarkReading] = {}
+
+    def regions(self, marks: Marks) -> Regions:
+        """The parts of the surface with an emissivity of their own; the same object as long as
+        they are the same."""
+        own = [(mark.name, _surface_of(mark)) for mark in marks.marks if mark.has_settings]
+        known, before = self._regions, self._own
+        renamed = known is not None and known.problems and own != before  # they have names
+        if known is None or renamed or [each for _, each in own] != [each for _, each in before]:
+            known = self._regions = super().regions(marks)
+        self._own = own  # not before: where that fails, they are still to be found
+        return known
+
+    def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
+        """One mark by itself, as it was measured before if that is still so."""
+        if regions is None:
+            return super().read(mark)
+        measured_with = regions, self.uncertainty
+        if self._measured_with != measured_with or len(self._readings) > MOST_CACHED:
+            self._measured_with = measured_with
+            self._readings.clear()
+        key = _surface_of(mark), regions.problems.get(mark.name, "")
+        if key in self._readings:
+            return replace(self._readings[key], mark=mark)
+        reading = super().read(mark, regions)
+        if not reading.problem:  # which has the mark's name
+            self._readings[key] = reading
+        return reading
+
+
+def _surface_of(mark: Mark) -> Mark:
+    """The mark without what does not change its temperature."""
+    return replace(mark, name="-", note="", severity="", against="")
+
 
 Listener = Callable[[], None]
 Appraiser = Callable[[Survey], UncertaintyMeter]

@@ -39,7 +39,7 @@ from mrgs.viewer.messages import (
 )
 from mrgs.viewer.saving import VideoProgress, render_video, save_keyframes, save_screenshot
 from mrgs.viewer.settings import Settings, Start, Subject
-from mrgs.viewer.worker import Worker
+from mrgs.viewer.source import Worker
 
 MOVING_S = 0.05
 """Processor time of a picture while the camera moves; the picture has as many pixels as fit."""

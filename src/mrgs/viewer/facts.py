@@ -32,8 +32,8 @@ from mrgs.viewer import texts
 from mrgs.viewer.annotation import Outline, PointLabel, pane_scale, seen_marks, seen_outlines
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.inspection import DrawnPicture, Inspection
-from mrgs.viewer.layout import Pane
 from mrgs.viewer.messages import LONGEST_SIDE_PX, VIDEO_SECONDS, Look, encode
+from mrgs.viewer.panes import Pane
 from mrgs.viewer.settings import Mode, Start, Subject
 
 MOVING_JPEG: dict[str, Any] = {"quality": 80}

@@ -21,9 +21,17 @@ from mrgs.scene import Camera, Modality, View
 from mrgs.viewer.annotation import Outline, PointLabel, annotate
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.cameras import nearest_view
-from mrgs.viewer.fields import PaneImages, difference, photo_images, render_pane
-from mrgs.viewer.layout import Pane, Place, panes_of, place_at
 from mrgs.viewer.painting import Scales, compose, measure_scales
+from mrgs.viewer.panes import (
+    Pane,
+    PaneImages,
+    Place,
+    difference,
+    panes_of,
+    photo_images,
+    place_at,
+    render_pane,
+)
 from mrgs.viewer.picking import Reading, read_point
 from mrgs.viewer.settings import Settings, Subject
 

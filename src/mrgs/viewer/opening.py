@@ -11,26 +11,23 @@ from filelock import FileLock, Timeout
 from mrgs.errors import RunError
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
+from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.run_marks import stereo_of, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import SurfaceRenderer, before_background
-from mrgs.marks.uncertainty import UncertaintyMeter
-from mrgs.marks.uncertainty.budget import Budget
-from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.marks.uncertainty import Budget, UncertaintyMeter
 from mrgs.pictures.stage import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene
 from mrgs.scene.overview import best_view
 from mrgs.system.callers import warn
-from mrgs.viewer.board import Appraiser, MarkBoard
+from mrgs.viewer.board import Appraiser, CachedMeter, MarkBoard
 from mrgs.viewer.cameras import camera_around
-from mrgs.viewer.fields import PaneImages
+from mrgs.viewer.panes import PaneImages, UncertaintyPictures
 from mrgs.viewer.picking import render_surface
-from mrgs.viewer.remembering import RememberingMeter
 from mrgs.viewer.settings import Start, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
-from mrgs.viewer.uncertainty import UncertaintyPictures
 from mrgs.viewer.web import Viewer
 
 
@@ -81,7 +78,7 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         return subject.source.run(lambda model: render_surface(model, camera, subject))
 
     changes = not isinstance(subject.source, TrainedSource)  # what is found is of one step alone
-    meter = (MarkMeter if changes else RememberingMeter)(
+    meter = (MarkMeter if changes else CachedMeter)(
         before_background(draw, subject.scene),
         subject.temperature,
         thermal_cameras(subject.scene),
@@ -104,7 +101,7 @@ def _appraiser(subject: Subject, draw: SurfaceRenderer) -> Appraiser | None:
     scene, temperature = subject.scene, subject.temperature
     if scene is None:
         return None
-    witnesses = PhotoWitnesses(draw, subject.camera_response, scene.train, temperature)
+    witnesses = PhotoReadings(draw, subject.camera_response, scene.train, temperature)
     return lambda survey: UncertaintyMeter(
         witnesses, None if temperature is None else Budget.of(scene, survey)
     )

@@ -14,8 +14,7 @@ from mrgs.pictures.drawing import Scale, blank
 from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.values import full_scale, unit_of
 from mrgs.scene import Camera, Modality, Reach, TemperatureRange
-from mrgs.viewer.fields import PaneImages
-from mrgs.viewer.layout import Pane
+from mrgs.viewer.panes import Pane, PaneImages
 from mrgs.viewer.settings import Settings, in_kelvin
 
 ISOTHERM_COLOR = (0, 230, 118)

@@ -15,7 +15,7 @@ from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import CameraResponse, Scene
 from mrgs.training import StepStatistics, TrainConfig
-from mrgs.viewer.address import require_free
+from mrgs.viewer.gate import require_free
 from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import LiveSource
 

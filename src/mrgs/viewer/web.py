@@ -21,14 +21,13 @@ from mrgs.errors import ConfigError
 from mrgs.pictures.html import Page, make_page
 from mrgs.pictures.stage import MARKS_STYLE, STAGE_SCRIPTS, STAGE_STYLE
 from mrgs.scene import Camera
-from mrgs.viewer.address import require_port
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.cameras import fitted_size
-from mrgs.viewer.gate import Gate
+from mrgs.viewer.gate import Gate, require_port
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.messages import LARGEST_MESSAGE
 from mrgs.viewer.settings import Start, Subject
-from mrgs.viewer.worker import Worker
+from mrgs.viewer.source import Worker
 
 SOCKET_PATH = "/socket"
 SECONDS_TO_CLOSE = 2.0

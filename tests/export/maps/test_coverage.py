@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mrgs.export.maps.coverage import LEAST_SHARE, Coverage
-from mrgs.export.maps.grid import MapGrid, unprojected
+from mrgs.export.maps.surfaces import LEAST_SHARE, Coverage, MapGrid, unprojected
 
 
 def square(low: float, high: float, step: float = 0.1) -> np.ndarray:

@@ -8,10 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mrgs.export.elevation import caption_and_facts
 from mrgs.export.maps.draw import OrthographicMap
-from mrgs.export.maps.facade import Facade
-from mrgs.export.maps.grid import MapGrid
+from mrgs.export.maps.elevation import Facade, caption_and_facts
+from mrgs.export.maps.surfaces import MapGrid
 from mrgs.scene import WorldFrame
 
 

@@ -18,11 +18,10 @@ from mrgs.errors import ConfigError, RunError, WriteError
 from mrgs.export import export
 from mrgs.export.crs import LOCAL_NAME, coordinate_system
 from mrgs.export.maps.draw import OrthographicMap
-from mrgs.export.maps.grid import MapGrid
 from mrgs.export.maps.options import MapOptions, parse_plane
-from mrgs.export.maps.photos import survey
+from mrgs.export.maps.ortho import caption_and_facts
+from mrgs.export.maps.surfaces import MapGrid, survey
 from mrgs.export.maps.write import pixel_size_m
-from mrgs.export.ortho import caption_and_facts
 from mrgs.scene import RGB, THERMAL, EarthPosition, View, WorldFrame
 from tests.export.maps.conftest import CELSIUS, GROUND_C, PIXEL, WALL_C, WINDOW_C, WINDOWS
 from tests.helpers.exports import read_ply

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrgs.export.elevation import facade_map
+from mrgs.export.maps.elevation import facade_map
 from mrgs.export.maps.options import MapOptions
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings

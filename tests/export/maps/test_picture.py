@@ -5,8 +5,8 @@ import pytest
 from PIL import Image
 
 from mrgs.export.maps.draw import OrthographicMap
-from mrgs.export.maps.grid import MapGrid
 from mrgs.export.maps.picture import MARGIN, bar_length, frame_map, map_body
+from mrgs.export.maps.surfaces import MapGrid
 from mrgs.pictures.drawing import PAPER, Scale
 
 SIZE = 600

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.export.maps.grid import MapGrid, unprojected
-from mrgs.export.maps.photos import survey
-from mrgs.export.maps.shown import ShownPlaces, _depth_of_cells
+from mrgs.export.maps.surfaces import MapGrid, ShownPlaces, _depth_of_cells, survey, unprojected
 from mrgs.scene import Camera
 from tests.export.maps.conftest import PIXEL
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from mrgs.export.page import write_page
-from mrgs.export.page.marks import PageMark
 from mrgs.export.page.parts import PART
+from mrgs.export.page.write import PageMark
 from mrgs.marks.regions import Regions
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.baked import BakedModel

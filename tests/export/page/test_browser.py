@@ -14,7 +14,7 @@ import torch
 from PIL import Image
 
 from mrgs.export.page import parts, write_page
-from mrgs.export.page.marks import PageMark
+from mrgs.export.page.write import PageMark
 from mrgs.pictures.palette import colorize
 from mrgs.rasterizer import dilation
 from mrgs.rasterizer.dilation import Dilation

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from mrgs.export.page.marks import page_marks
+from mrgs.export.page.write import page_marks
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter, MarkReading
-from mrgs.marks.uncertainty import UncertaintyMeter
-from mrgs.marks.uncertainty.budget import Budget
-from mrgs.marks.uncertainty.witnesses import PhotoWitnesses
+from mrgs.marks.photo_readings import PhotoReadings
+from mrgs.marks.uncertainty import Budget, UncertaintyMeter
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
 from mrgs.survey import Survey
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
@@ -22,7 +21,7 @@ def test_the_page_says_that_the_accuracy_of_the_camera_is_not_known():
     camera = camera_before_wall()
     photo = Pixels(render_wall(camera)[THERMAL].image.float())
     view = View("v", {THERMAL: PosedImage(camera, lambda: photo)})
-    witnesses = PhotoWitnesses(render_wall, ideal_cameras, [view], RANGE)
+    witnesses = PhotoReadings(render_wall, ideal_cameras, [view], RANGE)
     uncertainty = UncertaintyMeter(witnesses, Budget.of(None, Survey()))
     marks = SimpleNamespace(
         marks=Marks((SPOT,)),

@@ -13,8 +13,7 @@ import pytest
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.export.page import write_page
-from mrgs.export.page.areas import area_facts
-from mrgs.export.page.write import visible_range
+from mrgs.export.page.write import area_facts, visible_range
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions

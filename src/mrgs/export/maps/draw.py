@@ -10,14 +10,15 @@ import torch
 from jaxtyping import Float32
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.export.maps.coverage import Coverage
-from mrgs.export.maps.grid import MapGrid, unprojected
-from mrgs.export.maps.photos import (
+from mrgs.export.maps.surfaces import (
+    Coverage,
+    MapGrid,
     PhotoStatistics,
+    ShownPlaces,
     on_seen_surface,
     photo_map,
+    unprojected,
 )
-from mrgs.export.maps.shown import ShownPlaces
 from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.files import to_array

@@ -6,8 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mrgs.export.job import ExportJob
-from mrgs.export.page.marks import page_marks
-from mrgs.export.page.write import write_page
+from mrgs.export.page.write import page_marks, write_page
 from mrgs.pictures.limits import starting_limits
 from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.pictures.stage import air_facts

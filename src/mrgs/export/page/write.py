@@ -1,20 +1,26 @@
-"""Writes the model, the cameras and the viewer's code into one HTML file."""
+"""Writes model, cameras, marks, marked areas and the viewer's code into one HTML file."""
 
 from __future__ import annotations
 
+import base64
+import gzip
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from markupsafe import Markup
 
 from mrgs.errors import ConfigError
-from mrgs.export.page.areas import area_facts
-from mrgs.export.page.marks import PageMark
+from mrgs.export.page.packing import GZIP_LEVEL
 from mrgs.export.page.parts import PART, PageModel
-from mrgs.marks.regions import Regions
+from mrgs.marks.emissivity import CaptureSettings
+from mrgs.marks.mark import Place
+from mrgs.marks.regions import REGION_DEPTH, RegionPlane, Regions, SurfaceRegion
+from mrgs.marks.run_marks import RunMarks
+from mrgs.marks.tables import corrected_text
+from mrgs.marks.texts import label_text, mark_text
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.palette import PaletteName, display_range
@@ -40,6 +46,95 @@ from mrgs.scene import (
     in_order,
     metric_first,
 )
+
+DEPTH_STEP = 1e-3
+"""Of the logarithms of depths: an eightieth of what they may differ by."""
+
+NO_PLANE = RegionPlane(np.zeros(3), 0.0)
+
+
+def area_facts(regions: Regions) -> dict[str, Any] | None:
+    """What ``areas.js`` reads: the camera's law, by the names of ``Planck``, and each region; None
+    where the model shows none of them."""
+    law = regions.capture.law
+    areas = [
+        _facts(region, regions.capture)
+        for region in regions
+        if (region.inside & np.isfinite(region.surface.depth)).any()
+    ]
+    if not areas:
+        return None
+    return {
+        "modality": THERMAL.name,
+        "near": REGION_DEPTH,
+        "law": {"amplitude": law.r1 / law.r2, "b": law.b, "f": law.f},
+        "areas": areas,
+    }
+
+
+def _facts(region: SurfaceRegion, capture: CaptureSettings) -> dict[str, Any]:
+    """A region that some pixels of its surface lie in: its depths, in the rectangle about them,
+    as steps of their logarithm from the nearest, which is 1; 0 where they are not the region's."""
+    depth = np.where(region.inside, region.surface.depth, np.nan)
+    rows, columns = np.nonzero(np.isfinite(depth))
+    patch = depth[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    nearest = float(np.nanmin(patch))
+    codes = np.nan_to_num(1 + np.rint(np.log(patch / nearest) / DEPTH_STEP)).clip(0, 65535)
+    camera = camera_facts(region.surface.camera)
+    camera |= {"cx": camera["cx"] - int(columns.min()), "cy": camera["cy"] - int(rows.min())}
+    gain, offset = capture.signal_change(region.settings)
+    plane = region.plane or NO_PLANE
+    return {
+        "camera": camera | {"width": patch.shape[1], "height": patch.shape[0]},
+        "plane": {"normal": plane.normal.tolist(), "offset": plane.offset},
+        "gain": gain,
+        "offset": offset,
+        "nearest": nearest,
+        "step": DEPTH_STEP,
+        "depths": base64.b64encode(
+            gzip.compress(codes.astype("<u2").tobytes(), GZIP_LEVEL, mtime=0)
+        ).decode("ascii"),
+    }
+
+
+PageMark: TypeAlias = dict[str, Any]
+"""``MarkText``, with the places of the mark and its label in the picture."""
+
+
+def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
+    """The marks of a run, and what was assumed for their uncertainties and for surfaces with an
+    emissivity of their own.
+
+    Raises:
+        RunError: ``marks.json`` holds the marks of another model.
+    """
+    known, temperature = marks.marks, marks.run.temperature
+    if not len(known):
+        return [], ()
+    shown = []
+    for reading in marks.meter.measure(known):
+        mark, text = reading.mark, mark_text(reading, known.reference, temperature, marks.world)
+        # An area's own settings are in no field here.
+        corrected = [corrected_text(reading)] if mark.has_settings and not reading.problem else []
+        shown.append(
+            {
+                **text,
+                "lines": [*text["lines"], *corrected],
+                "points": [_rounded(point) for point in mark.points],
+                "closed": mark.is_area,
+                "lowAt": list(reading.low_at) or None,
+                "highAt": list(reading.high_at) or None,
+                "label": label_text(reading, temperature),
+            }
+        )
+    of_uncertainty = () if marks.meter.uncertainty is None else marks.meter.uncertainty.notes
+    has_own = any(mark.has_settings for mark in known.marks)
+    return shown, (*of_uncertainty, *(marks.meter.capture.notes if has_own else ()))
+
+
+def _rounded(point: Place) -> list[float]:
+    return [round(each, 6) for each in point]
+
 
 OWN_SCRIPTS = ("dilation", "areas", "shaders", "surface", "renderer", "stream", "app")
 WORKER_SCRIPTS = ("dilation", "decode", "worker")

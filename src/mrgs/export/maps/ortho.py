@@ -12,12 +12,10 @@ from jaxtyping import Float64
 
 from mrgs.export.crs import CoordinateSystem, coordinate_system
 from mrgs.export.job import ExportJob
-from mrgs.export.maps.coverage import Coverage
 from mrgs.export.maps.draw import OrthographicMap, draw_map
-from mrgs.export.maps.grid import MapGrid
 from mrgs.export.maps.options import MapOptions
-from mrgs.export.maps.photos import median_distance, survey, survey_pixel
 from mrgs.export.maps.picture import Caption
+from mrgs.export.maps.surfaces import Coverage, MapGrid, median_distance, survey, survey_pixel
 from mrgs.export.maps.write import (
     pixel_size_m,
     require_map,

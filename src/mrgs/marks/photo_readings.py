@@ -1,33 +1,168 @@
-"""What the thermal photos show of a place, beside what the model shows from the same cameras."""
+"""What the thermal photos read of a place, beside what the model shows from the same cameras; and
+the parts of a temperature's uncertainty that follow from both.
+
+The constants were set on generated scenes with exact temperatures, and checked on others: see
+``docs/decisions/036-uncertainty.md``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int64
 from PIL import Image
 from torch import Tensor
 
 from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
-from mrgs.marks.uncertainty.photo_parts import (
-    BLURRED,
-    CHANNELS,
-    OF_MARK,
-    OF_POINT,
-    READING,
-    RENDERED,
-    SHIFT_PX,
-    SHIFTS,
-    PhotoParts,
-    SightingSums,
-)
-from mrgs.marks.uncertainty.rounding import OF_ONE_VALUE, block_variances, of_mean
 from mrgs.scene import THERMAL, CameraResponse, TemperatureRange, View, evenly_spaced
 from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
 from mrgs.system.pieces import pieces
+
+OF_ONE_VALUE = 2 / 12**0.5
+"""Half the width of the interval for 95 of 100 cases, in steps: whatever is within a step is
+equally likely (GUM F.2.2.1)."""
+
+BLOCK_PX = 8
+_TERMS = 50
+
+
+def rounding_of_mean(variance: float) -> float:
+    """Half the width of the interval for 95 of 100 cases that rounding leaves in the mean of many
+    values, in steps.
+
+    The error of the mean of rounded values is a Fourier series in the true value; this is twice its
+    root mean square.
+
+    Args:
+        variance: of normal noise before the rounding, in steps squared.
+    """
+    k = np.arange(1, _TERMS)
+    squares = np.exp(-4 * np.pi**2 * k**2 * variance) / k**2
+    return float(2 * np.sqrt(squares.sum() / 2) / np.pi)
+
+
+def block_variances(values: Float32[np.ndarray, "h w"]) -> Float[np.ndarray, " b"]:
+    """The variances of an image in squares of ``BLOCK_PX`` pixels; those with NaN are left out."""
+    size, (height, width) = BLOCK_PX, values.shape
+    rows, columns = height // size, width // size
+    blocks = values[: rows * size, : columns * size].reshape(rows, size, columns, size)
+    found = blocks.astype(np.float64).var(axis=(1, 3)).ravel()
+    return found[np.isfinite(found)]
+
+
+SHIFT_PX = 3
+
+
+class Shares(NamedTuple):
+    """How much of each part counts.
+
+    Attributes:
+        scatter: times the standard deviation of the photos' readings. It is not divided by the root
+            of their number: what they disagree by at one place, a reflection or a wrong depth,
+            their mean keeps.
+        contrast: times the change of the model's value when the place is shifted by ``SHIFT_PX``:
+            places and poses are not known better, and detail that fine is not resolved.
+        blur: times what the camera's blur changes there: a peak that the photos show as narrow was
+            higher before they blurred it, and their noise makes some.
+        deviation: times the difference between a value and the mean of what the photos read there.
+    """
+
+    scatter: float
+    contrast: float
+    blur: float
+    deviation: float
+
+
+OF_POINT = Shares(0.7, 0.65, 0.0, 0.0)
+"""Of what the photos' cameras see at a single point, so that there is no deviation."""
+
+OF_MARK = Shares(0.9, 0.4, 4.0, 1.2)
+"""Of the mean of a mark, which is over detail that is not resolved."""
+
+READING, RENDERED = 0, 1
+SHIFTS = slice(2, 6)
+BLURRED = 6
+CHANNELS = 7
+"""What a photo shows of a place: what it reads, what the model shows from its camera, by how much
+that changes ``SHIFT_PX`` to each of four sides, and by how much the camera's blur changes it; in
+the unit of the values."""
+
+
+class PhotoParts(NamedTuple):
+    """The parts of P places, each half the width of an interval for 95 of 100 cases; NaN where no
+    photo looked.
+
+    Attributes:
+        photos: from what the photos disagree by, and the rounding of their values, [P].
+        model: from how much it changes nearby, and how far the value is from what the photos read,
+            [P].
+        detail: from how narrow a peak the place is, [P].
+    """
+
+    photos: Float[np.ndarray, " p"]
+    model: Float[np.ndarray, " p"]
+    detail: Float[np.ndarray, " p"]
+
+    @property
+    def total(self) -> Float[np.ndarray, " p"]:
+        """All together, [P]."""
+        return np.hypot(np.hypot(self.photos, self.model), self.detail)
+
+
+class SightingSums:
+    """What photos show of P places, gathered photo by photo.
+
+    Args:
+        places: P.
+        rounding: half the width of the interval that the rounding of the photos' values leaves, in
+            their unit; 0 if they are not rounded.
+    """
+
+    def __init__(self, places: int, rounding: float = 0.0) -> None:
+        self._rounding = rounding
+        self.photos = np.zeros(places, np.float32)
+        self._readings, self._squares, self._contrast, self._blur = (
+            np.zeros(places, np.float32) for _ in range(4)
+        )
+
+    def add(self, rows: Int64[np.ndarray, " m"], values: Float32[np.ndarray, "m c"]) -> None:
+        """Add a photo.
+
+        Args:
+            rows: the places that it shows, each once.
+            values: its channels there; places where one is NaN do not count.
+        """
+        known = np.isfinite(values).all(axis=1)
+        rows, values = rows[known], values[known]
+        self.photos[rows] += 1
+        step = values[:, READING] - self._readings[rows]
+        self._readings[rows] += step / self.photos[rows]
+        self._squares[rows] += step * (values[:, READING] - self._readings[rows])
+        self._contrast[rows] += np.square(values[:, SHIFTS]).mean(axis=1)
+        self._blur[rows] += values[:, BLURRED]
+
+    def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
+        """The parts of the uncertainty.
+
+        Args:
+            shares: how much of each counts.
+            values: of the places, [P]; only needed where their deviation counts.
+        """
+        count = np.where(self.photos > 0, self.photos, np.float32(np.nan))
+        scatter = np.sqrt(np.maximum(self._squares, 0) / count)
+        contrast = np.sqrt(self._contrast / count)
+        readings = np.where(self.photos > 0, self._readings, np.float32(np.nan))
+        away = 0.0 if values is None else values - readings
+        return PhotoParts(
+            np.hypot(shares.scatter * scatter, self._rounding),
+            np.hypot(shares.contrast * contrast, shares.deviation * away),
+            shares.blur * np.abs(self._blur / count),
+        )
+
 
 WIDTH_PX = 320
 """Wider photos are reduced to this width."""
@@ -47,7 +182,7 @@ LEAST_SHARE = 0.5
 """A photo that shows less of a mark does not count."""
 
 
-class PhotoWitnesses:
+class PhotoReadings:
     """The thermal training photos with the model rendered from their cameras, each when it is first
     asked for.
 
@@ -131,7 +266,7 @@ class PhotoWitnesses:
             found.append(reduced**2 * block_variances(noise / self._step))
         variances = np.concatenate(found)
         with_rounding = float(np.quantile(variances, EVEN_SHARE)) if len(variances) else 0.0
-        return self._step * of_mean(max(with_rounding - 1 / 12, 0.0))
+        return self._step * rounding_of_mean(max(with_rounding - 1 / 12, 0.0))
 
     def _of_piece(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
         sums = SightingSums(len(points), OF_ONE_VALUE * self._step)

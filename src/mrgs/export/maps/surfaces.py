@@ -1,0 +1,392 @@
+"""The pixels of an orthographic map, the camera that draws them, and what photos show there.
+
+The rasterizer knows perspective cameras only. One that stands very far away, with a focal length to
+match, is an orthographic one but for relief / distance: see ``docs/decisions``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Float64
+from scipy import ndimage
+
+from mrgs.errors import RunError
+from mrgs.pictures.files import to_array
+from mrgs.runs.baked import BakedModel
+from mrgs.scene import THERMAL, Camera, PosedImage, Rendering, Scene
+from mrgs.scene.depth_map import MIN_ALPHA, DepthMap
+
+TIMES_AS_FAR = 1000.0
+"""Distance of the camera from the map, in lengths of the map's longer side: relief of a tenth of
+that side is displaced by at most 5e-5 of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapGrid:
+    """A map's plane and pixels. Map coordinates are u (to the right) and v (up) in map metres.
+
+    Attributes:
+        axes: right, up and out of the plane (towards the eye) as rows, unit length, in the scene's
+            coordinates, [3, 3].
+        scale: map metres per scene unit.
+        offset: map coordinates of the scene's origin, [2].
+        left: u of the left edge.
+        top: v of the upper edge.
+        pixel_m: side of a pixel, map metres.
+        width: pixels.
+        height: pixels.
+        slab: lowest and highest coordinate along ``out`` (scene units) of what is drawn.
+    """
+
+    axes: Float64[np.ndarray, "3 3"]
+    scale: float
+    offset: Float64[np.ndarray, "2"]
+    left: float
+    top: float
+    pixel_m: float
+    width: int
+    height: int
+    slab: tuple[float, float]
+
+    def to_map(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+        """Map coordinates of points of the scene, [N, 2]."""
+        return self.scale * np.einsum("ij,nj->ni", self.axes[:2], points) + self.offset
+
+    @property
+    def lower_left(self) -> Float64[np.ndarray, "3"]:
+        """The lower left corner of the map in the scene's coordinates, in the middle of the
+        slab."""
+        return self._on_plane(self.left, self.top - self.height * self.pixel_m, sum(self.slab) / 2)
+
+    def camera(self, column: int, row: int, width: int, height: int) -> Camera:
+        """The camera of a part of the map, whose upper left pixel is (column, row).
+
+        Its optical axis goes through the middle of the whole map, so that the parts fit.
+        """
+        pixel = self.pixel_m / self.scale
+        distance = TIMES_AS_FAR * pixel * max(self.width, self.height)
+        half_width, half_height = self.width / 2, self.height / 2
+        middle = self._on_plane(
+            self.left + half_width * self.pixel_m,
+            self.top - half_height * self.pixel_m,
+            sum(self.slab) / 2,
+        )
+        right, up, out = self.axes
+        rotation = np.stack([right, -up, -out])
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = rotation
+        viewmat[:3, 3] = -np.einsum("ij,j->i", rotation, middle + distance * out)
+        focal = distance / pixel
+        K = [[focal, 0.0, half_width - column], [0.0, focal, half_height - row], [0.0, 0.0, 1.0]]
+        return Camera(K, viewmat, width, height)
+
+    @property
+    def middles(self) -> tuple[Float64[np.ndarray, " w"], Float64[np.ndarray, " h"]]:
+        """Map coordinates of the middles of the columns and of the rows."""
+        u = self.left + self.pixel_m * (np.arange(self.width) + 0.5)
+        v = self.top - self.pixel_m * (np.arange(self.height) + 0.5)
+        return u, v
+
+    def window_of(self, points: Float64[np.ndarray, "n 3"]) -> tuple[slice, slice]:
+        """The rows and columns of the smallest part of the map that holds points of the scene, as
+        far as they lie in it."""
+        if not len(points):
+            return slice(0, 0), slice(0, 0)
+        u, v = self.to_map(points).T
+        columns, rows = (u - self.left) / self.pixel_m, (self.top - v) / self.pixel_m
+        return _span(rows, self.height), _span(columns, self.width)
+
+    def inside(self, means: Float64[np.ndarray, "n 3"]) -> np.ndarray:
+        """Whether points lie in the slab, [N]."""
+        low, high = self.slab
+        along = np.einsum("nj,j->n", means, self.axes[2])
+        return (along >= low) & (along <= high)
+
+    def _on_plane(self, u: float, v: float, along: float) -> Float64[np.ndarray, "3"]:
+        across = (np.array([u, v]) - self.offset) / self.scale
+        return np.einsum("i,ij->j", np.append(across, along), self.axes)
+
+
+def unprojected(camera: Camera, depth: np.ndarray) -> Float64[np.ndarray, "h w 3"]:
+    """The points of the scene in the middles of a map's pixels, for z-depths [H, W]."""
+    return camera.unproject_image(torch.from_numpy(depth.astype(np.float64))).numpy()
+
+
+def _span(places: Float64[np.ndarray, " n"], size: int) -> slice:
+    """The pixels from the smallest to the largest place, within the map."""
+    first, last = np.clip([np.floor(places.min()), np.floor(places.max()) + 1], 0, size)
+    return slice(int(first), int(last))
+
+
+SURVEY_PX = 240
+"""Width of the depth maps in which surfaces are looked for."""
+
+RENDERED, MEASURED = 0, 1
+"""Channels of a photo's map: °C as the model shows them, and as the photo does."""
+
+
+def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
+    """Small depth maps of the thermal photos, without images: infinite where the background is
+    seen, NaN where nothing is.
+
+    Raises:
+        RunError: no photo sees a surface.
+    """
+    maps = []
+    for image in scene.train_photos(THERMAL):
+        camera = image.camera
+        if camera.width > SURVEY_PX:
+            camera = camera.with_width(SURVEY_PX)
+        surface = scene.modalities[0]
+        depth = _surface_depth(baked.render({surface: camera}, surface), scene, camera)
+        maps.append(DepthMap(camera, depth, np.empty((*depth.shape, 0), np.float32)))
+    if not any(np.isfinite(item.depth).any() for item in maps):
+        raise RunError(
+            "no view of the model is opaque enough to show a surface: train the model longer"
+        )
+    return maps
+
+
+def median_distance(maps: Sequence[DepthMap]) -> float:
+    """Median z-depth of the surfaces in depth maps."""
+    return float(np.median(np.concatenate([each.depth[np.isfinite(each.depth)] for each in maps])))
+
+
+def survey_pixel(maps: Sequence[DepthMap]) -> float:
+    """Width of a pixel of the depth maps on the surfaces (median), scene units."""
+    return median_distance(maps) / float(np.median([item.camera.K[0, 0] for item in maps]))
+
+
+def on_seen_surface(
+    maps: Sequence[DepthMap], points: Float32[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether points lie on a surface that any photo shows: what floats before it, lies behind it,
+    or belongs to the sky does not."""
+    found = np.zeros(len(points), bool)
+    for item in maps:
+        found[item.shown(points).rows] = True
+    return found
+
+
+class PhotoStatistics:
+    """What photos show of the places of a map, gathered photo by photo.
+
+    Args:
+        points: the surface in the pixels of the map, scene coordinates; NaN where there is none,
+            [H, W, 3].
+        grid: the pixels.
+    """
+
+    def __init__(self, points: Float32[np.ndarray, "h w 3"], grid: MapGrid) -> None:
+        self._points, self._grid = points, grid
+        shape = points.shape[:2]
+        self._total, self._weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._mean, self._squares = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self.photos: Float32[np.ndarray, "h w"] = np.zeros(shape, np.float32)
+
+    def add(self, photo: DepthMap) -> None:
+        """Add a photo, see ``photo_map``."""
+        window = self._grid.window_of(photo.points())
+        points = self._points[window]
+        surface = np.isfinite(points[..., 0])
+        places = np.flatnonzero(surface)
+        rows, pixels, z = photo.shown(points[surface])
+        values = photo.image[pixels]
+        seen = np.isfinite(values).all(axis=1)
+        where = np.unravel_index(places[rows[seen]], surface.shape)
+        values, near = values[seen], 1 / z[seen] ** 2
+        self._total[window][where] += near * values[:, RENDERED]
+        self._weight[window][where] += near
+        self.photos[window][where] += 1
+        step = values[:, MEASURED] - self._mean[window][where]
+        self._mean[window][where] += step / self.photos[window][where]
+        self._squares[window][where] += step * (values[:, MEASURED] - self._mean[window][where])
+
+    @property
+    def celsius(self) -> Float32[np.ndarray, "h w"]:
+        """°C as the photos' cameras see them in the model, their mean with weights 1 / z²; NaN
+        where none looked."""
+        with np.errstate(invalid="ignore"):
+            return self._total / self._weight
+
+    @property
+    def scatter_c(self) -> Float32[np.ndarray, "h w"]:
+        """Standard deviation of the photos' readings, °C; NaN where fewer than two looked."""
+        freedom = np.where(self.photos > 1, self.photos - 1, np.float32(np.nan))
+        return np.sqrt(self._squares / freedom)
+
+
+def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
+    """A thermal photo with the depth of the model's surfaces, and °C as the model shows them and as
+    the photo does (NaN where masked), [H, W, 2].
+
+    Raises:
+        SceneError: the photo cannot be read.
+    """
+    assert scene.temperature is not None
+    assert baked.temperature is not None
+    camera, pixels = image.camera, image.load()
+    surface = scene.modalities[0]
+    rendering = baked.render(dict.fromkeys({surface, THERMAL}, camera), surface)
+    rendered = to_array(baked.temperature.to_celsius(rendering[THERMAL].image[..., 0]))
+    measured = to_array(scene.temperature.to_celsius(pixels.values[..., 0]))
+    if pixels.valid is not None:
+        measured = np.where(pixels.valid.numpy(), measured, np.float32(np.nan))
+    both = np.stack([rendered, measured], axis=2)
+    return DepthMap(camera, _surface_depth(rendering, scene, camera), both)
+
+
+def _surface_depth(
+    rendering: Rendering, scene: Scene, camera: Camera
+) -> Float32[np.ndarray, "h w"]:
+    """The depth of the first modality of which there are photos, infinite where it shows the
+    background."""
+    depth = rendering.surface_depth(scene.modalities[0], MIN_ALPHA)
+    return to_array(scene.reach.without_background(camera, depth))
+
+
+LEAST_SHARE = 0.4
+"""A place belongs to a map if at least this share of as many photos show it as show the place that
+most do. Beyond, a few photos show it from the side, and the map would end in rags."""
+
+SMOOTHED_CELLS = 1.5
+"""Standard deviation of the filter over the numbers of photos, in cells."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """How many photos show the places of a map, in square cells.
+
+    Attributes:
+        low: map coordinates of the corner of the first cell, [2].
+        cell_m: side of a cell, map metres.
+        share: photos that show a cell, as a share of the most that show any, [U, V].
+    """
+
+    low: Float64[np.ndarray, "2"]
+    cell_m: float
+    share: Float64[np.ndarray, "u v"]
+
+    @classmethod
+    def of(cls, places: Iterable[Float64[np.ndarray, "_ 2"]], cell_m: float) -> Coverage:
+        """Of the map coordinates of what each photo shows, at least one place in all.
+
+        Args:
+            places: of each photo, [N, 2].
+            cell_m: side of a cell, wide enough that a photo misses none that it shows.
+        """
+        cells = [np.unique(np.floor(each / cell_m).astype(np.int64), axis=0) for each in places]
+        every = np.concatenate(cells)
+        first = every.min(axis=0)
+        photos = np.zeros(every.max(axis=0) - first + 1)
+        for each in cells:
+            photos[tuple((each - first).T)] += 1
+        smooth = ndimage.gaussian_filter(photos, SMOOTHED_CELLS, mode="constant")
+        return cls(first * cell_m, cell_m, smooth / smooth.max())
+
+    @property
+    def bounds(self) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
+        """The smallest and the largest map coordinates of what enough photos show."""
+        cells = np.argwhere(self.share >= LEAST_SHARE)
+        first, last = cells.min(axis=0), cells.max(axis=0) + 1
+        return self.low + first * self.cell_m, self.low + last * self.cell_m
+
+    def holds(
+        self, u: Float64[np.ndarray, " w"], v: Float64[np.ndarray, " h"]
+    ) -> Bool[np.ndarray, "h w"]:
+        """Whether enough photos show the places of a grid, [H, W].
+
+        Args:
+            u: map coordinates of its columns.
+            v: map coordinates of its rows.
+        """
+        columns, rows = (
+            (each - low) / self.cell_m - 0.5 for each, low in zip((u, v), self.low, strict=True)
+        )
+        at = np.stack(np.meshgrid(columns, rows))
+        share = ndimage.map_coordinates(self.share, at, order=1, mode="constant")
+        holds: Bool[np.ndarray, "h w"] = ndimage.binary_fill_holes(share >= LEAST_SHARE)
+        return holds
+
+
+CELL = 1.5
+"""Side of the cells in which the surfaces of several photos are put together, in their pixels."""
+
+LEAST_POINTS = 3
+"""Fewer of them in a cell are no surface."""
+
+
+class ShownPlaces:
+    """The surfaces in the pixels of a map.
+
+    From far away, where no photo was taken, a model also shows what floats before its surfaces, and
+    what lies behind gaps between its splats. In no photo it does.
+
+    Args:
+        maps: what the photos show, see ``survey``.
+        grid: the pixels.
+    """
+
+    def __init__(self, maps: Sequence[DepthMap], grid: MapGrid) -> None:
+        self._grid = grid
+        self._maps = [(item, grid.window_of(item.points())) for item in maps]
+        self._cell_px = max(math.ceil(CELL * survey_pixel(maps) * grid.scale / grid.pixel_m), 1)
+
+    def depth_of_part(
+        self, part: tuple[slice, slice], camera: Camera, depth: Float32[np.ndarray, "h w"]
+    ) -> Float32[np.ndarray, "h w"]:
+        """The depth in a part of the map where a photo shows that surface; elsewhere that of the
+        photos' own surfaces, NaN where they have none, [H, W].
+
+        Args:
+            part: rows and columns in the map.
+            camera: of the part.
+            depth: that it sees; NaN where there is none.
+        """
+        points = unprojected(camera, depth).astype(np.float32)
+        near = [each for each in self._maps if _overlap(each[1], part)]
+        found = np.zeros(depth.shape, bool)
+        for item, window in near:
+            there = tuple(map(_within, window, part))
+            unknown = np.isfinite(points[there][..., 0]) & ~found[there]
+            places = np.flatnonzero(unknown)
+            rows = item.shown(points[there][unknown]).rows
+            found[there][np.unravel_index(places[rows], unknown.shape)] = True
+        others = [item.points() for item, _ in near] if not found.all() else []
+        seen = np.concatenate([np.empty((0, 3)), *others])
+        seen = seen[self._grid.inside(seen)]
+        return np.where(found, depth, _depth_of_cells(camera, seen, self._cell_px))
+
+
+def _overlap(window: tuple[slice, slice], part: tuple[slice, slice]) -> bool:
+    return all(a.start < b.stop and b.start < a.stop for a, b in zip(window, part, strict=True))
+
+
+def _within(span: slice, part: slice) -> slice:
+    """The indices of a span that lie in a part, counted from the part's first."""
+    low, high = (min(max(end, part.start), part.stop) for end in (span.start, span.stop))
+    return slice(low - part.start, high - part.start)
+
+
+def _depth_of_cells(
+    camera: Camera, points: Float64[np.ndarray, "n 3"], cell_px: int
+) -> Float32[np.ndarray, "h w"]:
+    """The median depth of the points in square cells of an image, in all of their pixels; NaN in
+    cells with fewer than ``LEAST_POINTS``."""
+    pixels, z = camera.project(torch.from_numpy(points))
+    inside = camera.contains(pixels)
+    columns, rows = (pixels[inside] / cell_px).long().unbind(dim=1)
+    across, down = (-(-size // cell_px) for size in (camera.width, camera.height))
+    cells, depths = (rows * across + columns).numpy(), z[inside].numpy()
+    order = np.lexsort([depths, cells])
+    taken, first, count = np.unique(cells[order], return_index=True, return_counts=True)
+    many = count >= LEAST_POINTS
+    found = np.full(across * down, np.nan, np.float32)
+    found[taken[many]] = depths[order][(first + count // 2)[many]]
+    whole = found.reshape(down, across).repeat(cell_px, axis=0).repeat(cell_px, axis=1)
+    return whole[: camera.height, : camera.width]

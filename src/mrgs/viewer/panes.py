@@ -1,0 +1,319 @@
+"""The panes of a picture: their places and cameras, and the images and depths that they are painted
+from."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from mrgs.marks.regions import Regions
+from mrgs.pictures.files import shown_values, to_array, to_rgb8
+from mrgs.rasterizer import Layer, rasterize
+from mrgs.render import Model, render
+from mrgs.scene import THERMAL, Blend, Camera, Modality, PosedImage, TemperatureRange, View
+from mrgs.scene.rendering import SOLID_ALPHA
+from mrgs.viewer.board import MarkBoard
+from mrgs.viewer.settings import Mode, Subject
+from mrgs.viewer.source import Source
+
+PaneKind = Literal["image", "depth", "blend", "split", "photo", "difference", "uncertainty"]
+
+_GAP_PX = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Pane:
+    """One part of the picture.
+
+    Attributes:
+        kind: what it shows: an image of the model, its depth or uncertainty, two images through a
+            slider, a photo, or the model minus the photo.
+        modalities: of the images that it shows; of two, the left or lower one first.
+        camera: what it looks through; width and height are those of the pane in the picture.
+        left: column of its upper left corner, pixels of the picture.
+        top: row of its upper left corner, pixels of the picture.
+        title: drawn into its corner; may be empty.
+        photo: the photo that it shows or compares with, if any.
+    """
+
+    kind: PaneKind
+    modalities: tuple[Modality, ...]
+    camera: Camera
+    left: int = 0
+    top: int = 0
+    title: str = ""
+    photo: PosedImage | None = None
+
+    @property
+    def scaled(self) -> Modality | None:
+        """The one-channel modality whose values its colours stand for; None for colours and
+        depth."""
+        return next((each for each in reversed(self.modalities) if each.channels == 1), None)
+
+
+class Place(NamedTuple):
+    """A point of a pane.
+
+    Attributes:
+        pane: that contains it.
+        u: to the right, 0 to 1 over the pane.
+        v: down, 0 to 1 over the pane.
+    """
+
+    pane: Pane
+    u: float
+    v: float
+
+
+def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
+    """The panes of a mode.
+
+    Args:
+        mode: what to show.
+        camera: the browser's, as large as the picture.
+        view: the captured view that the modes with photos show; they need one.
+    """
+    match mode.kind:
+        case "side_by_side":
+            return _halves(mode, camera)
+        case "photos":
+            assert view is not None
+            return _photo_panes(mode, view, camera.width, camera.height)
+        case "difference":
+            assert view is not None
+            return _difference_panes(mode, view, camera)
+    return (Pane(mode.kind, mode.modalities, camera),)
+
+
+def place_at(panes: Sequence[Pane], x: float, y: float) -> Place | None:
+    """The pane and the place in it at pixel (x, y) of the picture; None between the panes."""
+    for pane in panes:
+        u, v = (x - pane.left) / pane.camera.width, (y - pane.top) / pane.camera.height
+        if 0 <= u < 1 and 0 <= v < 1:
+            return Place(pane, u, v)
+    return None
+
+
+def _halves(mode: Mode, camera: Camera) -> tuple[Pane, ...]:
+    """Two images of the picture's middle columns, side by side."""
+    half = _cropped(camera, camera.width // 2)
+    lefts = (0, camera.width - half.width)
+    return tuple(
+        Pane("image", (modality,), half, left, title=Mode("image", (modality,)).label)
+        for modality, left in zip(mode.modalities, lefts, strict=True)
+    )
+
+
+def _photo_panes(mode: Mode, view: View, width: int, height: int) -> tuple[Pane, ...]:
+    """A row for each modality of the view: the photo, and the model from the same camera."""
+    rows = [modality for modality in mode.modalities if modality in view.images]
+    panes = []
+    row_height = (height - _GAP_PX * (len(rows) - 1)) // max(len(rows), 1)
+    half = (width - _GAP_PX) // 2
+    for number, modality in enumerate(rows):
+        photo, title = view.images[modality], modality.title
+        top = number * (row_height + _GAP_PX)
+        left_box, right_box = (0, top, half, row_height), (half + _GAP_PX, top, half, row_height)
+        panes.append(_fitted("photo", modality, left_box, f"{title} photo {view.name}", photo))
+        panes.append(_fitted("image", modality, right_box, f"{title}, the model", photo))
+    return tuple(panes)
+
+
+def _difference_panes(mode: Mode, view: View, camera: Camera) -> tuple[Pane, ...]:
+    """The model minus the view's photo; nothing for a view without one."""
+    (modality,) = mode.modalities
+    photo = view.images.get(modality)
+    if photo is None:
+        return ()
+    box = (0, 0, camera.width, camera.height)
+    title = f"model - {modality.title} photo {view.name}"
+    return (_fitted("difference", modality, box, title, photo),)
+
+
+def _fitted(
+    kind: PaneKind,
+    modality: Modality,
+    box: tuple[int, int, int, int],
+    title: str,
+    photo: PosedImage,
+) -> Pane:
+    """The whole of a captured image, as large as the box (left, top, width, height) allows, in its
+    middle."""
+    left, top, width, height = box
+    camera = photo.camera
+    scale = min(width / camera.width, height / camera.height)
+    size = max(1, int(camera.width * scale)), max(1, int(camera.height * scale))
+    left, top = left + (width - size[0]) // 2, top + (height - size[1]) // 2
+    return Pane(kind, (modality,), camera.resized(*size), left, top, title, photo)
+
+
+def _cropped(camera: Camera, width: int) -> Camera:
+    """The middle columns of an image."""
+    K = camera.K.clone()
+    K[0, 2] -= 0.5 * (camera.width - width)
+    return Camera(torch.as_tensor(K), camera.viewmat, width, camera.height)
+
+
+ShownImage: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
+"""Colours, or the values of a one-channel modality in its unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class PaneImages:
+    """Images of one pane, all of the same size.
+
+    Attributes:
+        images: colours [h, w, 3], or values in their unit [h, w], of each modality; or the
+            difference of values to the photo. NaN where the photo is masked.
+        depth: z-depth in scene units, blended and divided by alpha, [h, w]; NaN where the model is
+            empty. None for a photo.
+        solid: where the model, or the photo, shows something, [h, w].
+    """
+
+    images: Mapping[Modality, ShownImage]
+    depth: Float[np.ndarray, "h w"] | None
+    solid: Bool[np.ndarray, "h w"]
+
+
+def render_pane(
+    model: Model,
+    camera: Camera,
+    subject: Subject,
+    as_photo_of: Camera | None = None,
+    regions: Regions | None = None,
+) -> PaneImages:
+    """Render the modalities that the viewer shows.
+
+    Args:
+        model: to render.
+        camera: of the pane, at the size to render.
+        subject: provides the shown modalities and the temperature range.
+        as_photo_of: the first camera of a captured view, to show what its cameras would have
+            recorded; None to show the model itself.
+        regions: surfaces with an emissivity of their own; None shows what the photos have.
+    """
+    with torch.no_grad():
+        cameras = subject.cameras(camera)
+        rendering, _ = render(model, cameras, with_median_depth=bool(regions))
+    depth = to_array(rendering.visible_depth())
+    if as_photo_of is not None:
+        rendering = subject.camera_response(rendering, as_photo_of)
+    if regions is not None:
+        rendering = regions.applied_to(rendering, camera)
+    images = {
+        modality: shown_image(modality, blend.image, subject.temperature)
+        for modality, blend in rendering.items()
+    }
+    return PaneImages(images, depth, np.isfinite(depth))
+
+
+def shown_image(
+    modality: Modality, image: Float[Tensor, "h w c"], temperature: TemperatureRange | None
+) -> ShownImage:
+    """A modality's image [H, W, C] as colours [H, W, 3]; of one channel, as values in its unit
+    [H, W]."""
+    if modality.channels == 1:
+        return shown_values(modality, image, temperature)
+    return to_rgb8(image)
+
+
+def photo_images(
+    modality: Modality, photo: PosedImage, temperature: TemperatureRange | None
+) -> PaneImages:
+    """A photo as the images of a pane, at the photo's own size.
+
+    Raises:
+        SceneError: it cannot be read.
+    """
+    pixels = photo.load()
+    height, width = pixels.values.shape[:2]
+    solid = np.ones((height, width), dtype=bool) if pixels.valid is None else pixels.valid.numpy()
+    image = shown_image(modality, pixels.values, temperature)
+    if modality.channels == 1:
+        image = np.where(solid, image, np.nan).astype(np.float32)
+    return PaneImages({modality: image}, None, solid)
+
+
+def difference(modality: Modality, rendered: PaneImages, photo: PaneImages) -> PaneImages:
+    """Rendered minus measured values of a one-channel modality; NaN where the photo is masked or
+    the model empty."""
+    solid = rendered.solid & photo.solid
+    values = np.where(solid, rendered.images[modality] - photo.images[modality], np.nan)
+    return PaneImages({modality: values.astype(np.float32)}, rendered.depth, solid)
+
+
+LEAST_SEEN = 0.5
+"""A pixel of which less was seen by a thermal photo has no value."""
+
+
+class UncertaintyPictures:
+    """Draws the uncertainty: computed once at each splat that a thermal photo sees, then blended as
+    temperatures are.
+
+    Args:
+        board: has the meter, by what the survey states now, and the surfaces that have an
+            emissivity of their own.
+        source: gives access to the model.
+        temperature: the scale of the thermal values; None without known °C.
+    """
+
+    def __init__(
+        self, board: MarkBoard, source: Source, temperature: TemperatureRange | None
+    ) -> None:
+        self._board = board
+        self._source = source
+        self._temperature = temperature
+        self._of_splats: Float[Tensor, " n"] | None = None
+        self._lock = threading.Lock()
+
+    def images(self, camera: Camera) -> PaneImages:
+        """The uncertainty in the unit of the temperatures; NaN where no thermal photo looked.
+
+        The first call renders all thermal photos.
+
+        Raises:
+            SceneError: a photo cannot be read.
+        """
+        meter = self._board.uncertainty
+        assert meter is not None
+        with self._lock:
+            if self._of_splats is None:
+                means = self._source.run(lambda model: model.gaussians.means.detach().cpu())
+                found = meter.of_photos(means.float().numpy())
+                self._of_splats = torch.from_numpy(found)
+            of_splats = self._of_splats
+        blend = self._source.run(lambda model: _blend(model, camera, of_splats))
+        alpha = blend.alpha.clamp_min(SOLID_ALPHA)
+        doubt, seen, value = (blend.image[..., i].double().numpy() for i in range(3))
+        solid = (blend.alpha.numpy() >= SOLID_ALPHA) & (seen >= LEAST_SEEN * alpha.numpy())
+        of_photos = np.where(solid, doubt / np.maximum(seen, 1e-9), np.nan)
+        if self._temperature is not None:
+            value = self._temperature.to_celsius(value)
+        depth = blend.depth / alpha
+        points = camera.unproject_image(depth.double()).numpy()
+        eye = camera.position.double().numpy()
+        total = meter.together(of_photos, points, value, self._board.regions, eye)
+        return PaneImages({THERMAL: total.astype(np.float32)}, depth.numpy(), solid)
+
+
+def _blend(model: Model, camera: Camera, of_splats: Float[Tensor, " n"]) -> Blend:
+    """Uncertainty, share that photos see, and temperature, blended with the thermal opacities."""
+    gaussians = model.gaussians
+    with torch.no_grad():
+        seen = of_splats.isfinite()
+        values = model.values(THERMAL, camera.position.to(gaussians.means), sh_degree=0)[:, 0]
+        features = torch.stack([of_splats.nan_to_num(), seen.float(), values.cpu()], dim=1)
+        features = features.to(gaussians.means)
+        layer = Layer(gaussians.opacity(THERMAL), features, features.new_zeros(3))
+        quats = torch.nn.functional.normalize(gaussians.quats, dim=1)
+        return rasterize(
+            gaussians.means, quats, gaussians.scales, [layer], camera.viewmat, camera.K,
+            camera.width, camera.height, dilation_px2=model.dilation.of(camera),
+        ).blends[0]  # fmt: skip
