@@ -13,7 +13,7 @@ from PIL import Image
 
 from mrgs.marks import Mark
 from mrgs.pictures.drawing import Box
-from mrgs.report import overlays
+from mrgs.report import plan
 from mrgs.report.plan import (
     MARK,
     RING_PX,
@@ -77,7 +77,7 @@ def test_a_name_costs_no_more_among_hundreds():
 
     def count(frame: FrameType, event: str, argument: object) -> None:
         nonlocal calls
-        calls += "call" in event and frame.f_code.co_filename == overlays.__file__
+        calls += "call" in event and frame.f_code.co_filename == plan.__file__
 
     image, where, before = Image.new("RGB", SIZE), places(200), sys.getprofile()
     sys.setprofile(count)
