@@ -31,7 +31,7 @@ FLOORS = {
     "blocks": 7,
     "baselines": 7,
     "runs": 8,
-    "kernels": 8,
+    "kernels": 6,
     "evaluation": 9,
     "marks": 9,
     "export": 10,

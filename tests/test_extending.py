@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from mrgs import load_run, load_scene, make_config
 from mrgs.data.radiometric import read, read_thermal_photo
@@ -22,6 +23,7 @@ from mrgs.field.heat import FourierHeatTransformation
 from mrgs.prepare.pairs.photo import Photo, inspect
 from mrgs.runs import registry
 from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.system import operation
 from tests.helpers.runs import trained_run
 
 PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -64,6 +66,7 @@ def kitchen(
     run = trained_run(tmp_path_factory, small_scene, CONFIG, tmp_path / "trained")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(registry, "_METHODS", registry._METHODS.copy())
+    monkeypatch.setattr(operation, "_registered", operation._registered.copy())
     readers, formats = read.READERS.copy(), FORMATS.copy()
     monkeypatch.setattr(FourierHeatTransformation, "forward", FourierHeatTransformation.forward)
     monkeypatch.setattr(RadianceField.temperature_residuals, "rejected", set())
@@ -79,7 +82,7 @@ def logged(run: str) -> list[dict[str, Any]]:
 
 def test_every_recipe_is_tested() -> None:
     tests = Path(__file__).read_text(encoding="utf-8")
-    assert len(RECIPES) == 7
+    assert len(RECIPES) == 8
     assert [title for title in RECIPES if f'cook("{title}"' not in tests] == []
 
 
@@ -119,6 +122,15 @@ def test_another_heat_equation(kitchen: Kitchen) -> None:
 def test_a_loss(kitchen: Kitchen) -> None:
     kitchen.cook("A loss")
     assert any(0 < line.get("loss_sparsity", 0) < 1 for line in logged("runs/sparse"))
+
+
+def test_a_kernel(kitchen: Kitchen) -> None:
+    names = kitchen.cook("A kernel")
+    spread = names["spread"]
+    assert spread.kernel([torch.rand(3)]) is names["fast_spread"]
+    assert not spread.rejected
+    assert names["compiled_spread"].signatures
+    assert any(0 < line.get("loss_decided", 0) < 0.25 for line in logged("runs/decided"))
 
 
 def test_a_method(kitchen: Kitchen) -> None:

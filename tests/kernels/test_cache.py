@@ -1,233 +1,182 @@
-"""Compiled kernels on disk: none is stale, and none is compiled twice at the same time."""
+"""Compiled kernels on disk: none is stale, and no cache is trusted that others can write to."""
 
 from __future__ import annotations
 
+import ast
+import importlib.util
 import os
-import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
+from numba.extending import is_jitted
 
+from mrgs.errors import MrgsWarning
 from mrgs.kernels import cache
-
-MODULES = {
-    "constants": "SCALE = 2.0\n",
-    "base": """
-from mrgs.kernels.constants import SCALE
-from mrgs.kernels.jit import strict_kernel
 from mrgs.rasterizer import contract
 
-
+KERNEL = """
+from mrgs.kernels.jit import strict_kernel
+SCALE = 2.0
 @strict_kernel
 def scaled(x):
-    return SCALE * x + contract.OFFSET
-""",
-    "above": """
-from mrgs.kernels.base import scaled
-from mrgs.kernels.jit import strict_kernel
-
-
-@strict_kernel
-def twice(x):
-    return 2.0 * scaled(x)
-""",
-    "other": """
-from mrgs.kernels.jit import strict_kernel
-
-
-from mrgs.rasterizer.sizes import HALF as H
-
-
-@strict_kernel()
-def squared(x):
-    return x * x * H / LATER
-
-
-LATER = 0.5
-""",
-}
-"""Kernels of a package made for these tests: ``above`` calls ``base``, ``other`` stands alone."""
-
-CALL = """
-import sys
-sys.path[:0] = {path!r}
-from mrgs.kernels.above import twice
-from mrgs.kernels.base import scaled
-from mrgs.kernels.other import squared
-{before}
-values = twice(3.0), squared(3.0)
-compiled = [f.py_func.__name__ for f in (scaled, twice, squared) if f.stats.cache_misses]
-print(*values, *compiled)
+    return SCALE * x
 """
 
-HOLD = """
-import os
-from mrgs.kernels import cache
-cache.KernelCache.save_overload = lambda *args: (print("compiled", flush=True), os.read(0, 1))
-"""
-"""Stops a process, with the lock held, when it has compiled a kernel and before it saves it."""
+Load = Callable[[], Any]
+
+_numbers = count()
+
+
+def clear() -> None:
+    cache.version_folder.cache_clear()
+    cache._warn_not_kept.cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The root of the caches of a test."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    clear()
+    yield tmp_path / "cache" / "mrgs"
+    clear()
 
 
 @pytest.fixture
-def package(tmp_path: Path) -> Path:
-    """A package like this one: the real cache, and small kernels."""
-    root = tmp_path / "mrgs"
-    for folder in (root, root / "kernels", root / "rasterizer", root / "system"):
-        folder.mkdir()
-        (folder / "__init__.py").touch()
-    for name in ("kernels/jit.py", "kernels/cache.py", "system/private.py", "errors.py"):
-        shutil.copy(cache.FOLDER.parent / name, root / name)
-    (root / "rasterizer" / "contract.py").write_text("OFFSET = 1.0\n")
-    (root / "rasterizer" / "sizes.py").write_text("import os\nHALF = float(os.environ['HALF'])\n")
-    for name, text in MODULES.items():
-        (root / "kernels" / f"{name}.py").write_text(text)
-    return root
+def kernel(tmp_path: Path) -> Path:
+    """The file of a kernel."""
+    file = tmp_path / "kernels.py"
+    file.write_text(KERNEL)
+    return file
 
 
-def start(package: Path, before: str = "", **variables: str) -> subprocess.Popen[str]:
-    path = [str(package.parent), *filter(None, sys.path)]
-    return subprocess.Popen(
-        [sys.executable, "-c", CALL.format(path=path, before=before)],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "HALF": "0.5", "PYTHONDONTWRITEBYTECODE": "1", **variables},
-    )  # fmt: skip
+def start(file: Path) -> Any:
+    """The kernel, as a new process would find it."""
+    clear()
+    spec = importlib.util.spec_from_file_location(f"kernels_{next(_numbers)}", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not is_jitted(module.scaled):
+        pytest.skip("nothing is compiled")
+    return module.scaled
 
 
-def printed(process: subprocess.Popen[str]) -> list[str]:
-    out, err = process.communicate(timeout=120)
-    assert process.returncode == 0, err
-    return out.split()
+def result(file: Path) -> tuple[float, str]:
+    """What the kernel makes of 3, and whether it was compiled or loaded."""
+    scaled = start(file)
+    value = scaled(3.0)
+    return value, "loaded" if scaled.stats.cache_hits else "compiled"
 
 
-def edit(path: Path, before: str, after: str) -> None:
-    """Another length, for Python's own cache goes by length and second."""
-    assert before in path.read_text()
-    assert len(before) != len(after)
-    path.write_text(path.read_text().replace(before, after))
+def test_a_kernel_is_compiled_once_and_again_when_it_was_edited(kernel):
+    assert result(kernel) == (6.0, "compiled")
+    assert result(kernel) == (6.0, "loaded")
+    kernel.write_text(KERNEL.replace("2.0", "5.0"))
+    assert result(kernel) == (15.0, "compiled")
+    kernel.write_text(KERNEL)
+    assert result(kernel) == (6.0, "loaded")
 
 
-@pytest.mark.slow
-def test_what_was_edited_and_what_depends_on_it_is_compiled_again(package):
-    assert printed(start(package)) == ["14.0", "9.0", "scaled", "twice", "squared"]
-    assert printed(start(package)) == ["14.0", "9.0"]
-    edit(package / "kernels/above.py", "2.0 *", "10.0 *")
-    assert printed(start(package)) == ["70.0", "9.0", "twice"]
-    edit(package / "kernels/constants.py", "2.0", "20.0")
-    assert printed(start(package)) == ["610.0", "9.0", "scaled", "twice"]
-    edit(package / "rasterizer/contract.py", "1.0", "10.0")
-    edit(package / "kernels/constants.py", "20.0", "2.0")
-    assert printed(start(package)) == ["160.0", "9.0", "scaled", "twice"]
-    compiled = {path.name.split("-")[0] for path in package.rglob("*.nbi")}
-    assert len(list(package.rglob("*.nbi"))) == len(compiled) == 3
+def test_any_source_and_any_constant_is_in_the_digest(kernel, tmp_path, monkeypatch):
+    package = tmp_path / "package" / "kernels"
+    package.mkdir(parents=True)
+    files = [package / "__init__.py", package / "a.py", package.parent / "definitions.py"]
+    for file in files:
+        file.write_text("X = 1\n")
+    digests = [cache.digest_of(package)]
+    for file in files:
+        file.write_text("X = 2\n")
+        digests.append(cache.digest_of(package))
+    monkeypatch.setattr(contract, "ALPHA_MIN", 0.5)
+    digests.append(cache.digest_of(package))
+    monkeypatch.setattr(cache, "FOLDER", package)
+    digests.append(cache.digest_of(package))
+    assert len(set(digests)) == len(digests)
+    assert cache.digest_of(package) == digests[-1]
 
 
-def test_two_processes_compile_each_kernel_once(package):
-    processes = [start(package) for _ in range(2)]
-    first, second = map(printed, processes)
-    assert first[:2] == second[:2] == ["14.0", "9.0"]
-    assert sorted(first[2:] + second[2:]) == ["scaled", "squared", "twice"]
+def test_kernels_take_constants_from_those_modules_that_the_digest_covers():
+    covered = {module.__name__ for module in cache.CONSTANTS}
+    strangers = set()
+    for file in cache.FOLDER.rglob("*.py"):
+        imports = [
+            n for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.ImportFrom)
+        ]
+        if not any(each.module == "mrgs.kernels.jit" for each in imports):
+            continue
+        for each in imports:
+            if each.module.startswith("mrgs.") and not each.module.startswith("mrgs.kernels"):
+                home = importlib.import_module(each.module)
+                for alias in each.names:
+                    value = getattr(home, alias.name)
+                    if isinstance(value, ModuleType):
+                        strangers |= {value.__name__} - covered
+                    elif isinstance(value, (int, float, tuple)) and each.module not in covered:
+                        strangers.add(f"{each.module}.{alias.name}")
+    assert strangers == set()
 
 
-def holding_a_lock(package: Path) -> subprocess.Popen[str]:
-    holder = start(package, HOLD)
-    assert holder.stdout is not None
-    assert holder.stdout.readline() == "compiled\n"
-    return holder
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("damage", [lambda data: data[:100], lambda data: b""])
+def test_a_damaged_kernel_is_compiled_again(kernel, place, suffix, damage):
+    result(kernel)
+    (file,) = place.rglob(f"*{suffix}")
+    file.write_bytes(damage(file.read_bytes()))
+    assert result(kernel) == (6.0, "compiled")
+    assert result(kernel) == (6.0, "loaded")
 
 
-@pytest.mark.slow
-def test_the_lock_of_a_killed_process_ends_with_it(package):
-    holder = holding_a_lock(package)
-    waiting = start(package)
-    holder.kill()
-    holder.communicate()
-    assert printed(waiting)[2:] == ["scaled", "twice", "squared"]
+@pytest.mark.skipif(os.name == "nt", reason="no such permissions")
+def test_a_cache_that_others_can_write_to_is_not_used(kernel, place):
+    place.mkdir(parents=True)
+    place.chmod(0o777)
+    with pytest.warns(MrgsWarning, match="other users"):
+        assert result(kernel) == (6.0, "compiled")
+    assert list(place.iterdir()) == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("locks", ["_patience = 0.1", "_lock = property(lambda self: open('/'))"])
-def test_without_the_lock_a_kernel_is_compiled_after_a_while(package, locks):
-    holder = holding_a_lock(package)
-    try:
-        waiting = start(package, f"from mrgs.kernels import cache; cache.KernelCache.{locks}")
-        assert printed(waiting)[2:] == ["scaled", "twice", "squared"]
-    finally:
-        holder.communicate("x")
+def test_without_any_place_kernels_run(kernel, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/none")
+    with pytest.warns(MrgsWarning, match="NUMBA_CACHE_DIR") as caught:
+        assert result(kernel) == (6.0, "compiled")
+    assert len(caught) == 1
 
 
-@pytest.mark.slow
-def test_a_constant_is_known_by_its_value_wherever_it_comes_from(package):
-    assert printed(start(package))[:2] == ["14.0", "9.0"]
-    assert printed(start(package, HALF="5.0")) == ["14.0", "90.0", "squared"]
-    edit(package / "kernels/other.py", "LATER = 0.5", "LATER = 0.25")
-    assert printed(start(package)) == ["14.0", "18.0", "squared"]
-    (package / "rasterizer/more.py").write_text("OFFSET = 10.0\n")
-    (package / "rasterizer/contract.py").write_text("from mrgs.rasterizer.more import OFFSET\n")
-    assert printed(start(package)) == ["32.0", "18.0", "scaled", "twice"]
+def test_a_full_disk_costs_only_the_time_to_compile(kernel, monkeypatch):
+    def fail(*arguments: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    scaled = start(kernel)
+    monkeypatch.setattr(scaled._cache._cache_file, "_save_index", fail)
+    with pytest.warns(MrgsWarning, match="No space left"):
+        assert scaled(3.0) == 6.0
 
 
-@pytest.mark.parametrize("suffix", [pytest.param(".nbi", marks=pytest.mark.slow), ".nbc"])
-def test_a_damaged_kernel_is_compiled_again(package, suffix):
-    printed(start(package))
-    cut, flipped, empty = package.rglob(f"*{suffix}")
-    cut.write_bytes(cut.read_bytes()[:100])
-    data = bytearray(flipped.read_bytes())
-    data[len(data) // 2] ^= 4
-    flipped.write_bytes(data)
-    empty.write_bytes(b"")
-    assert printed(start(package))[:2] == ["14.0", "9.0"]
-    assert printed(start(package)) == ["14.0", "9.0"]
+def test_two_processes_that_compile_different_signatures_do_not_mix_them_up(kernel, place):
+    script = f"import runpy; f = runpy.run_path({str(kernel)!r})['scaled']; print(f({{}}))"
+    processes = [
+        subprocess.Popen([sys.executable, "-c", script.format(x)], stdout=subprocess.PIPE)
+        for x in ("3.0", "3")
+    ]
+    assert [float(process.communicate()[0]) for process in processes] == [6.0, 6.0]
+    assert len({file.name for file in place.rglob("*.nbc")}) == 2
+    scaled = start(kernel)
+    assert (scaled(3.0), scaled(3)) == (6.0, 6.0)
 
 
-@pytest.mark.slow
-def test_a_folder_that_others_can_write_to_is_not_used(package, tmp_path):
-    open_to_all = tmp_path / "cache"
-    open_to_all.mkdir()
-    open_to_all.chmod(0o777)
-    kernels = package / "kernels/__pycache__"
-    kernels.mkdir()
-    kernels.chmod(0o777)
-    home = tmp_path / "home"
-    places = {"NUMBA_CACHE_DIR": str(open_to_all), "HOME": str(home), "XDG_CACHE_HOME": str(home)}
-    assert printed(start(package, **places))[:2] == ["14.0", "9.0"]
-    assert list(open_to_all.iterdir()) == []
-    assert not list(kernels.glob("*.nb?"))
-    assert len(list(home.rglob("*.nbi"))) == 3
-    assert printed(start(package, **places)) == ["14.0", "9.0"]
-
-
-def test_without_any_folder_kernels_run_and_one_line_says_why(package):
-    nowhere = {"NUMBA_CACHE_DIR": "/proc/none", "HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/no"}
-    (package / "kernels/__pycache__").touch()  # a file, where the folder would be
-    process = start(package, **nowhere)
-    out, err = process.communicate(timeout=120)
-    assert out.split() == ["14.0", "9.0", "scaled", "twice", "squared"]
-    assert err.count("compiled kernels are not kept") == 1
-
-
-def test_a_full_disk_costs_only_the_time_to_compile(package):
-    full = """
-from mrgs.kernels import cache
-def fail(*args):
-    raise OSError(28, "No space left on device")
-cache._Files._save_index = fail
-"""
-    process = start(package, full)
-    out, err = process.communicate(timeout=120)
-    assert out.split() == ["14.0", "9.0", "scaled", "twice", "squared"]
-    assert "No space left" in err
-
-
-def test_a_stamp_covers_the_code_that_is_imported_and_nothing_else():
-    def sources(name: str) -> set[str]:
-        found = cache._sources(cache.FOLDER / name)
-        return {path.relative_to(cache.FOLDER.parent).as_posix() for path in found}
-
-    jit = "kernels/jit.py"
-    assert sources("dense/product.py") == {"kernels/dense/product.py", jit}
-    assert sources("blur/separable.py") == {"kernels/blur/separable.py", "kernels/address.py", jit}
-    rasterizer = sources("rasterize/cpu/blend_backward.py")
-    assert "kernels/rasterize/cpu/simd.py" in rasterizer
-    assert "kernels/rasterize/cpu/projection.py" not in rasterizer
+def test_versions_that_were_not_used_for_long_are_deleted(kernel, place):
+    for number in range(cache.VERSIONS_KEPT):
+        old = place / f"old{number}"
+        old.mkdir(parents=True)
+        os.utime(old, (number, number))
+    place.chmod(0o700)
+    result(kernel)
+    kept = sorted(path.name for path in place.iterdir())
+    assert len(kept) == cache.VERSIONS_KEPT
+    assert "old0" not in kept
+    assert "old1" in kept

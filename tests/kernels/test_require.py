@@ -9,16 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
+from mrgs.baselines.thermonerf.kernels import hash_grid, perceptron
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.appearance import ColorHead
 from mrgs.kernels.blur import cpu as blur
 from mrgs.kernels.color_head import cpu as color_head
 from mrgs.kernels.convolution import cpu as convolution
 from mrgs.kernels.harmonics import cpu as harmonics
-from mrgs.kernels.hash_grid import cpu as hash_grid
 from mrgs.kernels.heat import cpu as heat
 from mrgs.kernels.heat.exchange import exchange, with_neighbours
-from mrgs.kernels.perceptron import cpu as perceptron
 from mrgs.kernels.rasterize.cpu.rasterize import median_depth, rasterize
 from mrgs.kernels.ssim import cpu as ssim
 from mrgs.kernels.variation import cpu as variation

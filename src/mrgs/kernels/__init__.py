@@ -1,9 +1,10 @@
-"""Kernels: what makes the method fast. One folder per operation, with ``cpu`` and ``gpu`` in each.
+"""Fast implementations of the method's operations, one folder per operation.
 
-``TABLE`` says which plain definition each of them replaces. It holds names only, so that Numba
+``TABLE`` names the plain definition that each kernel replaces. It consists of names, so that Numba
 and Triton are imported when the first kernel that needs them is called. Kernels import the plain
-definitions' constants and types; no other part of the package imports kernels. The one way back is
-``mrgs.system.operation``, which finds this table by its name.
+definitions' constants and types; the method does not import kernels: ``mrgs.system.operation``
+finds this table by its name. Methods of other packages add kernels of their own by
+``mrgs.system.operation.register_kernels``.
 """
 
 from __future__ import annotations
@@ -26,8 +27,6 @@ _PHOTOMETRIC = "mrgs.method.losses.photometric.photometric_loss"
 _BOLTZMANN = "mrgs.method.losses.radiation.boltzmann_loss"
 _CONVOLVE = "mrgs.method.losses.radiation.convolve"
 _VARIATION = "mrgs.method.losses.smoothness.total_variation"
-_HASH_GRID = "mrgs.baselines.thermonerf.hash_grid.encode"
-_PERCEPTRON = "mrgs.baselines.thermonerf.perceptron.perceptron"
 
 TABLE = (
     Kernel(_ADAM, "mrgs.kernels.adam.gpu.move", "gpu"),
@@ -52,7 +51,5 @@ TABLE = (
     Kernel(_CONVOLVE, "mrgs.kernels.convolution.gpu.convolve", "gpu"),
     Kernel(_VARIATION, "mrgs.kernels.variation.cpu.total_variation", "cpu", _ANY_FLOAT),
     Kernel(_VARIATION, "mrgs.kernels.variation.gpu.total_variation", "gpu"),
-    Kernel(_HASH_GRID, "mrgs.kernels.hash_grid.cpu.encode", "cpu", _ANY_FLOAT),
-    Kernel(_PERCEPTRON, "mrgs.kernels.perceptron.cpu.perceptron", "cpu"),
 )
-"""Every kernel, and the operation that it computes."""
+"""The kernels of the method, and the operations that they compute."""

@@ -1,10 +1,11 @@
 """Operations of the method: one plain torch definition each, and kernels that compute it faster.
 
-``@operation`` marks the plain definition, which is the one to read and to edit. A call asks the
-table of kernels (``mrgs.kernels``) for one that takes the device and the type of the tensors, and
-runs the plain definition if there is none. At the start of a training, and when a run is opened,
-every kernel in use is compared with its plain definition (``checking``): where they differ, because
-someone has edited an equation and not yet its kernel, the plain definition runs from then on.
+``@operation`` marks the plain definition, which is the one to read and to edit. A call looks for a
+kernel that takes the device and the type of the tensors, among those that ``register_kernels`` was
+given and then in the table of ``mrgs.kernels``, and runs the plain definition if there is none. At
+the start of a training, and when a run is opened, every kernel in use is compared with its plain
+definition (``checking``): where they differ, because someone has edited an equation and not yet its
+kernel, the plain definition runs from then on.
 """
 
 from __future__ import annotations
@@ -34,28 +35,35 @@ Q = ParamSpec("Q")
 Device = Literal["cpu", "gpu"]
 
 KERNEL_TABLE = "mrgs.kernels"
-"""Module whose ``TABLE`` lists all kernels. Named by a string and imported at the first call of
-an operation, because kernels stand above the definitions that they replace."""
+"""Module whose ``TABLE`` lists the kernels of the method. Named by a string and imported at the
+first call of an operation, because kernels import the definitions that they replace."""
 
 PLAIN_VARIABLE = "MRGS_PLAIN"
 """Environment variable; any value but 0 turns all kernels off."""
 
 
 class Kernel(NamedTuple):
-    """An entry of the table of kernels.
+    """A kernel and the operation that it computes.
 
     Attributes:
-        replaces: full name of the operation.
-        function: full name of the function that computes it. It takes the operation's arguments,
-            and may return NotImplemented for those that it does not handle.
+        replaces: ``Operation.name``, the full name of the plain definition.
+        function: the kernel, or its full name where its module is to be imported at the first call.
+            It takes the operation's arguments, and may return NotImplemented for those that it does
+            not handle.
         device: "gpu" for NVIDIA GPUs.
         dtypes: of the operation's first tensor.
     """
 
     replaces: str
-    function: str
+    function: str | Callable[..., Any]
     device: Device
     dtypes: tuple[torch.dtype, ...] = (torch.float32,)
+
+
+def register_kernels(*kernels: Kernel) -> None:
+    """Make kernels known to their operations, in place of others for the same operation and
+    device."""
+    _registered.update({(kernel.replaces, kernel.device): kernel for kernel in kernels})
 
 
 class Operation(Generic[P, R]):
@@ -109,9 +117,11 @@ class Operation(Generic[P, R]):
         return None if device is None else self.listed(device, tensor.dtype)
 
     def listed(self, device: Device, dtype: torch.dtype) -> Callable[..., Any] | None:
-        """The kernel that the table has for a device and a type; None if there is none."""
-        entry = _table().get((self.name, device))
-        return None if entry is None or dtype not in entry.dtypes else _imported(entry.function)
+        """The kernel for a device and a type; None if there is none."""
+        entry = _registered.get((self.name, device)) or _table().get((self.name, device))
+        if entry is None or dtype not in entry.dtypes:
+            return None
+        return _imported(entry.function) if isinstance(entry.function, str) else entry.function
 
     def _compare(
         self,
@@ -197,6 +207,7 @@ class _Check(NamedTuple):
 
 
 _plain_blocks = 0
+_registered: dict[tuple[str, Device], Kernel] = {}
 _check: ContextVar[_Check | None] = ContextVar("mrgs_check", default=None)
 
 

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from mrgs.errors import ConfigError
 from mrgs.system.limits import require_within
-from mrgs.system.operation import operation
+from mrgs.system.operation import Kernel, operation, register_kernels
 
 CHANNELS = 4
 """Features of an entry."""
@@ -110,6 +110,16 @@ def encode(
     return torch.cat(
         [_encode_level(points, table[first:end], cells) for cells, first, end in levels], dim=1
     )
+
+
+register_kernels(
+    Kernel(
+        encode.name,
+        "mrgs.baselines.thermonerf.kernels.hash_grid.encode",
+        "cpu",
+        (torch.float32, torch.float64),
+    )
+)
 
 
 def _encode_level(

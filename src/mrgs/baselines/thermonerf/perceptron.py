@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import linear, relu
 
-from mrgs.system.operation import operation
+from mrgs.system.operation import Kernel, operation, register_kernels
 
 
 class Perceptron(nn.Module):
@@ -34,3 +34,8 @@ def perceptron(
 ) -> Float[Tensor, "n o"]:
     """Linear, ReLU, linear; differentiable in every argument."""
     return linear(relu(linear(inputs, hidden_weight, hidden_bias)), output_weight, output_bias)
+
+
+register_kernels(
+    Kernel(perceptron.name, "mrgs.baselines.thermonerf.kernels.perceptron.perceptron", "cpu")
+)

@@ -1,0 +1,1 @@
+"""CPU kernels of the field's operations, registered where the operations are defined."""

@@ -1,1 +1,0 @@
-"""A perceptron with one hidden layer."""
