@@ -1,13 +1,15 @@
-"""What ends a command early, and what no longer does."""
+"""What ends a command early, and streams that never raise."""
 
 from __future__ import annotations
 
+import io
 import signal
+import sys
 from collections.abc import Iterator
 
 import pytest
 
-from mrgs.app.interrupts import Interrupted, Interrupts
+from mrgs.app.interrupts import Interrupted, Interrupts, guard_streams
 
 
 @pytest.fixture(autouse=True)
@@ -30,13 +32,57 @@ def test_a_request_ends_a_command_and_handlers_are_back_afterwards():
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_a_command_that_is_done_is_ended_by_ctrl_c_alone():
-    ctrl_c = signal.getsignal(signal.SIGINT)
-    interrupts = Interrupts()
-    with interrupts:
-        interrupts.command_is_done()
-        signal.raise_signal(signal.SIGTERM)
-    signal.raise_signal(signal.SIGHUP)
-    assert interrupts.received is None
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
-    assert signal.getsignal(signal.SIGINT) is ctrl_c
+class Console(io.RawIOBase):
+    """A raw stream that is no file, as a console is on Windows."""
+
+    def __init__(self, error: OSError | None = None) -> None:
+        self.written = b""
+        self._error = error
+
+    def writable(self) -> bool:
+        return True
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, data) -> int:
+        if self._error is not None:
+            raise self._error
+        self.written += bytes(data)
+        return len(data)
+
+
+def guarded(
+    machine: pytest.MonkeyPatch, console: Console, encoding: str = "utf-8"
+) -> list[OSError]:
+    """Guard a standard output that goes to a console; returns where its error is put."""
+    stdout = io.TextIOWrapper(io.BufferedWriter(console), encoding=encoding)
+    machine.setattr(sys, "stdout", stdout)
+    machine.setattr(sys, "stderr", io.StringIO())
+    lost: list[OSError] = []
+    guard_streams(lost.append)
+    assert sys.stdout is not stdout
+    return lost
+
+
+def test_a_console_that_is_no_file_is_written_to_itself(monkeypatch: pytest.MonkeyPatch):
+    console = Console()
+    guarded(monkeypatch, console)
+    print("20 °C")
+    assert console.written.decode().splitlines() == ["20 °C"]
+    assert sys.stdout.isatty()
+
+
+def test_what_an_encoding_lacks_is_written_with_escapes(monkeypatch: pytest.MonkeyPatch):
+    console = Console()
+    guarded(monkeypatch, console, "cp1252")
+    print("20 °C → λ")
+    assert console.written.decode("cp1252").split() == ["20", "°C", r"\u2192", r"\u03bb"]
+
+
+def test_only_the_first_write_that_fails_is_reported(monkeypatch: pytest.MonkeyPatch):
+    error = OSError(28, "No space left on device")
+    lost = guarded(monkeypatch, Console(error))
+    print("one")
+    print("two")
+    assert lost == [error]

@@ -2,38 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 import torch
-from rich.console import Console
 
 from mrgs.app import progress
 from mrgs.app.progress import PrepareProgress
-from mrgs.data import posed
 from mrgs.method.config import make_config
 from mrgs.scene import RGB, Camera, Pixels, PointCloud, PosedImage, Scene, View
-
-
-def test_photos_that_are_read_before_the_first_step_are_counted(capsys):
-    lines = ""
-    config, console = make_config("mrgs-plus", "fast"), Console(force_terminal=False)
-    with progress._starting(config, False, console, line_every_s=0.01):
-        for _ in range(3):
-            posed.count_photo()
-        for _ in range(500):
-            lines += capsys.readouterr().out
-            if "photos" in lines and ": 3\n" in lines:
-                return
-            time.sleep(0.01)
-    pytest.fail(f"no line about the photos: {lines!r}")
-
-
-def test_a_start_that_takes_no_time_says_nothing(capsys):
-    config, console = make_config("mrgs-plus", "fast"), Console(force_terminal=False)
-    with progress._starting(config, False, console):
-        pass
-    assert capsys.readouterr().out == ""
 
 
 def test_without_a_terminal_a_count_is_told_now_and_then_and_at_the_end(capsys):

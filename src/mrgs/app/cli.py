@@ -29,12 +29,12 @@ from mrgs.app.commands import (
 from mrgs.app.comparing import compare
 from mrgs.app.interrupts import BY_CTRL_C, interrupts
 from mrgs.app.progress import PrepareProgress, counter
-from mrgs.app.style import say_error
 from mrgs.app.synthesis import synth
 from mrgs.app.terminal import (
     note_unfinished,
     plain_warnings,
     print_baking_loss,
+    print_error,
     print_exported,
     print_figures,
     print_metrics,
@@ -72,7 +72,7 @@ def main(argv: list[str] | None = None) -> int:
             line = _line(error)
             if line is None:
                 raise
-            say_error(line)
+            print_error(line)
             return EXIT_USER_ERROR
 
 

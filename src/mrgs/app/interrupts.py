@@ -1,4 +1,4 @@
-"""What ends a command early: Ctrl-C, a request of the system, an output that cannot be written.
+"""What ends a command early: Ctrl-C, a signal, an output that cannot be written.
 
 All of them raise ``Interrupted``, except while a command postpones them, as the training does to
 save a checkpoint first. This module is loaded before everything else, so it imports little.
@@ -6,6 +6,7 @@ save a checkpoint first. This module is loaded before everything else, so it imp
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -13,12 +14,12 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 CTRL_C = "Ctrl-C"
 
 SIGNALS = {"SIGINT": CTRL_C, "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP", "SIGBREAK": "Ctrl-Break"}
-"""Signals that end a command, as far as the system knows them, and what messages call them."""
+"""Signals that end a command, where the system has them, and their names in messages."""
 
 _IMPORT_MACHINERY = "<frozen importlib._bootstrap>"
 
@@ -27,7 +28,7 @@ class Interruption(NamedTuple):
     """Why a command ends early.
 
     Attributes:
-        cause: what messages call it.
+        cause: its name in messages.
         status: exit status of the process.
         message: last line on standard error; empty for none.
     """
@@ -50,7 +51,7 @@ class Interrupts:
     Signals that the process was started to ignore, as by ``nohup``, stay ignored.
 
     Attributes:
-        received: the first interruption; None as long as there is none.
+        received: the first interruption; None if there was none.
     """
 
     def __init__(self) -> None:
@@ -58,13 +59,11 @@ class Interrupts:
         self._postpone: Callable[[Interruption], None] | None = None
         self._previous: dict[signal.Signals, Any] = {}
         self._depth = 0
-        self._unraisable = sys.unraisablehook
 
     def __enter__(self) -> Interrupts:
         self._depth += 1
         if self._depth == 1 and threading.current_thread() is threading.main_thread():
             self.received = None
-            self._unraisable, sys.unraisablehook = sys.unraisablehook, self._when_swallowed
             for name in SIGNALS:
                 number = getattr(signal, name, None)
                 if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
@@ -73,10 +72,8 @@ class Interrupts:
 
     def __exit__(self, *_: object) -> None:
         self._depth -= 1
-        if self._depth == 0 and self._previous:
-            sys.unraisablehook = self._unraisable
-            while self._previous:
-                signal.signal(*self._previous.popitem())
+        while self._depth == 0 and self._previous:
+            signal.signal(*self._previous.popitem())
 
     @contextmanager
     def postponed(self, on_request: Callable[[Interruption], None]) -> Iterator[None]:
@@ -91,23 +88,16 @@ class Interrupts:
         finally:
             self._postpone = previous
 
-    def command_is_done(self) -> None:
-        """From now on ignore requests to end, except for Ctrl-C: the process ends anyway, with the
-        status of its command."""
-        for number in [number for number in self._previous if number != signal.SIGINT]:
-            del self._previous[number]
-            signal.signal(number, signal.SIG_IGN)
-
     def output_lost(self, error: OSError) -> None:
-        """Interrupt the command, because its standard output cannot be written; from any thread."""
+        """Interrupt the command because its standard output cannot be written; from any thread."""
         if self._depth == 0 or self.received is not None:
             return
         if isinstance(error, BrokenPipeError):  # such as that of `mrgs ... | head`
             interruption = Interruption("standard output was closed", 1, "")
         else:
             cause = f"standard output cannot be written ({error.strerror})"
-            remedy = "make room, or send it elsewhere"
-            interruption = Interruption(cause, 2, f"mrgs: error: {cause}: {remedy}")
+            message = f"mrgs: error: {cause}: make room, or send it elsewhere"
+            interruption = Interruption(cause, 2, message)
         if threading.current_thread() is threading.main_thread():
             self._interrupt(interruption)
         else:
@@ -115,47 +105,80 @@ class Interrupts:
             signal.raise_signal(signal.SIGINT)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        name = signal.Signals(number).name
-        cause = SIGNALS[name]
-        suffix = "" if cause == CTRL_C else f" ({cause})"
+        cause = SIGNALS[signal.Signals(number).name]
         if self.received is not None and cause != CTRL_C:
             return
+        suffix = "" if cause == CTRL_C else f" ({cause})"
         interruption = Interruption(cause, 128 + number, f"mrgs: stopped{suffix}")
         if self._postpone is None and _is_importing(frame):
             # Libraries turn an exception in the middle of their import into others.
-            self._leave(interruption)
+            with suppress(OSError):
+                os.write(2, f"{interruption.message}\n".encode())
+            os._exit(interruption.status)
         self._interrupt(interruption)
 
     def _interrupt(self, interruption: Interruption) -> None:
         is_first, self.received = self.received is None, self.received or interruption
-        if is_first and self._postpone is not None:
-            self._postpone(interruption)
-            return
-        raise Interrupted
-
-    def _when_swallowed(self, unraisable: Any) -> None:
-        """Python drops exceptions in destructors and callbacks; an interruption must not be."""
-        if issubclass(unraisable.exc_type, Interrupted) and self.received is not None:
-            self._leave(self.received)
-        self._unraisable(unraisable)
-
-    def _leave(self, interruption: Interruption) -> None:
-        """End the process at once."""
-        with suppress(Exception):
-            sys.stdout.flush()
-        if interruption.message:
-            with suppress(OSError):
-                os.write(2, f"{interruption.message}\n".encode())
-        os._exit(interruption.status)
+        if not is_first or self._postpone is None:
+            raise Interrupted
+        self._postpone(interruption)
 
 
 def _is_importing(frame: FrameType | None) -> bool:
-    while frame is not None:
-        if frame.f_code.co_filename == _IMPORT_MACHINERY:
-            return True
+    while frame is not None and frame.f_code.co_filename != _IMPORT_MACHINERY:
         frame = frame.f_back
-    return False
+    return frame is not None
 
 
 interrupts = Interrupts()
 """The interruptions of this process."""
+
+
+def guard_streams(on_lost: Callable[[OSError], None]) -> None:
+    """Make the standard streams never raise.
+
+    Streams that are closed are connected to the null device. Characters that an encoding lacks are
+    written as escapes. The first write to standard output that fails, because a pipe was closed or
+    a disk is full, calls ``on_lost``; later ones do nothing.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
+    for name, lost in (("stdout", on_lost), ("stderr", lambda error: None)):
+        stream = getattr(sys, name)
+        if not isinstance(stream, io.TextIOWrapper):  # of a test, a notebook
+            continue
+        with suppress(OSError, ValueError):
+            stream.flush()
+            raw = _Guarded(cast(io.RawIOBase, getattr(stream.buffer, "raw", stream.buffer)), lost)
+            text = io.TextIOWrapper(
+                io.BufferedWriter(raw), stream.encoding, "backslashreplace", line_buffering=True
+            )
+            setattr(sys, name, text)
+
+
+class _Guarded(io.RawIOBase):
+    """An unbuffered stream; the first write that fails is reported, and later ones do nothing.
+
+    It keeps the stream that Python made: the one of a console on Windows is no file.
+    """
+
+    def __init__(self, stream: io.RawIOBase, on_lost: Callable[[OSError], None]) -> None:
+        self._stream, self._on_lost, self._is_lost = stream, on_lost, False
+        self.fileno, self.isatty = stream.fileno, stream.isatty  # type: ignore[method-assign]
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int | None:
+        if not self._is_lost:
+            try:
+                return self._stream.write(data)
+            except OSError as error:
+                self._is_lost = True
+                self._on_lost(error)
+        return memoryview(data).nbytes

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mrgs.app.commands import Measure
-from mrgs.app.style import say_note
-from mrgs.app.terminal import note_unfinished
+from mrgs.app.terminal import note_unfinished, print_note
 from mrgs.errors import ConfigError
 from mrgs.marks import MarkReading, RunMarks, open_marks
 from mrgs.marks.mark import KINDS, MarkKind
@@ -118,7 +117,7 @@ def _show(command: Measure, marks: RunMarks) -> None:
         print(f"judge what the report proposes: --accept {first}, or --drop {first}")
     assumed = [text for each in (*readings, *proposals) for text in marks.assumptions_of(each)]
     for text in dict.fromkeys(map(str, assumed)):
-        say_note(text)
+        print_note(text)
     if command.csv is not None:
         for path in write_csv(
             command.csv, readings, temperature, marks.world, marks.assumptions_of

@@ -5,15 +5,15 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from mrgs.app.arguments import flags_of, is_number
+from mrgs.app.arguments import flags_of
 from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
 from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
-from mrgs.app.style import say_note, say_warning, styled
+from mrgs.app.terminal import print_note, print_warning, styled
 from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.prepare import PrepareOptions, StageReport
@@ -61,7 +61,7 @@ def _follow(
         )
     except KeyboardInterrupt:
         terminal.pause()
-        say_note("results so far are kept; re-run the same command to resume")
+        print_note("results so far are kept; re-run the same command to resume")
         raise
     finally:
         terminal.pause()
@@ -107,7 +107,7 @@ class PipelineTerminal(Monitor):
         for name, text in _plan_lines(plan).items():
             print(f"{styled(f'{name}:', 'bold', sys.stdout)}{'':{9 - len(name)}}{text}")
         for note in plan.notes:
-            say_note(note)
+            print_note(note)
         sys.stdout.flush()
 
     def reused(self, stage: PlannedStage) -> None:  # noqa: D102
@@ -152,14 +152,14 @@ class PipelineTerminal(Monitor):
     def accepts(self, warnings: Sequence[str], page: Path) -> bool:  # noqa: D102
         self.pause()
         for text in warnings:
-            say_warning(text)
+            print_warning(text)
         if self._yes:
             return True
         return _is_yes(_ask(f"{page} shows what was found. Continue? [y/N] "))
 
     def accepts_relative(self, reason: MrgsError) -> bool:  # noqa: D102
         self.pause()
-        say_warning(f"{reason}{flags_of(reason)}")
+        print_warning(f"{reason}{flags_of(reason)}")
         return self._yes or _is_yes(_ask("Continue with relative values? [y/N] "))
 
     def answer(  # noqa: D102
@@ -175,7 +175,8 @@ class PipelineTerminal(Monitor):
                 f"{error}\nhorizontal field of view of the thermal camera in degrees, from its "
                 f"data sheet: "
             )
-            return replace(options, thermal_fov_deg=float(degrees)) if is_number(degrees) else None
+            with suppress(ValueError):
+                return replace(options, thermal_fov_deg=float(degrees))
         return None
 
 

@@ -1,13 +1,12 @@
-"""Progress in the terminal: bars, and lines where there is none."""
+"""Progress in the terminal: one line that changes in place, or lines now and then elsewhere."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
@@ -22,7 +21,7 @@ from rich.progress import (
 from rich.table import Column
 
 from mrgs.app.interrupts import CTRL_C, Interruption, interrupts
-from mrgs.app.style import say_note
+from mrgs.app.terminal import print_note
 from mrgs.system.callers import warn
 
 if TYPE_CHECKING:
@@ -33,129 +32,110 @@ if TYPE_CHECKING:
     from mrgs.training.run_folder import RunConfig
 
 PLAIN_LINE_EVERY_S = 10.0
-"""Interval of the progress lines if the output is not a terminal."""
+"""Interval of the lines if the output is not a terminal."""
 
 REFRESH_EVERY_S = 0.2
 """Interval of a progress bar's updates during training."""
 
 BAR_WIDTH = 12
 
-LEFT_OUT_FIRST = ("speed", "loss", "gaussians", "thermal")
-"""Parts of the training's line that a narrow terminal does not show."""
-
 STEPS_REMEMBERED = 250
 """Steps averaged per update; earlier ones weigh less than 1 % in the running means."""
 
 LARGE_PX = 1600
-WORTH_A_HINT = 2.0
-"""Where photos are wider, and a step is slower by this factor than at this width, a line before a
-training says so."""
+"""Width that is suggested for photos with which a step takes more than twice as long."""
 
 SKIPPED_SHOWN = 20
 """Skipped files listed at the end of ``mrgs prepare``."""
 
-
-def _progress_bar(*columns: ProgressColumn, **options: Any) -> Progress:
-    """A progress bar on standard output; disabled if that is not a terminal."""
-    return Progress(
-        *columns,
-        console=Console(highlight=False),
-        redirect_stderr=sys.stderr.isatty(),
-        disable=not sys.stdout.isatty(),
-        **options,
-    )
+Clock = Callable[[], float]
 
 
-def _text_column() -> TextColumn:
-    """The task's description on one line, cut off where the terminal ends."""
-    column = Column(no_wrap=True, overflow="ellipsis")
-    return TextColumn("{task.description}", markup=False, table_column=column)
+class _Line:
+    """A line with a bar or a spinner that changes in place; where the output is not a terminal, a
+    line now and then.
+
+    Args:
+        columns: beside the text, on a terminal.
+        clock: seconds, monotonic.
+        options: for ``rich.progress.Progress``.
+    """
+
+    def __init__(self, *columns: ProgressColumn | str, clock: Clock, **options: Any) -> None:
+        text = TextColumn(
+            "{task.description}",
+            markup=False,
+            table_column=Column(no_wrap=True, overflow="ellipsis"),
+        )
+        self.bar = Progress(
+            *(text if column == "text" else column for column in columns),
+            console=Console(highlight=False),
+            redirect_stderr=sys.stderr.isatty(),
+            disable=not sys.stdout.isatty(),
+            **options,
+        )
+        self.clock, self.last = clock, clock()
+
+    def is_due(self, every_s: float = PLAIN_LINE_EVERY_S) -> bool:
+        """Whether the last line was shown at least so many seconds ago."""
+        return self.clock() - self.last >= every_s
+
+    def show(self, text: str, done: int, total: int | None) -> None:
+        """Show the line now, with the share of the bar that is done."""
+        self.last = self.clock()
+        if self.bar.disable:
+            print(text, flush=True)
+            return
+        if not self.bar.task_ids:
+            self.bar.add_task(text, total=None)
+        self.bar.start()
+        self.bar.update(
+            self.bar.task_ids[0], description=text, completed=done, total=total, refresh=True
+        )
+
+    def clear(self) -> None:
+        """End the line; the next one starts anew."""
+        self.bar.stop()
+        for task in self.bar.task_ids:
+            self.bar.remove_task(task)
 
 
 @contextmanager
 def counter(
-    verb: str, forecast: Forecast | None = None, clock: Callable[[], float] = time.perf_counter
+    verb: str, forecast: Forecast | None = None, clock: Clock = time.perf_counter
 ) -> Iterator[Callable[..., None]]:
-    """A progress callback (done, total), or (number, total, name) for parts that have names, both
-    with ``left_s`` if the time left is known.
-
-    A bar on a terminal; elsewhere a line for each named part, or else one now and then and one at
-    the end.
+    """A progress callback (done, total), or (number, total, name) for parts with names, both with
+    ``left_s`` if the time left is known. Without a terminal, each named part has a line.
 
     Args:
         verb: what is being done.
         forecast: tells the time left of named parts; without it, all parts count the same.
         clock: seconds, monotonic.
     """
-    started = last_line = clock()
-    with _progress_bar(SpinnerColumn(), _text_column(), BarColumn(BAR_WIDTH)) as bar:
-        task = bar.add_task(verb, total=None)
+    line, started = _Line(SpinnerColumn(), "text", BarColumn(BAR_WIDTH), clock=clock), clock()
 
-        def show(done: int, total: int, name: str = "", left_s: float | None = None) -> None:
-            nonlocal last_line
-            now = clock()
-            text = f"{verb} {done}/{total}" if total else verb
-            if name:
-                text = f"{verb} {done} of {total}: {name}" if total else f"{verb}: {name}"
-            if left_s is None and name and forecast is not None:
-                left_s = forecast.left(name)
-            elif left_s is None and done > bool(name):
-                finished = done - bool(name)
-                left_s = (now - started) / finished * (total - finished)
-            if left_s is not None and not (done == total and not name):
-                text += f" | {duration(left_s)} left"
-            finished = done - 1 if name and done else done
-            bar.update(
-                task, description=text, completed=finished, total=total or None, refresh=True
-            )
-            if bar.disable and (name or done == total or now - last_line >= PLAIN_LINE_EVERY_S):
-                last_line = now
-                print(text, flush=True)
+    def show(done: int, total: int, name: str = "", left_s: float | None = None) -> None:
+        finished = done - 1 if name and done else done
+        text = f"{verb} {done}/{total}" if total else verb
+        if name:
+            text = f"{verb} {done} of {total}: {name}" if total else f"{verb}: {name}"
+        if left_s is None and name and forecast is not None:
+            left_s = forecast.left(name)
+        elif left_s is None and finished > 0:
+            left_s = (clock() - started) / finished * (total - finished)
+        if left_s is not None and not (done == total and not name):
+            text += f" | {duration(left_s)} left"
+        if not line.bar.disable or name or done == total or line.is_due():
+            line.show(text, finished, total or None)
 
-        yield show
-        took = duration(clock() - started)
-        bar.update(task, description=f"{verb}: {took}", completed=1, total=1, refresh=True)
-
-
-@contextmanager
-def _starting(
-    config: RunConfig, compiles: bool, console: Console, line_every_s: float = PLAIN_LINE_EVERY_S
-) -> Iterator[None]:
-    """Within this block, say how far the kernels of a training are compiled, if it ``compiles`` any
-    that are missing, and then how many photos have been read."""
-    from mrgs.data.posed import photos_read
-    from mrgs.method.config import TrainConfig
-    from mrgs.training.compilation import Countdown
-
-    countdown = Countdown(config) if compiles and isinstance(config, TrainConfig) else None
-    done = Event()
-
-    def compiling() -> str | None:
-        return None if countdown is None else countdown.text
-
-    def show() -> None:
-        before = photos_read()
-        wait_s = REFRESH_EVERY_S if console.is_terminal else line_every_s
-        show_line: Callable[[str], object] = print
-        if compiling() is None and done.wait(wait_s):
-            return
-        with ExitStack() as stack:
-            if console.is_terminal:
-                show_line = stack.enter_context(console.status("")).update
-            while True:
-                photos = f"reading photos for the start: {photos_read() - before}"
-                show_line(compiling() or photos)
-                sys.stdout.flush()
-                if done.wait(wait_s):
-                    return
-
-    thread = Thread(target=show, daemon=True)
-    thread.start()
     try:
-        yield
+        if not line.bar.disable:
+            line.show(verb, 0, None)
+        yield show
+        if not line.bar.disable:
+            line.show(f"{verb}: {duration(clock() - started)}", 1, 1)
     finally:
-        done.set()
-        thread.join()
+        line.bar.stop()
 
 
 class TrainingProgress:
@@ -168,23 +148,23 @@ class TrainingProgress:
         compiles: whether the training runs the CPU's kernels, and so compiles those that are
             missing.
         clock: seconds, monotonic.
+
+    Attributes:
+        unfinished: whether it was interrupted before its last step.
+        max_steps: training steps; 0 before the start.
     """
 
-    def __init__(
-        self, compiles: bool = True, clock: Callable[[], float] = time.perf_counter
-    ) -> None:
-        self._clock = clock
+    def __init__(self, compiles: bool = True, clock: Clock = time.perf_counter) -> None:
         self._compiles = compiles
         self.unfinished = False
+        self.max_steps = 0
         self._interruption: Interruption | None = None
         self._span_c: float | None = None
-        self._max_steps = 0
         self._first_step: int | None = None
-        self._started = self._last_line = clock()
+        self._started = clock()
         self._smoothed: dict[str, float] = {}
         self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
-        self._bar = _progress_bar(BarColumn(BAR_WIDTH), _text_column(), auto_refresh=False)
-        self._task = self._bar.add_task("")
+        self._line = _Line(BarColumn(BAR_WIDTH), "text", clock=clock, auto_refresh=False)
         self._postponed, self._starting = ExitStack(), ExitStack()
 
     def __enter__(self) -> None:
@@ -193,8 +173,7 @@ class TrainingProgress:
     def __exit__(self, *_: object) -> None:
         self._starting.close()
         self._postponed.close()
-        if self._first_step is not None:
-            self._bar.stop()
+        self._line.bar.stop()
 
     @property
     def has_stepped(self) -> bool:
@@ -202,13 +181,8 @@ class TrainingProgress:
         return self._first_step is not None
 
     @property
-    def max_steps(self) -> int:
-        """Training steps; 0 before the start."""
-        return self._max_steps
-
-    @property
     def sink(self) -> TextIO:
-        """Where the last words go: standard output, unless it is lost."""
+        """Stream of the last message: standard output, unless it is lost."""
         is_signal = self._interruption is None or self._interruption.status >= 128
         return sys.stdout if is_signal else sys.stderr
 
@@ -224,7 +198,7 @@ class TrainingProgress:
     def start(self, scene: Scene, config: RunConfig) -> None:
         """Print what will be trained; from here on interruptions wait for the end of a step."""
         self._postponed.enter_context(interrupts.postponed(self._interrupt))
-        self._max_steps = config.max_steps
+        self.max_steps = config.max_steps
         self._span_c = None if scene.temperature is None else scene.temperature.span_c
         print(
             f"{scene.name}: {len(scene.train)} training views, {len(scene.eval)} held out, "
@@ -234,76 +208,60 @@ class TrainingProgress:
             warn(f"{scene.name}: {note}")
         print(_plan(scene, config))
         if (hint := _hint_at_resolution(scene, config)) is not None:
-            say_note(hint)
+            print_note(hint)
         sys.stdout.flush()
-        self._starting.enter_context(_starting(config, self._compiles, self._bar.console))
+        if self._line.bar.console.is_terminal:
+            status = self._line.bar.console.status("reading photos, compiling kernels")
+            self._starting.enter_context(status)
 
     def step(self, statistics: Statistics) -> bool:
         """Show a step; returns True to stop the training."""
-        now = self._clock()
         if self._first_step is None:
             # Not counted in the speed: the first step compiles kernels and reads photos.
             self._starting.close()
-            self._first_step, self._started = statistics.step, now
-            self._bar.update(self._task, total=self._max_steps)
-            self._bar.start()
+            self._first_step, self._started = statistics.step, self._line.clock()
         self._unread.append(statistics)
-        interval = PLAIN_LINE_EVERY_S if self._bar.disable else REFRESH_EVERY_S
-        self.unfinished = self._interruption is not None and statistics.step < self._max_steps
-        if (
-            now - self._last_line >= interval
-            or statistics.step == self._max_steps
-            or self.unfinished
-        ):
-            self._last_line = now
+        is_last = statistics.step == self.max_steps
+        self.unfinished = self._interruption is not None and not is_last
+        is_plain = self._line.bar.disable
+        every_s = PLAIN_LINE_EVERY_S if is_plain else REFRESH_EVERY_S
+        if self._line.is_due(every_s) or is_last or self.unfinished:
             self._read()
-            parts = self._parts(statistics, now)
-            if self._bar.disable:
-                print(" | ".join(parts.values()), flush=True)
-            else:
-                line = _fitted(parts, self._bar.console.width - BAR_WIDTH - 1)
-                self._bar.update(
-                    self._task, completed=statistics.step, description=line, refresh=True
-                )
+            self._line.show(self._text(statistics), statistics.step, self.max_steps)
         return self.unfinished
 
     def _read(self) -> None:
         """Read what the steps since the last update measured; not earlier, because on a GPU
         reading waits."""
         for statistics in self._unread:
-            self._smooth("loss", statistics.loss)
-            if statistics.thermal_error is not None:
-                self._smooth("thermal", statistics.thermal_error)
+            for name, value in (("loss", statistics.loss), ("thermal", statistics.thermal_error)):
+                if value is not None and value - value == 0:  # finite
+                    old = self._smoothed.get(name, value)  # the mean over about fifty steps
+                    self._smoothed[name] = old + 0.02 * (value - old)
         self._unread.clear()
 
-    def _parts(self, statistics: Statistics, now: float) -> dict[str, str]:
-        """What a line says, by name."""
-        parts = {"step": f"step {statistics.step:,}/{self._max_steps:,}"}
+    def _text(self, statistics: Statistics) -> str:
+        """The line; a narrow terminal cuts off its end."""
+        parts = [f"step {statistics.step:,}/{self.max_steps:,}"]
         steps = statistics.step - (self._first_step or 0)
-        speed = steps / (now - self._started) if steps > 0 and now > self._started else None
-        if speed is not None:
-            left = duration((self._max_steps - statistics.step) / speed)
-            parts["time"] = f"{left} left"
-        if "loss" in self._smoothed:
-            parts["loss"] = f"loss {self._smoothed['loss']:.4f}"
+        seconds = self._line.clock() - self._started
+        if steps > 0 and seconds > 0:
+            left_s = (self.max_steps - statistics.step) * seconds / steps
+            parts.append(f"{duration(left_s)} left")
         thermal = self._smoothed.get("thermal")
         if thermal is not None:
-            parts["thermal"] = (
+            parts.append(
                 f"thermal error {thermal:.3f} (normalised)"
                 if self._span_c is None
                 else f"thermal error {thermal * self._span_c:.2f} °C"
             )
         if statistics.gaussians is not None:
-            parts["gaussians"] = f"{statistics.gaussians:,} Gaussians"
-        if speed is not None:
-            parts["speed"] = f"{speed:.1f} steps/s"
-        return parts
-
-    def _smooth(self, name: str, value: float) -> None:
-        """Update the mean over about the last fifty steps; skips values that are not finite."""
-        if value - value == 0:
-            old = self._smoothed.get(name, value)
-            self._smoothed[name] = old + 0.02 * (value - old)
+            parts.append(f"{statistics.gaussians:,} Gaussians")
+        if "loss" in self._smoothed:
+            parts.append(f"loss {self._smoothed['loss']:.4f}")
+        if steps > 0 and seconds > 0:
+            parts.append(f"{steps / seconds:.1f} steps/s")
+        return " | ".join(parts)
 
 
 class PrepareProgress:
@@ -316,28 +274,27 @@ class PrepareProgress:
         forecast: of the whole, where the time left is not given with each step.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        self._clock = clock
+    def __init__(self, clock: Clock = time.perf_counter) -> None:
         self.forecast: Forecast | None = None
-        self._started = self._last_line = clock()
         self._step = ""
+        self._started = clock()
         self._warnings: list[str] = []
-        self._bar = _progress_bar(
-            SpinnerColumn(), _text_column(), TimeElapsedColumn(), transient=True
+        self._line = _Line(
+            SpinnerColumn(), "text", TimeElapsedColumn(), clock=clock, transient=True
         )
 
     def __enter__(self) -> PrepareProgress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        self._line.bar.stop()
         sys.stdout.flush()
         for text in self._warnings:
-            say_note(text)
+            print_note(text)
 
     def step(self, step: str, done: int, total: int, left_s: float | None = None) -> None:
         """Show how far a step is, and the time left of all steps if it is known."""
-        now = self._clock()
+        now = self._line.clock()
         text = f"{step} {done}/{total}" if total else step
         if left_s is None and self.forecast is not None:
             left_s = self.forecast.left(step, done / total if total else None)
@@ -346,20 +303,16 @@ class PrepareProgress:
         if left_s is not None:
             text += f" | {duration(left_s)} left"
         if step != self._step:
-            self._step, self._started, self._last_line = step, now, now
-            for task in self._bar.task_ids:
-                self._bar.remove_task(task)
-            self._bar.add_task(text, total=None)
-            self._bar.start()
-        if not self._bar.disable:
-            self._bar.update(self._bar.task_ids[0], description=text)
-        elif now - self._last_line >= PLAIN_LINE_EVERY_S:
-            self._last_line = now
-            print(f"{text} | {duration(now - self._started)}", flush=True)
+            self._line.clear()
+            self._step, self._started, self._line.last = step, now, now
+        if not self._line.bar.disable:
+            self._line.show(text, done, None)
+        elif self._line.is_due():
+            self._line.show(f"{text} | {duration(now - self._started)}", done, None)
 
     def pause(self) -> None:
         """Clear the bar, until the next step."""
-        self._bar.stop()
+        self._line.clear()
         self._step = ""
 
     def stage(self, report: StageReport, *, warn: bool = True) -> None:
@@ -380,16 +333,6 @@ class PrepareProgress:
             self._warnings.append(f"skipped: {item.name}: {item.reason}")
         if (more := len(preparation.skipped) - SKIPPED_SHOWN) > 0:
             self._warnings.append(f"skipped: {more} more; see {preparation.page}")
-
-
-def _fitted(parts: Mapping[str, str], width: int) -> str:
-    """The parts that fit into a line of this width, the least important ones left out."""
-    shown = dict(parts)
-    for name in LEFT_OUT_FIRST:
-        if len(" | ".join(shown.values())) <= width:
-            break
-        shown.pop(name, None)
-    return " | ".join(shown.values())
 
 
 def _plan(scene: Scene, config: RunConfig) -> str:
@@ -414,24 +357,24 @@ def _plan(scene: Scene, config: RunConfig) -> str:
 
 
 def _hint_at_resolution(scene: Scene, config: RunConfig) -> str | None:
-    """What a smaller resolution would save, where photos are so large that this is much."""
+    """What a smaller resolution would save, if the photos are so large that this is much."""
     from mrgs.pipeline.forecast import step_seconds
     from mrgs.training import TrainConfig
 
+    if not isinstance(config, TrainConfig):
+        return None
     cameras = scene.train[0].cameras.values()
     widest = max(cameras, key=lambda camera: camera.width)
-    if not isinstance(config, TrainConfig) or widest.width <= LARGE_PX:
-        return None
-    pixels = [camera.width * camera.height for camera in cameras]
-    shares = [min(1.0, LARGE_PX / camera.width) ** 2 for camera in cameras]
-    reduced = sum(count * share for count, share in zip(pixels, shares, strict=True))
-    cap = config.densification.max_gaussians
-    factor = step_seconds(cap, sum(pixels) / 1e3) / step_seconds(cap, reduced / 1e3)
-    if factor < WORTH_A_HINT:
-        return None
+    cap, step_s = config.densification.max_gaussians, {}
+    for width in (widest.width, min(widest.width, LARGE_PX)):
+        pixels = sum(each.width * each.height * min(1, width / each.width) ** 2 for each in cameras)
+        step_s[width] = step_seconds(cap, pixels / 1e3)
+    share = min(step_s.values()) / max(step_s.values())
     return (
         f"photos are {widest.width}×{widest.height} px; with --resolution {LARGE_PX} a step takes "
-        f"about {1 / factor:.0%} of the time"
+        f"about {share:.0%} of the time"
+        if share < 0.5
+        else None
     )
 
 

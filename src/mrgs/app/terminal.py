@@ -1,4 +1,4 @@
-"""What the terminal shows before and after the work: notes, addresses, scores."""
+"""What the terminal shows before and after the work: errors, notes, addresses, scores."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
-from mrgs.app.style import say_note
+from rich.console import Console
+from rich.text import Text
+
 from mrgs.errors import MrgsWarning, SceneError
 
 if TYPE_CHECKING:
@@ -22,6 +24,32 @@ if TYPE_CHECKING:
     from mrgs.scene import Scene
 
 
+def styled(text: str, style: str, stream: TextIO) -> str:
+    """The text with the codes of a style such as "bold red"; as it is where the stream is not a
+    terminal with colours, or NO_COLOR is set."""
+    console = Console(file=stream, highlight=False, soft_wrap=True)
+    if not console.is_terminal or console.no_color:
+        return text
+    with console.capture() as capture:
+        console.print(Text(text, style=style), end="")
+    return capture.get()
+
+
+def print_error(text: str) -> None:
+    """Print an error, on one line."""
+    print(f"{styled('mrgs: error:', 'bold red', sys.stderr)} {text}", file=sys.stderr)
+
+
+def print_warning(text: str) -> None:
+    """Print a warning, which the user should judge, on one line."""
+    print(f"{styled('mrgs: warning:', 'yellow', sys.stderr)} {text}", file=sys.stderr)
+
+
+def print_note(text: str) -> None:
+    """Print a note on one line."""
+    print(f"{styled('mrgs: note:', 'yellow', sys.stderr)} {text}", file=sys.stderr)
+
+
 @contextmanager
 def plain_warnings() -> Iterator[None]:
     """Print each distinct warning once, on one line."""
@@ -32,7 +60,7 @@ def plain_warnings() -> Iterator[None]:
             return
         shown.add(str(message))
         if issubclass(category, MrgsWarning):
-            say_note(str(message))
+            print_note(str(message))
         else:
             print(f"warning: {message}", file=sys.stderr)
 
@@ -43,7 +71,7 @@ def plain_warnings() -> Iterator[None]:
 
 
 def print_viewer_address(url: str) -> None:
-    """Say that the viewer is ready."""
+    """Print how to open the viewer."""
     print(f"open {url} in a browser; press Ctrl-C here to stop", flush=True)
 
 
@@ -58,7 +86,7 @@ def note_gpu(device: torch.device) -> None:
 def note_unfinished(run: Run) -> None:
     """Warn that the run is unfinished and its newest checkpoint is used."""
     if run.facts.step < run.config.max_steps:
-        say_note(
+        print_note(
             f"the run is at step {run.facts.step:,} of {run.config.max_steps:,}; using its newest "
             f"checkpoint"
         )
@@ -88,7 +116,7 @@ def scene_if_there(run: Run) -> Scene | None:
     try:
         return run.load_scene()
     except SceneError as error:
-        say_note(f"photos and cameras are not available: {error}")
+        print_note(f"photos and cameras are not available: {error}")
         return None
 
 
