@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,6 @@ from mrgs.app.commands import (
 from mrgs.app.comparing import compare
 from mrgs.app.interrupts import BY_CTRL_C, interrupts
 from mrgs.app.progress import PrepareProgress, counter
-from mrgs.app.synthesis import synth
 from mrgs.app.terminal import (
     note_unfinished,
     plain_warnings,
@@ -46,8 +45,11 @@ from mrgs.errors import ConfigError, MrgsError
 
 EXIT_BAD_SCENE = 1
 
+MAX_SYNTH_SEED = 1_000_000
+"""Mitsuba takes 32 bits, and every view has a seed of its own."""
+
 NO_MEMORY = ("can't allocate memory", "not enough memory")
-"""What torch says, in a RuntimeError, when the system has no memory left."""
+"""Texts of torch's RuntimeError when the system has no memory left."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -78,7 +80,14 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(argv: list[str] | None) -> int:
     """Run the command that the arguments name; returns the exit code."""
-    command = _parsed(sys.argv[1:] if argv is None else argv)
+    try:
+        command = parse(sys.argv[1:] if argv is None else argv)
+    finally:
+        sys.stdout.flush()
+    if isinstance(command, (RunAll, Demo, Prepare, Check)):
+        # For thousands of small matrices BLAS threads only wait for each other. Read once, when
+        # NumPy is loaded.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     handlers: dict[type, Callable[[Any], int | None]] = {
         RunAll: _run_all,
         Prepare: _prepare,
@@ -92,13 +101,13 @@ def _run(argv: list[str] | None) -> int:
         Export: _export,
         Report: _report,
         Demo: _demo,
-        Synth: synth,
+        Synth: _synth,
     }
     return handlers[type(command)](command) or 0
 
 
 def _stopped() -> int:
-    """Say that the command was interrupted; returns the exit code."""
+    """Print that the command was interrupted; returns the exit code."""
     found = interrupts.received or BY_CTRL_C
     if found.message:
         print(found.message, file=sys.stderr)
@@ -109,7 +118,7 @@ def _line(error: Exception) -> str | None:
     """What the user can do about an error, on one line; None for an error in the program."""
     if isinstance(error, MrgsError):
         return f"{error}{flags_of(error)}"
-    if isinstance(error, OSError):  # what no part of the program expected of the system
+    if isinstance(error, OSError):  # not expected by any part of the program
         place = "" if error.filename is None else f"{error.filename}: "
         reason = error.strerror or error
         return f"{place}{reason}: check its permissions and the room on its disk"
@@ -123,17 +132,7 @@ def _line(error: Exception) -> str | None:
     return None
 
 
-def _parsed(argv: Sequence[str]) -> Any:
-    """The command, or a text that is printed to its end before the program exits."""
-    try:
-        return parse(argv)
-    except SystemExit:
-        sys.stdout.flush()
-        raise
-
-
 def _prepare(command: Prepare) -> None:
-    _without_blas_threads()
     from mrgs.pipeline.forecast import expect_prepare
     from mrgs.prepare import prepare
 
@@ -142,13 +141,7 @@ def _prepare(command: Prepare) -> None:
     try:
         with progress:
             progress.forecast = expect_prepare(command.photos, options, progress.step)
-            made = prepare(
-                command.photos,
-                command.scene,
-                options,
-                progress.step,
-                progress.stage,
-            )
+            made = prepare(command.photos, command.scene, options, progress.step, progress.stage)
             progress.end(made)
     except KeyboardInterrupt:
         print("intermediate results are kept; re-run the same command to resume")
@@ -158,16 +151,7 @@ def _prepare(command: Prepare) -> None:
     )
 
 
-def _without_blas_threads() -> None:
-    """Keep BLAS single-threaded: for thousands of small matrices threads only wait for each other.
-
-    Must run before NumPy and SciPy are loaded.
-    """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-
 def _check(command: Check) -> int:
-    _without_blas_threads()
     from mrgs.prepare.page.check import check_scene
 
     with PrepareProgress() as progress:
@@ -184,41 +168,31 @@ def _eval(command: Eval) -> None:
     if command.renders is not None:
         if command.scene is not None:
             raise ConfigError("with --renders, give the scene instead of the run and omit --scene")
-        _eval_renders(command, command.renders)
-        return
-    if command.resolution is not None:
+        from mrgs.evaluation.renders import evaluate_renders
+
+        folder = command.renders
+        with counter("scoring") as progress:
+            metrics = evaluate_renders(
+                command.run,
+                folder,
+                resolution=command.resolution,
+                lpips_weights=command.lpips_weights,
+                progress=progress,
+            )
+        print_figures(metrics)
+    elif command.resolution is not None:
         raise ConfigError(
             "--resolution needs --renders: a run is scored at its training resolution"
         )
-    from mrgs.evaluation import evaluate_run
-    from mrgs.runs.open import open_run
+    else:
+        from mrgs.evaluation import evaluate_run
+        from mrgs.runs.open import open_run
 
-    run = open_run(command.run, command.scene, command.device)
-    with counter("scoring") as progress:
-        metrics = evaluate_run(run, command.lpips_weights, progress)
-    print_metrics(run, metrics)
-    print(
-        f"scores:   {command.run / 'eval' / 'metrics.md'}\npictures: "
-        f"{command.run / 'eval' / 'contact_sheet.png'}"
-    )
-
-
-def _eval_renders(command: Eval, folder: Path) -> None:
-    from mrgs.evaluation.renders import evaluate_renders
-
-    with counter("scoring") as progress:
-        metrics = evaluate_renders(
-            command.run,
-            folder,
-            resolution=command.resolution,
-            lpips_weights=command.lpips_weights,
-            progress=progress,
-        )
-    print_figures(metrics)
-    print(
-        f"scores:   {folder / 'eval' / 'metrics.md'}\npictures: "
-        f"{folder / 'eval' / 'contact_sheet.png'}"
-    )
+        folder, run = command.run, open_run(command.run, command.scene, command.device)
+        with counter("scoring") as progress:
+            metrics = evaluate_run(run, command.lpips_weights, progress)
+        print_metrics(run, metrics)
+    print(f"scores:   {folder / 'eval/metrics.md'}\npictures: {folder / 'eval/contact_sheet.png'}")
 
 
 def _render(command: Render) -> None:
@@ -294,7 +268,7 @@ def _report(command: Report) -> None:
 
 
 def _state_survey(command: Report) -> None:
-    """Keep what the options state in the run's folder; a survey to fill in where there is none."""
+    """Write the survey that the options state to the run's folder, or an empty one to fill in."""
     from mrgs.survey import SURVEY_FILE, read_survey, write_survey
 
     own = command.run / SURVEY_FILE
@@ -309,17 +283,16 @@ def _state_survey(command: Report) -> None:
 
 
 def _run_all(command: RunAll) -> None:
-    _without_blas_threads()
-    from mrgs.app.pipeline import run_everything
+    from mrgs.app.pipeline import follow_pipeline
 
-    run_everything(command)
+    follow_pipeline(command.photos, command, command.photo.options(), yes=command.yes)
 
 
 def _demo(command: Demo) -> None:
-    _without_blas_threads()
-    from mrgs.app.pipeline import run_demo
+    from mrgs.app.pipeline import follow_pipeline
+    from mrgs.prepare import PrepareOptions
 
-    run_demo(command, _bundled_scene())
+    follow_pipeline(_bundled_scene(), command, PrepareOptions(), yes=True)
 
 
 def _bundled_scene() -> Path:
@@ -331,6 +304,49 @@ def _bundled_scene() -> Path:
     raise ConfigError(
         "the bundled scene is not installed; run `mrgs demo` from a checkout, or reinstall mrgs"
     )
+
+
+def _synth(command: Synth) -> None:
+    try:
+        from mrgs_synth import synthesize
+        from mrgs_synth.solar_plant import PlantOptions, synthesize_plant
+    except ModuleNotFoundError as error:
+        if error.name != "mrgs_synth":
+            raise
+        raise ConfigError(
+            "the scene generator comes with a source checkout only: run `pip install -e "
+            "'.[synth]'` there"
+        ) from None
+
+    if not 0 <= command.seed <= MAX_SYNTH_SEED:
+        raise ConfigError(f"the seed must be from 0 to {MAX_SYNTH_SEED:,}, not {command.seed}")
+    if command.scene == "solar-plant" and (command.nir or command.train_views is not None):
+        raise ConfigError(
+            "solar-plant has no near-infrared photos, and as many training views as its overlap "
+            "asks for: leave out --nir and --train-views"
+        )
+    with counter("rendering") as progress:
+        if command.scene == "solar-plant":
+            options = PlantOptions(
+                command.rows, command.modules, command.overlap, command.gps_noise,
+                command.eval_views, command.width, command.height, command.seed,
+            )  # fmt: skip
+            views = synthesize_plant(command.output, options, progress)
+        else:
+            views = 40 if command.train_views is None else command.train_views
+            synthesize(
+                command.output,
+                scene=command.scene,
+                width=command.width,
+                height=command.height,
+                train_views=views,
+                eval_views=command.eval_views,
+                samples=command.samples,
+                seed=command.seed,
+                bands=["nir"] if command.nir else [],
+                progress=progress,
+            )
+    print(f"scene: {command.output} ({views} training views)")
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from mrgs.app.options import (
 if TYPE_CHECKING:
     from mrgs.export.maps.options import MapOptions
 
-# tyro keeps the line breaks of indented docstrings of fields: longer helps are said here.
+# tyro keeps the line breaks in docstrings of fields; longer helps are given as arguments.
 RESUME_HELP = (
     "Resume the run in --output; all options but --accept-changes, --device, --plain, "
     "--tensorboard and --view come from the saved run."
@@ -101,7 +101,7 @@ class Train:
     blocks: Maybe[str] = None
     """Train a large scene in blocks: auto, or ROWSxCOLUMNS such as 2x3 (docs/large-scenes.md)."""
     overlap: Maybe[float] = None
-    """With --blocks: margin about each, m or scene units; default: 15 % of the narrowest block."""
+    """With --blocks: margin around each block, m or scene units; default: 15 % of the narrowest."""
     block: Maybe[int] = None
     """With --blocks: train only this block, from 1; for job arrays."""
     device: DeviceName = "auto"
@@ -263,7 +263,7 @@ class Measure:
     note: Maybe[str] = None
     """Note of the mark."""
     severity: Maybe[str] = None
-    """How grave the finding is: a class of IEC TS 62446-3 (1, 2, 3), or words."""
+    """Severity: class 1-3 of IEC TS 62446-3, or free text."""
     against: Maybe[str] = None
     """Mark that is subtracted in its temperature difference; '' for the reference."""
     emissivity: Maybe[float] = None
@@ -275,11 +275,11 @@ class Measure:
     accept: Annotated[Several[str], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
     """Anomalies proposed by mrgs report that become marks, such as H1 C2."""
     drop: Annotated[Several[str], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """Proposed anomalies that are none; the report does not propose them again."""
+    """Reject proposed anomalies; they will not be proposed again."""
     delete: Maybe[str] = None
     """Mark to delete."""
     undo: bool = False
-    """Take the last change back."""
+    """Undo the last change."""
     csv: Maybe[Path] = None
     """Write the table to this file, and the profiles of lines beside it."""
     geojson: Maybe[Path] = None

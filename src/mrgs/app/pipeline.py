@@ -1,4 +1,4 @@
-"""``mrgs run`` and ``mrgs demo``: what was understood, how far they are, what to open."""
+"""``mrgs run`` and ``mrgs demo`` at the terminal: the plan, progress, questions, results."""
 
 from __future__ import annotations
 
@@ -26,34 +26,25 @@ from mrgs.training.run_folder import RunConfig
 GIGABYTE = 1e9
 
 
-def run_everything(command: RunAll) -> None:
-    """``mrgs run``."""
-    _follow(
-        command.photos,
-        command.output,
-        command,
-        PipelineTerminal(command.yes),
-        command.photo.options(),
-    )
-
-
-def run_demo(command: Demo, scene: Path) -> None:
-    """``mrgs demo``: the same with the bundled scene, whose page is known."""
-    _follow(scene, command.output, command, PipelineTerminal(yes=True), PrepareOptions())
-
-
-def _follow(
-    source: Path,
-    output: Path | None,
-    command: RunAll | Demo,
-    terminal: PipelineTerminal,
-    options: PrepareOptions,
+def follow_pipeline(
+    source: Path, command: RunAll | Demo, options: PrepareOptions, *, yes: bool
 ) -> None:
-    started = time.perf_counter()
+    """Run a pipeline, show how far it is, and print what to open.
+
+    Args:
+        source: folder of photos, or of a scene.
+        command: with its other options.
+        options: facts about the photos.
+        yes: accept warnings without asking.
+
+    Raises:
+        MrgsError: as ``run_pipeline``.
+    """
+    terminal, started = PipelineTerminal(yes), time.perf_counter()
     try:
         results = run_pipeline(
             source,
-            output,
+            command.output,
             quality=command.quality,
             options=options,
             device=command.device,
@@ -70,12 +61,12 @@ def _follow(
 
 
 def what_to_open(results: PipelineResults) -> str:
-    """The last lines: the files to look at, and the command to go on with."""
+    """The last lines: the files to open, and a command to continue with."""
     files = {
         results.report: "measurements, proposed anomalies, scores, limits",
         results.page: "the model in your browser: colour, temperature under the cursor",
         results.contact_sheet: "photos beside renderings of the same views",
-        results.scene_page: "pairs, cameras and temperatures as they were understood",
+        results.scene_page: "pairs, cameras and temperatures that were found",
         results.renders: "images, temperatures as float32 TIFF, depth",
         results.exports: "point cloud, mesh and splats for other programs",
     }
@@ -84,17 +75,12 @@ def what_to_open(results: PipelineResults) -> str:
 
 
 class PipelineTerminal(Monitor):
-    """Shows a pipeline at the terminal, and asks the user.
-
-    Args:
-        yes: accept warnings without asking.
-    """
+    """Shows a pipeline at the terminal, and asks the user unless ``yes`` accepts all warnings."""
 
     def __init__(self, yes: bool) -> None:
         self._yes = yes
         self._preparing = PrepareProgress()
         self._training = TrainingProgress()
-        self._on_cpu = True
         self._show: Callable[..., None] | None = None
 
     def pause(self) -> None:
@@ -103,7 +89,6 @@ class PipelineTerminal(Monitor):
 
     def planned(self, plan: PipelinePlan) -> None:  # noqa: D102
         self.pause()
-        self._on_cpu = plan.device == "cpu"
         for name, text in _plan_lines(plan).items():
             print(f"{styled(f'{name}:', 'bold', sys.stdout)}{'':{9 - len(name)}}{text}")
         for note in plan.notes:
@@ -119,7 +104,7 @@ class PipelineTerminal(Monitor):
         rest = f", then {rough(rest_s)} for the rest" if rest_s >= 1 else ""
         print(f"{_heading(stage)} ({rough(seconds)}{rest})", flush=True)
         if stage.name == "train":
-            self._training = TrainingProgress(compiles=self._on_cpu)
+            self._training = TrainingProgress()
             with self._training:
                 yield
             if interrupts.received is not None:  # in the training's last step
@@ -181,7 +166,7 @@ class PipelineTerminal(Monitor):
 
 
 def _plan_lines(plan: PipelinePlan) -> dict[str, str]:
-    """What was understood and what will happen, by title."""
+    """What was found and what will be done, by title."""
     quality, intake = plan.quality, plan.intake
     facts = [counted(plan.cores, "core")]
     if plan.free_memory is not None:
@@ -214,7 +199,7 @@ def _heading(stage: PlannedStage) -> str:
 
 
 def rough(seconds: float) -> str:
-    """A time that is not known exactly."""
+    """An estimated duration."""
     if seconds < 90:
         return f"about {max(5 * round(seconds / 5), 5)} seconds"
     if seconds < 90 * 60:
@@ -223,7 +208,7 @@ def rough(seconds: float) -> str:
 
 
 def _ask(question: str) -> str:
-    """The user's answer; empty where there is nobody to ask."""
+    """The user's answer; empty without a terminal."""
     if not sys.stdin.isatty():
         return ""
     try:

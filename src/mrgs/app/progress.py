@@ -145,8 +145,6 @@ class TrainingProgress:
     at once.
 
     Args:
-        compiles: whether the training runs the CPU's kernels, and so compiles those that are
-            missing.
         clock: seconds, monotonic.
 
     Attributes:
@@ -154,8 +152,7 @@ class TrainingProgress:
         max_steps: training steps; 0 before the start.
     """
 
-    def __init__(self, compiles: bool = True, clock: Clock = time.perf_counter) -> None:
-        self._compiles = compiles
+    def __init__(self, clock: Clock = time.perf_counter) -> None:
         self.unfinished = False
         self.max_steps = 0
         self._interruption: Interruption | None = None
@@ -248,6 +245,8 @@ class TrainingProgress:
         if steps > 0 and seconds > 0:
             left_s = (self.max_steps - statistics.step) * seconds / steps
             parts.append(f"{duration(left_s)} left")
+        if "loss" in self._smoothed:
+            parts.append(f"loss {self._smoothed['loss']:.4f}")
         thermal = self._smoothed.get("thermal")
         if thermal is not None:
             parts.append(
@@ -257,8 +256,6 @@ class TrainingProgress:
             )
         if statistics.gaussians is not None:
             parts.append(f"{statistics.gaussians:,} Gaussians")
-        if "loss" in self._smoothed:
-            parts.append(f"loss {self._smoothed['loss']:.4f}")
         if steps > 0 and seconds > 0:
             parts.append(f"{steps / seconds:.1f} steps/s")
         return " | ".join(parts)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import shlex
 import time
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mrgs.app.arguments import read_text
-from mrgs.app.blocks import require_blocks, train_in_blocks
 from mrgs.app.commands import Train
 from mrgs.app.interrupts import Interrupted
 from mrgs.app.progress import TrainingProgress
@@ -19,10 +19,9 @@ from mrgs.app.terminal import note_gpu, print_viewer_address
 from mrgs.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
-    import torch
-
     from mrgs.runs.registry import Method
     from mrgs.scene import Scene
+    from mrgs.system.gpu import DeviceName
     from mrgs.training import StepStatistics, TrainConfig
     from mrgs.training.run_folder import RunFolder
     from mrgs.viewer import LiveView
@@ -32,20 +31,31 @@ def train(command: Train) -> None:
     """Train.
 
     Raises:
-        MrgsError: what was asked for cannot be done.
+        MrgsError: an option cannot be followed, or as the training.
         Interrupted: the training was interrupted, and has saved a checkpoint.
     """
+    from mrgs.runs.open import method_of
+    from mrgs.runs.registry import find_method
     from mrgs.system.gpu import choose_device
+    from mrgs.training.run_folder import RunFolder
 
-    output = _output(command)
-    method = _possible_method(command, output)
+    scene = command.scene.parent if command.scene.is_file() else command.scene
+    output = command.output or Path("runs") / f"{scene.resolve().name}-{command.method}"
+    folder, resumes = RunFolder(output), command.resume and command.blocks is None
+    method = find_method(method_of(folder).name if resumes else command.method)
+    _require_possible(command, method)
+    if resumes:
+        _require_own_settings(command, method, folder)
     device = command.device if method.uses_gpu else "cpu"
-    config = _configuration(command, method, device)
+    config = _configured(command, method, command.max_steps)
+    if command.minutes is not None:
+        config = _within_minutes(command, method, config, device)
     chosen = choose_device(device)
     if command.blocks is not None:
-        train_in_blocks(command, output, config, device)
+        _train_in_blocks(command, folder, config, device)
         return
-    progress = _progress(command, chosen)
+    note_gpu(chosen)
+    progress = TrainingProgress()
     with progress, _live_view(command, output) as live:
         method.train(
             command.scene,
@@ -58,40 +68,46 @@ def train(command: Train) -> None:
             tensorboard=command.tensorboard,
             **_hooks(progress, live),
         )
-    _say_what_next(command, output, progress)
+    _print_next(command, output, progress)
 
 
-def _possible_method(command: Train, output: Path) -> Method:
-    """The method to train with, which can follow the options; of a resumed run, its own.
+def _require_possible(command: Train, method: Method) -> None:
+    """Check the options against each other and the method.
 
     Raises:
-        ConfigError: it cannot, or they are not those of the resumed run.
-        DeviceError: it cannot use a GPU.
+        ConfigError: two exclude each other, or one needs Gaussians and there are none.
+        DeviceError: the method cannot use a GPU.
     """
-    from mrgs.runs.open import method_of
-    from mrgs.runs.registry import find_method
-    from mrgs.training.run_folder import RunFolder
-
-    goes_on = command.resume and command.blocks is None
-    name = method_of(RunFolder(output)).name if goes_on else command.method
-    method = find_method(name)
-    _require_possible(command, method)
-    if goes_on:
-        _require_own_settings(command, method, RunFolder(output))
-    require_blocks(command)
-    return method
-
-
-def _configuration(command: Train, method: Method, device: str) -> Any:
-    """The configuration that the options ask for, with the steps that fit into the minutes."""
-    config = _configured(command, method, command.max_steps)
-    if command.minutes is None:
-        return config
-    steps = _steps_in_time(command, method, config, device)
-    config = _configured(command, method, steps)
-    if config.max_steps != steps:
-        raise ConfigError(f"--minutes chooses the steps: leave max_steps out of {command.config}")
-    return config
+    gaussian_options = {
+        "--view": command.view, "--max-gaussians": command.max_gaussians, "--batch": command.batch
+    }  # fmt: skip
+    for option, value in gaussian_options.items():
+        if value and not method.has_gaussians:
+            raise ConfigError(
+                f"{option} needs a method with Gaussians, and {method.name} has none: leave it out"
+            )
+    if command.minutes is not None:
+        if command.resume or command.max_steps is not None:
+            raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
+        if not 0 < command.minutes < math.inf:
+            raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
+    if command.accept_changes and not command.resume:
+        raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
+    if command.device == "cuda" and not method.uses_gpu:
+        raise DeviceError(f"{method.name} works on the CPU alone: leave --device out")
+    if command.blocks is None:
+        if command.overlap is not None or command.block is not None:
+            raise ConfigError("--overlap and --block need --blocks: give --blocks auto")
+        return
+    for option, value in {
+        "--view": command.view,
+        "--tensorboard": command.tensorboard,
+        "--minutes": command.minutes is not None,
+        "--accept-changes": command.accept_changes,
+        "--batch": command.batch not in (None, 1),
+    }.items():
+        if value:
+            raise ConfigError(f"{option} does not work with --blocks: leave it out")
 
 
 def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
@@ -107,8 +123,8 @@ def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
     )
 
 
-def _steps_in_time(command: Train, method: Method, config: Any, device: str) -> int:
-    """Measure how fast the training is here, and say how many steps it gets."""
+def _within_minutes(command: Train, method: Method, config: Any, device: str) -> Any:
+    """The configuration with the steps that fit into ``--minutes``, at the pace measured here."""
     from mrgs.pipeline.time_limit import measure_pace, steps_within
 
     assert command.minutes is not None
@@ -119,38 +135,17 @@ def _steps_in_time(command: Train, method: Method, config: Any, device: str) -> 
     most = config.densification.max_gaussians if method.has_gaussians else None
     steps = steps_within(left_s, pace, most)
     print(f"{steps:,} steps fit into {command.minutes:g} min", flush=True)
-    return steps
-
-
-def _require_possible(command: Train, method: Method) -> None:
-    """Options that the method can follow.
-
-    Raises:
-        ConfigError: one needs Gaussians, and there are none.
-        DeviceError: the method cannot use a GPU.
-    """
-    needs = {"--view": command.view, "--max-gaussians": command.max_gaussians}
-    for option, value in {**needs, "--batch": command.batch}.items():
-        if value and not method.has_gaussians:
-            raise ConfigError(
-                f"{option} needs a method with Gaussians, and {method.name} has none: leave it out"
-            )
-    if command.minutes is not None:
-        if command.resume or command.max_steps is not None:
-            raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
-        if not 0 < command.minutes < math.inf:
-            raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
-    if command.accept_changes and not command.resume:
-        raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
-    if command.device == "cuda" and not method.uses_gpu:
-        raise DeviceError(f"{method.name} works on the CPU alone: leave --device out")
+    config = _configured(command, method, steps)
+    if config.max_steps != steps:
+        raise ConfigError(f"--minutes chooses the steps: leave max_steps out of {command.config}")
+    return config
 
 
 def _require_own_settings(command: Train, method: Method, folder: RunFolder) -> None:
-    """The options of a resumed run may only repeat the settings that it has.
+    """The options of a resumed run may only repeat its settings.
 
     Raises:
-        ConfigError: some would change them, and would be without effect.
+        ConfigError: some differ, and would have no effect.
     """
     defaults = {field.name: field.default for field in fields(command)}
     settings = ("method", "preset", *_OWN_SETTINGS, "config")
@@ -181,19 +176,13 @@ _OWN_SETTINGS = ("max_steps", "max_gaussians", "resolution", "seed", "batch")
 
 
 def _setting(config: Any, name: str) -> Any:
-    """The value of an option in a run's configuration; None where its method has no such thing."""
+    """The value of an option in a run's configuration; None if its method does not have it."""
     holder = getattr(config, "densification", None) if name == "max_gaussians" else config
     return getattr(holder, name, None)
 
 
-def _output(command: Train) -> Path:
-    """The run's folder."""
-    folder = command.scene.parent if command.scene.is_file() else command.scene
-    return command.output or Path("runs") / f"{folder.resolve().name}-{command.method}"
-
-
-def _say_what_next(command: Train, output: Path, progress: TrainingProgress) -> None:
-    """How to go on with an unfinished run, or what to do with a finished one."""
+def _print_next(command: Train, output: Path, progress: TrainingProgress) -> None:
+    """Print how to resume an unfinished run, or what to do with a finished one."""
     if progress.unfinished:
         go_on = shlex.join(
             ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
@@ -206,26 +195,20 @@ def _say_what_next(command: Train, output: Path, progress: TrainingProgress) -> 
     print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
 
 
-def _progress(command: Train, device: torch.device) -> TrainingProgress:
-    """The terminal's line, below the name of the GPU if one is used."""
-    from mrgs.system.gpu import HOST
-
-    note_gpu(device)
-    return TrainingProgress(compiles=device == HOST and not command.plain)
-
-
-def _live_view(command: Train, output: Path) -> LiveView | AbstractContextManager[None]:
+@contextmanager
+def _live_view(command: Train, output: Path) -> Iterator[LiveView | None]:
     """The view of the training, if it is asked for."""
     if not command.view:
-        return nullcontext()
-
+        yield None
+        return
     from mrgs.viewer import LiveView
 
-    return LiveView(output, port=command.port, on_ready=print_viewer_address)
+    with LiveView(output, port=command.port, on_ready=print_viewer_address) as live:
+        yield live
 
 
 def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
-    """What ``train`` calls: the terminal's line, and the view if there is one."""
+    """Callbacks of ``train``: the terminal's line, and the view if there is one."""
     if live is None:
         return {"on_start": progress.start, "on_step": progress.step}
 
@@ -238,3 +221,50 @@ def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
         return progress.step(statistics)
 
     return {"on_start": on_start, "on_model": live.on_model, "on_step": on_step}
+
+
+def _train_in_blocks(command: Train, folder: RunFolder, config: Any, device: DeviceName) -> None:
+    """Train what is left, and join the blocks if all are finished."""
+    from mrgs.blocks.plan import BlockOptions
+    from mrgs.blocks.train import BlockTraining
+    from mrgs.data import load_scene
+    from mrgs.method.config import TrainConfig
+    from mrgs.runs.registry import Method, find_method
+
+    assert command.blocks is not None
+    if not isinstance(config, TrainConfig) or find_method(command.method).train is not Method.train:
+        raise ConfigError(f"{command.method} cannot be trained in blocks: leave --blocks out")
+    training = BlockTraining(
+        load_scene(command.scene, resolution=config.resolution, seed=config.seed),
+        folder,
+        config,
+        BlockOptions(command.blocks, command.overlap),
+        device,
+        command.plain,
+        _follow_block,
+        lambda line: print(line, flush=True),
+    )
+    if command.block is None:
+        training.train_all()
+    else:
+        training.train_block(command.block)
+    quoted = shlex.quote(str(folder.path))
+    if left := training.unfinished():
+        numbers = ", ".join(map(str, left))
+        print(f"blocks left: {numbers}; they are joined by the same command without --block")
+    elif command.block is not None:
+        print("all blocks are trained; run again without --block to join them")
+    else:
+        print(f"run:  {folder.path}\nnext: mrgs eval {quoted}\n      mrgs export {quoted}")
+
+
+@contextmanager
+def _follow_block(title: str) -> Iterator[Mapping[str, Any]]:
+    """Show a training; ends the command if it was interrupted."""
+    print(f"{title}:", flush=True)
+    progress = TrainingProgress()
+    with progress:
+        yield {"on_start": progress.start, "on_step": progress.step}
+    if progress.unfinished:
+        print("checkpoint saved; re-run the same command to resume", file=progress.sink)
+        raise Interrupted

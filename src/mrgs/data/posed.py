@@ -51,22 +51,6 @@ def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
     return info
 
 
-class _Reading:
-    """How many photos this process has read."""
-
-    photos = 0
-
-
-def photos_read() -> int:
-    """How many photos this process has read so far, for whoever shows what it is doing."""
-    return _Reading.photos
-
-
-def count_photo() -> None:
-    """Count one more photo as read."""
-    _Reading.photos += 1
-
-
 def posed_image(
     source: ImageSource,
     decoder: Decoder,
@@ -153,7 +137,6 @@ def _load(
 ) -> Pixels:
     """The image, decoded at least so wide, and made smaller where that is wider than ``size``."""
     decoded, valid = decoder(source.path, least_width)
-    count_photo()
     values = decoded
     share = 1 if least_width is None else _share(values, source.lens)
     lens = source.lens.resized(source.lens.width // share, source.lens.height // share)

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrgs.data.posed import count_photo
 from mrgs.errors import SceneError
 from mrgs.scene import Camera, PosedImage, Scene
 from mrgs.system.wording import listed
@@ -104,7 +103,6 @@ def _digest_of(image: PosedImage) -> str:
     digest = hashlib.sha256()
     for content in _contents(image):
         digest.update(hashlib.sha256(content).digest())
-    count_photo()
     return digest.hexdigest()
 
 
