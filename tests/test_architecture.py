@@ -179,7 +179,7 @@ def test_only_the_command_line_prints():
 OTHER_PROGRAMS = {
     "system/gpu.py": "pip's options",
     "data/radiometric/dji.py": "dji_irp's options",
-    "prepare/colmap/__main__.py": "started by prepare alone",
+    "prepare/sfm/__main__.py": "started by prepare alone",
 }
 
 

@@ -18,7 +18,7 @@ from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
 from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.report import RunFacts
 from mrgs.pictures.sheet import HEADING_PX, MARGIN_PX
-from mrgs.scene import RGB, THERMAL, Reach, Rendering, TemperatureRange, View, evenly_spaced
+from mrgs.scene import RGB, THERMAL, Rendering, SceneBounds, TemperatureRange, View, evenly_spaced
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.views import CELSIUS, ramp_view, render_with_error, rendering_of
 
@@ -88,7 +88,7 @@ def test_the_background_is_infinitely_far() -> None:
     view = ramp_view()
     rendering = render_with_error(view)
     rendering[RGB].depth[:5] = 900.0
-    ball = Reach(view.images[RGB].camera.position, 10.0)
+    ball = SceneBounds(view.images[RGB].camera.position, 10.0)
     row = ViewImages.of(view, rendering, None, ball)
     assert np.isinf(row.depth[:5]).all()
     assert (row.depth[5:] == 2).all()

@@ -17,9 +17,9 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from mrgs.data.lens import Lens
+from mrgs.prepare.rig.adjust import rigid_motion
 from mrgs.prepare.rig.contract import RigCalibration, RigPair
-from mrgs.prepare.rig.model import rigid_motion
-from mrgs.prepare.rig.warp import thermal_rays
+from mrgs.prepare.rig.refine import thermal_rays
 from mrgs.scene import Camera, Pixels, PointCloud, PosedImage
 
 RGB = Lens(320, 240, 230.0, 230.0, 160.0, 120.0)

@@ -8,7 +8,7 @@ from mrgs.field.heat import nearest_neighbours as nearest_neighbours_plain
 from mrgs.field.heat import neighbour_distances
 from mrgs.kernels.neighbours import cpu
 from mrgs.kernels.neighbours.cpu import nearest_neighbours
-from mrgs.scene import crowds
+from mrgs.scene.point_cloud import CROWDED
 from mrgs.system.operation import plainly
 
 
@@ -37,7 +37,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("k", [1, 8, 60, 299])
 def test_points_at_crowded_places_have_their_nearest_neighbours(k):
-    points = crowded_points(crowds.CROWDED + 50)
+    points = crowded_points(CROWDED + 50)
     found = nearest_neighbours(points, k)
     with plainly():
         expected = nearest_neighbours_plain(points, k)
@@ -56,7 +56,7 @@ def test_no_tree_holds_a_crowd(flat, searched):
     nearest_neighbours(points, 8)
     (kept,) = searched
     assert len(kept) == 4000 + 8 + 1
-    assert np.unique(kept, axis=0, return_counts=True)[1].max() <= crowds.CROWDED
+    assert np.unique(kept, axis=0, return_counts=True)[1].max() <= CROWDED
 
 
 def test_a_few_points_at_one_place_are_searched_as_all_others(searched):

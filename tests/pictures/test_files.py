@@ -20,7 +20,7 @@ from mrgs.pictures.files import (
     write_scaled_png,
 )
 from mrgs.pictures.palette import palette_table
-from mrgs.scene import RGB, THERMAL, Blend, Reach, Rendering, View
+from mrgs.scene import RGB, THERMAL, Blend, Rendering, SceneBounds, View
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.views import CELSIUS, ramp_view, render_with_error, rendering_of
 
@@ -132,7 +132,7 @@ def test_the_sky_does_not_count_in_a_depth_picture_but_is_in_the_file(tmp_path: 
     shown[RGB].depth[6:9] = 2.5
     camera = replace(view.images[RGB].camera, width=16, height=12)
     view = View("v1", {RGB: replace(view.images[RGB], camera=camera)})
-    write_rendering(tmp_path, view, shown, None, ball=Reach(camera.position, 10.0))
+    write_rendering(tmp_path, view, shown, None, ball=SceneBounds(camera.position, 10.0))
     assert read_float_tiff(tmp_path / "depth_rgb/v1.tiff").max() == 900
     with Image.open(tmp_path / "depth_rgb/v1.png") as image:
         pixels = np.asarray(image)

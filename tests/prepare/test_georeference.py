@@ -16,8 +16,8 @@ from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Georeference, Reconstruction
 from mrgs.prepare.georeference import apply, georeference
+from mrgs.prepare.gps import centres, up_of_cameras
 from mrgs.prepare.known_distance import KnownDistance
-from mrgs.prepare.levelling import centres, up_of_cameras
 from mrgs.scene import EarthPosition, PointCloud, WorldFrame
 
 LENS = Lens(400, 300, 300.0, 300.0, 200.0, 150.0, (-0.1, 0.02, 0.0, 0.0))

@@ -18,7 +18,7 @@ from mrgs.prepare.contract import (
     StageSummary,
 )
 from mrgs.prepare.rig.contract import RigCalibration, RigView, TargetFit
-from mrgs.prepare.summary import (
+from mrgs.prepare.stages import (
     summarize_pairs,
     summarize_photos,
     summarize_poses,

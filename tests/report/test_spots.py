@@ -16,8 +16,8 @@ from mrgs.scene import (
     Camera,
     Pixels,
     PosedImage,
-    Reach,
     Rendering,
+    SceneBounds,
     TemperatureRange,
     View,
 )
@@ -110,7 +110,7 @@ def test_a_spot_lies_where_its_view_shows_its_value():
 
 
 def test_what_lies_far_behind_the_scene_is_no_spot():
-    ball = Reach(torch.tensor([*HOT, 0.0]).double(), 0.11)
+    ball = SceneBounds(torch.tensor([*HOT, 0.0]).double(), 0.11)
     hottest, coldest = find_spots(views(), plane().render, ball=ball)
     assert hottest[0].value == pytest.approx(0.9, abs=0.01)
     assert all(spot.value > 0.4 for spot in coldest)

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from mrgs.scene import Camera
-from mrgs.scene.overview import best_view
+from mrgs.scene.preview import best_view
 
 POINTS = torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (500, 3)))
 K = torch.tensor([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]], dtype=torch.float64)

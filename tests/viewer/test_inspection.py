@@ -12,7 +12,7 @@ from PIL import Image
 from mrgs.errors import ConfigError, RunError
 from mrgs.rasterizer.dilation import Dilation
 from mrgs.runs.open import load_run
-from mrgs.scene import RGB, THERMAL, Reach, Scene
+from mrgs.scene import RGB, THERMAL, Scene, SceneBounds
 from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.training import make_config, train
 from mrgs.viewer import texts
@@ -47,8 +47,8 @@ class SceneUpTo(Scene):
     radius: float = 1.0
 
     @property
-    def reach(self) -> Reach:
-        return Reach(torch.zeros(3, dtype=torch.float64), self.radius)
+    def reach(self) -> SceneBounds:
+        return SceneBounds(torch.zeros(3, dtype=torch.float64), self.radius)
 
 
 def test_the_background_does_not_count_on_the_scale_of_the_depth(subject, camera):

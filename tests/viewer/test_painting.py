@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from mrgs.pictures.palette import palette_table
-from mrgs.scene import THERMAL, Reach
+<<<<<<< HEAD
+from mrgs.scene import THERMAL, SceneBounds
+=======
+from mrgs.scene import THERMAL, SceneBounds
+from mrgs.viewer.fields import PaneImages, difference
+from mrgs.viewer.layout import Pane
+>>>>>>> d2a78e5b (Files of preparation and scene that one reader has are folded into it)
 from mrgs.viewer.painting import (
     ISOTHERM_COLOR,
     ISOTHERM_ON_RAINBOW,
@@ -78,7 +84,7 @@ def test_near_is_light(camera):
 def test_the_sky_does_not_count_on_the_scale_of_the_depth(camera):
     pane, fields = Pane("depth", (), camera), heat()
     fields.depth[:, :80] = 900.0
-    ball = Reach(camera.position, 10.0)
+    ball = SceneBounds(camera.position, 10.0)
     assert measure_scales([pane], [fields], Settings(), RANGE).depth.low == 900
     scales = measure_scales([pane], [fields], Settings(), RANGE, ball)
     assert scales.depth.low < 4

@@ -18,7 +18,7 @@ from mrgs.method.density import (
 )
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
-from mrgs.scene import Gaussians, Reach
+from mrgs.scene import Gaussians, SceneBounds
 
 EXTENT = 3.0
 """A Gaussian reaches so many of its largest standard deviations."""
@@ -39,7 +39,7 @@ class Part:
     plane: ScenePlane
     region: Region | Ring
     counted: Region | Ring
-    reach: Reach
+    reach: SceneBounds
     extent: float = EXTENT
 
     def contains(self, points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mrgs.data.files import MAX_MAGNITUDE, scene_error
-from mrgs.scene.camera_matrices import (
+from mrgs.scene.rotations import (
+    OPENGL_FROM_OPENCV,
     ORTHONORMAL_TOLERANCE,
     ends_in_last_row,
+    matrix_from_quaternion,
     nearest_rotations,
+    rigid_transform,
 )
-from mrgs.scene.rotations import OPENGL_FROM_OPENCV, matrix_from_quaternion, rigid_transform
 from mrgs.system.wording import shown
 
 

@@ -23,8 +23,8 @@ from mrgs.scene import (
     THERMAL,
     Modality,
     Pixels,
-    Reach,
     Rendering,
+    SceneBounds,
     TemperatureRange,
     View,
     evenly_spaced,
@@ -62,7 +62,7 @@ class ViewImages:
         view: View,
         rendering: Rendering,
         temperature: TemperatureRange | None,
-        ball: Reach | None = None,
+        ball: SceneBounds | None = None,
         depth_of: Modality | None = None,
     ) -> ViewImages:
         """The images of a view with its photos, and of a rendering that is compared with them.

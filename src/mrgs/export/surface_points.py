@@ -19,7 +19,7 @@ from mrgs.export.splats import to_bytes, value_names
 from mrgs.pictures.files import to_array
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, Camera, Modality, Reach, Scene
+from mrgs.scene import RGB, Camera, Modality, Scene, SceneBounds
 from mrgs.scene.depth_map import (
     MAX_STEP,
     MIN_ALPHA,
@@ -69,7 +69,7 @@ def value_columns(
     return columns
 
 
-def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: Reach) -> DepthMap:
+def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: SceneBounds) -> DepthMap:
     """The depth of the surface that a pixel of one modality shows, and the values of all."""
     rendering = baked.render(camera, surface)
     depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)

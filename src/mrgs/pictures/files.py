@@ -13,7 +13,7 @@ from torch import Tensor
 from mrgs.pictures.drawing import Scale, blank, scale_bar
 from mrgs.pictures.palette import PaletteName, colorize, display_range
 from mrgs.pictures.values import folder_of_values, full_scale, in_unit
-from mrgs.scene import Modality, PosedImage, Reach, Rendering, TemperatureRange, View
+from mrgs.scene import Modality, PosedImage, Rendering, SceneBounds, TemperatureRange, View
 from mrgs.scene.preview import to_rgb8
 from mrgs.system.atomic import replacing
 
@@ -27,7 +27,7 @@ def write_rendering(
     rendering: Rendering,
     temperature: TemperatureRange | None,
     palette: PaletteName = "inferno",
-    ball: Reach | None = None,
+    ball: SceneBounds | None = None,
 ) -> list[Path]:
     """Write all images of one view; returns the paths.
 
@@ -72,7 +72,7 @@ def write_rendering(
 
 
 def shown_depth(
-    depth: Float[Tensor, "h w"], image: PosedImage | None, ball: Reach | None
+    depth: Float[Tensor, "h w"], image: PosedImage | None, ball: SceneBounds | None
 ) -> Float[np.ndarray, "h w"]:
     """The depth as pictures show it: infinite where it is the background's, which would take up the
     whole scale.

@@ -15,7 +15,7 @@ from mrgs.pipeline.ledger import LEDGER
 from mrgs.pipeline.plan import QUALITIES, Monitor, PipelinePlan, PlannedStage, Quality
 from mrgs.pipeline.stages import Job, Report, Stage
 from mrgs.prepare.options import PrepareOptions
-from mrgs.prepare.sfm.process import check_version, installed_version
+from mrgs.prepare.sfm.reconstruct import check_version, installed_version
 from mrgs.scene import THERMAL
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName

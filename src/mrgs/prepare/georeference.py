@@ -12,9 +12,8 @@ import torch
 
 from mrgs.data.radiometric import GpsPosition
 from mrgs.prepare.contract import Georeference, Reconstruction
-from mrgs.prepare.gps import UnusableGpsError, place_by_gps
+from mrgs.prepare.gps import UnusableGpsError, levelled, place_by_gps
 from mrgs.prepare.known_distance import KnownDistance, length_of
-from mrgs.prepare.levelling import levelled
 from mrgs.prepare.similarity import Similarity
 from mrgs.scene import PointCloud, WorldFrame
 

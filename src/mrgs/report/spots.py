@@ -32,8 +32,13 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import label
 
+<<<<<<< HEAD
 from mrgs.marks.photo_survey import square_about
-from mrgs.scene import THERMAL, Camera, Reach, Rendering, View, evenly_spaced
+from mrgs.scene import THERMAL, Camera, SceneBounds, Rendering, View, evenly_spaced
+=======
+from mrgs.marks.resolution import square_about
+from mrgs.scene import THERMAL, Camera, Rendering, SceneBounds, View, evenly_spaced
+>>>>>>> d2a78e5b (Files of preparation and scene that one reader has are folded into it)
 
 VIEWS = 60
 """Number of views that are surveyed, evenly spaced over those given."""
@@ -166,7 +171,7 @@ def find_spots(
     views: Sequence[View],
     render: Renderer,
     count: int = 3,
-    ball: Reach | None = None,
+    ball: SceneBounds | None = None,
     judged: Sequence[Float[np.ndarray, "_ 3"]] = (),
 ) -> tuple[list[Spot], list[Spot]]:
     """The hottest and the coldest spots, at most ``count`` of each, the most extreme first.
@@ -196,7 +201,7 @@ def find_spots(
 
 
 def _survey(
-    views: Sequence[View], chosen: Sequence[int], render: Renderer, ball: Reach | None
+    views: Sequence[View], chosen: Sequence[int], render: Renderer, ball: SceneBounds | None
 ) -> _Points | None:
     """Step 1: the surface points of the chosen views; None if there are none."""
     parts, images = [], {}
@@ -227,7 +232,7 @@ def _survey(
 
 
 def _inner_depth(
-    rendering: Rendering, camera: Camera, ball: Reach | None
+    rendering: Rendering, camera: Camera, ball: SceneBounds | None
 ) -> Float[torch.Tensor, "h w"]:
     """z-depth of the surfaces, NaN beside outlines and near the sky."""
     solid = rendering.surface_depth(THERMAL, SURFACE_ALPHA).double()

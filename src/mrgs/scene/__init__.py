@@ -15,7 +15,7 @@ from mrgs.scene.modality import (
     register_modality,
 )
 from mrgs.scene.point_cloud import PointCloud
-from mrgs.scene.reach import Reach, reach
+from mrgs.scene.radiometry import TemperatureRange
 from mrgs.scene.rendering import (
     NOT_COARSER,
     Blend,
@@ -24,9 +24,8 @@ from mrgs.scene.rendering import (
     ideal_cameras,
 )
 from mrgs.scene.scene import Scene
-from mrgs.scene.temperature import TemperatureRange
 from mrgs.scene.view import Pixels, PosedImage, View, evenly_spaced
-from mrgs.scene.world import EarthPosition, WorldFrame
+from mrgs.scene.world import EarthPosition, SceneBounds, WorldFrame
 
 __all__ = [
     "BUILT_IN",
@@ -43,9 +42,9 @@ __all__ = [
     "Pixels",
     "PointCloud",
     "PosedImage",
-    "Reach",
     "Rendering",
     "Scene",
+    "SceneBounds",
     "TemperatureRange",
     "View",
     "WorldFrame",
@@ -55,6 +54,5 @@ __all__ = [
     "known_modalities",
     "metric_first",
     "modality_named",
-    "reach",
     "register_modality",
 ]

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from mrgs.scene.arrays import Array, as_finite, as_floats, as_whole
-from mrgs.scene.camera_matrices import checked_intrinsics, checked_pose
+from mrgs.scene.rotations import checked_intrinsics, checked_pose
 
 MIN_DEPTH = 1e-6
 """Scene units; a point nearer to the plane through the camera's centre may lie on either side of
@@ -124,11 +124,11 @@ class Camera:
             )
         return self._tensors[device, dtype]
 
-    def stand_in(self) -> Camera:
-        """A copy with ``tensors`` of its own, for ``take_place_of``."""
+    def recording_copy(self) -> Camera:
+        """A copy with ``tensors`` of its own, for ``copy_numbers_from``."""
         return Camera(self.K, self.viewmat, self.width, self.height)
 
-    def take_place_of(self, other: Camera) -> None:
+    def copy_numbers_from(self, other: Camera) -> None:
         """Have the ``tensors`` that were asked of this camera, and of its ``resized`` ones, hold
         another's numbers: what a GPU has recorded reads these tensors. All else stays as it is.
 
@@ -139,7 +139,7 @@ class Camera:
             for tensor, value in zip(tensors, other.tensors(device, dtype), strict=True):
                 tensor.copy_(value)
         for size, resized in self._resized.items():
-            resized.take_place_of(other.resized(*size))
+            resized.copy_numbers_from(other.resized(*size))
 
     @property
     def position(self) -> Float64[Tensor, "3"]:

@@ -17,8 +17,13 @@ from mrgs.scene.arrays import Array, as_tensor
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import RGB, THERMAL, Modality
 from mrgs.scene.point_cloud import GREY, PointCloud
-from mrgs.scene.radiometry import COLDEST_C, HOTTEST_C
-from mrgs.scene.temperature import ZERO_CELSIUS_K, TemperatureRange, are_everyday
+from mrgs.scene.radiometry import (
+    COLDEST_C,
+    HOTTEST_C,
+    ZERO_CELSIUS_K,
+    TemperatureRange,
+    are_everyday,
+)
 from mrgs.scene.view import Pixels, PosedImage, View
 from mrgs.system.callers import warn
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32, Float64, Int64
 from torch import Tensor
 
 from mrgs.scene.camera import Camera
@@ -93,3 +94,33 @@ def _looking_depth(cameras: Sequence[Camera]) -> float:
         if depth > 0.1 * spread:
             return depth
     return 2 * spread if spread > 1e-6 else 1.0
+
+
+CROWDED = 1_000
+"""Largest number of coincident points that are still compared with each other."""
+
+
+def coincident_points(
+    points: Float64[np.ndarray, "n 3"], kept: int, most: int = CROWDED
+) -> list[Int64[np.ndarray, "_"]]:
+    """Indices of the points at each position that more than ``max(most, kept)`` points share.
+
+    A k-d tree cannot divide coincident points, and would compare each with all of them.
+
+    Args:
+        points: at least one.
+        kept: number of the points at a position that the caller keeps.
+        most: number of coincident points that are still fast.
+    """
+    most = max(most, kept)
+    if np.unique(points[:, 0], return_counts=True)[1].max() <= most:  # much faster than all axes
+        return []
+    _, place, counts = np.unique(points, axis=0, return_inverse=True, return_counts=True)
+    by_place, ends = np.argsort(place.ravel(), kind="stable"), np.cumsum(counts)
+    crowded = np.flatnonzero(counts > most)
+    return [by_place[ends[each] - counts[each] : ends[each]] for each in crowded]
+
+
+def spare_points(crowded: Sequence[Int64[np.ndarray, "_"]], kept: int) -> Int64[np.ndarray, " s"]:
+    """All ``coincident_points`` but the first ``kept`` at each position."""
+    return np.concatenate([np.empty(0, np.int64), *(crowd[kept:] for crowd in crowded)])

@@ -6,9 +6,12 @@ import io
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from jaxtyping import Float, UInt8
 from PIL import Image
 from torch import Tensor
+
+from mrgs.scene.camera import Camera
 
 
 def preview_png(images: Sequence[Float[Tensor, "_ _ _"]]) -> bytes:
@@ -41,3 +44,29 @@ def to_rgb8(image: Float[Tensor, "h w c"]) -> UInt8[np.ndarray, "h w 3"]:
     if values.shape[2] != 3:
         values = np.repeat(values.mean(axis=2, keepdims=True), 3, axis=2)
     return np.rint(values * 255).astype(np.uint8)
+
+
+NEARLY_AS_MUCH = 0.02
+"""Views that show less of the points by at most this share are as good as the best one."""
+
+MOST_POINTS = 5000
+
+
+def best_view(cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> int:
+    """Index of the camera that has most of a scene in its image; of several that have as much, the
+    one that has the middle of the scene nearest to its axis.
+
+    Args:
+        cameras: at least one.
+        points: of the scene's surfaces, world coordinates, at least one.
+    """
+    points = points[:: max(1, len(points) // MOST_POINTS)].double()
+    middle = points.median(dim=0).values
+    shares, turns = [], []
+    for camera in cameras:
+        pixels, _ = camera.project(points)
+        shares.append(camera.contains(pixels).double().mean())
+        towards = torch.nn.functional.normalize(middle - camera.position, dim=0)
+        turns.append(towards @ camera.forward)
+    share, turn = torch.stack(shares), torch.stack(turns)
+    return int(torch.where(share >= share.max() - NEARLY_AS_MUCH, turn, -2.0).argmax())

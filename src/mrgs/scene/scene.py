@@ -22,11 +22,9 @@ from mrgs.scene.from_arrays import (
 )
 from mrgs.scene.modality import THERMAL, Modality, in_order
 from mrgs.scene.point_cloud import PointCloud, random_points
-from mrgs.scene.radiometry import PhotoRecord
-from mrgs.scene.reach import Reach, reach
-from mrgs.scene.temperature import TemperatureRange
+from mrgs.scene.radiometry import PhotoRecord, TemperatureRange
 from mrgs.scene.view import PosedImage, View
-from mrgs.scene.world import WorldFrame
+from mrgs.scene.world import SceneBounds, WorldFrame
 
 STILL_CAMERAS = 1e-3
 """Cameras that stay within this share of the distance to what they see count as standing still."""
@@ -148,9 +146,9 @@ class Scene:
         return extent if extent > STILL_CAMERAS * distance else distance
 
     @property
-    def reach(self) -> Reach:
-        """How far it reaches; there must be start points."""
-        return reach(self.points.positions, self.train_cameras)
+    def reach(self) -> SceneBounds:
+        """Its bounds; there must be start points."""
+        return SceneBounds.of(self.points.positions, self.train_cameras)
 
     @property
     def views(self) -> tuple[View, ...]:

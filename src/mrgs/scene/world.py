@@ -1,10 +1,18 @@
-"""What is known of a scene's world frame: whether its unit is the metre, and where on Earth it
-lies."""
+"""The world of a scene: its frame, and its bounds, behind which photos show the background."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Float64
+from torch import Tensor
+
+from mrgs.scene.arrays import constant
+from mrgs.scene.camera import Camera
 
 
 class EarthPosition(NamedTuple):
@@ -42,3 +50,49 @@ class WorldFrame:
     def length_unit(self) -> str:
         """``m``, or ``scene units``."""
         return "m" if self.metric else "scene units"
+
+
+FARTHEST_SHARE = 0.99
+"""Share of the start points, the nearest ones, inside the bounds: the others may be strays."""
+
+TIMES_AS_FAR = 8.0
+"""Distance of the background in radii of the scene: it must not shift against the scene as the
+camera moves from photo to photo."""
+
+
+class SceneBounds(NamedTuple):
+    """A sphere around the cameras and nearly all start points.
+
+    Attributes:
+        centre: of the cameras, world coordinates, [3].
+        radius: scene units.
+    """
+
+    centre: Float64[Tensor, "3"]
+    radius: float
+
+    @classmethod
+    def of(cls, points: Float[Tensor, "n 3"], cameras: Sequence[Camera]) -> SceneBounds:
+        """The bounds of start points [N, 3] and training cameras, at least one of each."""
+        places = torch.stack([camera.position for camera in cameras])
+        centre = places.mean(dim=0)
+        distances = (points.double() - centre).norm(dim=1)
+        farthest = distances.kthvalue(math.ceil(FARTHEST_SHARE * len(distances))).values
+        return cls(centre, torch.maximum(farthest, (places - centre).norm(dim=1).max()).item())
+
+    @property
+    def background_distance(self) -> float:
+        """Distance of the background from the centre, scene units."""
+        return TIMES_AS_FAR * self.radius
+
+    def is_background(self, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
+        """Whether points of the world, [..., 3], are nearer to the background than to the scene;
+        NaN does not."""
+        centre = constant(tuple(self.centre.tolist()), points)
+        return (points - centre).norm(dim=-1) > (self.background_distance + self.radius) / 2
+
+    def without_background(
+        self, camera: Camera, depth: Float[Tensor, "h w"]
+    ) -> Float[Tensor, "h w"]:
+        """A camera's z-depths in scene units, infinite where they are those of the background."""
+        return torch.where(self.is_background(camera.unproject_image(depth)), torch.inf, depth)

@@ -216,7 +216,9 @@ class _Recording:
         self._weights: dict[str, float | Tensor] = dict(inputs.weights)
         self.inputs = inputs._replace(
             number=inputs.number.clone(),
-            cameras={modality: camera.stand_in() for modality, camera in inputs.cameras.items()},
+            cameras={
+                modality: camera.recording_copy() for modality, camera in inputs.cameras.items()
+            },
             photos={
                 modality: change_each(pixels, Tensor.clone)
                 for modality, pixels in inputs.photos.items()
@@ -245,7 +247,7 @@ class _Recording:
         own = self.inputs
         own.number.copy_(inputs.number)
         for modality, camera in own.cameras.items():
-            camera.take_place_of(inputs.cameras[modality])
+            camera.copy_numbers_from(inputs.cameras[modality])
         for modality, pixels in own.photos.items():
             given = inputs.photos[modality]
             pixels.values.copy_(given.values)

@@ -20,7 +20,7 @@ from mrgs.pictures.stage import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene
-from mrgs.scene.overview import best_view
+from mrgs.scene.preview import best_view
 from mrgs.system.callers import warn
 from mrgs.viewer.board import Appraiser, CachedMeter, MarkBoard
 from mrgs.viewer.cameras import camera_around

@@ -13,8 +13,14 @@ from PIL import Image
 from mrgs.pictures.drawing import Scale, blank
 from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.values import full_scale, unit_of
-from mrgs.scene import Camera, Modality, Reach, TemperatureRange
+<<<<<<< HEAD
+from mrgs.scene import Camera, Modality, SceneBounds, TemperatureRange
 from mrgs.viewer.panes import Pane, PaneImages
+=======
+from mrgs.scene import Camera, Modality, SceneBounds, TemperatureRange
+from mrgs.viewer.fields import PaneImages
+from mrgs.viewer.layout import Pane
+>>>>>>> d2a78e5b (Files of preparation and scene that one reader has are folded into it)
 from mrgs.viewer.settings import Settings, in_kelvin
 
 ISOTHERM_COLOR = (0, 230, 118)
@@ -60,7 +66,7 @@ def measure_scales(
     images: Sequence[PaneImages],
     settings: Settings,
     temperature: TemperatureRange | None,
-    ball: Reach | None = None,
+    ball: SceneBounds | None = None,
 ) -> Scales:
     """The scales that suit a picture: the limits that the user has set, else percentiles of what is
     seen; intensities are always shown from 0 to 1.
@@ -120,7 +126,7 @@ def _scale_of(
 
 
 def _scene_depth(
-    camera: Camera, depth: Float[np.ndarray, "h w"], ball: Reach | None
+    camera: Camera, depth: Float[np.ndarray, "h w"], ball: SceneBounds | None
 ) -> Float[np.ndarray, "h w"]:
     """The depth, infinite where it is the background's."""
     if ball is None:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from mrgs.method.start.distant_points import SPACING_RAD, distant_points
 from mrgs.scene import Camera
-from mrgs.scene.reach import TIMES_AS_FAR
+from mrgs.scene.world import TIMES_AS_FAR
 
 
 def camera_towards(angle: float, distance: float = 0.0) -> Camera:

@@ -15,8 +15,14 @@ from mrgs.check.problem import views_text
 from mrgs.data.lens import Lens
 from mrgs.pictures.palette import round_down
 from mrgs.prepare.page.cameras import lens_text
-from mrgs.prepare.page.overlay import EDGE_COLOR, edge_layer, thermal_overlay
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
+from mrgs.prepare.page.pairs import (
+    EDGE_COLOR,
+    MOST_SHOWN,
+    edge_layer,
+    pairs,
+    thermal_overlay,
+    thumbnail_width,
+)
 from mrgs.prepare.page.previews import Preview, PreviewImage
 from mrgs.prepare.page.temperatures import histogram, spread_chart, temperature_spread
 from mrgs.prepare.page.world import frustum_size, orbit_facts, plans, world_of

@@ -8,8 +8,17 @@ import torch
 
 from mrgs.data.lens import Lens
 from mrgs.prepare.rig import adjust as adjust_module
-from mrgs.prepare.rig.adjust import Observations, Prior, adjust, aimed, pixel_sigma
-from mrgs.prepare.rig.model import MOTION, ThermalCameras, lens_parameters, project
+from mrgs.prepare.rig.adjust import (
+    MOTION,
+    Observations,
+    Prior,
+    ThermalCameras,
+    adjust,
+    aimed,
+    lens_parameters,
+    pixel_sigma,
+    project,
+)
 
 LENS = Lens(640, 480, 640.0, 641.0, 312.0, 250.0, (-0.2, 0.1, 0.0, 0.0))
 VIEWS, PER_VIEW, NOISE_PX = 8, 60, 0.3

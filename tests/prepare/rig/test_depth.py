@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from mrgs.prepare.rig.depth import STEP_PX, inverse_depth
+from mrgs.prepare.rig.images import STEP_PX, inverse_depth
 from mrgs.scene import Camera
 
 CAMERA = Camera(

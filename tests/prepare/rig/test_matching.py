@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
+from mrgs.prepare.rig.images import structure
 from mrgs.prepare.rig.matching import Masked, Patches, match, whole_displacement
-from mrgs.prepare.rig.structure import structure
 
 PATCHES = Patches(sigma=12, spacing=12, reach=4)
 IMAGE = gaussian_filter(np.random.default_rng(3).uniform(size=(120, 160)), 3.0)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrgs.data.lens import Lens
-from mrgs.prepare.rig.model import (
+from mrgs.prepare.rig.adjust import (
     LENS,
     POSE,
     ThermalCameras,

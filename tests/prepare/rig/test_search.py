@@ -5,8 +5,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from mrgs.prepare.rig.depth import InverseDepth
-from mrgs.prepare.rig.images import Plane, ReducedPair
+from mrgs.prepare.rig.images import InverseDepth, Plane, ReducedPair
 from mrgs.prepare.rig.search import first_guess, focal_widths
 from mrgs.scene import Camera
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from mrgs.prepare.rig.structure import DIRECTIONS, structure
+from mrgs.prepare.rig.images import DIRECTIONS, structure
 
 IMAGE = gaussian_filter(np.random.default_rng(0).uniform(size=(60, 80)), 2.0)
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from mrgs.errors import SceneError
-from mrgs.prepare.rig.model import rigid_motion
+from mrgs.prepare.rig.adjust import rigid_motion
 from mrgs.prepare.rig.target.detect import Corners
 from mrgs.prepare.rig.target.localise import localise
 from mrgs.prepare.rig.target.sightings import Sighting

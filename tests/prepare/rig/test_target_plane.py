@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.prepare.rig.model import rigid_motion
+from mrgs.prepare.rig.adjust import rigid_motion
 from mrgs.prepare.rig.target.plane import homography, plane_pose, transformed
 
 PLANE = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2)

@@ -4,10 +4,9 @@ import numpy as np
 import torch
 
 from mrgs.data.lens import Lens
-from mrgs.prepare.rig.depth import STEP_PX, InverseDepth
-from mrgs.prepare.rig.images import Plane, ReducedPair
-from mrgs.prepare.rig.model import rigid_motion
-from mrgs.prepare.rig.warp import thermal_rays, warp
+from mrgs.prepare.rig.adjust import rigid_motion
+from mrgs.prepare.rig.images import STEP_PX, InverseDepth, Plane, ReducedPair
+from mrgs.prepare.rig.refine import thermal_rays, warp
 from mrgs.scene import Camera
 
 CAMERA = Camera(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mrgs.errors import ConfigError, RunError, SceneError
-from mrgs.prepare.sfm.process import check_version, installed_version, run_colmap
+from mrgs.prepare.sfm.reconstruct import check_version, installed_version, run_colmap
 
 
 def silent(step: str, done: int, of: int) -> None:

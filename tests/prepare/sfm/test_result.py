@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mrgs.errors import SceneError
-from mrgs.prepare.sfm.result import read_result
+from mrgs.prepare.sfm.reconstruct import read_result
 from mrgs.scene import RGB, THERMAL
 
 

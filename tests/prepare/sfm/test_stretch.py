@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mrgs.errors import SceneError
-from mrgs.prepare.sfm.stretch import CLIP, local_contrast, span_of, stretched
+from mrgs.prepare.sfm.working_folder import CLIP, local_contrast, span_of, stretched
 
 
 def save(path, celsius: np.ndarray):

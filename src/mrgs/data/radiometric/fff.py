@@ -13,7 +13,7 @@ import numpy as np
 
 from mrgs.data.files import scene_error
 from mrgs.errors import SceneError
-from mrgs.scene.temperature import ZERO_CELSIUS_K
+from mrgs.scene.radiometry import ZERO_CELSIUS_K
 
 SIGNATURES = (b"FFF\0", b"AFF\0")
 RAW_DATA, EMBEDDED_IMAGE, CAMERA_INFO, PICTURE_IN_PICTURE = 0x01, 0x0E, 0x20, 0x2A

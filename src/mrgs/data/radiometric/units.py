@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from mrgs.data.files import scene_error
 from mrgs.data.radiometric.photo import UNIT
-from mrgs.scene.temperature import ZERO_CELSIUS_K, are_everyday
+from mrgs.scene.radiometry import ZERO_CELSIUS_K, are_everyday
 
 _ENOUGH = 100_000
 """Number of pixels from which the unit is recognised."""

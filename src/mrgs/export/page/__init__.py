@@ -11,7 +11,7 @@ from mrgs.pictures.limits import starting_limits
 from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.pictures.stage import air_facts
 from mrgs.scene import THERMAL
-from mrgs.scene.overview import best_view
+from mrgs.scene.preview import best_view
 from mrgs.survey import SURVEY_FILE, read_survey
 
 __all__ = ["export", "write_page"]

@@ -8,7 +8,7 @@ from jaxtyping import Float, Float64, Int64
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from mrgs.scene.crowds import crowds, spare_points
+from mrgs.scene.point_cloud import coincident_points, spare_points
 
 
 def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n {k}"]:
@@ -27,7 +27,7 @@ def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n 
 def _nearest(points: Float64[np.ndarray, "n 3"], k: int) -> Int64[np.ndarray, "n {k}"]:
     """The k nearest other points of each, k < n. At a crowded place nobody needs more than k + 1
     points: the others there have the first k as their neighbours."""
-    crowded = crowds(points, k + 1)
+    crowded = coincident_points(points, k + 1)
     if not crowded:
         return _nearest_in_tree(points, k)
     kept = np.delete(np.arange(len(points)), spare_points(crowded, k + 1))

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from mrgs.errors import ConfigError
 from mrgs.method.losses.photometric import masked_mean
 from mrgs.method.losses.ssim import structural_similarity
-from mrgs.scene.temperature import TemperatureRange
+from mrgs.scene.radiometry import TemperatureRange
 from mrgs.system.limits import MOST_WEIGHT, require_within
 from mrgs.system.operation import operation
 

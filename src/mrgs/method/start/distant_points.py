@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
-from mrgs.scene import Camera, Reach, reach
+from mrgs.scene import Camera, SceneBounds
 
 CELLS_ACROSS = 24
 """A photo is divided into so many cells across, which are about square. A direction counts if its
@@ -66,7 +66,7 @@ def distant_points(
     """
     if not cameras or len(points) == 0:
         return DistantPoints(points[:0], 0.0)
-    ball = reach(points, cameras)
+    ball = SceneBounds.of(points, cameras)
     spacing = SPACING_RAD * ball.background_distance
     told = [(camera, _empty_cells(camera, points.double())) for camera in cameras]
     empty = [(camera, cells) for camera, cells in told if cells is not None]
@@ -128,7 +128,7 @@ def _grown(cells: Float[Tensor, "1 rows columns"]) -> Float[Tensor, "1 rows colu
 
 
 def _on_sphere(
-    camera: Camera, empty: Bool[Tensor, "rows columns"], ball: Reach
+    camera: Camera, empty: Bool[Tensor, "rows columns"], ball: SceneBounds
 ) -> Float64[Tensor, "k 3"]:
     """Where the rays through the middle of the cells meet the background, as directions from its
     centre."""

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from mrgs.scene import Camera, PosedImage, evenly_spaced
-from mrgs.scene.crowds import crowds, spare_points
+from mrgs.scene.point_cloud import coincident_points, spare_points
 
 PHOTOS = 64
 """At most so many photos are read, evenly spread."""
@@ -85,7 +85,7 @@ def with_neighbours_values(
     if unknown.all():
         return values
     known, places = values[~unknown].double().numpy(), positions[~unknown].double().numpy()
-    spare = spare_points(crowds(places, NEIGHBOURS), NEIGHBOURS)
+    spare = spare_points(coincident_points(places, NEIGHBOURS), NEIGHBOURS)
     known, places = np.delete(known, spare, axis=0), np.delete(places, spare, axis=0)
     tree = cKDTree(places)
     nearest = range(1, min(NEIGHBOURS, len(known)) + 1)

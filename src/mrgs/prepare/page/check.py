@@ -19,8 +19,7 @@ from mrgs.errors import MrgsWarning, SceneError
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.page.cameras import lens_rows
-from mrgs.prepare.page.overlay import thermal_overlay
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlay, thumbnail_width
 from mrgs.prepare.page.previews import Preview, preview_of_pixels
 from mrgs.prepare.page.temperatures import setting_rows, temperatures
 from mrgs.prepare.page.world import World, world_of

@@ -6,15 +6,120 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
+import torch
+from jaxtyping import Float, Float32, Int64, UInt8
 from PIL import Image
+from scipy.ndimage import gaussian_filter
+from torch import Tensor
 
+from mrgs.data.undistort import sampled
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import colorize, display_range
-from mrgs.prepare.page.overlay import edge_layer
 from mrgs.prepare.page.previews import Preview
-from mrgs.scene import THERMAL, Modality
+from mrgs.prepare.rig.images import STEP_PX, inverse_depth
+from mrgs.scene import THERMAL, Camera, Modality, PointCloud
+
+EDGE_COLOR = (0, 240, 255)
+_EDGE_LEVELS = 16
+_EDGE_BLUR_PX = 1.0
+_EDGE_SHARE = 0.12
+"""Share of the pixels, the steepest, that are candidates for an edge."""
+
+
+def thermal_overlay(
+    preview: Preview, points: PointCloud, visible: Int64[Tensor, " k"] | None = None
+) -> Float32[np.ndarray, "h w"] | None:
+    """The thermal image warped onto the grid of the view's first image, the photo; NaN outside of
+    the thermal image.
+
+    Each pixel of the photo is unprojected to the surface between the sparse points, and projected
+    from there into the thermal image. Occlusions are ignored.
+
+    Args:
+        preview: the view.
+        points: start points, in world coordinates.
+        visible: indices of those that the photo shows; None if not known.
+
+    Returns:
+        [H, W] of the photo's preview; None if the view has no pose, no thermal image or no other.
+    """
+    photo, thermal = next(iter(preview.images.values()), None), preview.images.get(THERMAL)
+    if photo is None or thermal is None or photo is thermal:
+        return None
+    if photo.camera is None or thermal.camera is None:
+        return None
+    camera = photo.camera
+    columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    depth = _depth(camera, columns, rows, points, visible)
+    world = camera.unproject(
+        torch.from_numpy(np.stack([columns, rows], axis=-1)), torch.from_numpy(depth)
+    )
+    pixels, _ = thermal.camera.project(world)
+    inside = thermal.camera.contains(pixels).numpy()
+    x, y = np.nan_to_num(pixels.numpy()).transpose(2, 0, 1)
+    values = sampled(thermal.pixels, np.where(inside, x, 0.0), np.where(inside, y, 0.0))
+    return np.where(inside, values, np.nan).astype(np.float32)
+
+
+def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
+    """The steepest edges of an image as thin lines on a transparent palette image."""
+    known = np.isfinite(values)
+    filled = np.where(known, values, np.median(values[known]) if known.any() else 0.0)
+    down, right = np.gradient(gaussian_filter(filled.astype(np.float64), _EDGE_BLUR_PX))
+    strength = np.hypot(down, right) * _inner(known)
+    ridge = _on_ridge(strength, down, right)
+    limit = np.quantile(strength, 1 - _EDGE_SHARE)
+    top = max(float(strength.max()), 1e-12)
+    opacity = np.where(ridge & (strength > limit), 0.35 + 0.65 * np.sqrt(strength / top), 0.0)
+    if strength.max() <= 0:
+        opacity[:] = 0
+    layer = Image.fromarray(_levels(opacity))
+    layer.putpalette(bytes(EDGE_COLOR) * _EDGE_LEVELS)
+    layer.info["transparency"] = bytes(
+        round(255 * level / (_EDGE_LEVELS - 1)) for level in range(_EDGE_LEVELS)
+    )
+    return layer
+
+
+def _levels(opacity: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    return np.rint(opacity.clip(0, 1) * (_EDGE_LEVELS - 1)).astype(np.uint8)
+
+
+def _inner(known: np.ndarray) -> np.ndarray:
+    """Mask of pixels whose surroundings are known: a border of valid pixels is no edge."""
+    return gaussian_filter(known.astype(np.float64), 2.0, mode="nearest") > 0.98
+
+
+def _on_ridge(
+    strength: Float[np.ndarray, "h w"],
+    down: Float[np.ndarray, "h w"],
+    right: Float[np.ndarray, "h w"],
+) -> np.ndarray:
+    """Where the strength is a maximum among both neighbours across the edge."""
+    across_rows = np.abs(down) > np.abs(right)
+    padded = np.pad(strength, 1)
+    vertical = np.maximum(padded[:-2, 1:-1], padded[2:, 1:-1])
+    horizontal = np.maximum(padded[1:-1, :-2], padded[1:-1, 2:])
+    return strength >= np.where(across_rows, vertical, horizontal)
+
+
+def _depth(
+    camera: Camera,
+    columns: Float[np.ndarray, "h w"],
+    rows: Float[np.ndarray, "h w"],
+    points: PointCloud,
+    visible: Int64[Tensor, " k"] | None,
+) -> Float[np.ndarray, "h w"]:
+    """Depth of each pixel's surface; the points' median depth where they are too few for one."""
+    positions = points.positions.double().numpy()
+    found = inverse_depth(positions, camera, None if visible is None else visible.numpy())
+    if found is not None:
+        return 1 / np.maximum(sampled(found.values, columns, rows, STEP_PX), 1e-9)
+    depths = camera.project(points.positions.double())[1]
+    ahead = depths[depths > 0]
+    return np.full(columns.shape, float(ahead.median()) if len(ahead) else 1.0)
+
 
 THUMBNAIL_PX, SMALL_THUMBNAIL_PX = 320, 240
 LARGE_UP_TO = 60

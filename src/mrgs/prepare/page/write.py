@@ -26,10 +26,14 @@ from mrgs.prepare.contract import (
     StageReport,
 )
 from mrgs.prepare.page.cameras import lens_rows, rig_facts
-from mrgs.prepare.page.measure import MeasuredPhoto, measured_photos
-from mrgs.prepare.page.overlay import thermal_overlay
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thumbnail_width
-from mrgs.prepare.page.previews import Preview, preview_of_files, preview_of_view
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlay, thumbnail_width
+from mrgs.prepare.page.previews import (
+    MeasuredPhoto,
+    Preview,
+    measured_photos,
+    preview_of_files,
+    preview_of_view,
+)
 from mrgs.prepare.page.temperatures import Temperatures, setting_rows, temperatures
 from mrgs.prepare.page.world import World, orbit_facts, plans, world_of
 from mrgs.prepare.work import Work

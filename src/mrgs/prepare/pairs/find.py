@@ -10,10 +10,9 @@ from typing import Literal
 from mrgs.data.files import scene_error
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
-from mrgs.prepare.pairs.cameras import check_cameras
-from mrgs.prepare.pairs.inventory import Inventory, take_inventory
+from mrgs.prepare.pairs.cameras import check_cameras, shifted
+from mrgs.prepare.pairs.inventory import Inventory, Photo, take_inventory
 from mrgs.prepare.pairs.names import PARTNER, REFERENCE, natural, read_stem, view_names
-from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import (
     NEARLY,
     Match,
@@ -24,9 +23,8 @@ from mrgs.prepare.pairs.rules import (
     by_names,
     by_numbers,
     by_time,
-    telling_name,
+    needed_root_name,
 )
-from mrgs.prepare.pairs.shifted import shifted
 from mrgs.prepare.pairs.table import by_table
 
 Rule = Literal["auto", "names", "folders", "time", "thermal"]
@@ -77,7 +75,7 @@ def find_pairs(
             options=("pair_table", "pairs"),
         )
     inventory = take_inventory(photos, progress)
-    root_name = telling_name(inventory.photos, inventory.root.resolve().name)
+    root_name = needed_root_name(inventory.photos, inventory.root.resolve().name)
     if table is not None:
         match = by_table(table, inventory)
     else:

@@ -14,6 +14,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from mrgs.prepare.pairs.clocks import ClockOffset, clock_offset, match_times
+from mrgs.prepare.pairs.inventory import PREFERENCE, Photo
 from mrgs.prepare.pairs.names import (
     PARTNER,
     PARTNER_MARKS,
@@ -24,7 +25,6 @@ from mrgs.prepare.pairs.names import (
     printable,
     read_stem,
 )
-from mrgs.prepare.pairs.photo import PREFERENCE, Photo
 from mrgs.scene import Modality
 
 _NEIGHBOUR_S = 10.0
@@ -96,12 +96,12 @@ def candidate_by_folder(photo: Photo, root_name: str = "") -> Candidate:
 
     Args:
         photo: the photo.
-        root_name: of the folder of all photos, where it counts; see ``telling_name``.
+        root_name: of the folder of all photos, where it counts; see ``needed_root_name``.
     """
     return _candidate(photo, *folder_modality([root_name, *photo.origin.parts[:-1]]))
 
 
-def telling_name(photos: Sequence[Photo], root_name: str) -> str:
+def needed_root_name(photos: Sequence[Photo], root_name: str) -> str:
     """The name of the folder of all photos, where nothing else says what any of them is; else
     empty: a folder of both cameras' photos may be called "thermal survey"."""
     tells = any(

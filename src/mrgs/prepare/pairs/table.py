@@ -8,9 +8,8 @@ from pathlib import Path
 
 from mrgs.data.files import contained, decoded_text, is_file, read_bytes, scene_error
 from mrgs.errors import SceneError
-from mrgs.prepare.pairs.inventory import Inventory
+from mrgs.prepare.pairs.inventory import Inventory, Photo
 from mrgs.prepare.pairs.names import HEADINGS, PARTNER, REFERENCE, composed, printable
-from mrgs.prepare.pairs.photo import Photo
 from mrgs.prepare.pairs.rules import Match, Pair, in_order
 from mrgs.scene import Modality
 from mrgs.system.wording import shown

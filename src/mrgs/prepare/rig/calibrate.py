@@ -11,19 +11,24 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from mrgs.errors import SceneError
-from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, adjust, aimed, pixel_sigma
-from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair, RigView, TargetFit
-from mrgs.prepare.rig.images import ReducedPair, reduced_pair, too_few_points
-from mrgs.prepare.rig.model import (
+from mrgs.prepare.rig.adjust import (
     LENS,
     MOTION,
     POSE,
     RIG,
+    Adjusted,
+    Observations,
+    Prior,
     ThermalCameras,
+    adjust,
+    aimed,
     lens_parameters,
     motion_parameters,
+    pixel_sigma,
     project,
 )
+from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair, RigView, TargetFit
+from mrgs.prepare.rig.images import ReducedPair, reduced_pair, too_few_points
 from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
 from mrgs.prepare.rig.target.observed import ObservedTarget, observe_target

@@ -19,8 +19,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter
 
 from mrgs.data.undistort import sampled
-from mrgs.prepare.rig.images import Plane, ReducedPair
-from mrgs.prepare.rig.structure import structure
+from mrgs.prepare.rig.images import Plane, ReducedPair, structure
 
 CLEAR = 1.3
 LEAST_CORRELATION = 0.35

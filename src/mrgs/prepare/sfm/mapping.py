@@ -13,21 +13,21 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from mrgs.prepare.colmap.job import (
+from mrgs.prepare.sfm.features import SEED
+from mrgs.prepare.sfm.job import (
     MODEL_FOLDER,
     POINTS_FILE,
     REPORT_FILE,
     ReconstructionJob,
     Report,
 )
-from mrgs.prepare.colmap.matching import SEED
-from mrgs.prepare.colmap.pairs import MAX_EXHAUSTIVE
-from mrgs.prepare.colmap.positions import (
+from mrgs.prepare.sfm.pairs import (
+    MAX_EXHAUSTIVE,
     MAX_MISFIT,
     MIN_IMAGES,
+    are_informative,
     misfit,
     pairs_nearby,
-    tell_apart,
 )
 
 Solver = Callable[..., Mapping[int, pycolmap.Reconstruction]]
@@ -66,8 +66,8 @@ def _models_by_position(
     """The models, largest first, and whether only images taken near each other are matched in them:
     so where all matches lead to poses that contradict the positions, and these do not."""
     models = _models(job, job.database, report, solve)
-    if not tell_apart(job.positions) or len(job.files) > MAX_EXHAUSTIVE:
-        return models, tell_apart(job.positions)
+    if not are_informative(job.positions) or len(job.files) > MAX_EXHAUSTIVE:
+        return models, are_informative(job.positions)
     before = _misfit(job, models)
     if before <= MAX_MISFIT:
         return models, False

@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from mrgs.prepare.colmap.job import MODEL_FOLDER, REPORT_FILE, ReconstructionJob
-from mrgs.prepare.colmap.positions import pairs_nearby
+from mrgs.prepare.sfm.job import MODEL_FOLDER, REPORT_FILE, ReconstructionJob
+from mrgs.prepare.sfm.pairs import pairs_nearby
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pycolmap") is None, reason="pycolmap is not installed (extra sfm)"
@@ -81,7 +81,7 @@ def matched_in(path) -> set[frozenset[str]]:
 def mapped(job, by_all: np.ndarray, by_nearby: np.ndarray) -> tuple[list, bool, int]:
     """The databases that were mapped, by their matched pairs, whether the second counted, and the
     model's images."""
-    from mrgs.prepare.colmap.mapping import map_images
+    from mrgs.prepare.sfm.mapping import map_images
 
     databases = []
 

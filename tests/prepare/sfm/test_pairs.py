@@ -3,14 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mrgs.prepare.colmap.pairs import (
+from mrgs.prepare.sfm.pairs import (
     ALIKE,
     MAX_EXHAUSTIVE,
     NEIGHBOURS,
     image_signatures,
+    pairs_nearby,
     pairs_to_match,
 )
-from mrgs.prepare.colmap.positions import pairs_nearby
 
 
 def around_a_place(place: int, seed: int) -> np.ndarray:

@@ -7,8 +7,59 @@ from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
+from scipy.spatial import cKDTree
 
-from mrgs.prepare.colmap.positions import pairs_nearby, tell_apart
+from mrgs.prepare.similarity import fit_robustly
+
+NEAREST = 20
+MIN_SPREAD_M = 5.0
+"""Root mean square distance from the middle. GPS cannot tell positions apart that are closer."""
+
+MAX_MISFIT = 0.3
+MIN_IMAGES = 8
+
+
+def spread_m(positions: Float64[np.ndarray, "n 3"]) -> float:
+    """Root mean square distance of the positions from their middle."""
+    return float(np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def are_informative(positions: Float64[np.ndarray, "n 3"] | None) -> bool:
+    """Whether there are positions, and far enough from each other to mean something."""
+    return (
+        positions is not None
+        and len(positions) >= MIN_IMAGES
+        and spread_m(positions) >= MIN_SPREAD_M
+    )
+
+
+def pairs_nearby(positions: Float64[np.ndarray, "n 3"]) -> list[tuple[int, int]]:
+    """Each image with the ``NEAREST`` that were taken closest to it."""
+    count = min(NEAREST + 1, len(positions))
+    _, nearest = cKDTree(positions).query(positions, count)
+    others = np.reshape(nearest, (len(positions), count)).tolist()
+    return sorted(
+        {
+            (min(image, other), max(image, other))
+            for image, row in enumerate(others)
+            for other in row
+            if other != image
+        }
+    )
+
+
+def misfit(centres: Float64[np.ndarray, "n 3"], positions: Float64[np.ndarray, "n 3"]) -> float:
+    """How far cameras are off their positions, which nine of ten do not exceed, as a share of the
+    positions' spread.
+
+    Args:
+        centres: of the cameras, in any world.
+        positions: of the same cameras, in metres.
+    """
+    moved = fit_robustly(centres, positions).similarity(centres)
+    off = np.linalg.norm(moved - positions, axis=1)
+    return float(np.quantile(off, 0.9)) / max(spread_m(positions), 1e-9)
+
 
 MAX_EXHAUSTIVE = 100
 """All pairs of more images take too long: a pair takes a tenth of a second on two cores."""
@@ -35,7 +86,7 @@ def pairs_to_match(
     """
     if count <= MAX_EXHAUSTIVE:
         return list(combinations(range(count), 2))
-    if positions is not None and tell_apart(positions):
+    if positions is not None and are_informative(positions):
         return pairs_nearby(positions)
     chosen = {pair for first in range(count) for pair in _next(first, count)}
     signatures = image_signatures(descriptors())

@@ -1,4 +1,4 @@
-"""The process that ``mrgs.prepare.colmap`` describes."""
+"""The process in which pycolmap runs; see ``mrgs.prepare.sfm``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from mrgs.prepare.colmap.job import read_job
+from mrgs.prepare.sfm.job import read_job
 from mrgs.system.child import read_request, send, when_asked_to_stop
 
 LEAST_FREE_BYTES = 50 * 2**20
@@ -23,9 +23,8 @@ def main(folder: Path) -> int:
     # Nothing is lost: the database has transactions, and the model is moved when it is complete.
     when_asked_to_stop(lambda: os._exit(1))
     try:
-        from mrgs.prepare.colmap.features import find_features
-        from mrgs.prepare.colmap.mapping import map_images
-        from mrgs.prepare.colmap.matching import match
+        from mrgs.prepare.sfm.features import find_features, match
+        from mrgs.prepare.sfm.mapping import map_images
 
         job = read_job(folder)
         find_features(job, report)

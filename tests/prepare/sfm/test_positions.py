@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.prepare.colmap.positions import (
+from mrgs.prepare.sfm.pairs import (
     MAX_MISFIT,
     MIN_SPREAD_M,
     NEAREST,
+    are_informative,
     misfit,
     pairs_nearby,
     spread_m,
-    tell_apart,
 )
 
 
@@ -73,10 +73,10 @@ def test_rows_that_lie_on_each_other_do_not(seed, rows):
 
 def test_positions_that_are_too_close_together_or_unknown_do_not_count():
     around_a_table = flight() * MIN_SPREAD_M / spread_m(flight()) * 0.99
-    assert tell_apart(flight())
-    assert not tell_apart(around_a_table)
-    assert not tell_apart(flight()[:5])
-    assert not tell_apart(None)
+    assert are_informative(flight())
+    assert not are_informative(around_a_table)
+    assert not are_informative(flight()[:5])
+    assert not are_informative(None)
 
 
 def test_spread():

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.scene import Camera, reach
-from mrgs.scene.reach import TIMES_AS_FAR
+from mrgs.scene import Camera
+from mrgs.scene.world import TIMES_AS_FAR
 
 
 def camera_at(*position: float) -> Camera:
@@ -22,19 +22,19 @@ def shell(count: int, radius: float) -> torch.Tensor:
 def test_a_few_stray_points_do_not_count():
     cameras = [camera_at(-1.0, 0, 0), camera_at(3.0, 0, 0)]
     points = torch.cat([shell(995, 10.0), shell(5, 1e4)]) + torch.tensor([1.0, 0, 0])
-    ball = reach(points, cameras)
+    ball = SceneBounds.of(points, cameras)
     torch.testing.assert_close(ball.centre, torch.tensor([1.0, 0, 0]).double())
     assert ball.radius == pytest.approx(10)
 
 
 def test_the_cameras_are_inside():
-    assert reach(
+    assert SceneBounds.of(
         shell(100, 0.1), [camera_at(-5.0, 0, 0), camera_at(5.0, 0, 0)]
     ).radius == pytest.approx(5)
 
 
 def test_what_is_nearer_to_the_background_than_to_the_scene_belongs_to_it():
-    ball = reach(shell(100, 2.0), [camera_at(0.0, 0, 0)])
+    ball = SceneBounds.of(shell(100, 2.0), [camera_at(0.0, 0, 0)])
     assert ball.background_distance == pytest.approx(2 * TIMES_AS_FAR)
     distances = torch.tensor(
         [
@@ -52,7 +52,7 @@ def test_what_is_nearer_to_the_background_than_to_the_scene_belongs_to_it():
 
 def test_depths_of_the_background_become_infinite_and_unknown_ones_stay_so():
     camera = camera_at(0.0, 0, 0)
-    ball = reach(shell(100, 2.0), [camera])
+    ball = SceneBounds.of(shell(100, 2.0), [camera])
     depth = torch.full((camera.height, camera.width), 2.0)
     depth[0, 0], depth[1, 1] = ball.background_distance, torch.nan
     found = ball.without_background(camera, depth)

@@ -1,0 +1,69 @@
+"""What the training cameras see of a model: depths, colours, temperatures and other values.
+
+A splat's own temperature is what it adds to a blend, which may be far from any surface's. What a
+camera sees is what was compared with the photos.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from mrgs.errors import RunError
+from mrgs.export.splats import to_bytes, value_names
+from mrgs.pictures.files import to_array
+from mrgs.pictures.values import in_unit
+from mrgs.runs.baked import BakedModel
+from mrgs.scene import RGB, Camera, Modality, Scene, SceneBounds
+from mrgs.scene.depth_map import MAX_STEP, MIN_ALPHA, DepthMap, surveying_cameras
+
+COLORS = ("red", "green", "blue")
+"""What files call the channels of RGB."""
+
+
+def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
+    """The renderings of the training cameras; the channels are those of the model's modalities, one
+    behind the other, temperatures in °C where known.
+
+    The depth is that of the first modality of which the scene has photos: of RGB if it has any.
+    It is infinite where the sky is seen.
+
+    Raises:
+        RunError: no pixel is opaque enough to have a depth.
+    """
+    ball, surface = scene.reach, scene.modalities[0]
+    maps = [
+        _depth_map(baked, camera, surface, ball)
+        for camera in surveying_cameras(scene.train_cameras)
+    ]
+    if not any(np.isfinite(item.depth).any() for item in maps):
+        raise RunError(
+            "no view of the model is opaque enough to show a surface: train the model longer"
+        )
+    return maps
+
+
+def value_columns(
+    baked: BakedModel, values: Float32[np.ndarray, "n c"]
+) -> dict[str, Float32[np.ndarray, " n"] | UInt8[np.ndarray, " n"]]:
+    """The columns of a file for values that were carried over: ``red``, ``green`` and ``blue`` as
+    bytes, the other modalities by ``value_names``."""
+    columns: dict[str, np.ndarray] = {}
+    ends = np.cumsum([modality.channels for modality in baked.modalities])
+    for modality, part in zip(baked.modalities, np.split(values, ends[:-1], axis=1), strict=True):
+        names = COLORS if modality == RGB else value_names(baked, modality)
+        shown = to_bytes(part) if modality == RGB else part
+        columns |= {name: shown[:, channel] for channel, name in enumerate(names)}
+    return columns
+
+
+def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: SceneBounds) -> DepthMap:
+    """The depth of the surface that a pixel of one modality shows, and the values of all."""
+    rendering = baked.render(camera, surface)
+    depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)
+    images = [
+        to_array(in_unit(modality, blend.image, baked.temperature))
+        for modality, blend in rendering.items()
+    ]
+    distant = to_array(ball.without_background(camera, depth))
+    return DepthMap(camera, distant, np.concatenate(images, axis=2))
