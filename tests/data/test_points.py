@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.data.points import point_cloud
-from mrgs.data.sources import ReadingNotes
+from mrgs.data.sources import ReadingNotes, point_cloud
 from mrgs.scene import Camera
 from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 

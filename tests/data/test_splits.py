@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from mrgs.data.load import assign_splits
 from mrgs.data.sources import FilenameLists, ReadingNotes
-from mrgs.data.splits import assign_splits
 
 
 def split(keys, lists=FilenameLists()):  # noqa: B008

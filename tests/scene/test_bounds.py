@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.scene import Camera
+from mrgs.scene import Camera, SceneBounds
 from mrgs.scene.world import TIMES_AS_FAR
 
 

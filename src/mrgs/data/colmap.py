@@ -14,8 +14,7 @@ from pathlib import Path, PurePosixPath
 from mrgs.data.colmap_model import ColmapModel, RegisteredImage, read_images, read_points3d
 from mrgs.data.files import ImageFinder, is_file, scene_error, without_image_suffix
 from mrgs.data.images import probe
-from mrgs.data.points import point_cloud
-from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource
+from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
 from mrgs.data.thermal import BOUNDS_FILES
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system.message import Message

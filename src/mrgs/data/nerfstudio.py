@@ -34,9 +34,15 @@ from mrgs.data.files import (
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.ply import read_ply
-from mrgs.data.points import point_cloud
 from mrgs.data.poses import matrix_from_json, viewmat_from_opengl, viewmats_from_opengl
-from mrgs.data.sources import FilenameLists, ImageSource, ReadingNotes, SceneSource, ViewSource
+from mrgs.data.sources import (
+    FilenameLists,
+    ImageSource,
+    ReadingNotes,
+    SceneSource,
+    ViewSource,
+    point_cloud,
+)
 from mrgs.data.transforms import RECORD
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities

@@ -22,8 +22,7 @@ from mrgs.data.files import is_file, scene_error, without_image_suffix
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import find_points, find_transforms, read_transforms
-from mrgs.data.points import point_cloud
-from mrgs.data.sources import ReadingNotes
+from mrgs.data.sources import ReadingNotes, point_cloud
 from mrgs.errors import SceneError
 from mrgs.prepare.cache import digest, stamps
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped

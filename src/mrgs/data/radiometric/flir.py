@@ -30,8 +30,7 @@ from mrgs.data.radiometric.measurement import (
     object_temperature,
 )
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
-from mrgs.data.radiometric.pixels import MAX_PIXELS, opened
-from mrgs.data.radiometric.visible import Alignment, VisibleImage
+from mrgs.data.radiometric.visible import MAX_PIXELS, Alignment, VisibleImage, opened
 from mrgs.scene.radiometry import ObjectParameters, Planck
 
 _IMAGE_OFFSET = 32
