@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from mrgs.pictures.palette import palette_table
-<<<<<<< HEAD
 from mrgs.scene import THERMAL, SceneBounds
-=======
-from mrgs.scene import THERMAL, SceneBounds
-from mrgs.viewer.fields import PaneImages, difference
-from mrgs.viewer.layout import Pane
->>>>>>> d2a78e5b (Files of preparation and scene that one reader has are folded into it)
 from mrgs.viewer.painting import (
     ISOTHERM_COLOR,
     ISOTHERM_ON_RAINBOW,

@@ -32,13 +32,8 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import label
 
-<<<<<<< HEAD
 from mrgs.marks.photo_survey import square_about
-from mrgs.scene import THERMAL, Camera, SceneBounds, Rendering, View, evenly_spaced
-=======
-from mrgs.marks.resolution import square_about
 from mrgs.scene import THERMAL, Camera, Rendering, SceneBounds, View, evenly_spaced
->>>>>>> d2a78e5b (Files of preparation and scene that one reader has are folded into it)
 
 VIEWS = 60
 """Number of views that are surveyed, evenly spaced over those given."""

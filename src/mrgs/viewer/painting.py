@@ -13,14 +13,8 @@ from PIL import Image
 from mrgs.pictures.drawing import Scale, blank
 from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.values import full_scale, unit_of
-<<<<<<< HEAD
 from mrgs.scene import Camera, Modality, SceneBounds, TemperatureRange
 from mrgs.viewer.panes import Pane, PaneImages
-=======
-from mrgs.scene import Camera, Modality, SceneBounds, TemperatureRange
-from mrgs.viewer.fields import PaneImages
-from mrgs.viewer.layout import Pane
->>>>>>> d2a78e5b (Files of preparation and scene that one reader has are folded into it)
 from mrgs.viewer.settings import Settings, in_kelvin
 
 ISOTHERM_COLOR = (0, 230, 118)
