@@ -6,8 +6,9 @@ import pytest
 import torch
 
 import mrgs.render
+from mrgs.errors import KernelWarning
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
-from mrgs.rasterizer import contract, median_depth
+from mrgs.rasterizer import contract, median_depth, rasterize, reference
 from mrgs.rasterizer.dilation import AS_PUBLISHED, Dilation
 from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
 from mrgs.scene import (
@@ -21,6 +22,7 @@ from mrgs.scene import (
     Rendering,
     View,
 )
+from mrgs.system.operation import checking
 from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
 
 ALL = (RGB, THERMAL, NEAR_INFRARED)
@@ -214,6 +216,22 @@ def test_gaussians_out_of_view_need_no_values(angle, distance, options, monkeypa
     expected = gradients(model, everything)
     assert_same(gradients(model, in_view), expected)
     assert (expected["sh_dc.rgb"].flatten(1) == 0).all(dim=1).any()  # some are out of view
+
+
+def test_a_falloff_that_is_edited_to_reach_farther_is_drawn_whole(monkeypatch):
+    def flatter(pixels, means2d, covs2d):
+        return original(pixels, means2d, covs2d) ** 0.1
+
+    model, camera = make_model(), make_camera()
+    original = reference.falloffs
+    monkeypatch.setattr(reference, "falloffs", flatter)
+    monkeypatch.setattr(rasterize, "rejected", set())
+    with pytest.warns(KernelWarning), checking():
+        render(model, both(camera))
+    found = render(model, both(camera))[0]
+    monkeypatch.setattr(mrgs.render, "rows_in_view", lambda *arguments: None)
+    assert_same(images_of(found), images_of(render(model, both(camera))[0]))
+    assert (found[RGB].alpha > 0.5).all()
 
 
 def test_a_model_is_drawn_with_its_own_dilation():

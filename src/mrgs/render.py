@@ -214,15 +214,17 @@ def _layer(
 
 @torch.no_grad()
 def rows_in_view(model: Model, camera: Camera) -> Int64[Tensor, " v"] | None:
-    """The Gaussians that the rasterizer may draw, so that the heads need not be evaluated for
-    others; None for all.
+    """The Gaussians that the rasterizer's kernel may draw, so that the heads need not be evaluated
+    for others; None for all.
 
     Bounds the projected covariance by the largest scale, so no Gaussian that is drawn is left out.
-    On a GPU it is all: the host would have to wait for their number, which costs more than the
-    heads of those that are not seen.
+    The bound is that of the kernel. It is all where the plain definition runs, whose falloff may
+    have been edited; and on a GPU, where the host would have to wait for their number, which costs
+    more than the heads of those that are not seen.
     """
     means = model.gaussians.means
-    if not means.is_cpu:
+    kernel = rasterize.kernel((means,))
+    if not means.is_cpu or kernel is None or kernel in rasterize.rejected:
         return None
     K, viewmat, _ = camera.tensors(means.device, means.dtype)
     # Rows of x, y and z: strides of three would keep torch from its vectors.

@@ -6,6 +6,8 @@ import pytest
 import torch
 
 from mrgs.method.adam import Adam, ParameterGroup, move
+from mrgs.system.operation import checking
+from mrgs.training.kernel_check import _check_optimizer
 
 SHAPES = ((40, 3), (1300, 2), (7, 15, 3), (0, 24))
 
@@ -40,25 +42,27 @@ def test_steps_are_those_of_torch_after_many(gpu_device):
         torch.testing.assert_close(value.cpu(), truth, rtol=1e-3, atol=1e-5)
 
 
-def test_the_kernel_takes_one_tensor_alone(gpu_device):
+def test_the_kernel_takes_one_tensor_and_torch_several(gpu_device):
     from mrgs.kernels.adam import gpu
 
-    tensor = torch.zeros(3, device=gpu_device)
+    tensor = torch.ones(3, device=gpu_device)
     count, skip = torch.ones((), device=gpu_device), torch.zeros((), device=gpu_device)
     one = [[tensor.clone()] for _ in range(4)]
-    assert gpu.move(*one, [count], 0.1, 1e-8, skip) is None
-    two = [lists * 2 for lists in one]
-    assert gpu.move(*two, [count] * 2, 0.1, 1e-8, skip) is NotImplemented
-    assert gpu.move(*one, [count], 0.1, 1e-8, None) is NotImplemented
+    two = [[tensor.clone(), tensor.clone()] for _ in range(4)]
+    gpu.move(*one, [count], 0.1, 1e-8, skip)
+    gpu.move(*two, [count] * 2, 0.1, 1e-8, None)
+    for (alone,), together in zip(one, two, strict=True):
+        for each in together:
+            torch.testing.assert_close(each, alone)
     with pytest.raises(ValueError, match="square"):
         gpu.move(*one[:3], [tensor[:2]], [count], 0.1, 1e-8, skip)
 
 
-def test_more_values_than_can_be_numbered_are_left_to_torch(gpu_device):
-    from mrgs.kernels.adam import gpu
-
-    many, one = (torch.empty(shape, device="meta") for shape in (gpu.MOST_VALUES + 1, ()))
-    assert gpu.move([many], [many], [many], [many], [one], 0.1, 1e-8, one) is NotImplemented
+def test_the_check_compares_the_optimizer_with_the_equation(gpu_device, monkeypatch):
+    monkeypatch.setattr(move, "rejected", set())
+    with checking():
+        _check_optimizer(torch.device(gpu_device), torch.Generator().manual_seed(0))
+    assert not move.rejected
 
 
 def test_what_has_no_gradient_stays(gpu_device):

@@ -29,6 +29,7 @@ _CONVOLVE = "mrgs.method.losses.radiation.convolve"
 _VARIATION = "mrgs.method.losses.smoothness.total_variation"
 
 TABLE = (
+    Kernel(_ADAM, "mrgs.kernels.adam.fused.move", "cpu", _ANY_FLOAT),
     Kernel(_ADAM, "mrgs.kernels.adam.gpu.move", "gpu"),
     Kernel(_COLOR_HEAD, "mrgs.kernels.color_head.cpu.color_residuals", "cpu"),
     Kernel(_HEAT, "mrgs.kernels.heat.cpu.temperature_residuals", "cpu"),

@@ -41,7 +41,20 @@ class ParameterGroup:
         self.rate = self.initial_rate
 
 
-@operation
+def _moved(
+    result: None,
+    parameters: list[Tensor],
+    gradients: list[Tensor],
+    means: list[Tensor],
+    squares: list[Tensor],
+    *others: object,
+) -> Tensor:
+    """What a check compares of ``move``: everything that it changes."""
+    del result, gradients, others
+    return torch.cat([tensor.flatten() for tensor in (*parameters, *means, *squares)])
+
+
+@operation(measure=_moved)
 def move(
     parameters: list[Tensor],
     gradients: list[Tensor],
@@ -52,32 +65,25 @@ def move(
     epsilon: float,
     skip: Float[Tensor, ""] | None,
 ) -> None:
-    """One step of Adam, in place, by torch's fused kernel.
+    """One step of Adam, in place (Algorithm 1 of the paper), of each parameter θ with gradient g:
+
+    m ← β₁ m + (1 − β₁) g,  v ← β₂ v + (1 − β₂) g²,
+    θ ← θ − rate · m / (1 − β₁ᵗ) / (√(v / (1 − β₂ᵗ)) + ε)
 
     Args:
-        parameters, gradients, means, squares: of the same sizes; all but the gradients are changed.
-        counts: of the steps of each parameter, this one included.
+        parameters, gradients, means, squares: θ, g, m and v, of the same sizes; all but the
+            gradients are changed.
+        counts: t of each parameter, the number of steps with this one.
         rate: learning rate.
-        epsilon: added to the root of the mean square.
+        epsilon: ε.
         skip: nothing is moved where it is not 0.
     """
-    torch._fused_adam_(
-        parameters,
-        gradients,
-        means,
-        squares,
-        [],
-        counts,
-        lr=rate,
-        beta1=BETA1,
-        beta2=BETA2,
-        weight_decay=0.0,
-        eps=epsilon,
-        amsgrad=False,
-        maximize=False,
-        grad_scale=None,
-        found_inf=skip,
-    )
+    for theta, g, m, v, t in zip(parameters, gradients, means, squares, counts, strict=True):
+        new_m = BETA1 * m + (1 - BETA1) * g
+        new_v = BETA2 * v + (1 - BETA2) * g**2
+        change = rate * new_m / (1 - BETA1**t) / ((new_v / (1 - BETA2**t)).sqrt() + epsilon)
+        for tensor, new in ((theta, theta - change), (m, new_m), (v, new_v)):
+            tensor.copy_(new if skip is None else torch.where(skip == 0, new, tensor))
 
 
 class Adam:
@@ -159,7 +165,7 @@ class Adam:
     def load_moments(self, parameters: Mapping[Any, Tensor], tensors: Mapping[str, Tensor]) -> None:
         """Take what ``moments`` gave, on the parameters' devices.
 
-        The fused kernel trusts their sizes, so moments of any other parameter are refused.
+        The kernels trust their sizes, so moments of any other parameter are refused.
 
         Args:
             parameters: of this optimizer, by their keys.

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from mrgs.method.adam import move
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
@@ -82,6 +83,20 @@ def check_kernels(
             whole = {modality: Pixels(photo.values) for modality, photo in photos.items()}
             for each in (context, replace(context, photos=whole)):
                 term_values(state.terms, each)
+        _check_optimizer(state.device, generator)
+
+
+def _check_optimizer(device: torch.device, generator: torch.Generator) -> None:
+    """Take a step of Adam: of one tensor that may be skipped, and of two that may not. Parameters
+    start at 0, so that what is compared is how far they move."""
+    for count, skip in ((1, torch.zeros((), device=device)), (2, None)):
+        gradients, means, squares = (
+            [torch.rand(SAMPLED_GAUSSIANS, generator=generator).to(device) for _ in range(count)]
+            for _ in range(3)
+        )
+        parameters = [torch.zeros_like(gradient) for gradient in gradients]
+        steps = [torch.full((), 3.0, device=device) for _ in range(count)]
+        move(parameters, gradients, means, squares, steps, 1.0, 1e-8, skip)
 
 
 def check_rendering(model: Model, image_model: ImageModel, *devices: torch.device) -> None:

@@ -1,4 +1,4 @@
-"""Adam's step of one tensor.
+"""Adam's step on a GPU: of one tensor by a kernel of our own, of several by torch's.
 
 Torch's fused step gives 65,536 values to each multiprocessor, so that a few hundred thousand leave
 most of them idle.
@@ -12,6 +12,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from mrgs.kernels.adam import fused
 from mrgs.kernels.gpu_spec import KernelSpec
 from mrgs.kernels.require import require
 from mrgs.method.adam import BETA1, BETA2
@@ -68,24 +69,26 @@ def move(
     epsilon: float,
     skip: Tensor | None,
 ) -> None:
-    """``mrgs.method.adam.move`` for one float32 tensor on a GPU; NotImplemented for several, which
-    torch moves together, and for very large ones.
+    """``mrgs.method.adam.move`` for float32 on a GPU.
 
     Raises:
         ValueError: tensors of other sizes, types or devices.
     """
-    if len(parameters) != 1 or skip is None:
-        return NotImplemented
+    states = means[0], squares[0], counts[0]
+    if (
+        len(parameters) != 1
+        or skip is None
+        or parameters[0].numel() > MOST_VALUES
+        or not all(tensor.is_contiguous() for tensor in (parameters[0], *states))
+    ):
+        fused.move(parameters, gradients, means, squares, counts, rate, epsilon, skip)
+        return
     (parameter,), (gradient,) = parameters, gradients
     size = parameter.numel()
-    if size > MOST_VALUES:
-        return NotImplemented
-    given = (parameter, gradient.contiguous(), means[0], squares[0], counts[0], skip)
+    given = (parameter, gradient.contiguous(), *states, skip)
     for name, tensor in zip(TENSORS, given, strict=True):
         shape = () if tensor.dim() == 0 else parameter.shape
         require(name, tensor, shape, device=parameter.device)
-        if not tensor.is_contiguous():
-            return NotImplemented
     arguments = dict(zip(TENSORS, given, strict=True))
     numbers = {"size": size, "rate": rate, "epsilon": epsilon}
     _SPEC.launch((triton.cdiv(size, BLOCK),), {**arguments, **numbers})
