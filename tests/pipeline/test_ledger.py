@@ -7,8 +7,8 @@ import os
 
 import pytest
 
+from mrgs.data import kept
 from mrgs.pipeline.ledger import LEDGER, Ledger
-from mrgs.prepare import contents as contents_module
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_reading_the_contents_may_be_cut_short(tmp_path, monkeypatch):
     folder.mkdir()
     for name in "abc":
         (folder / name).write_text(name)
-    original = contents_module.digest
+    original = kept.digest
 
     def digest(path):
         if path.name == "b" and not read.count("b"):
@@ -101,7 +101,7 @@ def test_reading_the_contents_may_be_cut_short(tmp_path, monkeypatch):
         read.append(path.name)
         return original(path)
 
-    monkeypatch.setattr(contents_module, "digest", digest)
+    monkeypatch.setattr(kept, "digest", digest)
     with pytest.raises(KeyboardInterrupt):
         Ledger(tmp_path).contents_of(folder)
     assert len(Ledger(tmp_path).contents_of(folder)) == 3

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mrgs.data.kept import Cache
 from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import PrepareOptions, stages
-from mrgs.prepare.cache import Cache
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
 from mrgs.prepare.convert import CONTENTS, convert_photos
 from mrgs.prepare.pairs.find import find_pairs

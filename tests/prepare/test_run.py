@@ -17,16 +17,16 @@ from filelock import FileLock
 from PIL import Image
 
 from mrgs.data import load_scene
+from mrgs.data.kept import stamps
 from mrgs.data.lens import Lens
 from mrgs.data.ply import write_points
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import Preparation, PrepareOptions, prepare, stages
-from mrgs.prepare.cache import stamps
 from mrgs.prepare.contract import Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.existing import existing_poses
 from mrgs.prepare.rig.contract import ChessboardTarget, RigCalibration, RigView, TargetFit
-from mrgs.prepare.run import Steps
+from mrgs.prepare.run import Steps, locked
 from mrgs.prepare.thermal_camera import read_thermal_camera
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
@@ -469,3 +469,22 @@ def test_a_full_disk_is_told_and_the_rest_is_kept(photos, fakes, tmp_path):
         fakes.prepare(photos, tmp_path / "scene", steps=replace(fakes.steps, write_scene=full))
     made = fakes.prepare(photos, tmp_path / "scene")
     assert [report.title for report in made.stages if not report.reused] == ["scene files", "page"]
+
+
+def test_a_folder_in_use_is_left_alone(tmp_path):
+    folder = tmp_path / "scene" / "prepare"
+    folder.mkdir(parents=True)
+    message = "scene is being prepared by another run: wait for it, or choose another folder"
+    with FileLock(folder / ".lock"), pytest.raises(RunError, match=message), locked(folder):
+        pass
+    with locked(folder):
+        assert folder.is_dir()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "scene").write_text("mine")
+    with (
+        pytest.raises(RunError, match="scene/prepare cannot be"),
+        locked(tmp_path / "scene" / "prepare"),
+    ):
+        pass

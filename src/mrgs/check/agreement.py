@@ -61,7 +61,6 @@ def agreements(
 
     Args:
         images: [H, W] each, in one unit; NaN where not valid; None for a view without one.
-        cameras: of the images.
         points: in world coordinates.
     """
     values = _values_at_points(images, cameras, points)
@@ -129,8 +128,6 @@ def jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem
     """The warning about images that do not agree with the others.
 
     Args:
-        modality: of the images.
-        names: of their views.
         radiometric: whether the temperatures are computed from the thermal camera's signal.
     """
     changed, cause = "warmer or colder", "as automatic gain or a changed span makes them"

@@ -53,10 +53,6 @@ def read_colmap(root: Path, model: ColmapModel) -> SceneSource:
     A folder ``images/`` (or ``rgb/``) without a ``thermal/`` beside it holds thermal images
     if a ``temperature_bounds.json`` is there, or if none of its images has colour channels.
 
-    Args:
-        root: the scene's folder, resolved.
-        model: the reconstruction.
-
     Raises:
         SceneError: the reconstruction is damaged, names no image, or names one that is missing.
     """

@@ -84,7 +84,6 @@ def decode(path: Path, least_width: int | None = None) -> Decoded:
     """The pixels of an image.
 
     Args:
-        path: the file.
         least_width: a JPEG file is decoded at a half, a quarter or an eighth of its size, if that
             is still as many pixels wide and its size divides: much faster, and each pixel is about
             the mean of those that it stands for. None decodes every pixel.

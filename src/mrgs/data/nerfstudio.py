@@ -94,7 +94,6 @@ def read_transforms(root: Path, file: Path) -> SceneSource:
 
     Args:
         root: the scene's folder, resolved; all paths in the file are relative to it.
-        file: the transforms file.
 
     Raises:
         SceneError: the file is damaged, or an image that it names is missing.
@@ -130,9 +129,7 @@ def lens_from_json(
     on.
 
     Args:
-        values: the JSON object.
         what: whose lens it is, for messages.
-        file: the JSON file, for messages.
         image: has the size that ``values`` may leave out.
 
     Raises:

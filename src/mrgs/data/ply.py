@@ -61,7 +61,6 @@ def write_ply(
     """Write a binary PLY file; returns the path.
 
     Args:
-        path: of the file.
         elements: by name: columns, or a plain [N, K] array of integers, which is written as lists
             of K ``vertex_indices`` of 32 bits.
         comments: lines for the header; what is not ASCII is written as degrees Celsius or ?.

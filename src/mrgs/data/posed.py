@@ -37,7 +37,6 @@ def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
     """Compare the headers of the image and its mask with the intrinsics; nothing is decoded.
 
     Args:
-        source: the image.
         probed: ``probe``, which may remember the files that several images share.
 
     Raises:
@@ -61,8 +60,6 @@ def posed_image(
     called.
 
     Args:
-        source: the file, its lens and its pose.
-        decoder: of the file.
         resolution: largest width in pixels; None keeps the file's.
         keeps_levels: whether an image of 8 bits has no more levels after it was undistorted or made
             smaller, so that it takes as little memory as before.

@@ -29,12 +29,6 @@ def matrix_from_json(
 ) -> NDArray[np.float64]:
     """A matrix of four columns from a JSON value.
 
-    Args:
-        value: what the file holds.
-        rows: allowed numbers of rows.
-        what: the matrix's name, for messages.
-        file: the JSON file, for messages.
-
     Raises:
         SceneError: another shape, entries that are not numbers, or numbers that are not finite or
             too large.

@@ -40,7 +40,6 @@ def frame_json(
     Args:
         viewmat: world to camera with OpenCV axes.
         file_path: image of this pose; None if there are only ``others``.
-        others: images of the other modalities.
         lens: intrinsics of this frame alone; None if all frames share them.
         viewmats: poses of other modalities that are not ``viewmat``.
         lenses: intrinsics of other modalities' images of this frame alone.
@@ -71,14 +70,10 @@ def write_transforms(
     """Write ``transforms.json``; returns the path.
 
     Args:
-        path: of the file.
-        frames: see ``frame_json``.
-        lens: intrinsics that all frames share.
         lenses: intrinsics that all images of a modality share, if they differ from ``lens``.
         points: path of the start points, relative to the file.
         split: paths of the training and of the evaluation images; None leaves it to the reader.
         modalities: of the images; all but RGB and thermal are listed in the file.
-        facts: further entries.
 
     Raises:
         RunError: the file cannot be written.

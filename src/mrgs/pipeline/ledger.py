@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from mrgs.data.files import visible_files
+from mrgs.data.kept import Digests, stamp_of
 from mrgs.errors import RunError
-from mrgs.prepare.cache import stamp_of
-from mrgs.prepare.contents import Contents
 from mrgs.system.atomic import write_text
 
 LEDGER = "pipeline.json"
@@ -31,7 +30,7 @@ class Ledger:
         self._folder = folder
         self._file = folder / LEDGER
         self._stages = _read(self._file)
-        self._contents = Contents(folder / CONTENTS)
+        self._digests = Digests(folder / CONTENTS)
 
     def open(self) -> None:
         """Make the file if there is none: it marks the folder as a pipeline's.
@@ -90,15 +89,14 @@ class Ledger:
         """
         try:
             found = [
-                (path.relative_to(folder).as_posix(), self._contents.digest(path))
+                (path.relative_to(folder).as_posix(), self._digests.of(path))
                 for path in _counting_files(folder, without)
             ]
         except BaseException:  # Ctrl-C: the next call reads the others only
             with suppress(RunError):
-                self._contents.save()
+                self._digests.save()
             raise
-        self._contents.forget_others()
-        self._contents.save()
+        self._digests.save(forget_others=True)
         return found
 
     def _write(self) -> None:

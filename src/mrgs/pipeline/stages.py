@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from mrgs.check import Severity
+from mrgs.data.kept import digest, fingerprint, stamps
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.export import FORMATS, export
@@ -18,7 +19,7 @@ from mrgs.pipeline.intake import Intake
 from mrgs.pipeline.ledger import Ledger, file_stamp
 from mrgs.pipeline.plan import QUALITIES, Monitor, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
-from mrgs.prepare.cache import CACHE_FOLDER, digest, fingerprint, stamps
+from mrgs.prepare.contract import CACHE_FOLDER
 from mrgs.prepare.page.check import check_scene
 from mrgs.report import write_report
 from mrgs.runs.open import Run, load_run

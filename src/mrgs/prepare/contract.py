@@ -18,6 +18,9 @@ Progress = Callable[[str, int, int], None]
 """Called with a step's name, the number of its parts that are done, and of all (0 and 0 if not
 known)."""
 
+CACHE_FOLDER = "prepare"
+"""Folder of intermediate results inside the scene's folder."""
+
 MIN_VIEWS = 3
 """Fewest views with a pose in a scene."""
 

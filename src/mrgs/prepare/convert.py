@@ -18,14 +18,14 @@ from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from mrgs.data.files import scene_error
+from mrgs.data.kept import Cache, Digests, Stamp, digest, stamp_of
 from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto, read_thermal_photo
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError, ToolError
 from mrgs.pictures.settings import SETTINGS
 from mrgs.pictures.values import capitalised
-from mrgs.prepare.cache import CACHE_FOLDER, Cache, Stamp, digest, stamp_of
-from mrgs.prepare.contents import Contents
 from mrgs.prepare.contract import (
+    CACHE_FOLDER,
     ConvertedImage,
     ConvertedPhotos,
     ConvertedView,
@@ -93,12 +93,10 @@ def convert_photos(
     orientation, that of most; all numbers in one file format share one unit.
 
     Args:
-        pairing: the photos; they are only read.
         scene: the scene's folder, made if it is missing. Images with the names of views are
             replaced.
         overrides: values that replace those in the thermal photos.
         cache: keeps what each pair was converted to.
-        progress: called for each pair.
         turn: rotate the images upright by their EXIF orientation; False keeps them as stored,
             which given poses and lenses are for.
 
@@ -111,14 +109,15 @@ def convert_photos(
     _check_folders(pairing, scene)
     orientations = _common_orientations(pairing.pairs) if turn else dict.fromkeys(IMAGE_FOLDERS, 1)
     _remove_other_views(scene, cache, {pair.name for pair in pairing.pairs})
-    contents = Contents(cache.folder / CONTENTS)
+    contents = Digests(cache.folder / CONTENTS)
     settings = _Conversion(scene, overrides, None, orientations)
+    whole = False
     try:
         views, skipped = _convert_all(pairing.pairs, settings, cache, contents, progress)
-        contents.forget_others()
+        whole = True
     finally:
         with suppress(RunError):  # a full disk: the next call reads them again
-            contents.save()
+            contents.save(forget_others=whole)
     if not views:
         first = f"; the first: {skipped[0].reason}" if skipped else "; find pairs first"
         raise SceneError(f"none of the {len(pairing.pairs)} pairs can be used{first}")
@@ -134,7 +133,7 @@ def _convert_all(
     pairs: Sequence[PhotoPair],
     settings: _Conversion,
     cache: Cache,
-    contents: Contents,
+    contents: Digests,
     progress: Progress,
 ) -> tuple[list[ConvertedView], list[Skipped]]:
     """The views, and the pairs that cannot be used; the unit of numbers in one file format is
@@ -156,9 +155,7 @@ def _convert_all(
     return views, skipped
 
 
-def _cached(
-    pair: PhotoPair, settings: _Conversion, cache: Cache, contents: Contents
-) -> _CachedPair:
+def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache, contents: Digests) -> _CachedPair:
     """The pair's view or refusal, from the cache if the content of its photos is unchanged, and its
     images are there."""
 
@@ -173,7 +170,7 @@ def _cached(
 
     try:
         stamps = _stamps(pair)
-        held = [contents.digest(path) for path in pair.photos.values()]
+        held = [contents.of(path) for path in pair.photos.values()]
         return cache.get(
             f"{VIEWS}/{pair.name}",
             _CachedPair,

@@ -20,11 +20,11 @@ from mrgs.data.colmap_model import (
 )
 from mrgs.data.files import is_file, scene_error, without_image_suffix
 from mrgs.data.images import probe
+from mrgs.data.kept import digest, stamps
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import find_points, find_transforms, read_transforms
 from mrgs.data.sources import ReadingNotes, point_cloud
 from mrgs.errors import SceneError
-from mrgs.prepare.cache import digest, stamps
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import Modality, PointCloud, WorldFrame
 from mrgs.scene.modality import in_order
@@ -44,9 +44,7 @@ def poses_of_photos(
 
     Args:
         folder: with the poses, or a transforms file.
-        pairs: the original photos.
         images: the scene's images by the names of their pairs.
-        two_cameras: as for ``existing_poses``.
 
     Raises:
         SceneError: as from ``existing_poses``.

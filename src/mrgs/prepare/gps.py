@@ -66,7 +66,6 @@ def place_by_gps(
     Args:
         reconstruction: poses in any world.
         gps: positions by view, all with a pose.
-        level: turns the reconstruction upright.
         scale: metres per unit, where it is known; then the positions only turn and move.
         as_given: where the poses are in metres and have these axes, as far as GPS knows, only their
             origin moves.

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from mrgs.data.files import scene_error
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError
 from mrgs.prepare import stages
-from mrgs.prepare.cache import CACHE_FOLDER, LOCK, locked
-from mrgs.prepare.contract import Preparation, Progress, Reconstruction, StageReport
+from mrgs.prepare.contract import CACHE_FOLDER, Preparation, Progress, Reconstruction, StageReport
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.page.write import PAGE, write_page
 from mrgs.prepare.rig.calibrate import calibrate_rig
@@ -19,11 +21,14 @@ from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.thermal_camera import Calibrate
 from mrgs.prepare.work import Work
-from mrgs.system.atomic import TEMPORARY, remove_abandoned, write_text
+from mrgs.system.atomic import TEMPORARY, remove_abandoned, write_error, write_text
 from mrgs.system.room import warn_if_short
 
 GROWTH = 2
 """Size of the images and intermediate results over that of the photos, roughly."""
+
+LOCK = ".lock"
+"""File in the cache that a running ``prepare`` keeps locked."""
 
 MARKER = "README.txt"
 MARKER_TEXT = """mrgs prepare keeps the results of its stages here. Run the same command again to
@@ -68,9 +73,7 @@ def prepare(
     interruption, and repeats only what depends on a changed photo or option.
 
     Args:
-        photos: folder of the photos.
         scene: folder to make, or one that an earlier call made.
-        options: facts about the photos.
         progress: called with "stage: step", the number of the step's parts that are done, and of
             all (0 and 0 if not known).
         report: called with the report of each finished stage.
@@ -153,3 +156,25 @@ def _is_unclaimed(folder: Path) -> bool:
         return False
     own = (LOCK, TEMPORARY)
     return not cache.exists() or all(path.name.startswith(own) for path in cache.iterdir())
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder against other processes; it is created if it is missing.
+
+    Raises:
+        RunError: the folder cannot be made, or another process works in it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / LOCK, timeout=0)
+        lock.acquire()
+    except Timeout:
+        raise RunError(
+            f"{folder.parent} is being prepared by another run: wait for it, or choose another "
+            f"folder"
+        ) from None
+    except OSError as error:
+        raise write_error(folder, error) from None
+    with lock:
+        yield

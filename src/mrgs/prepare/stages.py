@@ -13,12 +13,13 @@ from pathlib import Path
 
 from mrgs.check import fast_problems
 from mrgs.data import load_scene
+from mrgs.data.kept import digest, stamps
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.settings import settings_of, settings_text
-from mrgs.prepare.cache import CACHE_FOLDER, digest, stamps
 from mrgs.prepare.contract import (
+    CACHE_FOLDER,
     ConvertedPhotos,
     Georeference,
     Pairing,
@@ -252,10 +253,11 @@ def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
     for view in views:
         for text in view.facts.warnings:
             by_text.setdefault(text, []).append(view.name)
-    return StageSummary(
-        tuple(lines),
-        (*photos.warnings, *(_with_photos(text, names) for text, names in by_text.items())),
+    repeated = (
+        f"{names[0] if len(names) == 1 else counted(len(names), 'photo')}: {text}"
+        for text, names in by_text.items()
     )
+    return StageSummary(tuple(lines), (*photos.warnings, *repeated))
 
 
 def _settings_line(records: Sequence[PhotoRecord]) -> str:
@@ -286,7 +288,6 @@ def summarize_thermal_camera(
 
     Args:
         rig: None if there is no second camera.
-        posed: of the images with poses.
         metric: whether the unit of the scene's world is the metre.
     """
     if rig is None:
@@ -334,7 +335,3 @@ def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:
         f"The target's squares make the scene {scale:.2f} times as large as GPS or the known "
         f"distance: check the side of a square, and the distance.",
     )
-
-
-def _with_photos(text: str, names: Sequence[str]) -> str:
-    return f"{names[0]}: {text}" if len(names) == 1 else f"{counted(len(names), 'photo')}: {text}"

@@ -89,7 +89,6 @@ def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration
     """Calibrate the thermal camera from the posed photos and the user's options.
 
     Args:
-        work: with images and poses.
         calibrate: called with the pairs, the points, the rig's options and progress.
 
     Returns:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mrgs.data.kept import Cache
 from mrgs.data.radiometric import GpsPosition
-from mrgs.prepare.cache import CACHE_FOLDER, Cache
 from mrgs.prepare.contract import (
+    CACHE_FOLDER,
     ConvertedPhotos,
     Georeference,
     Pairing,
@@ -97,9 +98,7 @@ class Work:
         """Run a stage, which adds its results to the work, and report its summary.
 
         Args:
-            title: of the stage.
             stage: called with the work and ``arguments``.
-            arguments: further arguments of the stage.
         """
         self._title, made, started = title, self.cache.made, time.perf_counter()
         self.on_progress(title, 0, 0)

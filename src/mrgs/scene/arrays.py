@@ -53,7 +53,6 @@ def as_tensor(
         array: of numbers; an empty list has no rows.
         dtype: of the tensor; None keeps the array's, where torch computes with it.
         shape: expected; None for any length.
-        name: of the array, for the message.
 
     Raises:
         ValueError: another shape, or not real numbers.
@@ -87,7 +86,6 @@ def as_floats(array: Array | float, name: str, last: int | None = None) -> Tenso
 
     Args:
         array: of numbers; an empty list has no rows.
-        name: of the array, for the message.
         last: expected length of the last axis; None for any shape.
 
     Raises:

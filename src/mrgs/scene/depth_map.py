@@ -96,7 +96,6 @@ def carry_over(
     1 / z², and whether any camera does [N].
 
     Args:
-        maps: of the cameras.
         points: world coordinates.
         tolerance: a point this far before or behind the depth of its pixel is still seen there,
             scene units.

@@ -99,9 +99,6 @@ def warn_of_kelvin(thermal: Sequence[Tensor | None]) -> None:
     """Warn of thermal images that show everyday temperatures if they are kelvin. They are used as
     they are: only the caller can know that they show a furnace.
 
-    Args:
-        thermal: see ``thermal_images``.
-
     Warns:
         MrgsWarning: see above.
     """
@@ -130,8 +127,6 @@ def views_from_arrays(
 
     Args:
         cameras: of the views, and of their RGB images.
-        rgb: see ``color_images``.
-        thermal: see ``thermal_images``.
         thermal_cameras: of the thermal images, one for each view.
         temperature: the scale of the temperatures; None if there are none.
 

@@ -130,7 +130,6 @@ class Gaussians:
         """The Gaussians whose ``tensors`` these are.
 
         Args:
-            tensors: by name.
             modalities: those that the names speak of, and perhaps others, in the order that the
                 Gaussians' are to have; None for all that are known.
 

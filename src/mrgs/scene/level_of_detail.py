@@ -54,7 +54,6 @@ def merged(gaussians: Gaussians, most: int) -> Merged:
     covers as much: opacity times area stays the same, as far as it can. All else is averaged.
 
     Args:
-        gaussians: N of them, on the host.
         most: more than 0; as many as there are leaves them alone.
     """
     if len(gaussians) <= most:
@@ -71,7 +70,9 @@ def merged(gaussians: Gaussians, most: int) -> Merged:
     # Moments of the mixture, about its mean.
     means = _weighted_sums(gaussians.means, weights, of, count)
     away = gaussians.means - means[of]
-    rotations = _rotations(gaussians.quats)
+    rotations = torch.from_numpy(matrix_from_quaternion(gaussians.quats.numpy())).to(
+        gaussians.quats
+    )
     own = (rotations * scales[:, None, :].square()) @ rotations.transpose(1, 2)
     spread = own + away[:, :, None] * away[:, None, :]
     new_scales, quats = _axes(_weighted_sums(spread, weights, of, count))
@@ -135,10 +136,6 @@ def _weighted_sums(
 def _area(scales: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
     """Product of the two largest standard deviations."""
     return scales.prod(dim=1) / scales.amin(dim=1)
-
-
-def _rotations(quats: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]:
-    return torch.from_numpy(matrix_from_quaternion(quats.numpy())).to(quats)
 
 
 def _axes(

@@ -184,8 +184,6 @@ class CameraResponse(Protocol):
         """What they would have recorded.
 
         Args:
-            rendering: of a view.
-            camera: that it is seen from.
             pixel_sizes: of the rendering's images, in pixels of the photos; 1 where none is given.
         """
 

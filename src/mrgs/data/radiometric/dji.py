@@ -51,8 +51,6 @@ def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPho
     temperature count.
 
     Args:
-        path: of the photo.
-        exif: its facts.
         overrides: emissivity, distance, humidity, reflected and air temperature are handed on.
 
     Raises:

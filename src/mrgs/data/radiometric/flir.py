@@ -68,8 +68,6 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     """The photo in an FFF record.
 
     Args:
-        record: the whole record, put together.
-        path: the file, for messages.
         exif: of the JPEG file around it; empty for a bare FFF file.
         overrides: replace the parameters in the file.
 

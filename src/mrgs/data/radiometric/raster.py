@@ -61,7 +61,11 @@ def guess_unit(values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], pa
     if known.size == 0:
         raise scene_error(path, "holds no number but 0; it is empty, export it again")
     low, middle, high = np.percentile(known[:: 1 + known.size // _ENOUGH], (1, 50, 99))
-    fitting = [text for text in candidates if _is_everyday(Unit.parse(text), low, middle, high)]
+    fitting = [
+        text
+        for text in candidates
+        if are_everyday(*Unit.parse(text).celsius(np.array([low, middle, high])).tolist())
+    ]
     if len(fitting) != 1:
         may_be = f"may be {' or '.join(fitting)}" if fitting else "fit no usual unit"
         example = (fitting or candidates)[0]
@@ -71,10 +75,6 @@ def guess_unit(values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], pa
             options=("unit",),
         )
     return fitting[0]
-
-
-def _is_everyday(unit: Unit, low: float, middle: float, high: float) -> bool:
-    return are_everyday(*unit.celsius(np.array([low, middle, high])).tolist())
 
 
 _GREY_TOLERANCE = 8

@@ -48,7 +48,6 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 
     Args:
         data: the file's content; see ``decoded_text`` for its encodings.
-        path: the file, for messages.
         overrides: ``unit``, where the numbers are not °C.
 
     Raises:
@@ -108,13 +107,7 @@ def _largest_block(
 
 
 def _row(cells: list[str], width: int, is_labelled: bool) -> Float64[np.ndarray, " n"] | None:
-    """The numbers of a line of so many, NaN where a cell holds none; None if most hold none.
-
-    Args:
-        cells: of the line.
-        width: how many numbers the lines hold.
-        is_labelled: whether they have a text in front.
-    """
+    """The numbers of a line of so many, NaN where a cell holds none; None if most hold none."""
     if is_labelled:
         cells = cells[1:]
     if len(cells) > width and not cells[-1]:

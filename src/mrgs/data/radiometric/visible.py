@@ -29,10 +29,7 @@ def opened(
     """Pillow's image, decoded.
 
     Args:
-        data: the image file's content.
-        path: the file, for messages.
         formats: Pillow's names of the formats that are let in.
-        what: the image's name in messages.
 
     Raises:
         SceneError: not an image of these formats, damaged, cut off or too large.

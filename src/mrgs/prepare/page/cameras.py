@@ -71,7 +71,10 @@ def rig_facts(rig: RigCalibration, georeference: Georeference | None) -> RigFact
     rows = [
         ("Thermal lens", lens_text(rig.lens)),
         ("Distance between the lenses", _offset(rig.extrinsics, metric)),
-        ("Angle between the axes", f"{_angle_deg(rig.extrinsics):.2f}°"),
+        (
+            "Angle between the axes",
+            f"{math.degrees(torch.acos(rig.extrinsics[2, 2].clamp(-1, 1)).item()):.2f}°",
+        ),
         (
             "Residual",
             f"{median:.2f} px (median), {most:.2f} px (90th percentile), in thermal pixels",
@@ -89,7 +92,13 @@ def rig_facts(rig: RigCalibration, georeference: Georeference | None) -> RigFact
         )
     views = [
         (view.name, str(view.matches), _number(view.residual_px), _number(view.uncertainty_px))
-        for view in sorted(rig.views, key=lambda view: (-_finite(view.uncertainty_px), view.name))
+        for view in sorted(
+            rig.views,
+            key=lambda view: (
+                -(view.uncertainty_px if math.isfinite(view.uncertainty_px) else 1e9),
+                view.name,
+            ),
+        )
     ]
     return RigFacts(rows, views)
 
@@ -107,14 +116,6 @@ def _offset(extrinsics: Float64[Tensor, "4 4"], metric: bool) -> str:
         f"{position.norm().item() * factor:.{digits}f} {unit}: the thermal camera is "
         f"{', '.join(parts)}"
     )
-
-
-def _angle_deg(extrinsics: Float64[Tensor, "4 4"]) -> float:
-    return math.degrees(torch.acos(extrinsics[2, 2].clamp(-1, 1)).item())
-
-
-def _finite(value: float) -> float:
-    return value if math.isfinite(value) else 1e9
 
 
 def _number(value: float) -> str:

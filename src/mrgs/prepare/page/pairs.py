@@ -37,7 +37,6 @@ def thermal_overlay(
     from there into the thermal image. Occlusions are ignored.
 
     Args:
-        preview: the view.
         points: start points, in world coordinates.
         visible: indices of those that the photo shows; None if not known.
 
@@ -67,7 +66,9 @@ def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
     known = np.isfinite(values)
     filled = np.where(known, values, np.median(values[known]) if known.any() else 0.0)
     down, right = np.gradient(gaussian_filter(filled.astype(np.float64), _EDGE_BLUR_PX))
-    strength = np.hypot(down, right) * _inner(known)
+    strength = np.hypot(down, right) * (
+        gaussian_filter(known.astype(np.float64), 2.0, mode="nearest") > 0.98
+    )
     ridge = _on_ridge(strength, down, right)
     limit = np.quantile(strength, 1 - _EDGE_SHARE)
     top = max(float(strength.max()), 1e-12)
@@ -84,11 +85,6 @@ def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
 
 def _levels(opacity: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
     return np.rint(opacity.clip(0, 1) * (_EDGE_LEVELS - 1)).astype(np.uint8)
-
-
-def _inner(known: np.ndarray) -> np.ndarray:
-    """Mask of pixels whose surroundings are known: a border of valid pixels is no edge."""
-    return gaussian_filter(known.astype(np.float64), 2.0, mode="nearest") > 0.98
 
 
 def _on_ridge(
@@ -183,10 +179,8 @@ def pairs(
     """Draw the views that are shown.
 
     Args:
-        previews: those that are shown.
         overlays: thermal images warped onto the photos, by the view's name.
         unit: of the thermal values; empty where they are relative.
-        total: number of views.
     """
     scale = Scale("inferno", *_common_range(previews), unit)
     return PairsSection(

@@ -148,7 +148,6 @@ def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[Measure
     """Some of the photos, evenly distributed, with the lens distortion of the file.
 
     Args:
-        scene: its folder.
         views: those with a pose and an RGB image.
 
     Raises:

@@ -87,7 +87,6 @@ def temperatures(
     Args:
         previews: views whose pixels are counted.
         unit: °C, or empty for relative values.
-        facts: rows of the table.
         notes: sentences from the thermal files, with the number of photos that have each.
         total: number of views, of which ``previews`` may be a part.
     """
@@ -146,9 +145,6 @@ def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: st
 
     Args:
         counts: one per equal step from ``low`` to ``high``.
-        low: the first step's lower end.
-        high: the last step's upper end.
-        unit: of both.
     """
     if not counts.sum():
         return Markup()
@@ -178,9 +174,6 @@ def spread_chart(
 
     Args:
         spreads: one per photo; the chart is empty without any.
-        low: lower end of the axis.
-        high: upper end of the axis.
-        unit: of all values.
     """
     if not spreads:
         return Markup()

@@ -63,7 +63,6 @@ def write_page(
         work: a scene in preparation; results that are not there yet are left out. If there are
             poses, but no scene files, the views are shown without them.
         without_pose: views to be listed with the skipped ones.
-        most_shown: views on the page at most.
 
     Raises:
         SceneError: the scene or an image in it cannot be read.
@@ -107,9 +106,7 @@ def write_scene_page(
     Args:
         path: ends with .html, in the scene's folder.
         template: extends ``scene.html``.
-        title: plain text.
         world: cameras and points; None if there are none.
-        values: for the template.
 
     Raises:
         RunError: the file cannot be written.

@@ -45,7 +45,6 @@ def find_pairs(
     """The photos of a folder and its subfolders that belong together.
 
     Args:
-        photos: the folder.
         rule: ``names`` compares the names of files (DJI's ``_T`` and ``_W``, FLIR's neighbouring
             numbers, suffixes), or takes the RGB photos embedded in FLIR's files; ``folders`` looks
             for equal names in folders such as ``rgb`` and ``thermal``; ``time`` compares the times

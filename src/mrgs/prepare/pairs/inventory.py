@@ -14,11 +14,11 @@ from PIL import Image
 from PIL.ExifTags import IFD, Base
 
 from mrgs.data.files import read_bytes, scene_error, visible_files
+from mrgs.data.kept import Stamp, digest, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, fff, flir, jpeg, read_exif
 from mrgs.data.radiometric.exif import clean_text
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.errors import SceneError
-from mrgs.prepare.cache import Stamp, digest, stamp_of
 from mrgs.prepare.contract import Progress, Skipped
 from mrgs.prepare.pairs.names import composed, folder_modality, natural, printable
 from mrgs.scene import Modality
@@ -75,7 +75,6 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
     """The photo in a file, or why it is none (half a sentence).
 
     Args:
-        path: the file.
         relative: its path below the folder of photos.
     """
     try:
@@ -232,7 +231,6 @@ def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
     """All files below a folder.
 
     Args:
-        root: the folder.
         progress: called with a step's name, the number of files that are done, and of all.
 
     Raises:
@@ -330,7 +328,8 @@ def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], l
             beside = [
                 other
                 for other in group
-                if other.path.parent == photo.path.parent and _same(photo, other)
+                if other.path.parent == photo.path.parent
+                and (photo.is_thermal and other.is_thermal)
             ]
             best[photo] = min([photo, *beside], key=lambda one: PREFERENCE.index(one.kind))
             if best[photo].kind == "dji" and len(finished) == 1:
@@ -348,8 +347,3 @@ def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], l
         else:
             kept.append(photo)
     return kept, skipped
-
-
-def _same(photo: Photo, other: Photo) -> bool:
-    """Whether both can hold the same thermal photo; a photo in visible light may share its stem."""
-    return photo.is_thermal and other.is_thermal

@@ -88,7 +88,6 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
     """The facts in a stem.
 
     Args:
-        stem: of a file's name.
         radiometric: whether the file is thermal by content: then an ``_R`` at the end says so, too
             (FLIR Duo, DJI XT2).
     """

@@ -95,7 +95,6 @@ def candidate_by_folder(photo: Photo, root_name: str = "") -> Candidate:
     """Modality by content and folder; the folder named after a modality is not part of the key.
 
     Args:
-        photo: the photo.
         root_name: of the folder of all photos, where it counts; see ``needed_root_name``.
     """
     return _candidate(photo, *folder_modality([root_name, *photo.origin.parts[:-1]]))

@@ -280,13 +280,7 @@ def _unseen(name: str) -> RigView:
 def _motion_px(
     cameras: ThermalCameras, observations: Observations, rows: Sequence[Int64[Tensor, "_"]]
 ) -> list[float]:
-    """Displacement of each pair's patches by its own motion, median, in thermal pixels.
-
-    Args:
-        cameras: adjusted.
-        observations: of all pairs.
-        rows: of the observations of each pair.
-    """
+    """Displacement of each pair's patches by its own motion, median, in thermal pixels."""
     moved = project(cameras.rig, cameras.motions[observations.views], observations.points)
     still = project(
         cameras.rig, torch.zeros_like(cameras.motions)[observations.views], observations.points

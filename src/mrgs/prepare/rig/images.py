@@ -53,7 +53,6 @@ def inverse_depth(
 
     Args:
         points: [N, 3], in world coordinates.
-        camera: of the photo.
         visible: indices of the points that the photo sees; None to find hidden ones by their depth.
     """
     uv, inverse = _project(points if visible is None else points[visible], camera)
@@ -174,7 +173,6 @@ def reduced_pair(
     and height.
 
     Args:
-        pair: at full size.
         points: sparse points of the scene, in the world.
         target: points of a target that this photo sees, in the world; none if it sees no target.
 

@@ -58,10 +58,7 @@ def refine(
     """The cameras that fit all pairs best, and the observations of the last level.
 
     Args:
-        pairs: at working size.
         size: width and height of the thermal files.
-        cameras: initial ones.
-        prior: of the rig and the motions.
         report: called with a step's name, the number of its parts that are done, and of all.
         corners: of a target, with which the initial cameras agree.
 
@@ -221,7 +218,6 @@ def warp(
     point of the ray at the current depth, and the photo's depth at its projection.
 
     Args:
-        pair: the photo with its depth.
         rays: of the thermal pixels, from ``thermal_rays``.
         photo_from_thermal: rigid motion [4, 4] from the thermal camera's axes to the photo's.
         spacing: of the thermal pixels, in photo pixels; the photo is blurred accordingly.

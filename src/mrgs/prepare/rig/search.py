@@ -88,7 +88,6 @@ def first_guess(
     cameras may be mounted on its side, or only one may note how it was held.
 
     Args:
-        pairs: at working size.
         field_of_view_deg: horizontal, of the thermal camera; None if not known.
         report: called with the number of cameras that were tried, and of all: of those that are
             nearly upright, and where none of them stands out, of those at all quarter turns.

@@ -88,7 +88,11 @@ def pairs_to_match(
         return list(combinations(range(count), 2))
     if positions is not None and are_informative(positions):
         return pairs_nearby(positions)
-    chosen = {pair for first in range(count) for pair in _next(first, count)}
+    chosen = {
+        (first, second)
+        for first in range(count)
+        for second in range(first + 1, min(first + 1 + NEIGHBOURS, count))
+    }
     signatures = image_signatures(descriptors())
     likeness = signatures @ signatures.T
     np.fill_diagonal(likeness, -np.inf)
@@ -97,10 +101,6 @@ def pairs_to_match(
     ):
         chosen |= {(min(image, other), max(image, other)) for other in others}
     return sorted(chosen)
-
-
-def _next(first: int, count: int) -> list[tuple[int, int]]:
-    return [(first, second) for second in range(first + 1, min(first + 1 + NEIGHBOURS, count))]
 
 
 def image_signatures(descriptors: list[UInt8[np.ndarray, "_ d"]]) -> Float32[np.ndarray, "n f"]:

@@ -44,7 +44,6 @@ def reconstruct(
 
     Args:
         images: files by the views' names, in the order in which they were taken; all of one size.
-        work: folder for intermediate results.
         progress: called with the steps "contrast" (of thermal images), "features", "matching" and
             "mapping".
         modality: of the images; the contrast of thermal ones is stretched first.
@@ -72,10 +71,6 @@ def positions_of(
 ) -> Float64[np.ndarray, "n 3"] | None:
     """Metres east, north and up of the first image; None unless all have GPS, and up is 0 unless
     all have heights.
-
-    Args:
-        images: as for ``reconstruct``.
-        gps: positions by view.
     """
     if any(name not in gps for name in images):
         return None
@@ -98,7 +93,6 @@ def run_colmap(folder: Path, progress: Progress, program: Sequence[str] = CHILD)
 
     Args:
         folder: holds the job; a log of the process is written there.
-        progress: called with the process's steps.
         program: arguments of the Python interpreter that start the process.
 
     Raises:
@@ -161,7 +155,6 @@ def read_result(folder: Path, images: Modality) -> Reconstruction:
 
     Args:
         folder: in which ``mrgs.prepare.sfm`` completed its job.
-        images: modality of the images.
 
     Raises:
         TooFewPosesError: fewer than ``MIN_VIEWS`` images have a pose.

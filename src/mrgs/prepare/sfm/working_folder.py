@@ -14,8 +14,8 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from mrgs.data.images import decode
+from mrgs.data.kept import digest
 from mrgs.errors import SceneError
-from mrgs.prepare.cache import digest
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.sfm.job import IMAGE_FOLDER, JOB_FILE
 from mrgs.system.atomic import replacing, write_error
@@ -37,8 +37,6 @@ def set_up(
     The images are named by numbers, so that no name can be misread.
 
     Args:
-        folder: to work in.
-        images: files by the views' names.
         stretch: whether to stretch the contrast, as thermal images need.
         progress: called for each image that is stretched.
         positions: where the images were taken, metres east, north and up.

@@ -93,7 +93,6 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Targ
     thermal camera beside it.
 
     Args:
-        sightings: of the target.
         square: width of a square in scene units, if that is known.
 
     Raises:

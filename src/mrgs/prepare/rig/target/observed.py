@@ -71,10 +71,6 @@ class ObservedTarget:
     def guess(self, width: int, height: int) -> Guess:
         """The focal length, rotation and shift that map the corners of the photos best to those of
         the thermal images.
-
-        Args:
-            width: of the thermal images.
-            height: of the thermal images.
         """
         both = [
             (s.rays, s.thermal.pixels) for s in self.geometry.sightings if s.thermal is not None
@@ -119,8 +115,6 @@ def observe_target(
     """Detect a target in all pairs and locate its corners.
 
     Args:
-        pairs: photos and thermal images.
-        target: to be detected.
         metres_per_unit: of the scene; None if that is not known.
         report: called with a stage's name, and how many of its steps are done and there are.
 

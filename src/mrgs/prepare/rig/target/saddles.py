@@ -85,7 +85,6 @@ def refined(
 
     Args:
         image: any unit.
-        pixels: where about they are.
         radius_px: of the fit, for each; less than half a square.
     """
     grid = np.linspace(-1, 1, _FIT_SAMPLES)

@@ -54,7 +54,6 @@ def find_sightings(
 
     Args:
         pairs: photos and thermal images, with the same side up.
-        target: to be detected.
         report: called with a stage's name, and how many of its steps are done and there are.
 
     Raises:

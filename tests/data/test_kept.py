@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import os
 import string
@@ -8,14 +10,14 @@ from pathlib import Path
 
 import pytest
 import torch
-from filelock import FileLock
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mrgs.data import kept
+from mrgs.data.kept import MISSING, Cache, Digests, digest, fingerprint, load, save, stamps
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts, GpsPosition, ObjectParameters, PhotoFacts
 from mrgs.errors import RunError, SceneError
-from mrgs.prepare.cache import MISSING, Cache, digest, fingerprint, load, locked, save, stamps
 from mrgs.prepare.contract import (
     ConvertedImage,
     ConvertedPhotos,
@@ -235,25 +237,6 @@ def test_a_result_that_was_cut_off_is_made_again(tmp_path):
     assert Cache(tmp_path).get("result", str, (), lambda: "found") == "found"
 
 
-def test_a_folder_in_use_is_left_alone(tmp_path):
-    folder = tmp_path / "scene" / "prepare"
-    folder.mkdir(parents=True)
-    message = "scene is being prepared by another run: wait for it, or choose another folder"
-    with FileLock(folder / ".lock"), pytest.raises(RunError, match=message), locked(folder):
-        pass
-    with locked(folder):
-        assert folder.is_dir()
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path):
-    (tmp_path / "scene").write_text("mine")
-    with (
-        pytest.raises(RunError, match="scene/prepare cannot be"),
-        locked(tmp_path / "scene" / "prepare"),
-    ):
-        pass
-
-
 def test_stamps_tell_of_every_change(tmp_path):
     (tmp_path / "b" / "c").mkdir(parents=True)
     for name in ("z.jpg", "b/y.jpg", "b/c/x.jpg"):
@@ -294,3 +277,104 @@ def test_digests_are_of_contents(tmp_path):
     a, b, c = (digest(tmp_path / name) for name in "abc")
     assert a == b != c
     assert digest(tmp_path / "missing") == ""
+
+
+class Reader:
+    """Reads files, and remembers their names in order."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def __call__(self, path: Path) -> str:
+        self.names.append(path.name)
+        return digest(path)
+
+
+@pytest.fixture
+def read(monkeypatch) -> Reader:
+    reader = Reader()
+    monkeypatch.setattr(kept, "digest", reader)
+    return reader
+
+
+@pytest.fixture
+def photo(tmp_path):
+    path = tmp_path / "a.jpg"
+    path.write_bytes(b"abc")
+    return path
+
+
+def sha(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def test_a_file_is_read_once_until_it_changes(photo, tmp_path, read):
+    for _ in range(2):
+        digests = Digests(tmp_path / "known.json")
+        assert [digests.of(photo) for _ in range(2)] == [sha(b"abc")] * 2
+        digests.save()
+    assert read.names == ["a.jpg"]
+    status = photo.stat()
+    photo.write_bytes(b"xyz")
+    os.utime(photo, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert Digests(tmp_path / "known.json").of(photo) == sha(b"xyz")
+
+
+def test_a_file_that_cannot_be_read_is_not_remembered(photo, tmp_path, monkeypatch):
+    answers = iter(["", sha(b"abc")])
+    monkeypatch.setattr(kept, "digest", lambda path: next(answers))
+    digests = Digests(tmp_path / "known.json")
+    assert digests.of(tmp_path / "none") == ""
+    assert digests.of(photo) == ""
+    assert digests.of(photo) == sha(b"abc")
+
+
+def test_a_pass_that_was_cut_short_forgets_nothing(photo, tmp_path, read):
+    other = tmp_path / "b.jpg"
+    other.write_bytes(b"b")
+    digests = Digests(tmp_path / "known.json")
+    for path in (photo, other):
+        digests.of(path)
+    digests.save()
+    photo.write_bytes(b"changed")
+    digests = Digests(tmp_path / "known.json")
+    digests.of(photo)
+    digests.save()
+    assert read.names == ["a.jpg", "b.jpg", "a.jpg"]
+    digests = Digests(tmp_path / "known.json")
+    assert [digests.of(path) for path in (photo, other)] == [sha(b"changed"), sha(b"b")]
+    assert read.names == ["a.jpg", "b.jpg", "a.jpg"]
+
+
+def test_after_a_full_pass_other_files_are_forgotten(photo, tmp_path):
+    (tmp_path / "b.jpg").write_bytes(b"b")
+    digests = Digests(tmp_path / "known.json")
+    for name in ("a.jpg", "b.jpg"):
+        digests.of(tmp_path / name)
+    digests.save()
+    digests = Digests(tmp_path / "known.json")
+    digests.of(photo)
+    digests.save(forget_others=True)
+    assert list(json.loads((tmp_path / "known.json").read_text())) == [str(photo)]
+
+
+def test_where_the_ctime_shows_no_change_files_are_read_by_each_call(
+    photo, tmp_path, read, monkeypatch
+):
+    monkeypatch.setattr(kept, "_CTIME_SHOWS_CHANGES", False)
+    for _ in range(2):
+        digests = Digests(tmp_path / "known.json")
+        assert [digests.of(photo) for _ in range(2)] == [sha(b"abc")] * 2
+        digests.save()
+    assert read.names == ["a.jpg", "a.jpg"]
+
+
+@pytest.mark.parametrize("known", ["", "[]", '{"a": 1}', '{"a": [1, 2, 3]}', "[" * 100_000])
+def test_a_damaged_memory_is_empty(photo, tmp_path, known, read):
+    (tmp_path / "known.json").write_text(known)
+    digests = Digests(tmp_path / "known.json")
+    assert digests.of(photo) == sha(b"abc")
+    digests.save()
+    assert read.names == ["a.jpg"]
+    assert Digests(tmp_path / "known.json").of(photo) == sha(b"abc")
+    assert read.names == ["a.jpg"]

@@ -1,8 +1,8 @@
-"""Results of stages and of single photos, kept between calls.
+"""Whether something is still the same: stamps and digests of files, fingerprints of values, and
+results that are kept until something that they depend on changes.
 
-``Cache`` alone decides what is recomputed. A result is one safetensors file with the
-fingerprint of everything that it depends on. Reading one runs no code; a file that does not match
-is ignored.
+A result is one safetensors file with the fingerprint of everything that it depends on. Reading one
+runs no code; a file that does not match is ignored.
 """
 
 from __future__ import annotations
@@ -10,37 +10,30 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import types
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
-from filelock import FileLock, Timeout
 from jaxtyping import AbstractArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from mrgs.data.files import visible_files
-from mrgs.errors import MrgsError, RunError
+from mrgs.errors import MrgsError
 from mrgs.scene import Modality, modality_named
-from mrgs.system.atomic import replacing, write_error
+from mrgs.system.atomic import replacing, write_text
 
 Result = TypeVar("Result")
-
-CACHE_FOLDER = "prepare"
-"""The cache's folder, inside the scene's folder."""
-
-LOCK = ".lock"
-"""File in it, by which a process holds the folder."""
 
 FORMAT = 3
 """Raise it when results change their meaning: stored ones are then ignored."""
 
-_BLOCK_BYTES = 2**20
+_CTIME_SHOWS_CHANGES = os.name != "nt"
 
 Stamp = tuple[int, int, int]
 """Size in bytes, mtime and ctime (ns). An export may give a file its old size and mtime; the
@@ -73,10 +66,7 @@ class Cache:
         """The stored result, or a new one.
 
         Args:
-            name: of the result, and of its file.
             kind: type of the result, or that type or None.
-            depends: values that the result depends on.
-            make: computes the result.
             files: other files of the result; it is recomputed if one is missing.
 
         Raises:
@@ -98,28 +88,6 @@ class Cache:
 
     def _file(self, name: str) -> Path:
         return self.folder / f"{name.replace(' ', '_')}.safetensors"
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder against other processes; it is created if it is missing.
-
-    Raises:
-        RunError: the folder cannot be made, or another process works in it.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / LOCK, timeout=0)
-        lock.acquire()
-    except Timeout:
-        raise RunError(
-            f"{folder.parent} is being prepared by another run: wait for it, or choose another "
-            f"folder"
-        ) from None
-    except OSError as error:
-        raise write_error(folder, error) from None
-    with lock:
-        yield
 
 
 def fingerprint(*values: Any) -> str:
@@ -152,9 +120,7 @@ def load(path: Path, kind: Any, made_from: str) -> Any:
     """The result that ``save`` wrote with this fingerprint; ``MISSING`` if there is none.
 
     Args:
-        path: of the file.
         kind: type of the result, or that type or None.
-        made_from: the fingerprint.
     """
     try:
         with safe_open(path, "pt") as file:
@@ -236,10 +202,10 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
 
 
 def stamp_of(path: Path, *, follow: bool = True) -> Stamp:
-    """The stamp of a file; of a link itself where it is not followed.
+    """The stamp of a file, or of a link itself if that is not followed.
 
     Raises:
-        OSError: there is none, or it cannot be looked at.
+        OSError: there is no such file, or its folder cannot be read.
     """
     status = path.stat(follow_symlinks=follow)
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns
@@ -266,8 +232,65 @@ def digest(path: Path) -> str:
     try:
         found = hashlib.sha256()
         with open(path, "rb") as file:
-            while block := file.read(_BLOCK_BYTES):
+            while block := file.read(2**20):
                 found.update(block)
         return found.hexdigest()
     except OSError:
         return ""
+
+
+class Digests:
+    """Digests of files, remembered in a JSON file between calls: a file is read again only if its
+    stamp has changed. On Windows they are remembered within a call only.
+
+    Args:
+        file: the JSON file; if it is missing or damaged, nothing is remembered.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._saved = _read_digests(file) if _CTIME_SHOWS_CHANGES else {}
+        self._known = dict(self._saved)
+        self._asked: set[str] = set()
+
+    def of(self, path: Path) -> str:
+        """SHA-256 of a file's content; empty if it cannot be read, which is not remembered."""
+        name = str(path)
+        try:
+            stamp = stamp_of(path)
+        except OSError:
+            return ""
+        known = self._known.get(name)
+        if known is None or known[0] != stamp:
+            known = stamp, digest(path)
+        if known[1]:
+            self._known[name] = known
+            self._asked.add(name)
+        return known[1]
+
+    def save(self, forget_others: bool = False) -> None:
+        """Remember the digests.
+
+        Args:
+            forget_others: after a pass over all files: those not asked for are gone.
+
+        Raises:
+            RunError: the file cannot be written.
+        """
+        if forget_others:
+            self._known = {name: self._known[name] for name in self._known if name in self._asked}
+        if _CTIME_SHOWS_CHANGES and self._known != self._saved:
+            self._saved = dict(self._known)
+            lines = {name: [*stamp, found] for name, (stamp, found) in self._known.items()}
+            write_text(self._file, json.dumps(lines))
+
+
+def _read_digests(file: Path) -> dict[str, tuple[Stamp, str]]:
+    try:
+        lines = json.loads(file.read_text(encoding="utf-8"))
+        return {
+            name: ((int(size), int(mtime), int(ctime)), str(found))
+            for name, (size, mtime, ctime, found) in lines.items()
+        }
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return {}
