@@ -29,6 +29,9 @@ GRADIENT_ERROR_MAX = 1e-4
 """Largest relative L2 error of a gradient."""
 RADIUS_ERROR_MAX = 1e-5
 
+ANY_CHANNELS = ((5,), (3, 2), (2,), (4,), (7, 3), (1, 1))
+"""Channels of layers that one pass of the kernels cannot take."""
+
 
 @dataclass(frozen=True)
 class RasterizerScene:
@@ -92,8 +95,8 @@ class RasterizerScene:
             splats.covs2d,
         )
         near = torch.zeros(self.height * self.width, dtype=torch.bool)
-        for modality in MODALITIES:
-            opacities = t[f"{modality}.opacities"][splats.indices]
+        for name in (name for name in t if name.endswith(".opacities")):
+            opacities = t[name][splats.indices]
             alpha = opacities * falloff
             transmittance = reference.transmittances(reference.alphas(opacities, falloff))[:, 1:]
             for values, threshold, margin in (
@@ -309,6 +312,18 @@ def assert_same_bits(result: tuple[list, dict], other: tuple[list, dict]) -> Non
         assert torch.equal(values, other_values)
     for name, gradient in result[1].items():
         assert torch.equal(gradient, other[1][name]), name
+
+
+def assert_any_channels(rasterize: Rasterizer, channels: tuple[int, ...]) -> None:
+    """Images and gradients of layers that no pass takes as they are."""
+    scene, seed = random_scene(2, 12, 20, 12), torch.Generator().manual_seed(1)
+    tensors = {name: t for name, t in scene.tensors.items() if "." not in name}
+    for place, count in enumerate(channels):
+        tensors[f"{place}.opacities"] = scene.tensors[f"{MODALITIES[place]}.opacities"]
+        tensors[f"{place}.features"] = torch.rand(12, count, generator=seed).double()
+        tensors[f"{place}.background"] = torch.rand(count, generator=seed).double()
+    scene = replace(scene, tensors=tensors)
+    assert_small(compare_with_oracle(rasterize, scene, tuple(map(str, range(len(channels))))))
 
 
 def assert_shows_the_background(rasterize: Rasterizer, scene: RasterizerScene) -> None:

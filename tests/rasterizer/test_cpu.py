@@ -14,12 +14,13 @@ import numba
 import pytest
 import torch
 
-from mrgs import rasterizer
 from mrgs.rasterizer import Layer, reference
 from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
 from mrgs.system.pieces import PIECE_ROWS
 from tests.helpers.rasterizers import (
+    ANY_CHANNELS,
+    assert_any_channels,
     assert_gradients_of_needles,
     assert_same_bits,
     assert_shows_the_background,
@@ -319,19 +320,17 @@ def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
         plain(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
 
 
-@pytest.mark.parametrize("channels", [(2,), (4,), (1, 1), (3, 2)])
-def test_layers_that_no_kernel_takes_are_rendered_plainly(channels) -> None:
-    generator = torch.Generator().manual_seed(0)
-    means = torch.tensor([[0.0, 0.0, 1.0], [0.1, 0.0, 1.2]])
-    scales, quats, K = torch.full((2, 3), 0.1), torch.ones(2, 4), 8 * torch.eye(3)
-    layers = [
-        Layer(torch.tensor([0.5, 0.7]), torch.rand(2, c, generator=generator), torch.zeros(c))
-        for c in channels
-    ]
-    arguments = (means, quats, scales, layers, torch.eye(4), K, 8, 8)
-    found, expected = rasterizer.rasterize(*arguments), reference.rasterize(*arguments)
-    for blend, plain in zip(found.blends, expected.blends, strict=True):
-        assert torch.equal(blend.image, plain.image)
+@pytest.mark.parametrize("channels", ANY_CHANNELS)
+def test_layers_of_any_number_of_channels(rasterize, channels) -> None:
+    assert_any_channels(rasterize, channels)
+
+
+def test_a_layer_has_a_channel(rasterize) -> None:
+    means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
+    empty = Layer(torch.ones(4), torch.ones(4, 0), torch.zeros(0))
+    for layers in ([], [empty]):
+        with pytest.raises(ValueError, match="layer"):
+            rasterize(means, torch.ones(4, 4), scales, layers, torch.eye(4), K, 8, 8)
 
 
 def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> None:

@@ -22,6 +22,8 @@ from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
 from mrgs.system import operation
 from tests.helpers.rasterizers import (
+    ANY_CHANNELS,
+    assert_any_channels,
     assert_gradients_of_needles,
     assert_same_bits,
     assert_shows_the_background,
@@ -277,13 +279,9 @@ def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
         rasterize(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
 
 
-def test_layers_that_no_kernel_takes_are_left_to_the_plain_definition(gpu_device) -> None:
-    from mrgs.kernels.rasterize.gpu import rasterize
-
-    means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
-    layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
-    arguments = (means, torch.ones(4, 4), scales, [layer, layer], torch.eye(4), K, 8, 8)
-    assert rasterize(*arguments) is NotImplemented
+@pytest.mark.parametrize("channels", ANY_CHANNELS[:2])
+def test_layers_of_any_number_of_channels(rasterize, channels) -> None:
+    assert_any_channels(rasterize, channels)
 
 
 def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) -> None:

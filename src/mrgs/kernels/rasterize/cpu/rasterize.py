@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from mrgs.kernels.rasterize.cpu.tiles import (
     gather_splats,
     tile_lists,
 )
+from mrgs.kernels.rasterize.passes import in_passes
 from mrgs.kernels.require import require_camera
 from mrgs.rasterizer import splat
 from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
@@ -199,27 +201,35 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
     dilation_px2: float = DILATION_PX2,
 ) -> Raster:
-    """``contract.Rasterizer`` for float32 tensors on the CPU: one layer of 3 or 1 channels, or one
-    of each, fused; NotImplemented for other layers.
+    """``contract.Rasterizer`` for float32 tensors on the CPU.
 
     Raises:
         ValueError: no layer, or tensors of other types or sizes.
         MrgsError: the Gaussians reach more tiles, together, than the kernels can number.
     """
-    channels = [layer.features.shape[1] for layer in layers]
-    if not channels:
-        raise ValueError("there must be a layer")
-    if not set(channels) <= set(_SLOT_CHANNELS) or len(set(channels)) != len(channels):
-        return NotImplemented
-    opacities, features, backgrounds = _merge_layers(
-        dict(zip(channels, layers, strict=True)), means.shape[0]
-    )
     offset = _zeros(means.shape[0], 2) if means2d_offset is None else means2d_offset
-    _check(means, quats, scales, opacities, features, backgrounds, offset)
     require_camera(viewmat, K, width, height)
-    inputs = (means, quats, scales, opacities, features, backgrounds, offset)
-    for_gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
     projection = _Projection(_float64(viewmat), _float64(K), width, height, dilation_px2)
+    return in_passes(layers, partial(_one_pass, means, quats, scales, offset, projection))
+
+
+def _one_pass(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    offset: Tensor,
+    projection: _Projection,
+    layers: Sequence[Layer],
+) -> Raster:
+    """One layer of 3 or 1 channels, or one of each."""
+    channels = [layer.features.shape[1] for layer in layers]
+    inputs = (
+        *(means, quats, scales),
+        *_merge_layers(dict(zip(channels, layers, strict=True)), means.shape[0]),
+        offset,
+    )
+    _check(*inputs)
+    for_gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
     *images, radii = _FusedPass.apply(*inputs, projection, for_gradients)
     blends = {3: _to_blend(*images[:3]), 1: _to_blend(*images[3:])}
     return Raster(tuple(blends[count] for count in channels), radii)

@@ -20,6 +20,7 @@ from mrgs.kernels.gpu_spec import Arguments
 from mrgs.kernels.rasterize import cpu
 from mrgs.kernels.rasterize.gpu import kernels
 from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
+from mrgs.kernels.rasterize.passes import in_passes
 from mrgs.kernels.require import require_camera
 from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
 from mrgs.scene import Blend
@@ -245,8 +246,7 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
     dilation_px2: float = DILATION_PX2,
 ) -> Raster:
-    """``contract.Rasterizer`` for float32 tensors on a GPU: one layer of 3 or 1 channels, or one of
-    each, fused; NotImplemented for other layers.
+    """``contract.Rasterizer`` for float32 tensors on a GPU.
 
     The camera may lie on any device; where it is not on that of ``means`` it is copied there.
 
@@ -255,31 +255,31 @@ def rasterize(
         MrgsError: there are more Gaussians, or they reach more tiles together, than the kernels can
             number.
     """
-    channels = [layer.features.shape[1] for layer in layers]
-    if not channels:
-        raise ValueError("there must be a layer")
-    if not set(channels) <= _SLOTS.keys() or len(set(channels)) != len(channels):
-        return NotImplemented
     if len(means) > _MOST_GAUSSIANS:
         raise MrgsError(
             f"there are {len(means):,} Gaussians, and a GPU can draw at most "
             f"{_MOST_GAUSSIANS:,}: use the CPU"
         )
-    what = _Pass({_SLOTS[c]: c for c in channels}, width, height, dilation_px2)
-    offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
-    inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
-    _check(inputs, channels)
     require_camera(viewmat, K, width, height)
+    offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
     # Not blocking: the host would wait for all that is queued. The copy has left a CPU tensor
     # before the call returns.
     viewmat, K = (
         matrix.detach().to(means, non_blocking=means.is_cuda).contiguous()
         for matrix in (viewmat, K)
     )
-    outputs = _FusedPass.apply(what, viewmat, K, *inputs)
-    return Raster(
-        tuple(Blend(*outputs[i : i + 3]) for i in range(0, 3 * len(channels), 3)), outputs[-1]
-    )
+
+    def one_pass(layers: Sequence[Layer]) -> Raster:
+        channels = [layer.features.shape[1] for layer in layers]
+        what = _Pass({_SLOTS[c]: c for c in channels}, width, height, dilation_px2)
+        inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
+        _check(inputs, channels)
+        outputs = _FusedPass.apply(what, viewmat, K, *inputs)
+        return Raster(
+            tuple(Blend(*outputs[i : i + 3]) for i in range(0, 3 * len(channels), 3)), outputs[-1]
+        )
+
+    return in_passes(layers, one_pass)
 
 
 def _check(inputs: Sequence[Tensor], channels: Sequence[int]) -> None:
