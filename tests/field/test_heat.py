@@ -8,8 +8,8 @@ from torch import nn
 from torch.nn.functional import conv1d
 
 from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
-from mrgs.kernels.heat.gpu import exchange
 from mrgs.kernels.heat.readout import readout_constants, readout_rows
+from mrgs.kernels.heat.residuals import _exchange_in_torch
 
 
 def random_case(count: int = 12, width: int = 4, k: int = 3, extra: int = 0, seed: int = 0):
@@ -30,7 +30,7 @@ def read_out(heat, features, opacity, neighbours, output):
         return anchors + output.bias
     constants = readout_constants(heat, output, torch.matmul)
     weights = (heat.anchor_weight, heat.surrounding_weight)
-    return exchange(projected, opacity, constants, neighbours, anchors, weights)[:, None]
+    return _exchange_in_torch(projected, opacity, constants, neighbours, anchors, weights)[:, None]
 
 
 def refine_one_by_one(heat, features, opacity, neighbours):

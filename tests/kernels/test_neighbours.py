@@ -6,8 +6,8 @@ import torch
 
 from mrgs.field.heat import nearest_neighbours as nearest_neighbours_plain
 from mrgs.field.heat import neighbour_distances
-from mrgs.kernels.neighbours import cpu
-from mrgs.kernels.neighbours.cpu import nearest_neighbours
+from mrgs.kernels import neighbours
+from mrgs.kernels.neighbours import nearest_neighbours
 from mrgs.scene.point_cloud import CROWDED
 from mrgs.system.operation import plainly
 
@@ -30,8 +30,8 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
         seen.append(points)
         return search(points, **options)
 
-    search = cpu.cKDTree
-    monkeypatch.setattr(cpu, "cKDTree", tree)
+    search = neighbours.cKDTree
+    monkeypatch.setattr(neighbours, "cKDTree", tree)
     return seen
 
 

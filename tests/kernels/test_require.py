@@ -12,11 +12,10 @@ from torch import Tensor
 from mrgs.baselines.thermonerf.kernels import hash_grid, perceptron
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.appearance import ColorHead
+from mrgs.kernels import color_head, convolution
 from mrgs.kernels.blur import cpu as blur
-from mrgs.kernels.color_head import cpu as color_head
-from mrgs.kernels.convolution import cpu as convolution
 from mrgs.kernels.harmonics import cpu as harmonics
-from mrgs.kernels.heat import cpu as heat
+from mrgs.kernels.heat import residuals as heat
 from mrgs.kernels.heat.exchange import exchange, with_neighbours
 from mrgs.kernels.rasterize.cpu.rasterize import median_depth, rasterize
 from mrgs.kernels.ssim import cpu as ssim
@@ -214,10 +213,10 @@ def test_layers_that_do_not_fit_together_are_refused():
         function(**{**arguments, "head": head})
     field = RadianceField(FieldConfig(embedding_width=WIDTH, neighbours_n=2))
     gaussians = random_gaussians(N, bands=15, embedding_width=WIDTH)
-    assert len(heat.temperature_residuals(field, gaussians, neighbours())) == N
+    assert len(heat.residuals_on_cpu(field, gaussians, neighbours())) == N
     wider = gaussians.with_tensors({**gaussians.tensors(), "embedding": ones(N, 2 * WIDTH)})
     with pytest.raises(ValueError, match="φ_SH's weight 0"):
-        heat.temperature_residuals(field, wider, neighbours())
+        heat.residuals_on_cpu(field, wider, neighbours())
 
 
 def test_there_are_no_harmonics_above_degree_three():

@@ -29,14 +29,14 @@ _CONVOLVE = "mrgs.method.losses.radiation.convolve"
 _VARIATION = "mrgs.method.losses.smoothness.total_variation"
 
 TABLE = (
-    Kernel(_ADAM, "mrgs.kernels.adam.fused.move", "cpu", _ANY_FLOAT),
+    Kernel(_ADAM, "mrgs.kernels.adam.move", "cpu", _ANY_FLOAT),
     Kernel(_ADAM, "mrgs.kernels.adam.gpu.move", "gpu"),
-    Kernel(_COLOR_HEAD, "mrgs.kernels.color_head.cpu.color_residuals", "cpu"),
-    Kernel(_HEAT, "mrgs.kernels.heat.cpu.temperature_residuals", "cpu"),
-    Kernel(_HEAT, "mrgs.kernels.heat.gpu.temperature_residuals", "gpu"),
+    Kernel(_COLOR_HEAD, "mrgs.kernels.color_head.color_residuals", "cpu"),
+    Kernel(_HEAT, "mrgs.kernels.heat.residuals.residuals_on_cpu", "cpu"),
+    Kernel(_HEAT, "mrgs.kernels.heat.residuals.residuals_on_gpu", "gpu"),
     Kernel(_SHADE, "mrgs.kernels.harmonics.cpu.shade", "cpu"),
     Kernel(_SHADE, "mrgs.kernels.harmonics.gpu.shade", "gpu"),
-    Kernel(_NEIGHBOURS, "mrgs.kernels.neighbours.cpu.nearest_neighbours", "cpu", _ANY_FLOAT),
+    Kernel(_NEIGHBOURS, "mrgs.kernels.neighbours.nearest_neighbours", "cpu", _ANY_FLOAT),
     Kernel(_NEIGHBOURS, "mrgs.kernels.neighbours.gpu.nearest_neighbours", "gpu"),
     Kernel(_RASTERIZE, "mrgs.kernels.rasterize.cpu.rasterize", "cpu"),
     Kernel(_RASTERIZE, "mrgs.kernels.rasterize.gpu.rasterize", "gpu"),
@@ -48,8 +48,8 @@ TABLE = (
     Kernel(_PHOTOMETRIC, "mrgs.kernels.ssim.gpu.photometric_loss", "gpu"),
     Kernel(_BOLTZMANN, "mrgs.kernels.ssim.cpu.boltzmann_loss", "cpu", _ANY_FLOAT),
     Kernel(_BOLTZMANN, "mrgs.kernels.ssim.gpu.boltzmann_loss", "gpu"),
-    Kernel(_CONVOLVE, "mrgs.kernels.convolution.cpu.convolve", "cpu", _ANY_FLOAT),
-    Kernel(_CONVOLVE, "mrgs.kernels.convolution.gpu.convolve", "gpu"),
+    Kernel(_CONVOLVE, "mrgs.kernels.convolution.convolve", "cpu", _ANY_FLOAT),
+    Kernel(_CONVOLVE, "mrgs.kernels.convolution.convolve_on_gpu", "gpu"),
     Kernel(_VARIATION, "mrgs.kernels.variation.cpu.total_variation", "cpu", _ANY_FLOAT),
     Kernel(_VARIATION, "mrgs.kernels.variation.gpu.total_variation", "gpu"),
 )

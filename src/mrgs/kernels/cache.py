@@ -29,11 +29,12 @@ from numba.core.caching import FunctionCache
 
 from mrgs.errors import MrgsWarning
 from mrgs.field import spherical_harmonics
+from mrgs.method.camera_model import point_spread
 from mrgs.rasterizer import contract, splat
 
 FOLDER = Path(__file__).parent
 
-CONSTANTS = (contract, splat, spherical_harmonics)
+CONSTANTS = (contract, splat, spherical_harmonics, point_spread)
 """Modules outside of this package whose numbers are compiled into its kernels."""
 
 COMPILER = (

@@ -1,4 +1,4 @@
-"""What is compiled of a Triton kernel, said once: for its launch, for the table of its resources
+"""What is compiled of a Triton kernel, given once: for its launch, for the table of its resources
 and for the tests.
 
 Each package of kernels lists its own in a ``KERNELS: tuple[KernelSpec, ...]``, one entry for every
@@ -8,7 +8,10 @@ machine without a GPU.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
+
+import triton
 
 Arguments: TypeAlias = dict[str, Any]
 """Tensors and numbers by the names of a kernel's arguments."""
@@ -51,3 +54,13 @@ class KernelSpec(NamedTuple):
         self.kernel[grid](
             **given, **self.constexprs, num_warps=self.num_warps, num_stages=self.num_stages
         )
+
+
+def device_function(function: Callable) -> Any:
+    """``triton.jit`` for what only kernels call; left as it is where Triton interprets.
+
+    The interpreter takes milliseconds to enter each function that it knows of, and runs what it
+    does not know alike.
+    """
+    jitted = triton.jit(function)
+    return jitted if isinstance(jitted, triton.JITFunction) else function

@@ -92,3 +92,16 @@ def require_layers(name: str, layers: Sequence[Tensor], widths: Sequence[int | N
 
 def _short(dtype: torch.dtype) -> str:
     return str(dtype).removeprefix("torch.")
+
+
+def listed(rows: Tensor | None, count: int) -> Tensor:
+    """The rows, on the CPU; all ``count`` of them if None.
+
+    Raises:
+        ValueError: not a list of int64.
+        IndexError: rows that do not exist.
+    """
+    if rows is None:
+        return torch.arange(count)
+    require_indices("rows", rows, (None,), count)
+    return rows

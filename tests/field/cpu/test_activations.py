@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.kernels.dense import activations
+from mrgs.kernels.dense import layers
 
 
 @pytest.fixture
-def memory() -> type[activations.Activations]:
+def memory() -> type[layers.Activations]:
     """A kind of its own, which finds no spares of what ran before."""
-    return type("Activations", (activations.Activations,), {"_spare": []})
+    return type("Activations", (layers.Activations,), {"_spare": []})
 
 
 def test_memory_goes_to_the_next_of_about_the_same_size(memory):

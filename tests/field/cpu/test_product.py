@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from mrgs.kernels.dense.layers import product
 from mrgs.kernels.dense.product import (
     BLOCK_ROWS,
     TILE_COLUMNS,
@@ -13,7 +14,6 @@ from mrgs.kernels.dense.product import (
     panels,
     rounded_up,
 )
-from mrgs.kernels.dense.small_product import product
 
 
 def random_array(*shape: int, seed: int = 0) -> np.ndarray:

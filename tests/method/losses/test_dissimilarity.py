@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.kernels.ssim import losses
+from mrgs.kernels import ssim as losses
 from mrgs.kernels.ssim.cpu import compare
 from mrgs.method.losses.ssim import ssim_map, structural_similarity
 

@@ -12,7 +12,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from mrgs.kernels.adam import fused
+from mrgs.kernels import adam
 from mrgs.kernels.gpu_spec import KernelSpec
 from mrgs.kernels.require import require
 from mrgs.method.adam import BETA1, BETA2
@@ -81,7 +81,7 @@ def move(
         or parameters[0].numel() > MOST_VALUES
         or not all(tensor.is_contiguous() for tensor in (parameters[0], *states))
     ):
-        fused.move(parameters, gradients, means, squares, counts, rate, epsilon, skip)
+        adam.move(parameters, gradients, means, squares, counts, rate, epsilon, skip)
         return
     (parameter,), (gradient,) = parameters, gradients
     size = parameter.numel()

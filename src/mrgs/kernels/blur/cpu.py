@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from numba import prange
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.blur.separable import filter_plane
+from mrgs.kernels.address import address
+from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.require import require
 from mrgs.method.camera_model.point_spread import REACH
 
@@ -73,3 +76,31 @@ def _filter(plane: Tensor, down: Tensor, across: Tensor) -> Tensor:
     result = torch.empty_like(plane, memory_format=torch.contiguous_format)
     filter_plane(padded.numpy(), down.numpy(), across.numpy(), result.numpy())
     return result
+
+
+@parallel_kernel()
+def filter_plane(padded, down, across, result):
+    """Weights [2R + 1] down and across: [H + 2R, W + 2R] -> [H, W]."""
+    height, width = result.shape
+    for row in prange(height):
+        line = np.zeros(padded.shape[1], padded.dtype)
+        _add_rows(padded, row, down, address(line, 0), padded.shape[1])
+        _filter_line(address(line, 0), across, address(result, row * width), width)
+
+
+@inner_function()
+def _add_rows(padded, first, weights, line, count):
+    for k in range(weights.size):
+        weight, values = weights[k], address(padded, (first + k) * padded.shape[1])
+        for i in range(count):
+            line[i] += weight * values[i]
+
+
+@inner_function()
+def _filter_line(line, weights, result, count):
+    for i in range(count):
+        result[i] = weights[0] * line[i]
+    for k in range(1, weights.size):
+        weight = weights[k]
+        for i in range(count):
+            result[i] += weight * line[i + k]

@@ -1,17 +1,21 @@
-"""A linear layer over blocks of rows, forward and backward, and the shares that the blocks are
-dealt out in."""
+"""A linear layer over blocks of rows, forward and backward; the shares in which threads take the
+blocks; small products of the layers' own matrices; memory for what a backward pass needs."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from mrgs.kernels.dense.product import (
     BLOCK_ROWS,
     TILE_COLUMNS,
+    TILE_ROWS,
     add_product,
     multiply,
     panels,
@@ -138,3 +142,60 @@ def rectify_backward(grad, values):
         for column in range(grad.shape[1]):
             if values[row, column] <= 0:
                 grad[row, column] = 0
+
+
+def product(a: Float[Tensor, "m k"], b: Float[Tensor, "k n"]) -> Float[Tensor, "m n"]:
+    """a · b for float32 on the CPU; a library's product of some shapes depends on the number of
+    threads."""
+    result: Tensor = _Product.apply(a, b)
+    return result
+
+
+class _Product(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, a: Tensor, b: Tensor) -> Tensor:
+        ctx.save_for_backward(a, b)
+        return _multiplied(a, b)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor]:
+        a, b = ctx.saved_tensors
+        return _multiplied(grads[0], b.T), _multiplied(a.T, grads[0])
+
+
+def _multiplied(a: Tensor, b: Tensor) -> Tensor:
+    (rows, k), columns = a.shape, b.shape[1]
+    left = np.zeros((rounded_up(rows, TILE_ROWS), k), np.float32)
+    left[:rows] = a.detach().numpy()
+    width = rounded_up(columns, TILE_COLUMNS)
+    out = np.empty((len(left), width), np.float32)
+    multiply(left, panels(b.detach().numpy()), np.zeros(width, np.float32), out)
+    return torch.from_numpy(out[:rows, :columns].copy())
+
+
+class Activations:
+    """An array that is not cleared; its memory goes to a later one when this is dropped.
+
+    Fresh memory costs: the system clears each page when it is first touched, which takes as long as
+    filling it.
+
+    Attributes:
+        array: float32, of the given shape.
+    """
+
+    _LARGEST_SPARES = 2
+    _spare: ClassVar[list[np.ndarray]] = []
+
+    def __init__(self, *shape: int) -> None:
+        size = math.prod(shape)
+        fitting = [
+            place for place, memory in enumerate(self._spare) if size <= memory.size <= 2 * size
+        ]
+        self._memory = self._spare.pop(fitting[0]) if fitting else np.empty(size, np.float32)
+        self.array = self._memory[:size].reshape(shape)
+
+    def __del__(self) -> None:
+        self._spare.append(self._memory)
+        self._spare.sort(key=lambda memory: memory.size)
+        del self._spare[: -self._LARGEST_SPARES]

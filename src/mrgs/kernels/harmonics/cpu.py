@@ -17,8 +17,7 @@ from mrgs.field import spherical_harmonics as sh
 from mrgs.kernels.address import address
 from mrgs.kernels.dense.layers import SHARES
 from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
-from mrgs.kernels.require import require
-from mrgs.kernels.rows import listed
+from mrgs.kernels.require import listed, require
 
 _ZERO = np.float32(0)
 _HALF = np.float32(0.5)

@@ -16,8 +16,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.field import spherical_harmonics as sh
-from mrgs.kernels.gpu_jit import device_function
-from mrgs.kernels.gpu_spec import Arguments, KernelSpec
+from mrgs.kernels.gpu_spec import Arguments, KernelSpec, device_function
 from mrgs.kernels.require import require
 
 BLOCK = 128

@@ -16,10 +16,10 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.dense.activations import Activations
 from mrgs.kernels.dense.encoding import encode
 from mrgs.kernels.dense.layers import (
     SHARES,
+    Activations,
     PackedLayer,
     Sums,
     blocks_of,

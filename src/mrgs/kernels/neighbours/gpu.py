@@ -18,7 +18,7 @@ import triton.language as tl
 from torch import Tensor, nn
 
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
-from mrgs.kernels.neighbours import cpu
+from mrgs.kernels.neighbours import nearest_neighbours as nearest_neighbours_on_cpu
 from mrgs.kernels.require import require
 
 MAX_K = 16
@@ -162,7 +162,7 @@ def nearest_neighbours(means: Tensor, k: int) -> Tensor:
     round trip.
     """
     if k > MAX_K:
-        return cpu.nearest_neighbours(means, k)
+        return nearest_neighbours_on_cpu(means, k)
     require("means", means, (None, 3), device=means.device)
     count = len(means)
     itself = torch.arange(count, device=means.device)

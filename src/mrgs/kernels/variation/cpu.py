@@ -19,7 +19,7 @@ from mrgs.kernels.address import address, moved
 from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.known_gradient import with_gradients
 from mrgs.kernels.require import require
-from mrgs.kernels.variation.pairs import valid_pairs
+from mrgs.kernels.variation import valid_pairs
 
 STRIP_ROWS = 16
 """Rows of one task; the step that leads to its first row is computed by two tasks."""

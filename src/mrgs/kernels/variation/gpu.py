@@ -17,7 +17,7 @@ from torch import Tensor
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
 from mrgs.kernels.known_gradient import with_gradients
 from mrgs.kernels.require import require
-from mrgs.kernels.variation.pairs import valid_pairs
+from mrgs.kernels.variation import valid_pairs
 
 BLOCK = 512
 """Values per program."""

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from mrgs.kernels.rasterize import in_passes
 from mrgs.kernels.rasterize.cpu.blend import blend
 from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
 from mrgs.kernels.rasterize.cpu.median import median
@@ -23,7 +24,6 @@ from mrgs.kernels.rasterize.cpu.tiles import (
     gather_splats,
     tile_lists,
 )
-from mrgs.kernels.rasterize.passes import in_passes
 from mrgs.kernels.require import require_camera
 from mrgs.rasterizer import splat
 from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster

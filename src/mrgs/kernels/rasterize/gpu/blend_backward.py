@@ -14,7 +14,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from mrgs.kernels.gpu_jit import device_function
+from mrgs.kernels.gpu_spec import device_function
 from mrgs.kernels.rasterize.gpu.blend import (
     any_unfinished,
     blended_alpha,

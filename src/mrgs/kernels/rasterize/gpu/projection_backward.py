@@ -6,7 +6,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from mrgs.kernels.gpu_jit import device_function
+from mrgs.kernels.gpu_spec import device_function
 from mrgs.kernels.rasterize.gpu.constants import (
     GRAD_ACROSS,
     GRAD_ACROSS_ACROSS,

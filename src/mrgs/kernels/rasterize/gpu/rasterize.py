@@ -17,10 +17,9 @@ from torch.autograd.function import once_differentiable
 
 from mrgs.errors import MrgsError
 from mrgs.kernels.gpu_spec import Arguments
-from mrgs.kernels.rasterize import cpu
+from mrgs.kernels.rasterize import cpu, in_passes
 from mrgs.kernels.rasterize.gpu import kernels
 from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
-from mrgs.kernels.rasterize.passes import in_passes
 from mrgs.kernels.require import require_camera
 from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
 from mrgs.scene import Blend

@@ -10,7 +10,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
-from mrgs.kernels.gpu_jit import device_function
+from mrgs.kernels.gpu_spec import device_function
 from mrgs.kernels.rasterize.gpu.constants import (
     EXTENT_Y,
     HALF_WIDTH,

@@ -14,10 +14,10 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from mrgs.field.appearance import ColorHead
-from mrgs.kernels.dense.activations import Activations
 from mrgs.kernels.dense.encoding import encode, encode_backward
 from mrgs.kernels.dense.layers import (
     SHARES,
+    Activations,
     PackedLayer,
     Sums,
     blocks_of,
@@ -34,8 +34,7 @@ from mrgs.kernels.dense.layers import (
 from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.harmonics.cpu import add_direction_gradient, direction
 from mrgs.kernels.jit import reordering_inlined_function, reordering_parallel_kernel
-from mrgs.kernels.require import require, require_layers
-from mrgs.kernels.rows import listed
+from mrgs.kernels.require import listed, require, require_layers
 
 
 def color_residuals(

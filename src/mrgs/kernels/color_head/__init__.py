@@ -1,1 +1,0 @@
-"""The colour residual ĉ."""

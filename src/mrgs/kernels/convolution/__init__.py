@@ -1,1 +1,0 @@
-"""The 3 × 3 convolution of the depth's uncertainty."""
