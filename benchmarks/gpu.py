@@ -24,7 +24,7 @@ from typing import Any
 
 from benchmarks.gpu_plan import PARTS, PLANS
 from benchmarks.gpu_report import to_markdown
-from mrgs.system.isolation import child_environment
+from mrgs.system.child import child_environment
 
 ROOT = Path(__file__).parents[1]
 SECONDS = 570.0

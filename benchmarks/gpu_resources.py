@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.report import table
-from mrgs.system.isolation import child_environment
+from mrgs.system.child import child_environment
 
 ROOT = Path(__file__).parents[1]
 TABLE = Path(__file__).parent / "results" / "gpu_resources.json"

@@ -17,8 +17,7 @@ from benchmarks.workload import (
 from mrgs.rasterizer import Layer, Raster, rasterize, reference
 from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from mrgs.scene import Modality, Pixels
-from mrgs.system.cuda_graph import CudaGraph
-from mrgs.system.recording import ListRoom, lists_have
+from mrgs.system.cuda_graph import CudaGraph, ListRoom, lists_have
 from mrgs.training.recorder import SPARE
 
 MODALITIES = ("rgb", "thermal")

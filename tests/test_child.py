@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.system.child import OUT_OF_MEMORY, Child
-from mrgs.system.isolation import CHILD_FOLDER
+from mrgs.system.child import CHILD_FOLDER, OUT_OF_MEMORY, Child, child_environment
 
 SCRIPT = "from mrgs.system.child import read_request, send, when_asked_to_stop\n"
 
@@ -124,3 +123,36 @@ import os; os.kill(os.getpid(), 9)
         while time.monotonic() < deadline:
             os.kill(pid, 0)
             time.sleep(0.05)
+
+
+def test_the_python_path_means_the_same_folders(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["", "own", str(tmp_path / "other")]))
+    expected = os.pathsep.join([str(tmp_path / "own"), str(tmp_path / "other")])
+    assert child_environment()["PYTHONPATH"] == expected
+
+
+def test_a_python_path_of_nothing_is_none(monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep)
+    assert "PYTHONPATH" not in child_environment()
+
+
+def test_changes_are_made(monkeypatch):
+    monkeypatch.setenv("KEPT", "1")
+    environment = child_environment(ADDED="2")
+    assert (environment["KEPT"], environment["ADDED"]) == ("1", "2")
+
+
+def test_a_module_on_a_relative_path_is_found_and_one_in_the_current_folder_is_not(
+    monkeypatch, tmp_path: Path
+):
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "wanted.py").write_text("import json, mrgs")
+    (tmp_path / "json.py").write_text("raise RuntimeError")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", "own")
+    for safe in ("1", ""):  # Python 3.10 does not know it: the folder alone must do
+        environment = child_environment(PYTHONSAFEPATH=safe)
+        subprocess.run(
+            [sys.executable, "-m", "wanted"], env=environment, cwd=CHILD_FOLDER, check=True
+        )

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import sys
+import warnings
 from pathlib import Path
+
+_INSIDE = (str(Path(__file__).parent) + os.sep, contextlib.__file__)
+"""Files of this package, and what is between a ``with`` and the block that it opens."""
 
 
 class MrgsError(Exception):
@@ -84,3 +91,15 @@ class MrgsWarning(UserWarning):
 
 class KernelWarning(MrgsWarning):
     """A kernel does not compute what its plain definition says, so the definition runs."""
+
+
+def warn_user(text: str, category: type[MrgsWarning] = MrgsWarning) -> None:
+    """Warn of something in a call of this package; the warning points at the line of that call.
+
+    Warns:
+        MrgsWarning: the text, in this category.
+    """
+    frame, level = sys._getframe(), 1
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_INSIDE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, category, stacklevel=level)

@@ -15,13 +15,13 @@ from mrgs.export.splats import require_exportable, shaded_splats
 from mrgs.export.spz import write_spz
 from mrgs.scene import RGB, Camera
 from mrgs.scene.depth_map import visible
-from mrgs.system import pieces
+from mrgs.system import memory
 from tests.helpers.exports import make_baked
 
 
 @pytest.fixture
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pieces, "PIECE_ROWS", 7)
+    monkeypatch.setattr(memory, "CHUNK_ROWS", 7)
 
 
 def files(folder: Path) -> dict[str, bytes]:

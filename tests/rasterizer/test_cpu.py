@@ -17,7 +17,7 @@ import torch
 from mrgs.rasterizer import Layer, reference
 from mrgs.rasterizer.contract import DILATION_PX2
 from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
-from mrgs.system.pieces import PIECE_ROWS
+from mrgs.system.memory import CHUNK_ROWS
 from tests.helpers.rasterizers import (
     ANY_CHANNELS,
     assert_any_channels,
@@ -257,9 +257,9 @@ def test_gradients_flow_only_into_what_requires_them(rasterize):
     assert not any(image.requires_grad for image in images_of(scene.render(rasterize)))
 
 
-@pytest.mark.parametrize("count", [60, PIECE_ROWS + 1_000])
+@pytest.mark.parametrize("count", [60, CHUNK_ROWS + 1_000])
 def test_images_are_the_same_without_gradients(rasterize, count):
-    """Without them, ``PIECE_ROWS`` Gaussians are projected at a time."""
+    """Without them, ``CHUNK_ROWS`` Gaussians are projected at a time."""
     scene = random_scene(5, count, dtype=torch.float32)
     alone, expected = (images_of(each.render(rasterize)) for each in (scene, scene.with_leaves()))
     assert all(torch.equal(*pair) for pair in zip(alone, expected, strict=True))

@@ -30,7 +30,7 @@ from mrgs.pictures.settings import SETTINGS
 from mrgs.report.conditions import LABELS, conditions_of
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
 from mrgs.survey import Side, Survey
-from mrgs.system.message import Message
+from mrgs.system.wording import Message
 
 TRANSLATED = [language for language in LANGUAGES if language != "en"]
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import mrgs
-from mrgs.system.memory import free_memory, peak_resident
+from mrgs.system.memory import collector_paused, free_memory, peak_resident
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's /proc")
 
@@ -62,3 +63,26 @@ give_back_freed()
 print(full - _bytes_after("VmRSS:", _STATUS))
 """
     assert run_script(script) > 20 * 2**20
+
+
+def test_the_collector_comes_back_after_an_error():
+    assert gc.isenabled()
+
+    def fail() -> None:
+        with collector_paused():
+            assert not gc.isenabled()
+            raise ValueError("from within")
+
+    with pytest.raises(ValueError, match="from within"):
+        fail()
+    assert gc.isenabled()
+
+
+def test_one_that_is_off_stays_off():
+    gc.disable()
+    try:
+        with collector_paused():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

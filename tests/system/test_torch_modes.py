@@ -18,7 +18,7 @@ from torch import Tensor
 
 import mrgs
 from mrgs.system import torch_modes
-from mrgs.system.torch_modes import own_modes
+from mrgs.system.torch_modes import own_modes, seeded
 
 
 class Thread(torch.autograd.Function):
@@ -235,3 +235,16 @@ def test_frozen_flags_of_torch_do_not_matter():
         [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=120
     )
     assert (ran.stdout.strip(), ran.returncode) == ("False", 0), ran.stderr
+
+
+def test_what_is_drawn_follows_from_the_seed_and_leaves_nothing_behind():
+    drawn = []
+    for before in (1, 2):
+        torch.manual_seed(before)
+        state = torch.get_rng_state()
+        with seeded(7):
+            drawn.append(torch.rand(3))
+        assert torch.equal(torch.get_rng_state(), state)
+    assert torch.equal(*drawn)
+    with seeded(8):
+        assert not torch.equal(torch.rand(3), drawn[0])

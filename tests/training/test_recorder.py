@@ -24,7 +24,7 @@ from mrgs.method.losses.photometric import photometric_loss
 from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.method.losses.terms import Photometric
 from mrgs.scene import RGB, THERMAL, Camera, Pixels
-from mrgs.system.recording import room_of_list
+from mrgs.system.cuda_graph import room_of_list
 from mrgs.training.recorder import MOST_RECORDINGS, STALE_AFTER, Recorder
 from mrgs.training.state import initial_state
 from mrgs.training.step import training_step

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.system.message import Message
+from mrgs.system.wording import Message
 from mrgs.viewer.messages import Look, decode, encode
 
 LOOK = {

@@ -18,7 +18,7 @@ from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.prepare import PrepareOptions, StageReport
 from mrgs.scene import Scene
-from mrgs.system.room import free_disk
+from mrgs.system.disk import free_disk
 from mrgs.system.wording import counted
 from mrgs.training.driver import Statistics
 from mrgs.training.run_folder import RunConfig

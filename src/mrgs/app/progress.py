@@ -22,7 +22,7 @@ from rich.table import Column
 
 from mrgs.app.interrupts import CTRL_C, Interruption, interrupts
 from mrgs.app.terminal import print_note
-from mrgs.system.callers import warn
+from mrgs.errors import warn_user
 
 if TYPE_CHECKING:
     from mrgs.pipeline.forecast import Forecast
@@ -202,7 +202,7 @@ class TrainingProgress:
             f"{len(scene.points.positions):,} start points"
         )
         for note in scene.notes:  # those already shown are not repeated
-            warn(f"{scene.name}: {note}")
+            warn_user(f"{scene.name}: {note}")
         print(_plan(scene, config))
         if (hint := _hint_at_resolution(scene, config)) is not None:
             print_note(hint)

@@ -18,7 +18,7 @@ from mrgs.method.config import TrainConfig
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import Gaussians, Scene
-from mrgs.system.randomness import seeded
+from mrgs.system.torch_modes import seeded
 from mrgs.training import checkpoint
 from mrgs.training.checkpoint_layout import below
 from mrgs.training.facts import CheckpointFacts

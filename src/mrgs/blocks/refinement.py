@@ -24,7 +24,7 @@ from mrgs.method.start.initialisation import initial_gaussians
 from mrgs.method.start.start_points import start_points
 from mrgs.render import Model, rows_in_view
 from mrgs.scene import THERMAL, Gaussians, PointCloud, Scene
-from mrgs.system.randomness import seeded
+from mrgs.system.torch_modes import seeded
 from mrgs.training.checkpoint import load_model
 from mrgs.training.newest import load_newest
 from mrgs.training.opening import TrainingPart

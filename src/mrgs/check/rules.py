@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from mrgs.check import cameras, photos
 from mrgs.check.problem import Evidence, Problem
+from mrgs.errors import warn_user
 from mrgs.scene import Scene
-from mrgs.system.callers import warn
 
 
 class Rule(NamedTuple):
@@ -75,4 +75,4 @@ def warn_of_problems(scene: Scene) -> None:
         SceneError: a photo cannot be read.
     """
     for problem in fast_problems(scene):
-        warn(f"{scene.name}: {problem.text} {problem.remedy}".rstrip())
+        warn_user(f"{scene.name}: {problem.text} {problem.remedy}".rstrip())

@@ -40,8 +40,8 @@ from mrgs.runs.open import open_run
 from mrgs.scene import BUILT_IN, THERMAL, Scene, View
 from mrgs.system import gpu
 from mrgs.system.atomic import remove, write_text
+from mrgs.system.disk import warn_if_short
 from mrgs.system.gpu import DeviceName
-from mrgs.system.room import warn_if_short
 from mrgs.training import TrainConfig
 from mrgs.training.memory import checkpoint_bytes
 from mrgs.training.run_folder import CHECKPOINTS_KEPT

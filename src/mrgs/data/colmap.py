@@ -17,8 +17,7 @@ from mrgs.data.images import probe
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
 from mrgs.data.thermal import BOUNDS_FILES
 from mrgs.scene import RGB, THERMAL, Modality
-from mrgs.system.message import Message
-from mrgs.system.wording import shown
+from mrgs.system.wording import Message, shown
 
 FOLDERS = {RGB: ("rgb", "images"), THERMAL: ("thermal",)}
 """Possible folders of each modality's images; the first that exists is used."""

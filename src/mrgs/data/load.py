@@ -20,12 +20,11 @@ from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_image
 from mrgs.data.sources import FilenameLists, ReadingNotes, SceneSource, ViewSource
 from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, warn_user
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 from mrgs.scene.point_cloud import RANDOM_POINTS, PointCloud, random_points
-from mrgs.system.callers import warn
-from mrgs.system.collector import collector_paused
-from mrgs.system.message import Message
+from mrgs.system.memory import collector_paused
+from mrgs.system.wording import Message
 
 
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
@@ -64,7 +63,7 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
             error.filename or path, f"cannot be read ({error.strerror}); check its permissions"
         ) from None
     for text in source.notes.repaired:
-        warn(f"{source.root.name}: {text}")
+        warn_user(f"{source.root.name}: {text}")
     return scene
 
 

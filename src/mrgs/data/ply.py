@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.errors import SceneError
 from mrgs.system.atomic import replacing
-from mrgs.system.pieces import pieces
+from mrgs.system.memory import row_chunks
 from mrgs.system.wording import shown
 
 MAX_HEADER_BYTES = 64 * 1024
@@ -78,7 +78,7 @@ def write_ply(
     with replacing(path) as temporary, open(temporary, "wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
         for element in elements.values():
-            for rows in pieces(_count(element)):
+            for rows in row_chunks(_count(element)):
                 file.write(_records(element, rows).view(np.uint8).data)
     return path
 

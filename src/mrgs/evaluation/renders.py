@@ -28,7 +28,7 @@ from torch import Tensor
 from mrgs.data import load_scene
 from mrgs.data.files import IMAGE_SUFFIXES, without_image_suffix
 from mrgs.data.images import Decoded, decode, with_channels
-from mrgs.errors import RunError, SceneError
+from mrgs.errors import RunError, SceneError, warn_user
 from mrgs.evaluation.evaluate import Metrics
 from mrgs.evaluation.report import RunFacts
 from mrgs.evaluation.score_run import Counted, Progress, score_views
@@ -44,7 +44,6 @@ from mrgs.scene import (
     View,
     in_order,
 )
-from mrgs.system.callers import warn
 from mrgs.system.wording import listed
 
 GREY_TOLERANCE = 2.5 / 255
@@ -217,7 +216,7 @@ def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str
             )
     extra = sorted(found.keys() - set(names))
     if extra:
-        warn(
+        warn_user(
             f"{folder} holds {len(extra)} images that belong to no eval view ({listed(extra)}); "
             f"they are left out"
         )

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
-from mrgs.errors import ConfigError, SceneError
+from mrgs.errors import ConfigError, SceneError, warn_user
 from mrgs.evaluation.contact_sheet import SheetRows, ViewImages, contact_sheet
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, Visitor, evaluate
 from mrgs.evaluation.held_out_poses import (
@@ -31,7 +31,6 @@ from mrgs.pictures.video import frame_writer
 from mrgs.runs.open import Run, TrainedRun
 from mrgs.scene import Camera, CameraResponse, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
-from mrgs.system.callers import warn
 from mrgs.system.memory import give_back_freed
 
 PATH_FRAMES = 120
@@ -104,7 +103,7 @@ def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutP
     error = held_out_error(run, looked_at_first(scene.eval), counted.one_more)
     if error is None or not error.found.is_wrong:
         return HeldOutPoses(None if error is None else error.photo_px)
-    warn(
+    warn_user(
         f"{scene.name}: the held-out photos are about {error.photo_px:.1f} pixels off what the "
         f"model shows: poses, theirs or those trained on, seem to be wrong, so they are scored "
         f"with aligned poses as well"

@@ -18,7 +18,7 @@ from jaxtyping import Float64
 
 from mrgs.errors import ConfigError
 from mrgs.scene import EarthPosition, Scene
-from mrgs.system.optional import optional_package
+from mrgs.system.lazy import optional_package
 
 UTM_LATITUDES_DEG = (-80.0, 84.0)
 """UTM is defined between these."""

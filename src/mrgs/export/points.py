@@ -16,7 +16,7 @@ from mrgs.export.sidecar import comment_lines
 from mrgs.export.surface_points import COLORS, SurfacePoints
 from mrgs.scene import Scene
 from mrgs.system.atomic import replacing
-from mrgs.system.optional import optional_package
+from mrgs.system.lazy import optional_package
 
 
 def export(job: ExportJob) -> list[Path]:

@@ -17,7 +17,7 @@ from mrgs.pictures.palette import PaletteName, palette_table
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Modality, evenly_spaced
-from mrgs.system.pieces import pieces
+from mrgs.system.memory import row_chunks
 
 MEAN_OVER = 32
 """Cameras over which a colour without direction is averaged."""
@@ -112,7 +112,7 @@ def require_exportable(baked: BakedModel) -> None:
     if len(baked) == 0:
         raise RunError("the model has no splats, so there is nothing to export: retrain it")
     broken = 0
-    for rows in pieces(len(baked)):
+    for rows in row_chunks(len(baked)):
         parts = [
             tensor[rows].reshape(rows.stop - rows.start, -1) for tensor in baked.tensors().values()
         ]

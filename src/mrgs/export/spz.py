@@ -23,7 +23,7 @@ from mrgs.export.job import ExportJob, described
 from mrgs.export.ply import log_of
 from mrgs.export.splats import SplatArrays, to_bytes
 from mrgs.system.atomic import replacing
-from mrgs.system.pieces import pieces
+from mrgs.system.memory import row_chunks
 
 MAGIC = 0x5053474E
 VERSION = 3
@@ -91,7 +91,7 @@ def write_spz(path: Path, splats: SplatArrays) -> Path:
     ):
         file.write(header)
         for part in parts:
-            for rows in pieces(len(splats)):
+            for rows in row_chunks(len(splats)):
                 file.write(np.ascontiguousarray(part(rows)).data)
     return path
 

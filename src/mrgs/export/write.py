@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from mrgs.errors import ConfigError, MrgsError, RunError, WriteError
+from mrgs.errors import ConfigError, MrgsError, RunError, WriteError, warn_user
 from mrgs.export.crs import coordinate_system
 from mrgs.export.formats import FORMATS, Format
 from mrgs.export.job import ExportJob
@@ -19,7 +19,6 @@ from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
-from mrgs.system.callers import warn
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
@@ -157,7 +156,7 @@ def _is_writable(format: Format, scene: Scene, maps: MapOptions) -> bool:
 
 
 def _note_left_out(format: Format, error: MrgsError) -> None:
-    warn(f"{format.name} is left out: {error}")
+    warn_user(f"{format.name} is left out: {error}")
 
 
 def _of_photos(baked: BakedModel, scene: Scene) -> BakedModel:

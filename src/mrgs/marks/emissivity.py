@@ -14,7 +14,7 @@ from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark
 from mrgs.scene import Scene
 from mrgs.scene.radiometry import PhotoRecord, Planck
-from mrgs.system.message import Message
+from mrgs.system.wording import Message
 
 SECOND_RADIATION_CONSTANT_UM_K = 14_387.77
 TYPICAL_WAVELENGTH_UM = 10.0

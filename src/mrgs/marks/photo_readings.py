@@ -20,7 +20,7 @@ from torch import Tensor
 from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
 from mrgs.scene import THERMAL, CameraResponse, TemperatureRange, View, evenly_spaced
 from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
-from mrgs.system.pieces import pieces
+from mrgs.system.memory import row_chunks
 
 OF_ONE_VALUE = 2 / 12**0.5
 """Half the width of the interval for 95 of 100 cases, in steps: whatever is within a step is
@@ -249,7 +249,7 @@ class PhotoReadings:
         Raises:
             SceneError: a photo cannot be read.
         """
-        found = [self._of_piece(points[rows]) for rows in pieces(len(points))]
+        found = [self._of_piece(points[rows]) for rows in row_chunks(len(points))]
         return PhotoParts(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
     @cached_property

@@ -26,8 +26,8 @@ from mrgs.marks.surface import (
 )
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering, TemperatureRange
-from mrgs.system.message import Message
-from mrgs.system.pieces import pieces
+from mrgs.system.memory import row_chunks
+from mrgs.system.wording import Message
 
 REGION_DEPTH = 0.08
 """A point belongs to a region if its distance from the eye differs from that of the surface by less
@@ -214,7 +214,7 @@ class Regions:
         ``SurfaceRegion.holds``."""
         flat = points.reshape(-1, 3)
         owner = np.full(len(flat), -1, np.int16)
-        for rows in pieces(len(flat)):
+        for rows in row_chunks(len(flat)):
             for number, region in enumerate(self._regions):
                 owner[rows][region.holds(flat[rows], eye)] = number
         for number, region in enumerate(self._regions):

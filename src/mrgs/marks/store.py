@@ -14,12 +14,11 @@ import numpy as np
 from filelock import FileLock, Timeout
 from jaxtyping import Float
 
-from mrgs.errors import ConfigError, RunError
+from mrgs.errors import ConfigError, RunError, warn_user
 from mrgs.marks.mark import Mark, Marks
 from mrgs.runs.open import TrainedRun
 from mrgs.scene import Camera, Scene
 from mrgs.system.atomic import require_folder, write_error, write_text
-from mrgs.system.callers import warn
 from mrgs.system.wording import shown
 
 FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
@@ -211,7 +210,7 @@ class MarkStore:
         except OSError as error:
             raise write_error(path, error) from error
         reason = " ".join(reason.split())
-        warn(
+        warn_user(
             f"{path} is damaged ({reason}): it is kept as {aside.name}; fix it and rename it, or "
             f"undo to bring back the marks before the last change"
         )

@@ -16,7 +16,7 @@ from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark, Place
 from mrgs.scene import THERMAL, Camera, Rendering, Scene
 from mrgs.scene.camera import viewmat_towards
-from mrgs.system.message import Message
+from mrgs.system.wording import Message
 
 SurfaceRenderer = Callable[[Camera], Rendering]
 """Renders all modalities of a model from a camera, with the depths of their surfaces."""

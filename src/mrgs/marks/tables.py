@@ -22,7 +22,7 @@ from mrgs.pictures.spreadsheet import escape_cell
 from mrgs.pictures.values import decimals_of, unit_label
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
 from mrgs.system.atomic import write_text
-from mrgs.system.message import Message
+from mrgs.system.wording import Message
 
 HEADINGS = ("Mark", "Kind", "Mean", "±", "Min", "Max", "ΔT", "Size", "Photos", "Severity", "Note")
 DASH = "–"

@@ -23,7 +23,7 @@ from mrgs.runs.open import Run
 from mrgs.scene import CameraResponse, Scene, TemperatureRange
 from mrgs.scene.radiometry import ObjectParameters
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
-from mrgs.system.message import Message
+from mrgs.system.wording import Message
 
 COVERAGE = 2.0
 """Times the standard uncertainty: an interval that holds the truth in 95 of 100 cases."""

@@ -18,9 +18,9 @@ from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.reconstruct import check_version, installed_version
 from mrgs.scene import THERMAL
 from mrgs.system import gpu
+from mrgs.system.disk import free_disk
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.memory import free_memory
-from mrgs.system.room import free_disk
 from mrgs.system.threads import available_cores
 from mrgs.training.compilation import compiling_progress
 from mrgs.training.memory import training_bytes

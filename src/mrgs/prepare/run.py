@@ -22,7 +22,7 @@ from mrgs.prepare.sfm.reconstruct import reconstruct
 from mrgs.prepare.thermal_camera import Calibrate
 from mrgs.prepare.work import Work
 from mrgs.system.atomic import TEMPORARY, remove_abandoned, write_error, write_text
-from mrgs.system.room import warn_if_short
+from mrgs.system.disk import warn_if_short
 
 GROWTH = 2
 """Size of the images and intermediate results over that of the photos, roughly."""

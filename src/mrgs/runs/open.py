@@ -21,8 +21,8 @@ from mrgs.runs.refined_poses import with_refined_poses
 from mrgs.runs.registry import Method, find_method
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
-from mrgs.system.forks import will_compute
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
+from mrgs.system.threads import will_compute
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_model
 from mrgs.training.facts import require_scene

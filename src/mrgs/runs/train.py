@@ -11,16 +11,15 @@ from pathlib import Path
 
 import torch
 
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, warn_user
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.render import Model, render
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
-from mrgs.system.callers import warn
-from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import DeviceName
+from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.wording import shown
 from mrgs.training import opening
@@ -298,7 +297,7 @@ def _kept_if_stopped(folder: RunFolder) -> Iterator[None]:
     except (Exception, KeyboardInterrupt):
         if isinstance(folder, TemporaryRunFolder) and folder.checkpoints():
             folder.keep()
-            warn(
+            warn_user(
                 f"the run is kept in {folder.path} until this process ends: continue it with "
                 f"output={str(folder.path)!r} and resume=True, or open it with load_run"
             )

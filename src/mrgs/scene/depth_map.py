@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.view import evenly_spaced
-from mrgs.system.pieces import pieces
+from mrgs.system.memory import row_chunks
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -114,7 +114,7 @@ def carry_over(
 
 def visible(camera: Camera, positions: Float32[np.ndarray, "n 3"]) -> PointsInImage:
     """The points inside a camera's image."""
-    found = [_visible(camera, positions, rows) for rows in pieces(len(positions))]
+    found = [_visible(camera, positions, rows) for rows in row_chunks(len(positions))]
     rows, columns, lines, z = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return PointsInImage(rows, (lines, columns), z)
 

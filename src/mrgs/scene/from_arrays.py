@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, warn_user
 from mrgs.scene.arrays import Array, as_tensor
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import RGB, THERMAL, Modality
@@ -25,7 +25,6 @@ from mrgs.scene.radiometry import (
     are_everyday,
 )
 from mrgs.scene.view import Pixels, PosedImage, View
-from mrgs.system.callers import warn
 
 Images: TypeAlias = Iterable[Array | None]
 """One image for each view, None where a view has none."""
@@ -110,7 +109,7 @@ def warn_of_kelvin(thermal: Sequence[Tensor | None]) -> None:
         return
     low, middle, high = np.percentile(known.numpy(), (1, 50, 99))
     if are_everyday(low - ZERO_CELSIUS_K, middle - ZERO_CELSIUS_K, high - ZERO_CELSIUS_K):
-        warn(
+        warn_user(
             f"celsius has values from {low:.5g} to {high:.5g}, which look like kelvin: subtract "
             f"{ZERO_CELSIUS_K} if they are"
         )

@@ -1,10 +1,10 @@
 """Child processes that report on their work: the one protocol for all of them.
 
-A child is a Python process that imports nothing from the user's folders (see ``isolation``). Its
-argument is a JSON request. It writes one JSON object per line to its standard output, and last one
-with the key ``end``, which says how the work ended; ``{"end": "error", "message": ...}`` is a
-failure that it understands. When its standard input is closed, its parent wants it to stop, or has
-died. Standard error goes to a log file.
+A child is a Python process that imports nothing from the user's folders
+(``child_environment``). Its argument is a JSON request. It writes one JSON object per line to its
+standard output, and last one with the key ``end``, which says how the work ended;
+``{"end": "error", "message": ...}`` is a failure that it understands. When its standard input is
+closed, its parent wants it to stop, or has died. Standard error goes to a log file.
 
 Children are started with an argv: ``multiprocessing`` would pickle what it hands over, and run the
 caller's script again in each of them.
@@ -20,8 +20,6 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
-
-from mrgs.system.isolation import CHILD_FOLDER, child_environment
 
 Message = dict[str, Any]
 
@@ -142,3 +140,23 @@ def when_asked_to_stop(action: Callable[[], None]) -> None:
         action()
 
     threading.Thread(target=wait, daemon=True).start()
+
+
+CHILD_FOLDER = Path(sys.prefix)
+"""Where a child runs. ``python -m`` puts the current folder first on ``sys.path``, so that a
+``json.py`` among downloaded photos would be run; Python 3.10 does not know PYTHONSAFEPATH."""
+
+
+def child_environment(**changes: str) -> dict[str, str]:
+    """The environment of a child: this process's, with changes; PYTHONPATH means the same folders
+    as here."""
+    environment = {**os.environ, "PYTHONSAFEPATH": "1", **changes}
+    # An empty entry is the current folder, and most often there by mistake.
+    entries = [
+        os.path.abspath(entry)
+        for entry in environment.pop("PYTHONPATH", "").split(os.pathsep)
+        if entry
+    ]
+    if entries:
+        environment["PYTHONPATH"] = os.pathsep.join(entries)
+    return environment

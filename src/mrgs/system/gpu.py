@@ -22,8 +22,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 import torch
 from torch import Tensor
 
-from mrgs.errors import DeviceError
-from mrgs.system.callers import warn
+from mrgs.errors import DeviceError, warn_user
 
 HOST = torch.device("cpu")
 
@@ -110,7 +109,7 @@ def choose_device(name: DeviceName, machine: Machine | None = None) -> torch.dev
     if name == "cuda":
         raise DeviceError(f"{obstacle}; or use the CPU", options=("device",))
     if machine.has_driver:
-        warn(f"the NVIDIA GPU is not used: {obstacle}")
+        warn_user(f"the NVIDIA GPU is not used: {obstacle}")
     return torch.device("cpu")
 
 

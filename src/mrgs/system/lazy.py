@@ -1,4 +1,4 @@
-"""Names of a package that are imported on first use."""
+"""What is imported on first use: names of a package, and packages of extras."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
+from types import ModuleType
 from typing import Any, cast
+
+from mrgs.errors import ConfigError
 
 
 def lazy_imports(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -50,3 +53,20 @@ def _source(package: str) -> str:
     spec = find_spec(package)
     assert spec is not None
     return cast(str, cast(Any, spec.loader).get_source(package))
+
+
+def optional_package(name: str, what: str, extra: str) -> ModuleType:
+    """Import a package.
+
+    Args:
+        name: of the package.
+        what: needs it, in the plural.
+        extra: of mrgs, which installs it.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError:
+        raise ConfigError(f'{what} need the package {name}: pip install "mrgs[{extra}]"') from None

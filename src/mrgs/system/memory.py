@@ -1,10 +1,12 @@
-"""How much memory the machine has left, and how much this process has used."""
+"""Memory: what the machine has left, what this process has used, and how to use less."""
 
 from __future__ import annotations
 
 import ctypes
+import gc
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _MEMINFO = Path("/proc/meminfo")
@@ -63,3 +65,25 @@ def _bytes_after(name: str, file: Path) -> int | None:
     except (OSError, ValueError, IndexError):
         pass
     return None
+
+
+CHUNK_ROWS = 65_536
+
+
+def row_chunks(count: int) -> Iterator[slice]:
+    """The rows 0 to ``count`` in order, ``CHUNK_ROWS`` at a time; one empty piece of none."""
+    for start in range(0, max(count, 1), CHUNK_ROWS):
+        yield slice(start, min(start + CHUNK_ROWS, count))
+
+
+@contextmanager
+def collector_paused() -> Iterator[None]:
+    """Collect no garbage within this block, which makes many objects that stay: again and again the
+    collector would look at all of them."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()

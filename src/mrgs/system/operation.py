@@ -22,9 +22,8 @@ from typing import Any, Concatenate, Generic, Literal, NamedTuple, ParamSpec, Ty
 import torch
 from torch import Tensor
 
-from mrgs.errors import KernelWarning
+from mrgs.errors import KernelWarning, warn_user
 from mrgs.system import gpu
-from mrgs.system.callers import warn
 from mrgs.system.operation_check import KernelComparison, members
 
 P = ParamSpec("P")
@@ -140,7 +139,7 @@ class Operation(Generic[P, R]):
         self.rejected.add(kernel)
         if kernel not in check.rejected:
             check.rejected.add(kernel)
-            warn(
+            warn_user(
                 f"{self.__name__}: the kernel {problem}; the plain definition is used, slower",
                 KernelWarning,
             )

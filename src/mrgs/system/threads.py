@@ -1,10 +1,12 @@
-"""How many threads compute."""
+"""How many threads compute, and processes that lack them because they were forked."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from mrgs.errors import MrgsError
 
 
 def available_cores() -> int:
@@ -33,3 +35,35 @@ def one_thread() -> Iterator[None]:
     finally:
         torch.set_num_threads(threads[0])
         numba.set_num_threads(threads[1])
+
+
+_computes: int | None = None
+"""The process in which this package first computed; a fork inherits it."""
+
+
+def require_own_threads() -> None:
+    """To be called before something is computed.
+
+    The threads of torch and Numba do not survive a fork: the child would wait for them forever, or
+    be ended by Numba.
+
+    Raises:
+        MrgsError: this process was forked from one that has computed.
+    """
+    if _computes not in (None, os.getpid()):
+        raise MrgsError(
+            "this process was forked from one that has computed, whose threads it lacks: start "
+            "processes with multiprocessing.get_context('spawn')"
+        )
+
+
+def will_compute() -> None:
+    """To be called where this process begins to train, to load a run or to render: from now on its
+    forks must not.
+
+    Raises:
+        MrgsError: this process was forked from one that has computed.
+    """
+    global _computes
+    require_own_threads()
+    _computes = os.getpid()

@@ -1,4 +1,4 @@
-"""torch as the method needs it, whatever the caller has set."""
+"""torch's modes and random numbers as the method needs them, whatever the caller has set."""
 
 from __future__ import annotations
 
@@ -136,3 +136,12 @@ def _settings() -> list[_Setting]:
 
 _SETTINGS = _settings()
 _full_precision = _FullPrecision(_SETTINGS)
+
+
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Within this block torch's default generator, from which layers start, follows from a seed;
+    after it, it is as it was before."""
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(seed)
+        yield

@@ -1,7 +1,8 @@
-"""What only one thread at a time may do."""
+"""What only one thread at a time may do, and what Ctrl-C must not leave half done."""
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -45,3 +46,34 @@ class Turns:
     def is_awaited(self) -> bool:
         """Whether a thread waits for the one that holds the lock."""
         return self._holder is not None and self._held is not self._last
+
+
+@contextmanager
+def ctrl_c_waits() -> Iterator[None]:
+    """Within this block Ctrl-C waits for its end; a second one does not.
+
+    Nothing changes where Ctrl-C does something else than to raise KeyboardInterrupt, or in other
+    threads than the main one, which it does not reach.
+
+    Raises:
+        KeyboardInterrupt: at the end of the block, or at the second Ctrl-C.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    was_pressed = False
+
+    def wait(number: int, frame: object) -> None:
+        nonlocal was_pressed
+        if was_pressed:
+            raise KeyboardInterrupt
+        was_pressed = True
+
+    signal.signal(signal.SIGINT, wait)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if was_pressed:
+        raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""Parts of sentences for the user."""
+"""Parts of sentences for the user, and sentences that can be translated."""
 
 from __future__ import annotations
 
@@ -24,3 +24,24 @@ def listed(names: Sequence[str], most: int = 3) -> str:
     """The first names, and how many more there are."""
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
+class Message(str):
+    """A text with values filled in; anything that reads texts can read it.
+
+    Args:
+        template: English, with values as ``{name}``.
+        values: in place of them, formatted.
+
+    Attributes:
+        template: as given.
+        values: as given.
+    """
+
+    template: str
+    values: dict[str, str]
+
+    def __new__(cls, template: str, **values: str) -> Message:  # noqa: D102
+        message = super().__new__(cls, template.format(**values) if values else template)
+        message.template, message.values = template, values
+        return message

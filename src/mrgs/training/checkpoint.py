@@ -19,7 +19,7 @@ from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
 from mrgs.render import Model
 from mrgs.system.gpu import HOST
-from mrgs.system.randomness import seeded
+from mrgs.system.torch_modes import seeded
 from mrgs.training.checkpoint_file import read_file, read_header, write_file
 from mrgs.training.checkpoint_layout import (
     below,

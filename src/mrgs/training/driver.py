@@ -16,11 +16,10 @@ from torch import Tensor
 from mrgs.errors import NotFiniteError, RunError, TrainingError
 from mrgs.scene import TemperatureRange
 from mrgs.system import gpu
-from mrgs.system.ctrl_c import ctrl_c_waits
-from mrgs.system.forks import require_own_threads
 from mrgs.system.gpu import HOST
+from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
-from mrgs.system.turns import Turns
+from mrgs.system.turns import Turns, ctrl_c_waits
 from mrgs.training.checkpoint_file import first_not_finite
 from mrgs.training.facts import CheckpointFacts
 from mrgs.training.memory import peak_memory_bytes

@@ -8,11 +8,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mrgs.errors import RunError, SceneError
+from mrgs.errors import RunError, SceneError, warn_user
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import RGB, THERMAL, Modality, Scene, TemperatureRange
-from mrgs.system.callers import warn
 from mrgs.training.fingerprint import ImageFingerprint, changes, fingerprints
 
 
@@ -164,7 +163,7 @@ def facts_to_resume(
                 f"or accept the changes",
                 options=("accept_changes",),
             )
-        warn(
+        warn_user(
             f"{scene.name} has changed since the run began ({changed}); training goes on with it "
             f"as it is now"
         )

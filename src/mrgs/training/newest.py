@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from mrgs.errors import DamagedCheckpointError, RunError
-from mrgs.system.callers import warn
+from mrgs.errors import DamagedCheckpointError, RunError, warn_user
 from mrgs.training.run_folder import RunFolder
 
 T = TypeVar("T")
@@ -36,7 +35,7 @@ def load_newest(folder: RunFolder, load: Callable[[Path], T], *, set_aside: bool
             damaged.append(error)
             continue
         for one in damaged:
-            warn(_older_is_used(folder, one, path, set_aside))
+            warn_user(_older_is_used(folder, one, path, set_aside))
         return found
     raise RunError(
         f"{folder.path} has no checkpoint that is whole ({damaged[0].reason}): restore one from a "

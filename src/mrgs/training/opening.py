@@ -17,10 +17,10 @@ from mrgs.method.losses.term import Term
 from mrgs.render import Model
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
+from mrgs.system.disk import warn_if_short
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.limits import whole_number
 from mrgs.system.operation import is_plain
-from mrgs.system.room import warn_if_short
 from mrgs.training import checkpoint
 from mrgs.training.compilation import shared_compiling
 from mrgs.training.memory import checkpoint_bytes

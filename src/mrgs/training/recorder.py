@@ -15,10 +15,9 @@ import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
-from mrgs.system.callers import warn
-from mrgs.system.cuda_graph import CudaGraph, sync_debug_mode
+from mrgs.errors import warn_user
+from mrgs.system.cuda_graph import CudaGraph, ListRoom, lists_have, sync_debug_mode
 from mrgs.system.gpu import lacks_memory
-from mrgs.system.recording import ListRoom, lists_have
 from mrgs.training.photos import change_each
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import ViewInputs, ViewMeasures
@@ -164,7 +163,7 @@ class Recorder:
     def _say_too_many(self) -> None:
         if not self._has_said_too_many:
             self._has_said_too_many = True
-            warn(
+            warn_user(
                 "views differ in size, intrinsics or modalities in too many ways: those beyond the "
                 f"first {MOST_RECORDINGS} kinds are trained without CUDA graphs, which is slower"
             )
@@ -191,7 +190,7 @@ class Recorder:
         else:
             return True
         # Here the memory is free that the error's frames held.
-        warn(f"steps cannot be recorded as a CUDA graph, and take longer: {problem}")
+        warn_user(f"steps cannot be recorded as a CUDA graph, and take longer: {problem}")
         for parameter in self._parameters:
             parameter.grad = None
         self.forget()

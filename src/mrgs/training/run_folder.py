@@ -16,9 +16,8 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from filelock import FileLock, Timeout
 
-from mrgs.errors import ConfigError, FolderInUseError, RunError, SceneError
+from mrgs.errors import ConfigError, FolderInUseError, RunError, SceneError, warn_user
 from mrgs.system.atomic import remove_abandoned, write_error, write_text
-from mrgs.system.callers import warn
 from mrgs.system.strict_yaml import parse_yaml, write_yaml
 from mrgs.system.wording import listed
 
@@ -219,7 +218,7 @@ class RunFolder:
         have = set(_names_in(self._config_values()))
         missing = [name for name in _names_in(whole) if name not in have]
         if missing:
-            warn(
+            warn_user(
                 f"{self.config_file} lacks {listed(missing)}, for which the defaults are used: "
                 f"restore it if it was cut off"
             )

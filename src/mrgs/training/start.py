@@ -12,8 +12,8 @@ from typing import Any, Generic, TypeVar, cast
 from mrgs.check import warn_of_problems
 from mrgs.data import load_scene
 from mrgs.scene import Scene
-from mrgs.system.forks import require_own_threads, will_compute
 from mrgs.system.operation import plainly
+from mrgs.system.threads import require_own_threads, will_compute
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_facts
 from mrgs.training.facts import CheckpointFacts, facts_to_resume, require_scene

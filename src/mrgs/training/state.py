@@ -24,7 +24,7 @@ from mrgs.method.start.start_points import blended_apart, model_modalities, star
 from mrgs.render import Model
 from mrgs.scene import THERMAL, Scene
 from mrgs.system.gpu import HOST
-from mrgs.system.randomness import seeded
+from mrgs.system.torch_modes import seeded
 from mrgs.training.views import ViewSampler
 
 

@@ -8,11 +8,10 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from mrgs.errors import TrainingError
+from mrgs.errors import TrainingError, warn_user
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.parts import part_spreads
-from mrgs.system.callers import warn
 from mrgs.system.gpu import HOST, lacks_memory
 from mrgs.system.operation import is_plain
 from mrgs.system.torch_modes import own_modes
@@ -94,7 +93,7 @@ class Trainer(Driver[StepStatistics]):
         photo_px = self._with_enough_memory(check.pixel_size) * found.agreed_px
         self.folder.append_log({"step": self.state.step, "pose_error_px": photo_px})
         if found.is_wrong:
-            warn(
+            warn_user(
                 f"{self.scene.name}: the poses of the training photos are off by some "
                 f"{photo_px:.1f} pixels, so they are refined with the model"
             )

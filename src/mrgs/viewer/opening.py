@@ -8,7 +8,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from mrgs.errors import RunError
+from mrgs.errors import RunError, warn_user
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
@@ -21,7 +21,6 @@ from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene
 from mrgs.scene.preview import best_view
-from mrgs.system.callers import warn
 from mrgs.viewer.board import Appraiser, CachedMeter, MarkBoard
 from mrgs.viewer.cameras import camera_around
 from mrgs.viewer.panes import PaneImages, UncertaintyPictures
@@ -40,7 +39,7 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
         note = (
             f"Still training: this is the checkpoint of {step}. Open the run again for a newer one."
         )
-        warn(f"{run.folder.path} is still training: showing its checkpoint of {step}")
+        warn_user(f"{run.folder.path} is still training: showing its checkpoint of {step}")
     subject = Subject(
         title_of(run.folder.path, Path(run.facts.scene).name if scene is None else scene.name),
         TrainedSource(run.model),

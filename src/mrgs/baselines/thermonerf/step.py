@@ -16,7 +16,7 @@ from mrgs.baselines.thermonerf.pixels import Batch, PixelPool
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.optimizer import are_finite
 from mrgs.scene import THERMAL, Scene
-from mrgs.system.randomness import seeded
+from mrgs.system.torch_modes import seeded
 
 ADAM_EPSILON = 1e-15
 """Entries of the hash tables get rare and tiny gradients (Müller et al. 2022, Section 4)."""

@@ -26,7 +26,7 @@ from mrgs.pictures.palette import palette_table
 from mrgs.scene import THERMAL, Scene
 from mrgs.scene.depth_map import DepthMap
 from mrgs.system.atomic import replacing, write_text
-from mrgs.system.optional import optional_package
+from mrgs.system.lazy import optional_package
 
 TILE_PX = 256
 

@@ -28,7 +28,7 @@ from mrgs.kernels.require import require_camera
 from mrgs.rasterizer import splat
 from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
 from mrgs.scene import Blend
-from mrgs.system.pieces import PIECE_ROWS, pieces
+from mrgs.system.memory import CHUNK_ROWS, row_chunks
 
 _SLOT_CHANNELS = (3, 1)
 """The kernels blend two slots at once: the first takes the layer of 3 channels, the second that of
@@ -145,8 +145,8 @@ def _drawn_splats(
     radii [N]: less memory than records of all, from which no gradient finds its way back."""
     count = gaussians[0].shape[0]
     splats, radii = empty_splats(count), np.empty(count, np.float32)
-    piece, drawn = empty_splats(min(count, PIECE_ROWS)), 0
-    for rows in pieces(count):
+    piece, drawn = empty_splats(min(count, CHUNK_ROWS)), 0
+    for rows in row_chunks(count):
         projected = piece[: len(radii[rows])]
         arrays = [array[rows] for array in gaussians]
         project(*arrays, *projection, offset[rows], projected, radii[rows])

@@ -1,7 +1,7 @@
 """The fused pass as a torch function: project, sort, list, blend; and backwards.
 
 The host waits for the device once, for the number of pairs of a tile and a Gaussian (8 bytes): it
-sizes the lists, unless the pass is recorded (``mrgs.system.recording``). All else is queued. The
+sizes the lists, unless the pass is recorded (``mrgs.system.cuda_graph``). All else is queued. The
 results are the same bits on every run.
 """
 
@@ -23,7 +23,7 @@ from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE
 from mrgs.kernels.require import require_camera
 from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
 from mrgs.scene import Blend
-from mrgs.system.recording import room_of_list
+from mrgs.system.cuda_graph import room_of_list
 
 _SLOTS = {3: "color", 1: "scalar"}
 """What the kernels call a layer, by its channels."""

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from mrgs.errors import MrgsWarning
-from mrgs.system.room import free_disk, warn_if_short
+from mrgs.system.disk import free_disk, warn_if_short
 
 
 def test_too_little_room_is_said_with_both_numbers(tmp_path):

@@ -1,11 +1,11 @@
-"""How much room a disk has, and whether that is enough for what a long run will write."""
+"""Free disk space, and whether it is enough for what a long run will write."""
 
 from __future__ import annotations
 
 import shutil
 from pathlib import Path
 
-from mrgs.system.callers import warn
+from mrgs.errors import warn_user
 
 
 def free_disk(folder: Path) -> int:
@@ -30,7 +30,7 @@ def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
     """
     free = free_disk(folder)
     if free < needed_bytes:
-        warn(
+        warn_user(
             f"{what} will take about {_size(needed_bytes)}, and the disk of {folder} has "
             f"{_size(free)} left: make room before it is full, or stop and choose another place"
         )
