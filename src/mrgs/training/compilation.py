@@ -30,7 +30,7 @@ _RASTERIZER = {
     "rasterize.cpu.blend_backward.blend_backward": 2.9,
 }
 _HARMONICS = {"harmonics.cpu._forward": 1.2, "harmonics.cpu._backward": 1.3}
-_COLOR_HEAD = {"color_head.cpu._forward": 2.6, "color_head.cpu._backward": 4.2}
+_COLOR_HEAD = {"color_head._forward": 2.6, "color_head._backward": 4.2}
 _THERMAL_HEAD = {"heat.thermal_head._forward": 4.1, "heat.thermal_head._backward": 5.4}
 _EXCHANGE = {
     "heat.exchange._forward": 0.5,
@@ -38,12 +38,12 @@ _EXCHANGE = {
     "heat.exchange._backward_anchors": 0.4,
     "heat.exchange._backward_neighbours": 0.6,
 }
-_COMPARISON = {"ssim.compare_cpu.compare": 5.7}
+_COMPARISON = {"ssim.cpu._compare": 5.7}
 _SMOOTHNESS = {"variation.cpu.sum_differences": 1.8}
-_BLUR = {"blur.separable.filter_plane": 1.0}
+_BLUR = {"blur.cpu.filter_plane": 1.0}
 _CONVOLUTION = {
-    "convolution.correlate.correlate": 0.7,
-    "convolution.correlate.weights_gradient": 0.6,
+    "convolution.correlate": 0.7,
+    "convolution.weights_gradient": 0.6,
 }
 """The compiled functions, and the processor seconds that each takes on a core of 3 GHz."""
 
