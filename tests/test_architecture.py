@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+import room_map
+
 SOURCE = Path(__file__).parents[1] / "src" / "mrgs"
 FILES = {path.relative_to(SOURCE).as_posix(): path for path in sorted(SOURCE.rglob("*.py"))}
 
@@ -57,6 +59,10 @@ FORBIDDEN_ATTRIBUTES = {
     ("os", "system"),
     ("os", "popen"),
 }
+
+
+BUDGET = {"lines": 70_000, "files": 450, "floors": 15}
+"""What ``src/mrgs`` may have at most: a new feature folds or deletes as much as it adds."""
 
 
 def room_of(dotted: str) -> str:
@@ -228,3 +234,20 @@ def test_importing_is_cheap(module):
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert run.stdout.split() == []
+
+
+def test_the_package_stays_within_its_budget():
+    size = {
+        "lines": sum(path.read_bytes().count(b"\n") for path in FILES.values()),
+        "files": len(FILES),
+        "floors": 1 + max(room_map.floors(room_map.imports()).values()),
+    }
+    assert {name: value for name, value in size.items() if value > BUDGET[name]} == {}
+
+
+def test_the_map_lists_every_package_once_and_its_picture_is_new():
+    listed = sorted(room for rooms in room_map.groups().values() for room in rooms)
+    assert listed == sorted(room_map.imports())
+    assert room_map.PICTURE.read_text(encoding="utf-8") == room_map.picture(), (
+        "run python tools/room_map.py"
+    )
