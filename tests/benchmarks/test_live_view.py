@@ -10,7 +10,7 @@ from benchmarks.live_view import ALONE, PAUSES_S, Turn, looks, to_markdown, watc
 from mrgs.render import Model
 from mrgs.runs.open import load_run
 from mrgs.training import make_config, train
-from mrgs.viewer.opening import start_at, start_camera
+from mrgs.viewer.server import start_at, start_camera
 from mrgs.viewer.source import TrainedSource
 from mrgs.viewer.web import Viewer
 from tests.benchmarks.tables import rows

@@ -8,7 +8,7 @@ from pathlib import Path
 from mrgs.marks.store import CameraSpread
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Scene
-from mrgs.viewer.opening import board_of, uncertainty_of
+from mrgs.viewer.server import board_of, uncertainty_of
 from mrgs.viewer.settings import Mode, Subject, shown_modalities
 from mrgs.viewer.source import TrainedSource
 

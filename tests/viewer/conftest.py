@@ -9,7 +9,7 @@ import pytest
 
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, Scene
-from mrgs.viewer.cameras import pinhole
+from mrgs.viewer.saving import pinhole
 from mrgs.viewer.settings import Subject
 from tests.helpers.runs import SMALL, trained_run
 from tests.helpers.subjects import subject_of

@@ -11,13 +11,12 @@ import pytest
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.marks import Mark
-from mrgs.marks.run_marks import box_corners, eye_of, picked_places
 from mrgs.marks.store import MarkStore
 from mrgs.render import Model
 from mrgs.scene import Camera
 from mrgs.survey import SURVEY_FILE
 from mrgs.viewer.board import MarkBoard, MarkNumbers
-from mrgs.viewer.opening import board_of
+from mrgs.viewer.server import board_of
 from mrgs.viewer.source import Result, TrainedSource
 
 
@@ -35,11 +34,9 @@ def disk(board) -> MarkStore:
 @pytest.fixture
 def add(board, camera):
     """Adds a box about a place of the picture; returns its number."""
-    surface = board.see(camera)
 
     def add_box(x: float = 80.0, y: float = 60.0) -> int:
-        corners = box_corners((x - 4, y - 4), (x + 5, y + 5))
-        board.add("box", picked_places(surface, corners), eye_of(camera), 0.0)
+        board.draw("box", camera, [(x - 4, y - 4), (x + 5, y + 5)])
         return board.numbers[-1]
 
     return add_box
@@ -91,7 +88,7 @@ def test_what_another_program_does_is_found_and_told(board, disk, add):
     add()
     board.refresh()
     told: list[int] = []
-    board.listen(lambda: told.append(len(board.marks)))
+    board.subscribe(lambda: told.append(len(board.marks)))
     assert not board.is_stale
     disk.edit(lambda marks: marks.without("B1"))
     assert board.is_stale
@@ -121,7 +118,7 @@ def test_the_uncertainty_follows_the_survey(board, add):
 def test_files_that_cannot_be_read_leave_the_marks_and_say_why(board, disk, add):
     add()
     told: list[tuple[str, ...]] = []
-    board.listen(lambda: told.append(board.problems))
+    board.subscribe(lambda: told.append(board.problems))
     survey = board._store.folder / SURVEY_FILE
     survey.write_text("camera_accuracy_c: a lot")
     board.refresh()
@@ -140,7 +137,7 @@ def test_a_broken_survey_is_a_problem_and_no_reason_not_to_open(board, disk, add
     add()
     survey = disk.folder / SURVEY_FILE
     survey.write_text("camera_accuracy_c: a lot")
-    opened = MarkBoard(disk, board._meter, board.stereo, board._appraise)
+    opened = MarkBoard(disk, board._picker, board._appraise)
     opened.refresh()
     assert "camera_accuracy_c" in opened.problems[0]
     survey.unlink()
@@ -155,7 +152,7 @@ def test_a_change_is_saved_though_it_cannot_be_measured(subject, disk, add, smal
     board.refresh()
     before = board.readings[0].mean
     told: list[tuple[str, ...]] = []
-    board.listen(lambda: told.append(board.problems))
+    board.subscribe(lambda: told.append(board.problems))
     source.failure = "x.jpg is torn"
     board.change(board.numbers[0], {"emissivity": 0.6, "reflected_c": 0.0})
     board.refresh()
@@ -247,7 +244,8 @@ def test_what_is_missing_is_said_of_the_mark_by_its_name(board, add):
 
 def test_a_problem_has_the_name_that_the_mark_has_now(board):
     ends = ((2.9, -4.0, 0.0), (2.9, 4.0, 0.0))  # farther apart than anything sees from so near
-    board.add("line", ends, (3.0, 0.0, 0.0), 0.0)
+    line = Mark("L1", "line", ends, (3.0, 0.0, 0.0))
+    board.edit(lambda marks: marks.adding(line))
     problem = board.readings[0].problem
     assert problem.startswith("L1 ")
     board.change(board.numbers[0], {"name": "Door"})

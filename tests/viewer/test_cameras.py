@@ -9,14 +9,10 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.viewer.cameras import (
-    camera_around,
-    fitted_size,
-    nearest_view,
-    save_path,
-    smooth_path,
-    vertical_fov,
-)
+from mrgs.viewer.inspection import nearest_view
+from mrgs.viewer.panes import fitted_size
+from mrgs.viewer.saving import save_path, smooth_path, vertical_fov
+from mrgs.viewer.server import camera_around
 
 
 def test_a_browser_camera_is_a_pinhole(camera):

@@ -30,7 +30,7 @@ pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed: pip install playwright"
 )
 
-from mrgs.viewer.opening import open_viewer
+from mrgs.viewer.server import open_viewer
 from mrgs.viewer.web import Viewer
 
 pytestmark = [needs_chromium, pytest.mark.slow]

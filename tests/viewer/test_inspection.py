@@ -15,11 +15,11 @@ from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Scene, SceneBounds
 from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.training import make_config, train
-from mrgs.viewer import texts
 from mrgs.viewer.annotation import SCALE_FROM_PX
+from mrgs.viewer.facts import header_text, point_text
 from mrgs.viewer.inspection import Inspection
-from mrgs.viewer.opening import board_of
 from mrgs.viewer.saving import render_video, save_keyframes, save_screenshot
+from mrgs.viewer.server import board_of
 from mrgs.viewer.settings import Mode, Settings
 from tests.helpers.scenes import write_scene
 from tests.helpers.subjects import MODES, subject_of
@@ -69,7 +69,7 @@ def test_a_click_reads_what_is_drawn(inspection, camera, small_run):
     expected = small_run.temperatures_c(small_run.render(camera))[60, 80].item()
     assert shown.value == pytest.approx(expected, abs=1e-3)
     assert shown.photo_value is None
-    assert texts.point(shown, inspection.subject)["value"] == f"{expected:.1f} °C"
+    assert point_text(shown, inspection.subject)["value"] == f"{expected:.1f} °C"
     assert inspection.hover(0.5, 0.5) == f"{expected:.1f} °C"
 
 
@@ -92,7 +92,7 @@ def test_beside_a_photo_both_values_are_read(inspection, balls, small_run):
         balls.train[2].images[THERMAL].load().values[15, 20, 0].item()
     )
     assert (shown.value, shown.photo_value) == pytest.approx((model, photo), abs=1e-3)
-    (line, *_) = texts.point(shown, inspection.subject)["lines"]
+    (line, *_) = point_text(shown, inspection.subject)["lines"]
     assert line.startswith(f"photo {photo:.1f} °C, model ")
     gap = f"{shown.value - photo:+.1f} K".replace("-", "−")
     assert inspection.hover(20.5 / 40, 15.5 / 30) == gap
@@ -264,9 +264,9 @@ def test_without_celsius_values_are_called_normalised(small_run, balls, camera, 
     unknown = replace(small_run, facts=small_run.facts._replace(temperature=None))
     inspection = Inspection(subject_of(unknown, balls, tmp_path))
     inspection.picture(camera)
-    shown = texts.point(inspection.click(0.5, 0.5), inspection.subject)
+    shown = point_text(inspection.click(0.5, 0.5), inspection.subject)
     assert re.fullmatch(r"\d\.\d{3}", shown["value"])
-    assert "no known °C" in texts.header(inspection.subject)
+    assert "no known °C" in header_text(inspection.subject)
     assert inspection.drawn.scales.values[THERMAL].unit == "normalised"
 
 
@@ -301,7 +301,7 @@ def test_other_captures(tmp_path, camera, options, modes):
         inspection.settings = Settings(mode)
         assert inspection.picture(camera).pixels.shape == (120, 160, 3)
         reading = inspection.click(0.5, 0.5)
-        assert reading is None or texts.point(reading, subject)["lines"]
+        assert reading is None or point_text(reading, subject)["lines"]
 
 
 def test_without_the_scene_there_are_no_photos(small_run, camera, tmp_path):

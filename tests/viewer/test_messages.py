@@ -93,8 +93,8 @@ def test_what_is_no_message_is_refused(data):
         ({"type": "judge", "mark": "a" * 10_000, "accept": True}, {"mark": "a" * 10_001}),
         ({"type": "video", "seconds": 0.5}, {"seconds": 0.49}),
         ({"type": "save_path", "seconds": 600}, {"seconds": 600.1}),
-        ({"type": "act", "what": "undo"}, {"what": "close"}),
-        ({"type": "act", "what": "undo"}, {"where": "/etc"}),
+        ({"type": "undo"}, {"type": "close"}),
+        ({"type": "undo"}, {"where": "/etc"}),
     ],
 )
 def test_numbers_and_lengths_have_ends(message, wrong):

@@ -23,7 +23,7 @@ from mrgs.training import StepStatistics, make_config, train
 from mrgs.viewer import LiveView, view
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.gate import require_free
-from mrgs.viewer.opening import open_viewer
+from mrgs.viewer.server import open_viewer
 from mrgs.viewer.source import LiveSource
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mrgs.scene import WorldFrame
-from mrgs.viewer import texts
+from mrgs.viewer.facts import point_text
 from mrgs.viewer.inspection import Inspection
 from tests.helpers.subjects import subject_of
 
@@ -15,7 +15,7 @@ def test_depths_have_the_unit_of_the_scene(small_run, balls, tmp_path):
     subject = inspection.subject
     metric = replace(subject, scene=replace(balls, world=WorldFrame(metric=True)))
     depths = [
-        next(line for line in texts.point(reading, each)["lines"] if line.startswith("depth"))
+        next(line for line in point_text(reading, each)["lines"] if line.startswith("depth"))
         for each in (metric, subject, replace(subject, scene=None))
     ]
     assert depths[0] == depths[1].replace("scene units", "m")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mrgs.marks.run_marks import box_corners, eye_of, picked_places
 from mrgs.scene import THERMAL
 
 
@@ -13,8 +12,7 @@ def test_a_surface_with_settings_of_its_own_has_their_uncertainty(subject, camer
     before = subject.uncertainty(camera)
     rows, columns = np.nonzero(before.solid)
     row, column = float(np.median(rows)), float(np.median(columns))
-    corners = box_corners((column - 4, row - 4), (column + 5, row + 5))
-    board.add("box", picked_places(board.see(camera), corners), eye_of(camera), 0.0)
+    board.draw("box", camera, [(column - 4, row - 4), (column + 5, row + 5)])
     (mark,) = board.marks.marks
     board.edit(lambda marks: marks.changing(mark.name, emissivity=0.4, reflected_c=0.0))
     after = subject.uncertainty(camera)

@@ -22,9 +22,10 @@ import websockets
 from websockets.asyncio.client import ClientConnection, connect
 
 from mrgs.errors import ConfigError
+from mrgs.marks import Mark
 from mrgs.marks.store import MarkStore
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.opening import open_viewer, start_at, title_of
+from mrgs.viewer.server import open_viewer, start_at, title_of
 from mrgs.viewer.web import Viewer
 from tests.helpers.browsers import wait_until
 from tests.viewer.test_messages import look
@@ -333,7 +334,7 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         assert (await answer(connection, "marks"))["of"][1]["difference"].startswith("ΔT ")
         await connection.send(json.dumps({"type": "delete_mark", "mark": box}))
         assert len((await answer(connection, "marks"))["of"]) == 1
-        await connection.send('{"type": "act", "what": "undo"}')
+        await connection.send('{"type": "undo"}')
         assert len((await answer(connection, "marks"))["of"]) == 2
         assert pane["scale"]["palette"] == "inferno"
         choice = {
@@ -343,7 +344,7 @@ def test_what_a_browser_does_is_answered(viewer, balls):
         await connection.send(json.dumps(choice))
         (pane,) = (await picture(connection, number=3))["panes"]
         assert pane["scale"] == {"palette": "iron", "low": 10, "high": 20, "unit": "°C"}
-        await connection.send('{"type": "act", "what": "screenshot"}')
+        await connection.send('{"type": "screenshot"}')
         saved = (await answer(connection, "status"))["text"]
         assert saved.startswith("Saved in the run's folder: renders/screenshots/")
 
@@ -368,7 +369,8 @@ def held(viewer) -> Iterator[threading.Event]:
 def test_a_closed_browser_leaves_its_changes_and_nothing_else(viewer, balls, request):
     board = viewer._subject.board
     place = tuple(balls.points.positions[0].tolist())
-    board.add("spot", (place,), (3.0, 0.0, 0.0), 0.1)
+    spot = Mark("S1", "spot", (place,), (3.0, 0.0, 0.0), 0.1)
+    board.edit(lambda marks: marks.adding(spot))
     wait_until(lambda: not viewer.busy, "it has warmed up")
 
     async def visit(connection: ClientConnection) -> None:
@@ -414,7 +416,7 @@ def test_a_drive_that_does_not_answer_stops_no_browser(subject, camera):
 
     board = subject.board
     store = StoreOnDrive(board._store.folder, board._store._spread)
-    subject = replace(subject, board=MarkBoard(store, board._meter))
+    subject = replace(subject, board=MarkBoard(store, board._picker))
     viewer = Viewer(subject, start_at(camera, subject.scene), "127.0.0.1", 0)
     try:
         browse(viewer, visit)

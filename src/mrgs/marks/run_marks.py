@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -49,7 +49,7 @@ class RunMarks:
             CaptureSettings.of(self.scene),
             None if self.scene is None else UncertaintyMeter.of_run(run, self.scene),
         )
-        self._stereo = stereo_of(self.meter, self.scene)
+        self._picker = MarkPicker(self.meter, self.scene)
 
     @property
     def marks(self) -> Marks:
@@ -95,7 +95,7 @@ class RunMarks:
         **more: Any,
     ) -> Mark:
         """Add the surface within a rectangle of an image, between two corners; see ``spot``."""
-        return self.add("box", camera, box_corners(corner, opposite), name, **more)
+        return self.add("box", camera, [corner, opposite], name, **more)
 
     def polygon(
         self, camera: Camera, pixels: Sequence[Sequence[float]], name: str = "", **more: Any
@@ -112,16 +112,11 @@ class RunMarks:
         **more: Any,
     ) -> Mark:
         """Add a mark of any kind through pixels of a camera's image; see ``spot``."""
-        places = picked_places(self.meter.see(camera), pixels, self._stereo)
-        if kind == "spot":
-            more.setdefault("radius", spot_radius(places[0], camera, self.scene))
-
-        def change(marks: Marks) -> Marks:
-            return marks.adding(
-                Mark(name or marks.free_name(kind), kind, places, eye_of(camera), **more)
-            )
-
-        return self.store.edit(change).marks[-1]
+        picked = self._picker.pick(kind, camera, pixels)
+        fields = {**picked._asdict(), **more}
+        return self.store.edit(
+            lambda marks: marks.adding(Mark(name or marks.free_name(kind), kind, **fields))
+        ).marks[-1]
 
     def change(self, name: str, /, **changes: Any) -> Mark:
         """Change fields of a mark; returns it. See ``Mark`` for the fields.
@@ -187,10 +182,41 @@ def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:
     return RunMarks(run, scene)
 
 
-def box_corners(corner: Sequence[float], opposite: Sequence[float]) -> list[tuple[float, float]]:
-    """The four corners (x, y) of a rectangle in a picture, in turn, from two opposite ones."""
-    (x0, y0), (x1, y1) = corner, opposite
-    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+class PickedMark(NamedTuple):
+    """Where a mark is: ``points``, ``eye`` and ``radius`` of ``Mark``."""
+
+    points: tuple[Place, ...]
+    eye: Place
+    radius: float
+
+
+class MarkPicker:
+    """Finds the places on the surface for a mark that is drawn in an image.
+
+    Args:
+        meter: sees the surface.
+        scene: with the photos; None if it is not available.
+        by_photos: whether depths are those that the photos agree on; else those of the model.
+    """
+
+    def __init__(self, meter: MarkMeter, scene: Scene | None, by_photos: bool = True) -> None:
+        self.meter, self._scene = meter, scene
+        views = [view for view in scene.train if THERMAL in view.images] if scene else []
+        self._stereo = PhotoStereo(meter.survey, views) if by_photos and views else None
+
+    def pick(self, kind: MarkKind, camera: Camera, pixels: Sequence[Sequence[float]]) -> PickedMark:
+        """A mark through pixels (x, y) of a camera's image, of a box also two opposite corners.
+
+        Raises:
+            ConfigError: a pixel lies outside the image, or shows no surface.
+            SceneError: a photo cannot be read.
+        """
+        if kind == "box" and len(pixels) == 2:
+            (x0, y0), (x1, y1) = pixels
+            pixels = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+        points = picked_places(self.meter.see(camera), pixels, self._stereo)
+        radius = spot_radius(points[0], camera, self._scene) if kind == "spot" else 0.0
+        return PickedMark(points, eye_of(camera), radius)
 
 
 def picked_places(
@@ -245,12 +271,6 @@ def eye_of(camera: Camera) -> Place:
 def thermal_cameras(scene: Scene | None) -> list[Camera]:
     """The cameras of a scene's thermal training photos; none without a scene."""
     return [] if scene is None else [photo.camera for photo in scene.train_photos(THERMAL)]
-
-
-def stereo_of(meter: MarkMeter, scene: Scene | None) -> PhotoStereo | None:
-    """Finds depths by a scene's photos; None without thermal ones."""
-    views = [] if scene is None else [view for view in scene.train if THERMAL in view.images]
-    return PhotoStereo(meter.survey, views) if views else None
 
 
 def _scene_if_there(run: Run) -> Scene | None:

@@ -10,29 +10,41 @@ from dataclasses import replace
 from typing import Any
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning
-from mrgs.marks.mark import MOST_MARKS, Mark, MarkKind, Marks, Place
+from mrgs.marks.mark import MOST_MARKS, Mark, MarkKind, Marks
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.regions import Regions
-from mrgs.marks.stereo import PhotoStereo
+from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.store import MarkStore, file_stamp
-from mrgs.marks.surface import SeenSurface
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.scene import Camera
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
+MOST_CACHED = 4 * MOST_MARKS
+
+Listener = Callable[[], None]
+Appraiser = Callable[[Survey], UncertaintyMeter]
+
 
 class MarkNumbers:
-    """Gives each mark a number that stays its own when it is renamed, also by another program."""
+    """Numbers by which a page knows marks: a mark keeps its own when it is renamed, also by another
+    program."""
 
     def __init__(self) -> None:
         self._known: dict[int, Mark] = {}
         self._unused = itertools.count(1)
 
     def of(self, marks: Sequence[Mark]) -> list[int]:
-        """The number of each mark: that of the mark that had its name and lay at its place, else of
-        one that lay there, else a new one."""
+        """The number of each mark: that of the known mark with its name and place, else of one at
+        its place, else a new one."""
+
+        def place(mark: Mark) -> Hashable:
+            return mark.kind, mark.points, mark.eye
+
+        def name_and_place(mark: Mark) -> Hashable:
+            return mark.name, place(mark)
+
         found: dict[int, int] = {}
-        for key in (_name_and_geometry, _geometry):
+        for key in (name_and_place, place):
             known = self._known.items()
             left = {key(mark): number for number, mark in known if number not in found.values()}
             for index, mark in enumerate(marks):
@@ -45,21 +57,10 @@ class MarkNumbers:
         return numbers
 
 
-def _geometry(mark: Mark) -> Hashable:
-    return mark.kind, mark.points, mark.eye
-
-
-def _name_and_geometry(mark: Mark) -> Hashable:
-    return mark.name, _geometry(mark)
-
-
-MOST_CACHED = 4 * MOST_MARKS
-
-
 class CachedMeter(MarkMeter):
-    """Measures marks in a model that does not change, and remembers what it found: another note, a
-    new name or one more mark change nothing of what the others measure. Surfaces with an emissivity
-    of their own may lie on any of them, so that after a change of these all are measured again.
+    """Measures marks in a model that does not change, each only once: another note, a new name or
+    one more mark change nothing of what the others measure. Surfaces with an emissivity of their
+    own may lie under any mark: when these change, all are measured again.
     """
 
     def __init__(self, *args: Any, **more: Any) -> None:
@@ -77,11 +78,11 @@ class CachedMeter(MarkMeter):
         renamed = known is not None and known.problems and own != before  # they have names
         if known is None or renamed or [each for _, each in own] != [each for _, each in before]:
             known = self._regions = super().regions(marks)
-        self._own = own  # not before: where that fails, they are still to be found
+        self._own = own  # not before: if that fails, the regions are still to be computed
         return known
 
     def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
-        """One mark by itself, as it was measured before if that is still so."""
+        """One mark by itself, from the cache if its reading is still valid."""
         if regions is None:
             return super().read(mark)
         measured_with = regions, self.uncertainty
@@ -102,10 +103,6 @@ def _surface_of(mark: Mark) -> Mark:
     return replace(mark, name="-", note="", severity="", against="")
 
 
-Listener = Callable[[], None]
-Appraiser = Callable[[Survey], UncertaintyMeter]
-
-
 class MarkBoard:
     """The marks on the disk, as they were measured last.
 
@@ -113,10 +110,8 @@ class MarkBoard:
 
     Args:
         store: keeps the marks in the run's folder.
-        meter: measures them in the model.
-        stereo: finds depths by the photos; None to take those of the model.
-        appraise: the uncertainty of the temperatures by what the survey states; None where it is
-            not known.
+        picker: finds the surface that marks are drawn on; has the meter that measures them.
+        appraise: the uncertainty of the temperatures by what the survey states; None if unknown.
 
     Attributes:
         marks: as they were measured.
@@ -124,37 +119,32 @@ class MarkBoard:
         readings: one for each.
         proposals: of the report, measured in the same way.
         regions: surfaces with an emissivity of their own.
-        stereo: as given.
         survey: of the run.
         problems: why the files of the run are not what is shown, a sentence each.
     """
 
     def __init__(
-        self,
-        store: MarkStore,
-        meter: MarkMeter,
-        stereo: PhotoStereo | None = None,
-        appraise: Appraiser | None = None,
+        self, store: MarkStore, picker: MarkPicker, appraise: Appraiser | None = None
     ) -> None:
         self.marks = Marks()
         self.numbers: list[int] = []
         self.readings: list[MarkReading] = []
         self.proposals: list[MarkReading] = []
-        self.stereo = stereo
-        self.regions: Regions = meter.regions(self.marks)
+        self.regions: Regions = picker.meter.regions(self.marks)
         self.problems: tuple[str, ...] = ()
         self._store = store
-        self._meter = meter
+        self._picker = picker
+        self._meter = picker.meter
         self._appraise = appraise
         self._identities = MarkNumbers()
         self._files: object = None
         self._lock = threading.Lock()
         self._listeners: list[Listener] = []
         try:
-            survey = self._survey_now()
+            survey = read_survey(self._store.folder / SURVEY_FILE)
         except MrgsError:
-            survey = Survey()  # the first refresh() says why
-        self._follow(survey)
+            survey = Survey()  # the first refresh() reports why
+        self._use_survey(survey)
         self._measured = self.marks, self.survey
 
     @property
@@ -171,17 +161,13 @@ class MarkBoard:
         """Of the model's temperatures; None where it is not known."""
         return self._meter.uncertainty
 
-    def see(self, camera: Camera) -> SeenSurface:
-        """The surface that marks are drawn on, from a camera."""
-        return self._meter.see(camera)
-
-    def listen(self, listener: Listener) -> None:
+    def subscribe(self, listener: Listener) -> None:
         """Call a function after each change."""
         with self._lock:
             self._listeners.append(listener)
 
-    def leave(self, listener: Listener) -> None:
-        """Call it no longer."""
+    def unsubscribe(self, listener: Listener) -> None:
+        """No longer call a function after each change."""
         with self._lock:
             self._listeners = [each for each in self._listeners if each != listener]
 
@@ -201,7 +187,11 @@ class MarkBoard:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", MrgsWarning)
             try:
-                self._read()
+                marks, survey = self._store.read(), read_survey(self._store.folder / SURVEY_FILE)
+                if (marks, survey) != self._measured:
+                    if survey != self.survey:
+                        self._use_survey(survey)
+                    self._measure(marks)
                 self.problems = ()
             except MrgsError as error:
                 self.problems = (str(error),)
@@ -209,29 +199,29 @@ class MarkBoard:
             self.problems = (*self.problems, *(str(each.message) for each in caught))
             self._files = self._files_now()
         if (self.marks, self.survey, self.problems) != before:
-            self._tell()
+            self._notify()
 
-    def add(self, kind: MarkKind, places: tuple[Place, ...], eye: Place, radius: float) -> None:
-        """Add a mark under the next free name.
+    def draw(self, kind: MarkKind, camera: Camera, pixels: Sequence[tuple[float, float]]) -> None:
+        """Add a mark through pixels of a camera's image, under the next free name.
 
         Raises:
             ConfigError: it cannot be.
+            SceneError: a photo cannot be read.
             RunError: it cannot be saved.
         """
-        self.edit(
-            lambda marks: marks.adding(Mark(marks.free_name(kind), kind, places, eye, radius))
-        )
+        place = self._picker.pick(kind, camera, pixels)
+        self.edit(lambda marks: marks.adding(Mark(marks.free_name(kind), kind, *place)))
 
     def change(self, number: int, fields: dict[str, Any]) -> None:
-        """Change fields of the mark of a number; errors as for ``add``."""
+        """Change fields of the mark of a number; errors as for ``edit``."""
         self.edit(lambda marks: marks.changing(self._name(marks, number), **fields))
 
     def delete(self, number: int) -> None:
-        """Delete the mark of a number; errors as for ``add``."""
+        """Delete the mark of a number; errors as for ``edit``."""
         self.edit(lambda marks: marks.without(self._name(marks, number)))
 
     def refer_to(self, number: int | None) -> None:
-        """Let all differences refer to the mark of a number, or to none; errors as for ``add``."""
+        """Let all differences refer to the mark of a number, or to none; errors as for ``edit``."""
         self.edit(
             lambda marks: replace(
                 marks, reference="" if number is None else self._name(marks, number)
@@ -239,20 +229,44 @@ class MarkBoard:
         )
 
     def edit(self, change: Callable[[Marks], Marks]) -> None:
-        """Change the marks; errors as for ``add``."""
-        self._saved(self._store.edit(change))
-
-    def undo(self) -> None:
-        """Take the last change back.
+        """Change the marks, save, measure and notify.
 
         Raises:
-            ConfigError: there is nothing to undo.
+            ConfigError: the change is not possible.
             RunError: it cannot be saved.
         """
-        self._saved(self._store.undo())
+        self._show_saved(self._store.edit(change))
+
+    def undo(self) -> None:
+        """Undo the last change; errors as for ``edit``."""
+        self._show_saved(self._store.undo())
+
+    def _show_saved(self, marks: Marks) -> None:
+        """Show what has just been written; another program may have written since. What cannot be
+        measured is saved all the same: that is a problem, and no error of the change."""
+        self._files = None
+        try:
+            self._measure(marks)
+        except MrgsError as error:
+            self.problems = (str(error),)
+        self._notify()
+
+    def _measure(self, marks: Marks) -> None:
+        regions = self._meter.regions(marks)
+        readings = self._meter.measure(marks, regions)
+        proposals = self._meter.measure(Marks(marks.proposals), regions)
+        self.regions, self.readings, self.proposals = regions, readings, proposals
+        self.marks, self.numbers = marks, self._identities.of(marks.marks)
+        self._measured = marks, self.survey
+
+    def _notify(self) -> None:
+        with self._lock:
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener()
 
     def _name(self, marks: Marks, number: int) -> str:
-        """What the mark of a number is called on the disk now."""
+        """Present name of the mark of a number on the disk."""
         numbers = self._identities.of(marks.marks)
         if number not in numbers:
             raise ConfigError("this mark has been deleted")
@@ -263,43 +277,8 @@ class MarkBoard:
         there = file_stamp(folder) is not None
         return there, self._store.stamp, file_stamp(folder / SURVEY_FILE)
 
-    def _read(self) -> None:
-        """Measure what the files hold, unless it is what is measured already."""
-        marks, survey = self._store.read(), self._survey_now()
-        if (marks, survey) != self._measured:
-            if survey != self.survey:
-                self._follow(survey)
-            self._measure(marks)
-
-    def _survey_now(self) -> Survey:
-        return read_survey(self._store.folder / SURVEY_FILE)
-
-    def _follow(self, survey: Survey) -> None:
+    def _use_survey(self, survey: Survey) -> None:
         """Take uncertainties from what a survey states."""
         if self._appraise is not None:
             self._meter.uncertainty = self._appraise(survey)
         self.survey = survey
-
-    def _saved(self, marks: Marks) -> None:
-        """Show what has just been written; another program may have written since. What cannot be
-        measured is saved all the same: that is a problem, and no error of the change."""
-        self._files = None
-        try:
-            self._measure(marks)
-        except MrgsError as error:
-            self.problems = (str(error),)
-        self._tell()
-
-    def _measure(self, marks: Marks) -> None:
-        regions = self._meter.regions(marks)
-        readings = self._meter.measure(marks, regions)
-        proposals = self._meter.measure(Marks(marks.proposals), regions)
-        self.regions, self.readings, self.proposals = regions, readings, proposals
-        self.marks, self.numbers = marks, self._identities.of(marks.marks)
-        self._measured = marks, self.survey
-
-    def _tell(self) -> None:
-        with self._lock:
-            listeners = list(self._listeners)
-        for listener in listeners:
-            listener()

@@ -1,4 +1,4 @@
-"""One browser: does what it asks for, and sends it pictures and texts."""
+"""One browser: does what its messages ask for, and sends it pictures and texts."""
 
 from __future__ import annotations
 
@@ -7,25 +7,31 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mrgs.errors import ConfigError, MrgsError
 from mrgs.marks.mark import Marks
-from mrgs.viewer import texts
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.cameras import fitted_size
-from mrgs.viewer.facts import hello_facts, marks_facts, picture_message
+from mrgs.viewer.facts import (
+    EMPTY_HINT,
+    hello_facts,
+    keyframes_text,
+    marks_facts,
+    picture_message,
+    point_text,
+)
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.messages import (
-    Act,
+    AddKeyframe,
     AddMark,
-    AnyMessage,
     ChangeMark,
     Choose,
+    ClearPath,
     DeleteMark,
+    FitScales,
     GoToPhoto,
     Hover,
     Judge,
@@ -34,9 +40,12 @@ from mrgs.viewer.messages import (
     ReferTo,
     RenderVideo,
     SavePath,
+    TakeScreenshot,
+    Undo,
     decode,
     encode,
 )
+from mrgs.viewer.panes import fitted_size
 from mrgs.viewer.saving import VideoProgress, render_video, save_keyframes, save_screenshot
 from mrgs.viewer.settings import Settings, Start, Subject
 from mrgs.viewer.source import Worker
@@ -48,7 +57,7 @@ FEWEST_PIXELS = 240
 """Longest side of the coarsest picture."""
 
 CHANGE = "change of marks"
-"""First part of the names of jobs that change marks."""
+"""Name of jobs that change marks: none replaces another, and they outlive their browser."""
 
 _log = logging.getLogger(__name__)
 
@@ -59,13 +68,13 @@ class Browser:
     """One connected browser; its state is ``inspection``.
 
     A picture is drawn only when the browser asks for one, and a browser whose page is hidden does
-    not ask. While one picture is on its way no other is drawn for it.
+    not ask. While one picture is being sent no other is drawn for it.
 
     Args:
         subject: the model to show.
         start: the first viewpoint, and what the camera turns about.
         note: a sentence for the user; may be empty.
-        worker: does everything that uses the model.
+        worker: runs everything that uses the model.
         send: sends a text or bytes, from any thread.
     """
 
@@ -75,127 +84,56 @@ class Browser:
         self.inspection = Inspection(subject)
         self._subject = subject
         self._worker = worker
-        self._send = send
+        self._send_data = send
         self._lock = threading.Lock()
         self._look: Look | None = None
         self._sending = False
         self._changes = itertools.count()
         self._moving_side_px = float(subject.source.most_pixels["moving"])
-        self._tell("hello", **hello_facts(self.inspection, start), note=note)
+        self._send("hello", **hello_facts(self.inspection, start), note=note)
         if subject.board is not None:
-            subject.board.listen(self._marks_changed)
-            self._do("marks", self._show_marks)
+            subject.board.subscribe(self._send_marks)
+            self._enqueue("marks", self._measure_marks)
 
     def receive(self, data: str | bytes) -> None:
-        """Do what a message asks for; what cannot be understood is answered, and has no effect."""
+        """Do what a message asks for, at once or as a job of the worker; what is not understood is
+        answered, and has no effect."""
         try:
-            self._obey(decode(data))
+            message = decode(data)
+            handler = HANDLERS[type(message)]
+            if handler.job:
+                # A mark that a change is about has its refusal beside it in the list.
+                mark = getattr(message, "mark", None)
+                number = mark if isinstance(mark, int) else None
+                self._enqueue(handler.job, lambda: handler.handle(self, message), number)
+            else:
+                handler.handle(self, message)
         except (ValueError, RecursionError, MrgsError) as error:
-            self._report(error)
+            self._status(str(error) or repr(error), failed=True)
         self._subject.source.charge()
 
     def set_note(self, note: str) -> None:
-        """Replace the note, and say that the model has changed."""
-        self._tell("note", text=note)
+        """Replace the note, and report that the model has changed."""
+        self._send("note", text=note)
 
     def close(self) -> None:
-        """Forget what the browser still waits for, but not its changes of marks."""
-        self._worker.drop(self._is_for_this_browser_alone)
-        if self._subject.board is not None:
-            self._subject.board.leave(self._marks_changed)
-
-    def _is_for_this_browser_alone(self, key: Hashable) -> bool:
-        match key:
-            case (owner, (kind, _)) if kind == CHANGE:
-                return False
-            case (owner, _):
-                return bool(owner == id(self))
-        return False
-
-    def _obey(self, message: AnyMessage) -> None:
-        match message:
-            case Look():
-                message.camera()  # raises for a wrong one
-                with self._lock:
-                    self._look = message
-                self._draw_if_idle()
-            case Hover():
-                self._tell("hover", text=self.inspection.hover(message.x, message.y))
-            case Choose():
-                self._choose(message)
-            case ChangeMark() | DeleteMark() | ReferTo():
-                self._edit(lambda: self._edit_mark(message), message.mark)
-            case AddMark() | Judge():
-                self._edit(lambda: self._add_mark(message))
-            case ReadPoint():
-                self._do("read", lambda: self._read(message.x, message.y))
-            case GoToPhoto():
-                self.inspection.view_index = self._view_index(message.index)
-            case SavePath():
-                self._do(
-                    "save", lambda: self._saved(save_keyframes(self.inspection, message.seconds))
-                )
-            case RenderVideo():
-                self._do("video", lambda: self._begin_video(message.seconds))
-            case Act():
-                self._act(message)
-
-    def _act(self, message: Act) -> None:
-        match message.what:
-            case "fit":
-                self._do("fit", self._fit)
-            case "undo":
-                self._edit(lambda: self._board.undo())
-            case "screenshot":
-                self._do("screenshot", lambda: self._saved(save_screenshot(self.inspection)))
-            case "add_keyframe":
-                self.inspection.add_keyframe()
-                self._path_changed()
-            case "clear_path":
-                self.inspection.keyframes = ()
-                self._path_changed()
-
-    @property
-    def _board(self) -> MarkBoard:
-        if self._subject.board is None:
-            raise ConfigError("marks need the scene: open the run with it")
-        return self._subject.board
-
-    def _edit(self, change: Callable[[], None], number: int | None = None) -> None:
-        """Have marks changed by the worker; what is refused is said where they are listed, at the
-        mark of a number if there is one. No change replaces another that waits."""
-        self._do(
-            (CHANGE, next(self._changes)), change, lambda error: self._refuse_change(error, number)
+        """Drop the browser's waiting jobs, but not its changes of marks."""
+        self._worker.drop(
+            lambda key: isinstance(key, tuple) and key[0] == id(self) and key[1] != CHANGE
         )
+        if self._subject.board is not None:
+            self._subject.board.unsubscribe(self._send_marks)
 
-    def _edit_mark(self, message: ChangeMark | DeleteMark | ReferTo) -> None:
-        """Change a mark, save it, and measure; then every browser is told."""
-        match message:
-            case ChangeMark():
-                self._board.change(message.mark, message.fields)
-            case DeleteMark():
-                self._board.delete(message.mark)
-            case ReferTo():
-                self._board.refer_to(message.mark)
+    def _enqueue(self, name: str, job: Callable[[], None], mark: int | None = None) -> None:
+        """Let the worker run a job in place of a waiting one of this name, but for changes of
+        marks. Errors are sent to the page: of a change with the number of its mark."""
 
-    def _add_mark(self, message: AddMark | Judge) -> None:
-        """Add a mark, or judge a proposed one; the same follows."""
-        match message:
-            case AddMark():
-                self.inspection.add_mark(message.kind, message.points)
-                self._tell_point()
-            case Judge():
-                judge = Marks.accepting if message.accept else Marks.dropping
-                self._board.edit(lambda marks: judge(marks, message.mark))
-
-    def _do(
-        self,
-        name: Hashable,
-        job: Callable[[], None],
-        report: Callable[[Exception], None] | None = None,
-    ) -> None:
-        """Have a job done by the worker; what it raises is told to the user."""
-        report = report or self._report
+        def report(error: Exception) -> None:
+            text = str(error) or repr(error)
+            if name == CHANGE:
+                self._send("refused", mark=mark, text=text)
+            else:
+                self._status(text, failed=True)
 
         def contained() -> None:
             try:
@@ -206,21 +144,33 @@ class Browser:
                 report(error)
                 raise
 
-        self._worker.put((id(self), name), contained)
+        number = next(self._changes) if name == CHANGE else 0
+        self._worker.put((id(self), name, number), contained)
 
-    def _fit(self) -> None:
-        self.inspection.fit()
-        limits = self.inspection.settings.limits
-        self._tell("limits", of={modality.name: ends for modality, ends in limits.items()})
-        self._redraw()
+    def _send(self, kind: str, **facts: Any) -> None:
+        self._send_data(encode({"type": kind, **facts}))
+
+    def _status(self, text: str, failed: bool = False) -> None:
+        self._send("status", text=text, failed=failed)
+
+    def _redraw(self) -> None:
+        """Make the browser ask for a picture: it knows where its camera is."""
+        self._send("changed")
 
     # --- pictures ---
+
+    def look(self, message: Look) -> None:
+        """Draw the picture unless one is being sent; then it follows, or a newer one."""
+        message.camera()  # raises for a wrong one
+        with self._lock:
+            self._look = message
+        self._draw_if_idle()
 
     def _draw_if_idle(self) -> None:
         with self._lock:
             if self._look is None or self._sending:
                 return
-        self._do("picture", self._draw)
+        self._enqueue("picture", self._draw)
 
     def _draw(self) -> None:
         with self._lock:
@@ -239,29 +189,66 @@ class Browser:
             drawn = self.inspection.picture(camera)
         message = picture_message(self.inspection, drawn, look)
         if moving:
-            self._adapt(time.thread_time() - started_s)
+            # More or fewer pixels for the next picture, as this one took less or more time.
+            factor = math.sqrt(MOVING_S / max(time.thread_time() - started_s, 1e-3))
+            side = self._moving_side_px * min(max(factor, 0.7), 1.15)
+            self._moving_side_px = min(max(side, FEWEST_PIXELS), source.most_pixels["moving"])
         source.charge()
         self._sending = True
-        self._send(message).add_done_callback(self._sent)
+        self._send_data(message).add_done_callback(self._picture_sent)
 
-    def _adapt(self, taken_s: float) -> None:
-        """More or fewer pixels for the next picture on the way, as this one took less or more."""
-        factor = math.sqrt(MOVING_S / max(taken_s, 1e-3))
-        side = self._moving_side_px * min(max(factor, 0.7), 1.15)
-        most = self._subject.source.most_pixels["moving"]
-        self._moving_side_px = min(max(side, FEWEST_PIXELS), most)
-
-    def _sent(self, _: Future[None]) -> None:
+    def _picture_sent(self, _: Future[None]) -> None:
         self._sending = False
         self._draw_if_idle()
 
-    def _redraw(self) -> None:
-        """Have the browser ask for a picture: it knows where its camera is."""
-        self._tell("changed")
+    # --- marks ---
 
-    # --- choices and actions ---
+    @property
+    def board(self) -> MarkBoard:
+        """The marks of the run.
 
-    def _choose(self, message: Choose) -> None:
+        Raises:
+            ConfigError: there are none without the scene.
+        """
+        if self._subject.board is None:
+            raise ConfigError("marks need the scene: open the run with it")
+        return self._subject.board
+
+    def add_mark(self, message: AddMark) -> None:
+        """Add a mark; the board tells all browsers."""
+        self.inspection.add_mark(message.kind, message.points)
+        self._send_point()
+
+    def _measure_marks(self) -> None:
+        """Measure what the files contain, for a browser that has just connected."""
+        try:
+            self.board.refresh()
+        finally:
+            self._send_marks()
+
+    def _send_marks(self) -> None:
+        self._send("marks", **marks_facts(self.board, self._subject))
+        self._redraw()
+
+    # --- choices and readings ---
+
+    def hover(self, message: Hover) -> None:
+        """Send the value under the cursor."""
+        self._send("hover", text=self.inspection.hover(message.x, message.y))
+
+    def read(self, message: ReadPoint) -> None:
+        """Read a point of the model, and send it."""
+        if self.inspection.click(message.x, message.y) is None:
+            self._status(EMPTY_HINT)
+        self._send_point()
+        self._redraw()
+
+    def _send_point(self) -> None:
+        point = self.inspection.point
+        self._send("point", of=None if point is None else point_text(point, self._subject))
+
+    def choose(self, message: Choose) -> None:
+        """Take over the choices of the panel."""
         subject, old = self._subject, self.inspection.settings
         if message.mode >= len(subject.modes):
             raise ConfigError(f"there is no picture number {message.mode}")
@@ -270,78 +257,94 @@ class Browser:
         if scaled is not None:
             limits.pop(scaled, None)
             if message.limits is not None:
-                limits[scaled] = _rising(message.limits)
+                limits[scaled] = message.limits
+                if not message.limits[0] < message.limits[1]:
+                    raise ConfigError("the upper end of the scale must be above the lower")
         self.inspection.settings = Settings(
             subject.modes[message.mode], message.palette, limits, message.isotherm, message.share,
             scaled or old.scaled, message.marks,
         )  # fmt: skip
         self._redraw()
 
-    def _read(self, x: float, y: float) -> None:
-        reading = self.inspection.click(x, y)
-        if reading is None:
-            self._say(texts.EMPTY_HINT)
-        self._tell_point()
+    def go_to_photo(self, message: GoToPhoto) -> None:
+        """Choose the captured view that the modes with photos show."""
+        if message.index >= len(self._subject.views):
+            raise ConfigError(f"there is no photo number {message.index}")
+        self.inspection.view_index = message.index
+
+    def fit_scales(self, _: FitScales) -> None:
+        """Lock the scales at the limits of what the picture shows."""
+        self.inspection.fit()
+        limits = self.inspection.settings.limits
+        self._send("limits", of={modality.name: ends for modality, ends in limits.items()})
         self._redraw()
 
-    def _tell_point(self) -> None:
-        point = self.inspection.point
-        self._tell("point", of=None if point is None else texts.point(point, self._subject))
+    # --- path and files ---
 
-    def _show_marks(self) -> None:
-        """Measure what the files hold, for a browser that has just come."""
-        try:
-            self._board.refresh()
-        finally:
-            self._marks_changed()
+    def add_keyframe(self, _: AddKeyframe) -> None:
+        """Add the picture's camera to the path."""
+        self.inspection.add_keyframe()
+        self._send("keyframes", text=keyframes_text(len(self.inspection.keyframes)))
 
-    def _marks_changed(self) -> None:
-        self._tell("marks", **marks_facts(self._board, self._subject))
-        self._redraw()
+    def clear_path(self, _: ClearPath) -> None:
+        """Remove all keyframes."""
+        self.inspection.keyframes = ()
+        self._send("keyframes", text=keyframes_text(0))
 
-    def _path_changed(self) -> None:
-        self._tell("keyframes", text=texts.keyframes(len(self.inspection.keyframes)))
+    def saved(self, path: Path) -> None:
+        """Name a file that has been written."""
+        place = path.relative_to(self._subject.folder).as_posix()
+        self._status(f"Saved in the run's folder: {place}")
 
-    def _begin_video(self, seconds: float) -> None:
-        self._go_on(render_video(self.inspection, seconds))
-
-    def _go_on(self, video: Iterator[VideoProgress]) -> None:
-        """Render the next frame; then the other jobs have their turn before the one after it."""
+    def render_next(self, video: Iterator[VideoProgress]) -> None:
+        """Render the next frame; other jobs have their turn before the one after it."""
         progress = next(video, None)
         if progress is None:
             return
         if progress.path is not None:
-            self._saved(progress.path)
+            self.saved(progress.path)
         else:
-            self._say(f"Rendering frame {progress.done} of {progress.total}…")
-        self._do("video", lambda: self._go_on(video))
-
-    def _view_index(self, index: int) -> int:
-        if index >= len(self._subject.views):
-            raise ConfigError(f"there is no photo number {index}")
-        return index
-
-    # --- what it is told ---
-
-    def _saved(self, path: Path) -> None:
-        place = path.relative_to(self._subject.folder).as_posix()
-        self._say(f"Saved in the run's folder: {place}")
-
-    def _refuse_change(self, error: Exception, number: int | None) -> None:
-        self._tell("refused", mark=number, text=str(error) or repr(error))
-
-    def _report(self, error: Exception) -> None:
-        self._say(str(error) or repr(error), failed=True)
-
-    def _say(self, text: str, failed: bool = False) -> None:
-        self._tell("status", text=text, failed=failed)
-
-    def _tell(self, kind: str, **facts: Any) -> None:
-        self._send(encode({"type": kind, **facts}))
+            self._status(f"Rendering frame {progress.done} of {progress.total}…")
+        self._enqueue("video", lambda: self.render_next(video))
 
 
-def _rising(limits: tuple[float, float]) -> tuple[float, float]:
-    low, high = limits
-    if not low < high:
-        raise ConfigError("the upper end of the scale must be above the lower")
-    return low, high
+class Handler(NamedTuple):
+    """How messages of a class are handled.
+
+    Attributes:
+        handle: does what a message asks for; its errors are sent to the page.
+        job: name of the worker's job that runs it, which replaces a waiting one of the same name
+            (but see ``CHANGE``); empty to run it at once, for what does not use the model.
+    """
+
+    handle: Callable[[Browser, Any], None]
+    job: str = ""
+
+
+HANDLERS: Mapping[type, Handler] = {
+    Look: Handler(Browser.look),
+    Hover: Handler(Browser.hover),
+    Choose: Handler(Browser.choose),
+    GoToPhoto: Handler(Browser.go_to_photo),
+    AddKeyframe: Handler(Browser.add_keyframe),
+    ClearPath: Handler(Browser.clear_path),
+    ReadPoint: Handler(Browser.read, "read"),
+    FitScales: Handler(Browser.fit_scales, "fit"),
+    TakeScreenshot: Handler(lambda b, m: b.saved(save_screenshot(b.inspection)), "screenshot"),
+    SavePath: Handler(lambda b, m: b.saved(save_keyframes(b.inspection, m.seconds)), "save"),
+    RenderVideo: Handler(
+        lambda b, m: b.render_next(render_video(b.inspection, m.seconds)), "video"
+    ),
+    AddMark: Handler(Browser.add_mark, CHANGE),
+    ChangeMark: Handler(lambda b, m: b.board.change(m.mark, m.fields), CHANGE),
+    DeleteMark: Handler(lambda b, m: b.board.delete(m.mark), CHANGE),
+    ReferTo: Handler(lambda b, m: b.board.refer_to(m.mark), CHANGE),
+    Judge: Handler(
+        lambda b, m: b.board.edit(
+            lambda marks: (Marks.accepting if m.accept else Marks.dropping)(marks, m.mark)
+        ),
+        CHANGE,
+    ),
+    Undo: Handler(lambda b, m: b.board.undo(), CHANGE),
+}
+"""Every message that a browser may send."""

@@ -1,11 +1,12 @@
-"""What a browser is told, as its page reads it; all places in a picture are from 0 to 1."""
+"""What is sent to a browser, as its page reads it; all places in a picture are from 0 to 1. Texts
+are plain: the page shows them as text, so that nothing in them can become a tag."""
 
 from __future__ import annotations
 
 import io
 import struct
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypedDict
 
 from PIL import Image
 
@@ -18,7 +19,7 @@ from mrgs.marks.mark import (
 )
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.texts import MarkText, mark_text
-from mrgs.pictures.drawing import Scale
+from mrgs.pictures.numbers import number_text
 from mrgs.pictures.stage import (
     PALETTE_CHOICES,
     air_facts,
@@ -27,13 +28,12 @@ from mrgs.pictures.stage import (
     palette_facts,
 )
 from mrgs.pictures.values import range_of
-from mrgs.scene import Modality, WorldFrame
-from mrgs.viewer import texts
+from mrgs.scene import THERMAL, Modality, WorldFrame
 from mrgs.viewer.annotation import Outline, PointLabel, pane_scale, seen_marks, seen_outlines
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.inspection import DrawnPicture, Inspection
+from mrgs.viewer.inspection import DrawnPicture, Inspection, PointReading
 from mrgs.viewer.messages import LONGEST_SIDE_PX, VIDEO_SECONDS, Look, encode
-from mrgs.viewer.panes import Pane
+from mrgs.viewer.picking import ValueReading
 from mrgs.viewer.settings import Mode, Start, Subject
 
 MOVING_JPEG: dict[str, Any] = {"quality": 80}
@@ -54,7 +54,7 @@ def hello_facts(inspection: Inspection, start: Start) -> dict[str, Any]:
     subject = inspection.subject
     return {
         "name": subject.name,
-        "known": texts.header(subject),
+        "known": header_text(subject),
         "start": start._asdict(),
         "modes": [_mode(mode) for mode in subject.modes],
         "views": [{"name": view.name, **camera_facts(view.camera)} for view in subject.views],
@@ -116,31 +116,18 @@ def _pane(
     """A pane, over which the page draws title, scale and marks."""
     pane, shown = drawn.panes[index], drawn.images[index]
     scale = pane_scale(pane, drawn.scales)
+    scale_facts = None if scale is None else scale._asdict()
+    if scale_facts is not None:
+        del scale_facts["decimal"]  # the page writes the numbers itself
+    (width, height), size = drawn.size, pane.camera
     return {
-        "place": _place(pane, drawn.size),
+        "place": [pane.left / width, pane.top / height, size.width / width, size.height / height],
         "free": pane.photo is None,
         "title": pane.title,
-        "scale": None if scale is None else _scale(scale),
+        "scale": scale_facts,
         "marks": seen_marks(pane, shown, labels),
         "outlines": [outline._asdict() for outline in seen_outlines(pane, shown, outlines)],
     }
-
-
-def _scale(scale: Scale) -> dict[str, Any]:
-    """A scale, whose numbers the page writes itself."""
-    facts = scale._asdict()
-    del facts["decimal"]
-    return facts
-
-
-def _place(pane: Pane, size: tuple[int, int]) -> list[float]:
-    """Left, top, width and height of a pane."""
-    width, height = size
-    return [
-        pane.left / width, pane.top / height,
-        pane.camera.width / width,
-        pane.camera.height / height,
-    ]  # fmt: skip
 
 
 def marks_facts(board: MarkBoard, subject: Subject) -> dict[str, Any]:
@@ -159,3 +146,62 @@ def marks_facts(board: MarkBoard, subject: Subject) -> dict[str, Any]:
         "notes": board.notes,
         "problems": board.problems,
     }
+
+
+EMPTY_HINT = "Nothing there: the model is empty at this point."
+
+
+class ReadingText(TypedDict):
+    """A point that was read: the value in large type, its deviation, and further lines."""
+
+    value: str
+    deviation: str
+    lines: list[str]
+
+
+def header_text(subject: Subject) -> str:
+    """The temperature range, or why there is none."""
+    scale = subject.temperature
+    if THERMAL not in subject.modalities:
+        shown = ", ".join(modality.quantity for modality in subject.modalities)
+        return f"No thermal photos: {shown} and depth only."
+    if scale is None:
+        return "This scene has no known °C: temperatures are normalised, 0 to 1."
+    return f"Recorded range {number_text(scale.min_c, 1)} to {number_text(scale.max_c, 1)} °C."
+
+
+def point_text(shown: PointReading, subject: Subject) -> ReadingText:
+    """A point: value, photo, other modalities, depth and position."""
+    reading, first = shown.reading, shown.modality
+    value = deviation = ""
+    lines = []
+    if first is not None:
+        value, deviation = _value_texts(reading.values[first], first, subject)
+        if first != subject.readable[0]:
+            value = f"{first.quantity} {value}"
+    if first is not None and shown.photo_value is not None:
+        gap = reading.values[first].value - shown.photo_value
+        photo = subject.format_value(first, shown.photo_value)
+        lines.append(f"photo {photo}, model {subject.format_difference(first, gap, sign=True)}")
+    for modality, other in reading.values.items():
+        if modality != first:
+            lines.append(" ".join((modality.quantity, *_value_texts(other, modality, subject))))
+    world = WorldFrame() if subject.scene is None else subject.scene.world
+    depth, around = (number_text(each, 3) for each in (reading.depth, reading.depth_deviation))
+    lines.append(f"depth {depth} ± {around} {world.length_unit}")
+    lines.append("position " + ", ".join(number_text(each, 3) for each in reading.position))
+    return {"value": value, "deviation": deviation, "lines": lines}
+
+
+def keyframes_text(count: int) -> str:
+    """How many keyframes a path has, and what it still needs."""
+    few = {0: "No keyframes yet.", 1: "1 keyframe; add at least one more."}
+    return few.get(count, f"{count} keyframes.")
+
+
+def _value_texts(value: ValueReading, modality: Modality, subject: Subject) -> tuple[str, str]:
+    """A value, and its standard deviation."""
+    return (
+        subject.format_value(modality, value.value),
+        f"± {subject.format_difference(modality, value.deviation)} std. dev.",
+    )

@@ -14,13 +14,11 @@ from mrgs.errors import ConfigError
 from mrgs.marks.mark import MarkKind
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
-from mrgs.marks.run_marks import box_corners, eye_of, picked_places, spot_radius
 from mrgs.marks.texts import label_text
 from mrgs.pictures.limits import rounded
 from mrgs.scene import Camera, Modality, View
 from mrgs.viewer.annotation import Outline, PointLabel, annotate
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.cameras import nearest_view
 from mrgs.viewer.painting import Scales, compose, measure_scales
 from mrgs.viewer.panes import (
     Pane,
@@ -218,7 +216,7 @@ class Inspection:
             SceneError: a photo cannot be read.
             RunError: the mark cannot be saved.
         """
-        board, subject = self.subject.board, self.subject
+        board = self.subject.board
         if board is None:
             raise ConfigError("marks need the scene: open the run with it")
         if kind == "box" and len(points) != 2:
@@ -229,11 +227,7 @@ class Inspection:
             raise ConfigError("draw the mark within one picture")
         camera = pane.photo.camera if pane.photo is not None else pane.camera
         pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
-        if kind == "box":
-            pixels = box_corners(*pixels)
-        picked = picked_places(board.see(camera), pixels, board.stereo)
-        radius = spot_radius(picked[0], camera, subject.scene) if kind == "spot" else 0.0
-        board.add(kind, picked, eye_of(camera), radius)
+        board.draw(kind, camera, pixels)
         self.point = None
 
     def _render(
@@ -393,3 +387,24 @@ def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
 
 def _first_readable(modalities: Sequence[Modality]) -> Modality | None:
     return next((each for each in modalities if each.channels == 1), None)
+
+
+def nearest_view(
+    views: Sequence[View], camera: Camera, extent: float, preferred: int | None = None
+) -> int:
+    """Index of the captured view whose position and direction are closest to a camera's; ties go to
+    ``preferred``.
+
+    Args:
+        views: at least one.
+        camera: the one to compare with.
+        extent: of the scene; a way of this length weighs as much as a right angle.
+        preferred: index of the view shown now.
+    """
+    costs = []
+    for index, view in enumerate(views):
+        other = view.camera
+        way = (other.position - camera.position).norm().item() / extent
+        turn = 1 - (other.forward @ camera.forward).item()
+        costs.append(way + turn - (1e-3 if index == preferred else 0.0))
+    return int(np.argmin(costs))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
 import numpy as np
@@ -33,14 +33,14 @@ Limits: TypeAlias = tuple[Number, Number]
 
 
 class BrowserMessage(msgspec.Struct, forbid_unknown_fields=True):
-    """Anything that a browser sends; ``type`` tells which."""
+    """Anything that a browser sends; its class is that of ``type``."""
 
 
 class Look(BrowserMessage, tag="look"):
     """Draw a picture.
 
     Attributes:
-        number: comes back with the picture.
+        number: returned with the picture.
         rotation: rows of the camera's axes in the world (right, down, forward).
         position: world coordinates.
         focal: fx and fy, pixels.
@@ -97,7 +97,7 @@ class Choose(BrowserMessage, tag="choose"):
 
 
 class Hover(BrowserMessage, tag="hover"):
-    """Tell what the picture shows at a place; x and y from 0 to 1."""
+    """Report the value under the cursor; x and y from 0 to 1 over the picture."""
 
     x: Share
     y: Share
@@ -114,7 +114,7 @@ Corners: TypeAlias = Annotated[
     tuple[tuple[Share, Share], ...], msgspec.Meta(min_length=1, max_length=200)
 ]
 Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=10_000)]
-"""More than any field of a mark may have: a mark itself says in words what it refuses."""
+"""Longer than any field of a mark may be: ``Mark`` itself refuses with a sentence."""
 
 
 class AddMark(BrowserMessage, tag="add_mark"):
@@ -175,10 +175,24 @@ class GoToPhoto(BrowserMessage, tag="photo"):
     index: Index
 
 
-class Act(BrowserMessage, tag="act"):
-    """Press a button that needs no more words."""
+class FitScales(BrowserMessage, tag="fit"):
+    """Lock the scales at the limits of what the picture shows."""
 
-    what: Literal["fit", "undo", "screenshot", "add_keyframe", "clear_path"]
+
+class Undo(BrowserMessage, tag="undo"):
+    """Undo the last change of the marks."""
+
+
+class TakeScreenshot(BrowserMessage, tag="screenshot"):
+    """Write the picture into a file."""
+
+
+class AddKeyframe(BrowserMessage, tag="add_keyframe"):
+    """Add the picture's camera to the path."""
+
+
+class ClearPath(BrowserMessage, tag="clear_path"):
+    """Remove all keyframes."""
 
 
 class SavePath(BrowserMessage, tag="save_path"):
@@ -194,20 +208,10 @@ class RenderVideo(BrowserMessage, tag="video"):
 
 
 AnyMessage: TypeAlias = (
-    Look
-    | Choose
-    | Hover
-    | ReadPoint
-    | AddMark
-    | ChangeMark
-    | DeleteMark
-    | Judge
-    | ReferTo
-    | GoToPhoto
-    | Act
-    | SavePath
-    | RenderVideo
-)
+    Look | Choose | Hover | ReadPoint | GoToPhoto | FitScales
+    | AddMark | ChangeMark | DeleteMark | Judge | ReferTo | Undo
+    | TakeScreenshot | AddKeyframe | ClearPath | SavePath | RenderVideo
+)  # fmt: skip
 
 _decoder = msgspec.json.Decoder(AnyMessage)
 

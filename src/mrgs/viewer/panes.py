@@ -72,6 +72,13 @@ class Place(NamedTuple):
     v: float
 
 
+def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
+    """Width and height in pixels, reduced so that the longer side has at most ``longest``; each at
+    least 1."""
+    scale = min(1.0, longest / max(width, height, 1))
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
 def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
     """The panes of a mode.
 

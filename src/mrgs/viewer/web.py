@@ -22,10 +22,10 @@ from mrgs.pictures.html import Page, make_page
 from mrgs.pictures.stage import MARKS_STYLE, STAGE_SCRIPTS, STAGE_STYLE
 from mrgs.scene import Camera
 from mrgs.viewer.browser import Browser
-from mrgs.viewer.cameras import fitted_size
 from mrgs.viewer.gate import Gate, require_port
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.messages import LARGEST_MESSAGE
+from mrgs.viewer.panes import fitted_size
 from mrgs.viewer.settings import Start, Subject
 from mrgs.viewer.source import Worker
 

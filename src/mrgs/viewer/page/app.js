@@ -174,7 +174,7 @@ class Page {
   connectControls() {
     const pressed = (id, then) => element(id).addEventListener("click", then);
     const changed = (ids, then) => ids.forEach((id) => element(id).addEventListener("change", then));
-    const act = (what) => () => this.connection.send("act", { what });
+    const send = (type) => () => this.connection.send(type);
     pressed("home", () => this.home());
     changed(["compare"], () => this.choose(element("compare").value === "" ? 0 : Number(element("compare").value)));
     element("share").addEventListener("input", () => this.sendChoices());
@@ -182,18 +182,18 @@ class Page {
     this.range = new RangeControl((low, high) => this.setRange(low, high));
     this.isotherm = new IsothermControl(() => { if (this.ready) this.sendChoices(); }, this.facts.air);
     changed(["follow"], () => this.setFollow(element("follow").checked));
-    pressed("fit", () => { this.setFollow(false); this.connection.send("act", { what: "fit" }); });
+    pressed("fit", () => { this.setFollow(false); this.connection.send("fit"); });
     pressed("whole", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
-    pressed("undo", act("undo"));
+    pressed("undo", send("undo"));
     pressed("no-reference", () => this.connection.send("refer_to", { mark: null }));
     this.drawing = new MarkDrawing((kind, corners) => {
       const points = corners.map((corner) => Object.values(this.shareOf(...corner)));
       this.connection.send("add_mark", { kind, points });
     }, (text) => this.sayOfMarks(text, false));
     this.marks = new MarkList(element("mark-list"), this.facts.mark_limits, (type, facts) => this.connection.send(type, facts));
-    pressed("screenshot", act("screenshot"));
-    pressed("add-keyframe", act("add_keyframe"));
-    pressed("clear-path", act("clear_path"));
+    pressed("screenshot", send("screenshot"));
+    pressed("add-keyframe", send("add_keyframe"));
+    pressed("clear-path", send("clear_path"));
     pressed("video", () => this.sendPath("video"));
     pressed("save-path", () => this.sendPath("save_path"));
     const photo = element("photo");
