@@ -13,7 +13,7 @@ import pytest
 
 from mrgs.comparison import child
 from mrgs.comparison.methods import Variant, configure
-from mrgs.comparison.single import run_one
+from mrgs.comparison.runs import run_one
 from mrgs.errors import KernelWarning, MrgsWarning
 from mrgs.system.strict_yaml import write_yaml
 from tests.helpers.comparison import tiny_options

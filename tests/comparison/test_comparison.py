@@ -17,7 +17,7 @@ from mrgs.comparison import comparison
 from mrgs.comparison.comparison import compare
 from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import PlannedRun, plan
-from mrgs.comparison.single import run_one
+from mrgs.comparison.runs import run_one
 from mrgs.errors import MrgsError
 from mrgs.runs.open import TrainedRun, open_run
 from mrgs.training import train

@@ -148,6 +148,6 @@ def print_figures(metrics: Metrics) -> None:
 
 def print_table(table: Table) -> None:
     """Print a comparison's table, one block per scene; * marks the best figure, + the second."""
-    from mrgs.comparison.text import to_plain
+    from mrgs.comparison.table import to_plain
 
     print("\n" + to_plain(table), end="")

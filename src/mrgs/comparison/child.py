@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from mrgs.comparison.methods import from_text
-from mrgs.comparison.single import run_one
+from mrgs.comparison.runs import run_one
 from mrgs.errors import KernelWarning, MrgsError
 from mrgs.system.child import read_request, send, when_asked_to_stop
 

@@ -20,13 +20,11 @@ from mrgs.comparison.figures import (
 )
 from mrgs.comparison.methods import Options
 from mrgs.comparison.plan import PlannedRun, neighbour_methods, plan
-from mrgs.comparison.processes import run_jobs
-from mrgs.comparison.progress import Progress
+from mrgs.comparison.processes import Progress, run_jobs
 from mrgs.comparison.results import Outcome, failed, outcome
-from mrgs.comparison.single import Scores, is_scored, read_metrics, run_scores
-from mrgs.comparison.table import Table
+from mrgs.comparison.runs import Scores, is_scored, read_metrics, run_scores
+from mrgs.comparison.table import Table, to_csv, to_latex, to_markdown
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables
-from mrgs.comparison.text import to_csv, to_latex, to_markdown
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, MrgsError
 from mrgs.evaluation.contact_sheet import ViewImages

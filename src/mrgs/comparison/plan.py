@@ -1,4 +1,4 @@
-"""Which runs a comparison consists of, and where each of them lives."""
+"""The runs of a comparison, and their folders."""
 
 from __future__ import annotations
 
@@ -10,8 +10,14 @@ from pathlib import Path
 
 from mrgs.check import warn_of_problems
 from mrgs.comparison.methods import Options, Variant, configure
-from mrgs.comparison.same_data import SceneData, are_stale, require_same_data
-from mrgs.comparison.single import Scores, require_same_config, run_scores
+from mrgs.comparison.runs import (
+    SceneData,
+    Scores,
+    are_stale,
+    require_same_config,
+    require_same_data,
+    run_scores,
+)
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, SceneError
 from mrgs.system.atomic import write_text
@@ -27,13 +33,13 @@ class PlannedRun:
     """A run of a comparison, before it is trained.
 
     Attributes:
-        scene: the scene's folder, absolute, or its transforms file.
+        scene: absolute path of the scene's folder or transforms file.
         scene_name: in tables.
         method: its name in tables; unique among the methods of a comparison.
         seed: of every random choice.
         config: of the training.
-        folder: the run's folder.
-        scores: there before, unless they are of other held-out images than the scene has now.
+        folder: of the run.
+        scores: of an earlier call; None if there are none, or of other held-out images.
     """
 
     scene: Path
@@ -53,13 +59,13 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Planned
 
     Args:
         scenes: the scenes' folders.
-        output: runs live in ``output/runs/SCENE/METHOD/seed_N``.
+        output: its folders ``runs/SCENE/METHOD/seed_N`` are those of the runs.
         options: the methods, and what all runs share.
 
     Raises:
         SceneError: a scene cannot be read, or has no held-out views.
-        ConfigError: an option is not allowed, two scenes have one name, or a run's folder holds
-            another run, or one of other data than its scene has now.
+        ConfigError: an option is not allowed, two scenes have one name, or a run's folder has
+            another run, or one of other data.
     """
     if options.seeds < 1:
         raise ConfigError(
@@ -81,15 +87,13 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Planned
                     PlannedRun(scene, name, label, seed, configure(variant, options, seed), folder)
                 )
     _claim(output / "scenes.json", {name: data.scene.path for name, data in named.items()})
-    return [_with_scores(job, named[job.scene_name]) for job in jobs]
-
-
-def _with_scores(job: PlannedRun, data: SceneData) -> PlannedRun:
-    """A run, checked against what its folder holds already; errors as for ``plan``."""
-    scores = run_scores(job.folder)
-    require_same_config(job.folder, job.config, scores)
-    require_same_data(job.folder, data, scores)
-    return job if are_stale(scores, data) else replace(job, scores=scores)
+    for index, job in enumerate(jobs):
+        data, scores = named[job.scene_name], run_scores(job.folder)
+        require_same_config(job.folder, job.config, scores)
+        require_same_data(job.folder, data, scores)
+        if not are_stale(scores, data):
+            jobs[index] = replace(job, scores=scores)
+    return jobs
 
 
 def _variants(options: Options) -> dict[str, Variant]:
@@ -103,8 +107,7 @@ def _variants(options: Options) -> dict[str, Variant]:
 
 
 def neighbour_methods(options: Options) -> dict[int, str]:
-    """The method's name for each n of the table of neighbours; ``mrgs`` itself stands
-    for its own n."""
+    """The method's name for each n of the table of neighbours; ``mrgs`` for its own n."""
     own_n = make_config(NEIGHBOURS_METHOD, options.preset).field.neighbours_n
     return {
         n: NEIGHBOURS_METHOD if n == own_n else f"{NEIGHBOURS_METHOD}-n{n}"
@@ -122,10 +125,9 @@ def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, SceneDat
         if not loaded.eval:
             raise SceneError(
                 f"{scene}: no views are held out, so there is nothing to score; put 'eval' into "
-                f"the file names of "
-                "some, or list them in val_filenames"
+                f"the file names of some, or list them in val_filenames"
             )
-        with suppress(SceneError):  # a photo that cannot be read: the runs will say it
+        with suppress(SceneError):  # a photo that cannot be read: the runs report it
             warn_of_problems(loaded)
         other = named.setdefault(loaded.name, SceneData(loaded)).scene.path
         if other != loaded.path:
@@ -136,8 +138,7 @@ def _named(scenes: Sequence[Path], resolution: int | None) -> dict[str, SceneDat
 
 
 def _claim(file: Path, named: dict[str, str]) -> None:
-    """Note which folder each scene's name stands for, so that no other scene takes over its
-    runs."""
+    """Record the folder of each scene's name, so that no other scene takes over its runs."""
     known: dict[str, str] = {}
     if file.exists():
         try:

@@ -1,14 +1,36 @@
-"""A table of figures, independent of how it is written down."""
+"""Tables of figures, and their texts in Markdown, LaTeX, CSV and for a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from string import ascii_lowercase
 from typing import Literal, NamedTuple
 
 from mrgs.comparison.results import Cell, kind_of
+from mrgs.pictures.markdown import escape_markdown
+from mrgs.pictures.spreadsheet import escape_cell
 
 Mark = Literal["best", "second", ""]
+
+MARKDOWN_GROUPS = 3
+LATEX_GROUPS = 5
+"""More scenes than these go into further tables below: a page is not wider."""
+
+LEGEND = "Bold: the best, underlined: the second best of what was measured here."
+
+_LATEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
+    "{": r"\{", "}": r"\}",
+    "[": "{[}", "*": "{*}",  # which behind the end of a row would belong to it
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "°": r"$^{\circ}$", "±": r"$\pm$",
+    "–": "--",
+    "↑": r"$\uparrow$", "↓": r"$\downarrow$", "✓": r"\checkmark{}", "²": r"$^{2}$",
+    "λ": r"$\lambda$",
+    "×": r"$\times$", "σ": r"$\sigma$", "−": "$-$", "|": "$|$", "<": "$<$", ">": "$>$",
+}  # fmt: skip
 
 
 class Group(NamedTuple):
@@ -102,3 +124,203 @@ def _rank(table: Table, members: Sequence[int], column: int, figure: str) -> dic
     order = sorted(set(values.values()), reverse=kind.better == "higher")
     ranked: dict[float, Mark] = dict(zip(order, ("best", "second"), strict=False))
     return {index: ranked[value] for index, value in values.items() if value in ranked}
+
+
+def to_markdown(table: Table) -> str:
+    """The table with marks, footnotes for its dashes, and remarks."""
+    notes = _Notes()
+    blocks = [f"**{escape_markdown(table.caption)}**"]
+    for part in _parts(table, MARKDOWN_GROUPS):
+        headings = [
+            *map(escape_markdown, part.label_headings),
+            *_headings(_escaped_groups(part), "<br>"),
+        ]
+        lines = [
+            _pipe(headings),
+            "|" + "---|" * len(part.label_headings) + "---:|" * len(part.figures),
+        ]
+        for labels, cells in _cells(part, notes):
+            shown = [_markdown_cell(text, mark, note) for text, mark, note in cells]
+            lines.append(_pipe([*map(escape_markdown, labels), *shown]))
+        blocks.append("\n".join(lines))
+    footnotes = [
+        f"<sup>{letter}</sup> {escape_markdown(text)}." for letter, text in notes.lettered()
+    ]
+    blocks.append("<br>\n".join([LEGEND, *map(escape_markdown, table.remarks), *footnotes]))
+    return "\n\n".join(blocks) + "\n"
+
+
+def to_latex(table: Table) -> str:
+    """A ``table*`` for ``booktabs``, ``graphicx`` and ``amssymb``, with marks and footnotes."""
+    notes = _Notes()
+    lines = [r"\begin{table*}[t]", r"\centering"]
+    for part in _parts(table, LATEX_GROUPS):
+        lines += [r"\resizebox{\textwidth}{!}{%", *_tabular(part, notes), "}"]
+    footnotes = [f"$^{{{letter}}}$ {_escape_latex(text)}." for letter, text in notes.lettered()]
+    below = " ".join([*map(_escape_latex, [LEGEND, *table.remarks]), *footnotes])
+    lines += [
+        rf"\par\smallskip\footnotesize {below}",
+        rf"\caption{{{_escape_latex(table.caption)}}}",
+        rf"\label{{tab:{table.name}}}",
+        r"\end{table*}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def to_csv(table: Table) -> str:
+    """One line per figure, with all decimals: the labels, group, figure, unit, mean, std, seeds,
+    mark, note. Names and notes that a spreadsheet would run as formulas are quoted."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    fields = ("group", "figure", "unit", "mean", "std", "seeds", "mark", "note")
+    writer.writerow([*(heading or "method" for heading in table.label_headings), *fields])
+    columns = [(group.heading, name) for group in table.groups for name in group.figures]
+    for row, row_marks in zip(table.rows, marks(table), strict=True):
+        for (group, name), cell, mark in zip(columns, row.cells, row_marks, strict=True):
+            mean, std = ("" if value is None else repr(value) for value in (cell.mean, cell.std))
+            kind = kind_of(name)
+            writer.writerow(
+                [
+                    *map(escape_cell, row.labels),
+                    escape_cell(group),
+                    kind.heading,
+                    kind.unit,
+                    mean,
+                    std,
+                    cell.seeds or "",
+                    mark,
+                    escape_cell(cell.note or ""),
+                ]
+            )
+    return text.getvalue()
+
+
+def to_plain(table: Table) -> str:
+    """For a terminal: each scene below the other; * marks the best, + the second best. Notes are
+    left out."""
+    signs: dict[Mark, str] = {"best": "*", "second": "+", "": " "}
+    lines = [table.caption]
+    for part in _parts(table, 1):
+        plain = replace(part, groups=(part.groups[0]._replace(heading=""),))
+        rows = [[*part.label_headings, *_headings(plain, "")]]
+        rows += [
+            [*labels, *(text + signs[mark] for text, mark, _ in cells)]
+            for labels, cells in _cells(part, _Notes())
+        ]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        left = len(part.label_headings)
+        lines += [f"\n{part.groups[0].heading}"] if part.groups[0].heading else [""]
+        lines += [
+            "  ".join(
+                text.ljust(width) if place < left else text.rjust(width)
+                for place, (text, width) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in rows
+        ]
+    return "\n".join(lines) + "\n"
+
+
+class _Notes:
+    """Letters for the notes of a table; equal notes share one."""
+
+    def __init__(self) -> None:
+        self._texts: list[str] = []
+
+    def letter(self, text: str | None) -> str:
+        if text is None:
+            return ""
+        if text not in self._texts:
+            self._texts.append(text)
+        return self._name(self._texts.index(text))
+
+    def lettered(self) -> list[tuple[str, str]]:
+        return [(self._name(index), text) for index, text in enumerate(self._texts)]
+
+    @staticmethod
+    def _name(index: int) -> str:
+        """a to z, then aa, ab, ..."""
+        rounds, place = divmod(index, len(ascii_lowercase))
+        return (ascii_lowercase[rounds - 1] if rounds else "") + ascii_lowercase[place]
+
+
+def _parts(table: Table, most: int) -> Iterator[Table]:
+    """The table cut into tables of at most ``most`` groups; marks do not change, since they go by
+    column."""
+    start = 0
+    for first in range(0, len(table.groups), most):
+        groups = table.groups[first : first + most]
+        end = start + sum(len(group.figures) for group in groups)
+        rows = tuple(replace(row, cells=row.cells[start:end]) for row in table.rows)
+        yield replace(table, groups=groups, rows=rows)
+        start = end
+
+
+def _cells(
+    table: Table, notes: _Notes
+) -> Iterator[tuple[tuple[str, ...], list[tuple[str, Mark, str]]]]:
+    """Of each row its labels, and of each cell its text, its mark and the letter of its note."""
+    for row, row_marks in zip(table.rows, marks(table), strict=True):
+        cells = [
+            (printed(cell, name, row.published), mark, notes.letter(cell.note))
+            for cell, name, mark in zip(row.cells, table.figures, row_marks, strict=True)
+        ]
+        yield row.labels, cells
+
+
+def _escaped_groups(table: Table) -> Table:
+    """The table, with the headings of its groups for Markdown."""
+    groups = (group._replace(heading=escape_markdown(group.heading)) for group in table.groups)
+    return replace(table, groups=tuple(groups))
+
+
+def _headings(table: Table, line_break: str) -> list[str]:
+    arrows = {"higher": " ↑", "lower": " ↓", None: ""}
+    headings = []
+    for group in table.groups:
+        for name in group.figures:
+            kind = kind_of(name)
+            text = kind.heading + (f", {kind.unit}" if kind.unit else "") + arrows[kind.better]
+            headings.append(f"{group.heading}{line_break}{text}" if group.heading else text)
+    return headings
+
+
+def _pipe(fields: Sequence[str]) -> str:
+    return "| " + " | ".join(fields) + " |"
+
+
+def _markdown_cell(text: str, mark: Mark, note: str) -> str:
+    marked = {"best": f"**{text}**", "second": f"<u>{text}</u>", "": text}[mark]
+    return f"{marked}<sup>{note}</sup>" if note else marked
+
+
+def _tabular(table: Table, notes: _Notes) -> list[str]:
+    labels = len(table.label_headings)
+    lines = [rf"\begin{{tabular}}{{{'l' * labels}{'r' * len(table.figures)}}}", r"\toprule"]
+    if any(group.heading for group in table.groups):
+        spans = [
+            rf"\multicolumn{{{len(group.figures)}}}{{c}}{{\textit{{{_escape_latex(group.heading)}}}}}"
+            for group in table.groups
+        ]
+        lines.append(" & ".join([""] * labels + spans) + r" \\")
+    plain = replace(table, groups=tuple(group._replace(heading="") for group in table.groups))
+    lines.append(
+        " & ".join(map(_escape_latex, [*table.label_headings, *_headings(plain, " ")])) + r" \\"
+    )
+    block = None
+    for row, (row_labels, cells) in zip(table.rows, _cells(table, notes), strict=True):
+        if row.block != block:
+            lines.append(r"\midrule")
+            block = row.block
+        shown = [_latex_cell(text, mark, note) for text, mark, note in cells]
+        lines.append(" & ".join([*map(_escape_latex, row_labels), *shown]) + r" \\")
+    return [*lines, r"\bottomrule", r"\end{tabular}"]
+
+
+def _latex_cell(text: str, mark: Mark, note: str) -> str:
+    text = _escape_latex(text)
+    marked = {"best": rf"\textbf{{{text}}}", "second": rf"\underline{{{text}}}", "": text}[mark]
+    return f"{marked}$^{{{note}}}$" if note else marked
+
+
+def _escape_latex(text: str) -> str:
+    return "".join(_LATEX.get(character, character) for character in text)

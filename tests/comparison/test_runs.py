@@ -1,4 +1,4 @@
-"""One run of a scene of its own, then changes to that scene."""
+"""One run: trained, scored, and compared with its scene after changes to that."""
 
 from __future__ import annotations
 
@@ -12,11 +12,19 @@ import pytest
 from PIL import Image, ImageOps
 
 from mrgs.comparison.methods import Variant, configure
-from mrgs.comparison.same_data import SceneData, are_stale, require_same_data
-from mrgs.comparison.single import run_one, run_scores
+from mrgs.comparison.runs import (
+    SceneData,
+    are_stale,
+    is_scored,
+    require_same_config,
+    require_same_data,
+    run_one,
+    run_scores,
+)
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError
 from mrgs.scene import RGB
+from mrgs.training import make_config, train
 from mrgs.training.checkpoint_file import read_file, write_file
 from mrgs.training.run_folder import RunFolder
 from tests.helpers.comparison import tiny_options
@@ -177,3 +185,107 @@ def test_a_checkpoint_that_is_damaged_is_no_reason_to_refuse(scene, folder):
     for path in RunFolder(folder).checkpoints():
         path.write_bytes(path.read_bytes()[:100])
     require_same_data(folder, data_of(scene), run_scores(folder))
+
+
+def test_a_run_is_trained_and_scored_then_left_alone(small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
+    assert not is_scored(run_scores(tmp_path / "run"), tmp_path / "run", config, with_lpips=False)
+    scored = []
+    assert run_one(
+        small_scene,
+        tmp_path / "run",
+        config,
+        on_score=lambda done, total: scored.append((done, total)),
+    )
+    assert scored == [(1, 2), (2, 2)]
+    assert is_scored(run_scores(tmp_path / "run"), tmp_path / "run", config, with_lpips=False)
+    assert not is_scored(run_scores(tmp_path / "run"), tmp_path / "run", config, with_lpips=True)
+    steps = []
+    assert run_one(small_scene, tmp_path / "run", config, on_step=steps.append)
+    assert steps == []
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_bits(small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
+    assert not run_one(
+        small_scene, tmp_path / "cut", config, on_step=lambda statistics: statistics.step == 2
+    )
+    assert not (tmp_path / "cut" / "eval").exists()
+    steps = []
+    assert run_one(
+        small_scene,
+        tmp_path / "cut",
+        config,
+        on_step=lambda statistics: steps.append(statistics.step),
+    )
+    assert steps == [3]
+    assert run_one(small_scene, tmp_path / "whole", config)
+    means = [
+        json.loads((tmp_path / name / "eval" / "metrics.json").read_text())["mean"]
+        for name in ("cut", "whole")
+    ]
+    assert means[0] == means[1]
+
+
+def test_scores_of_an_earlier_step_do_not_count(small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
+    run_one(small_scene, tmp_path, config)
+    path = tmp_path / "eval" / "metrics.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"steps": 2}))
+    assert not is_scored(run_scores(tmp_path), tmp_path, config, with_lpips=False)
+    path.write_text("{")
+    assert not is_scored(run_scores(tmp_path), tmp_path, config, with_lpips=False)
+
+
+@pytest.mark.parametrize("group", ["thermal", "rgb"])
+def test_scores_that_lack_a_figure_are_renewed_without_training(group, small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
+    run_one(small_scene, tmp_path, config)
+    path = tmp_path / "eval" / "metrics.json"
+    whole = path.read_text()
+    older = json.loads(whole)
+    del older["mean"][group]["psnr_matched"]
+    path.write_text(json.dumps(older))
+    assert not is_scored(run_scores(tmp_path), tmp_path, config, with_lpips=False)
+    steps = []
+    assert run_one(small_scene, tmp_path, config, on_step=steps.append)
+    assert (steps, path.read_text()) == ([], whole)
+    assert is_scored(run_scores(tmp_path), tmp_path, config, with_lpips=False)
+
+
+def test_scores_that_lack_a_figure_count_where_the_checkpoint_is_gone(small_scene, tmp_path):
+    config = configure(Variant("3dgs-rgbt", "3dgs-rgbt"), tiny_options(), 0)
+    run_one(small_scene, tmp_path, config)
+    (tmp_path / "eval" / "metrics.json").write_text(
+        json.dumps({"steps": 3, "mean": {"thermal": {"psnr": 30.0}}})
+    )
+    assert not is_scored(run_scores(tmp_path), tmp_path, config, with_lpips=False)
+    shutil.rmtree(tmp_path / "checkpoints")
+    assert is_scored(run_scores(tmp_path), tmp_path, config, with_lpips=False)
+    assert not is_scored(run_scores(tmp_path), tmp_path, config, with_lpips=True)
+
+
+def test_another_configuration_in_the_folder_is_named(small_scene, tmp_path):
+    config = make_config("mrgs", "fast", max_steps=3, max_gaussians=60)
+    require_same_config(tmp_path / "nothing there", config, None)
+    train(small_scene, tmp_path / "run", config)
+    require_same_config(tmp_path / "run", config, None)
+    other = make_config("mrgs", "fast", max_steps=3, max_gaussians=70)
+    with pytest.raises(ConfigError, match=r"densification\.max_gaussians is 60"):
+        require_same_config(tmp_path / "run", other, None)
+
+
+def test_a_folder_that_died_before_its_first_checkpoint_may_change_its_mind(tmp_path: Path):
+    RunFolder(tmp_path).start(make_config("mrgs", max_steps=3))
+    require_same_config(tmp_path, make_config("mrgs", max_steps=4), None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["3dgs-rgbt", "thermonerf"])
+def test_every_method_is_trained_continued_and_read_back(method, small_scene, tmp_path):
+    config = configure(Variant(method, method), tiny_options(), 0)
+    assert not run_one(small_scene, tmp_path, config, on_step=lambda step: step.step == 2)
+    steps = []
+    assert run_one(small_scene, tmp_path, config, on_step=lambda step: steps.append(step.step))
+    assert steps == [3]
+    require_same_config(tmp_path, config, run_scores(tmp_path))
