@@ -9,7 +9,7 @@ import mrgs.render
 from mrgs.errors import KernelWarning
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.rasterizer import contract, median_depth, rasterize, reference
-from mrgs.rasterizer.dilation import AS_PUBLISHED, Dilation
+from mrgs.rasterizer.contract import AS_PUBLISHED, Dilation
 from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
 from mrgs.scene import (
     RGB,

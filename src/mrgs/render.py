@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mrgs.field import RadianceField
 from mrgs.rasterizer import Layer, Raster, contract, median_depth, rasterize
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.rasterizer.pose_gradient import with_pose_gradient
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mrgs.export.sidecar import comment_lines, facts_of, up_direction, write_sidecar
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL, Camera, View
 from tests.helpers.exports import make_baked
 

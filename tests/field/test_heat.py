@@ -8,8 +8,7 @@ from torch import nn
 from torch.nn.functional import conv1d
 
 from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
-from mrgs.kernels.heat.readout import readout_constants, readout_rows
-from mrgs.kernels.heat.residuals import _exchange_in_torch
+from mrgs.kernels.heat.residuals import _exchange_in_torch, readout_constants, readout_rows
 
 
 def random_case(count: int = 12, width: int = 4, k: int = 3, extra: int = 0, seed: int = 0):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 
 from mrgs.field import FieldConfig, RadianceField
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, render
 from mrgs.scene import RGB, THERMAL, Camera, Scene
 from tests.helpers.gaussians import random_gaussians

@@ -18,7 +18,7 @@ import torch
 
 from mrgs.export.glb import EXTENSION
 from mrgs.export.splats import SplatArrays
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, TemperatureRange
 

@@ -13,12 +13,12 @@ from mrgs.rasterizer.contract import (
     ALPHA_MAX,
     ALPHA_MIN,
     DILATION_PX2,
+    LEAST_DILATION_PX2,
     TRANSMITTANCE_MIN,
     Layer,
     Raster,
     Rasterizer,
 )
-from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
 
 MODALITIES = ("rgb", "thermal")
 LAYER_TENSORS = Layer._fields

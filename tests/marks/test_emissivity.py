@@ -17,7 +17,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import NO_PHOTO, MarkMeter
 from mrgs.marks.regions import Regions
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord, Planck

@@ -20,7 +20,7 @@ from mrgs.marks.surface import (
     see,
     steady_depth,
 )
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model, render
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering, Scene
 from tests.helpers.gaussians import random_gaussians

@@ -5,7 +5,7 @@ import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
 from mrgs.method.parts import knock_outs, part_spreads
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.gaussians import random_gaussians

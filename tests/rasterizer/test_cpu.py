@@ -15,8 +15,7 @@ import pytest
 import torch
 
 from mrgs.rasterizer import Layer, reference
-from mrgs.rasterizer.contract import DILATION_PX2
-from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
+from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2
 from mrgs.system.memory import CHUNK_ROWS
 from tests.helpers.rasterizers import (
     ANY_CHANNELS,

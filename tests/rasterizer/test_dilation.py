@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.rasterizer.dilation import AS_PUBLISHED, LEAST_DILATION_PX2, Dilation
+from mrgs.rasterizer.contract import AS_PUBLISHED, LEAST_DILATION_PX2, Dilation
 from mrgs.scene import Camera
 
 

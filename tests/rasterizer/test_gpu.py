@@ -18,8 +18,7 @@ import torch
 import mrgs.rasterizer
 from mrgs.errors import MrgsError
 from mrgs.rasterizer import Layer, reference
-from mrgs.rasterizer.contract import DILATION_PX2
-from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
+from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2
 from mrgs.system import operation
 from tests.helpers.rasterizers import (
     ANY_CHANNELS,

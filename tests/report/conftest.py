@@ -11,7 +11,7 @@ import torch
 
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.spherical_harmonics import C0
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Gaussians, Pixels, PosedImage, Scene

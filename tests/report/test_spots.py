@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.report.spots import Spot, _apart, _Cube, _Image, _Sightings, find_spots
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (

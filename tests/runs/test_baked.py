@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, render
 from mrgs.runs.baked import bake
 from mrgs.scene import RGB, THERMAL, Camera, Gaussians, Modality, TemperatureRange

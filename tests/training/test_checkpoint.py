@@ -14,7 +14,7 @@ from mrgs.errors import DamagedCheckpointError, RunError
 from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.losses.term import SceneScale
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import TemperatureRange
 from mrgs.training import step
 from mrgs.training.checkpoint import load_facts, load_model, load_state, save

@@ -23,7 +23,7 @@ from mrgs.method.losses.photometric import total_loss
 from mrgs.method.losses.smoothness import similarity_of, total_variation
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms, term_values
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
 from mrgs.system.cuda_graph import sync_debug_mode
 from mrgs.training.state import learned_layers

@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 
 from mrgs.field import FieldConfig, RadianceField
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model, rows_in_view
 from mrgs.scene import Camera, Gaussians
 from mrgs.viewer.source import LEVEL_FACTOR, LevelsOfDetail

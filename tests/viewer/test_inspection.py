@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Scene, SceneBounds
 from mrgs.scene.rendering import SOLID_ALPHA

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mrgs.rasterizer import Layer, rasterize
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL
 from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.viewer.picking import read_point

@@ -20,8 +20,7 @@ from mrgs.method.config import TrainConfig, with_steps
 from mrgs.method.density import Strategy
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.start.fitted_residuals import leave_the_rest
-from mrgs.method.start.initialisation import initial_gaussians
-from mrgs.method.start.start_points import start_points
+from mrgs.method.start.start_points import initial_gaussians, start_points
 from mrgs.render import Model, rows_in_view
 from mrgs.scene import THERMAL, Gaussians, PointCloud, Scene
 from mrgs.system.torch_modes import seeded

@@ -16,8 +16,7 @@ from mrgs.export.crs import place_facts
 from mrgs.export.loss import BakingLoss
 from mrgs.export.splats import ThermalScale, temperature_name, value_names
 from mrgs.pictures.values import unit_of
-from mrgs.rasterizer.contract import DILATION_PX2
-from mrgs.rasterizer.dilation import LEAST_DILATION_PX2, Dilation
+from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Scene
 from mrgs.system.atomic import write_text

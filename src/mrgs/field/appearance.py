@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
-from mrgs.field.encoding import positional_encoding
-from mrgs.field.rows import take, viewing_directions
+from mrgs.field.encoding import positional_encoding, take, viewing_directions
 from mrgs.system.operation import operation
 
 SH_COEFFICIENTS = 48

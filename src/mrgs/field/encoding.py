@@ -1,12 +1,12 @@
-"""Positional encoding, and the Fourier features that the embedding starts from."""
+"""Positional encoding, the Fourier features that the embedding starts from, rows of Gaussians."""
 
 from __future__ import annotations
 
 import math
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
+from jaxtyping import Float, Int64, Shaped
+from torch import Tensor, nn
 
 QUANTILE = 0.97
 """Share of the start points that normalised positions keep inside [-1, 1]."""
@@ -59,3 +59,17 @@ def fourier_embedding(positions: Float[Tensor, "n 3"], width: int) -> Float[Tens
     """
     features = positional_encoding(positions.detach(), width // 6)
     return features + EMBEDDING_NOISE * torch.randn_like(features)
+
+
+def take(
+    tensor: Shaped[Tensor, "n ..."], rows: Int64[Tensor, " v"] | None
+) -> Shaped[Tensor, "v ..."]:
+    """The given rows of a tensor; all of it if None."""
+    return tensor if rows is None else tensor.index_select(0, rows)
+
+
+def viewing_directions(
+    means: Float[Tensor, "n 3"], camera_position: Float[Tensor, "3"]
+) -> Float[Tensor, "n 3"]:
+    """Unit vectors from the camera to the Gaussians."""
+    return nn.functional.normalize(means - camera_position, dim=1)

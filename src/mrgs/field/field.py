@@ -16,9 +16,8 @@ from mrgs.field.appearance import (
     ThermalFeatureHead,
     color_residuals,
 )
-from mrgs.field.encoding import fourier_embedding, position_frame
+from mrgs.field.encoding import fourier_embedding, position_frame, take
 from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
-from mrgs.field.rows import take
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, shade, up_to_degree
 from mrgs.scene import RGB, THERMAL, Gaussians, Modality
 from mrgs.system.limits import MOST_WEIGHT, MOST_WIDTH, require_within

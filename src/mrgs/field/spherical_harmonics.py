@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
-from mrgs.field.rows import take, viewing_directions
+from mrgs.field.encoding import take, viewing_directions
 from mrgs.system.operation import operation
 
 MAX_DEGREE = 3

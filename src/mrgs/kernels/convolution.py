@@ -10,8 +10,7 @@ from numba import prange
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.address import address
-from mrgs.kernels.jit import inner_function, parallel_kernel, reordering_inner_function
+from mrgs.kernels.jit import address, inner_function, parallel_kernel, reordering_inner_function
 from mrgs.kernels.require import require
 
 

@@ -16,8 +16,7 @@ from mrgs.method.density import AdaptiveDensityControl, ConfiguredStrategy
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
-from mrgs.rasterizer.contract import DILATION_PX2
-from mrgs.rasterizer.dilation import LEAST_DILATION_PX2, Dilation
+from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
 from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within, whole_number
 from mrgs.system.strict_yaml import read_yaml
 

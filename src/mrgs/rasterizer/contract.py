@@ -19,12 +19,13 @@ depth z is left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from jaxtyping import Float
 from torch import Tensor
 
-from mrgs.scene import Blend
+from mrgs.scene import Blend, Camera
 
 NEAR_PLANE = 0.01
 """Gaussians whose centre is closer to the image plane are left out (scene units)."""
@@ -114,3 +115,34 @@ class Rasterizer(Protocol):
             dilation_px2: d, above 0.
         """
         ...
+
+
+LEAST_DILATION_PX2 = 0.01
+"""With less, the edges of needles would show the 1/256 px to which WebGL rounds places."""
+
+
+@dataclass(frozen=True)
+class Dilation:
+    """What is added to the diagonal of projected covariances (d in ``rasterizer.contract``).
+
+    Attributes:
+        px2: variance in px².
+        finest_focal_px: focal length in pixels of the finest photos. Cameras with coarser pixels
+            dilate by the same angle rather than by the same number of pixels; otherwise small
+            images would show everything too thick. None: the same px² for every camera, as in
+            3DGS.
+    """
+
+    px2: float = DILATION_PX2
+    finest_focal_px: float | None = None
+
+    def of(self, camera: Camera) -> float:
+        """The dilation in a camera's image, px²; ``dilation.js`` says the same."""
+        if self.finest_focal_px is None:
+            return self.px2
+        fineness = min(1.0, camera.focal_px / self.finest_focal_px)
+        return max(LEAST_DILATION_PX2, self.px2 * fineness**2)
+
+
+AS_PUBLISHED = Dilation()
+"""That of 3DGS and the paper."""

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade, up_to_degree
 from mrgs.rasterizer import Layer, median_depth, rasterize
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, shared_passes
 from mrgs.scene import (
     RGB,

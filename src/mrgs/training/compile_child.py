@@ -19,8 +19,7 @@ from mrgs.method.camera_model.image_model import Capture, ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms, term_values
-from mrgs.method.start.initialisation import initial_gaussians
-from mrgs.method.start.start_points import StartPoints, blended_apart
+from mrgs.method.start.start_points import StartPoints, blended_apart, initial_gaussians
 from mrgs.scene import BUILT_IN, RGB, Blend, Camera, Gaussians, Rendering, TemperatureRange
 from mrgs.system.child import read_request, send, when_asked_to_stop
 from mrgs.system.gpu import HOST

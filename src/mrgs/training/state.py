@@ -19,8 +19,12 @@ from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.optimizer import GaussianOptimizer, are_finite
 from mrgs.method.start.fitted_residuals import fit_residuals
-from mrgs.method.start.initialisation import initial_gaussians
-from mrgs.method.start.start_points import blended_apart, model_modalities, start_points
+from mrgs.method.start.start_points import (
+    blended_apart,
+    initial_gaussians,
+    model_modalities,
+    start_points,
+)
 from mrgs.render import Model
 from mrgs.scene import THERMAL, Scene
 from mrgs.system.gpu import HOST

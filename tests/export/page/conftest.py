@@ -12,7 +12,7 @@ from mrgs.export.page import write_page
 from mrgs.export.page.parts import PART
 from mrgs.export.page.write import PageMark
 from mrgs.marks.regions import Regions
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality, TemperatureRange
 from tests.helpers.browsers import chromium, collect_errors, new_page

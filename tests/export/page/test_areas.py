@@ -17,7 +17,7 @@ from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.regions import Regions
 from mrgs.pictures.palette import colorize
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Rendering, TemperatureRange
 from mrgs.scene.radiometry import Planck

@@ -16,8 +16,8 @@ from PIL import Image
 from mrgs.export.page import parts, write_page
 from mrgs.export.page.write import PageMark
 from mrgs.pictures.palette import colorize
-from mrgs.rasterizer import dilation
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer import contract as dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
 from tests.helpers.browsers import needs_chromium, wait_until

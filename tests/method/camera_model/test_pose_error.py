@@ -19,7 +19,7 @@ from mrgs.method.camera_model.pose_error import (
     pose_error,
 )
 from mrgs.method.camera_model.view_motion import effect, motion_axes, shift_per_motion
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, render
 from mrgs.scene import RGB, Camera
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform

@@ -10,7 +10,7 @@ from torch import Tensor
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.camera_model.pose_refinement import PoseRefinement
-from mrgs.rasterizer.dilation import Dilation
+from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, render
 from mrgs.scene import RGB, THERMAL, Camera
 from tests.helpers.gaussians import random_gaussians

@@ -8,7 +8,7 @@ from torch import Tensor
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Boltzmann
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.scene import THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered

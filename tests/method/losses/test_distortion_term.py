@@ -10,15 +10,16 @@ import torch
 from torch import Tensor
 
 from mrgs.method.config import make_config
-from mrgs.method.losses.distortion import (
+from mrgs.method.losses.term import LossContext, SceneScale
+from mrgs.method.losses.terms import (
     LARGE_SPREAD,
     LEAST_SPREAD,
     PIXEL_SIZE,
+    Distortion,
+    configured_terms,
     distortion_loss,
 )
-from mrgs.method.losses.term import LossContext, SceneScale
-from mrgs.method.losses.terms import Distortion, configured_terms
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.rasterizer.inverse_depth import InverseDepths, inverse_depths
 from mrgs.scene import RGB, THERMAL, Camera, Gaussians, Modality, Rendering
 from tests.helpers.gaussians import random_gaussians

@@ -11,7 +11,7 @@ from torch import Tensor
 from mrgs.method.losses.photometric import opaqueness_loss
 from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import Opaqueness
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Rendering
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered, small_camera

@@ -14,7 +14,7 @@ from mrgs.method.losses.photometric import photometric_loss
 from mrgs.method.losses.smoothness import similarity_of, total_variation
 from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.method.losses.terms import configured_terms, term_values
-from mrgs.rasterizer.dilation import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Modality, Pixels, Rendering
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.views import not_rendered, small_camera

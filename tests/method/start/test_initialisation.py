@@ -5,8 +5,12 @@ import torch
 from torch import Tensor
 
 from mrgs.field import FieldConfig, RadianceField
-from mrgs.method.start.initialisation import SMALLEST_DISTANCE, initial_gaussians
-from mrgs.method.start.start_points import StartPoints, blended_apart
+from mrgs.method.start.start_points import (
+    SMALLEST_DISTANCE,
+    StartPoints,
+    blended_apart,
+    initial_gaussians,
+)
 from mrgs.scene import RGB, THERMAL, Gaussians, Modality
 
 MODALITIES = (RGB, THERMAL)

@@ -15,7 +15,7 @@ from jaxtyping import Int64
 
 from mrgs.export.page.packing import PackedModel, curve_rows, harmonics_limits, pack_in_order
 from mrgs.field.spherical_harmonics import C0
-from mrgs.rasterizer.dilation import LEAST_DILATION_PX2
+from mrgs.rasterizer.contract import LEAST_DILATION_PX2
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Gaussians, Modality
 from mrgs.scene.level_of_detail import merged

@@ -12,8 +12,7 @@ from numba import prange
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.address import address
-from mrgs.kernels.jit import inner_function, parallel_kernel
+from mrgs.kernels.jit import address, inner_function, parallel_kernel
 from mrgs.kernels.require import require
 from mrgs.method.camera_model.point_spread import REACH
 

@@ -14,9 +14,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.field import spherical_harmonics as sh
-from mrgs.kernels.address import address
 from mrgs.kernels.dense.layers import SHARES
-from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
+from mrgs.kernels.jit import address, reordering_inner_function, reordering_parallel_kernel
 from mrgs.kernels.require import listed, require
 
 _ZERO = np.float32(0)

@@ -13,8 +13,7 @@ from numba import prange
 from torch import Tensor
 
 from mrgs.kernels import ssim as ssim_losses
-from mrgs.kernels.address import address, moved
-from mrgs.kernels.jit import inner_function, parallel_kernel
+from mrgs.kernels.jit import address, inner_function, moved, parallel_kernel
 from mrgs.kernels.require import require
 from mrgs.kernels.ssim import Dissimilarity
 from mrgs.method.losses.ssim import WEIGHTS

@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float
 from numba import prange
 from torch import Tensor
 
-from mrgs.kernels.address import address, moved
-from mrgs.kernels.jit import inner_function, parallel_kernel
+from mrgs.kernels.jit import address, inner_function, moved, parallel_kernel
 from mrgs.kernels.known_gradient import with_gradients
 from mrgs.kernels.require import require
 from mrgs.kernels.variation import valid_pairs
