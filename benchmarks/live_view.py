@@ -34,7 +34,7 @@ from urllib.parse import urlsplit
 import websockets
 
 from mrgs import load_scene, make_config, train
-from mrgs.pictures.stage import camera_facts
+from mrgs.pictures.page_data import camera_facts
 from mrgs.scene.camera_paths import orbit
 from mrgs.training import StepStatistics
 from mrgs.viewer import LiveView

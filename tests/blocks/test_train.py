@@ -15,9 +15,8 @@ from safetensors.torch import load_file
 
 from mrgs.blocks import refinement
 from mrgs.blocks.coverage import Surveyor, counted_places, views_of
-from mrgs.blocks.density import Part
 from mrgs.blocks.plan import BlockOptions, make_plan, read_plan
-from mrgs.blocks.refinement import SEAM_WIDTH
+from mrgs.blocks.refinement import SEAM_WIDTH, Part
 from mrgs.blocks.region import Region, Ring, ScenePlane
 from mrgs.blocks.train import BlockTraining
 from mrgs.data import load_scene

@@ -14,7 +14,7 @@ import torch
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, RunError, WriteError
 from mrgs.export import FORMATS, export
 from mrgs.field.spherical_harmonics import C0
-from mrgs.pictures.limits import starting_limits
+from mrgs.pictures.page_data import starting_limits
 from mrgs.scene import RGB, THERMAL, View, WorldFrame
 from tests.helpers.exports import make_baked, read_ply
 from tests.helpers.gaussians import NEAR_INFRARED

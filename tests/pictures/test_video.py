@@ -22,7 +22,7 @@ FRAMES = [
 
 def write(folder: Path, frames: Iterable[np.ndarray], mp4: bool | None = None) -> list[str]:
     """Names of all files that are there afterwards."""
-    with frame_writer(folder, "path_rgb", (65, 47), fps=12, mp4=mp4) as add:
+    with frame_writer(folder, "path_rgb", (65, 47), mp4=mp4) as add:
         for frame in frames:
             add(frame)
     return sorted(
@@ -51,7 +51,7 @@ def decode(path: Path, width: int, height: int) -> np.ndarray:
     ]
     run = subprocess.run(command, capture_output=True, check=True)
     assert f" {width}x{height}" in run.stderr.decode()
-    assert " 12 fps" in run.stderr.decode()
+    assert " 24 fps" in run.stderr.decode()
     return np.frombuffer(run.stdout, np.uint8).reshape(-1, height, width, 3)
 
 

@@ -17,8 +17,8 @@ import pytest
 from PIL import Image
 
 from mrgs.marks.store import MarkStore
+from mrgs.pictures.page_data import PALETTE_CHOICES
 from mrgs.pictures.palette import palette_table
-from mrgs.pictures.stage import PALETTE_CHOICES
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
 from mrgs.survey import SURVEY_FILE

@@ -29,7 +29,7 @@ QualityName = Literal["fast", "default", "best"]
 """As in ``mrgs.pipeline.quality``, which loads torch."""
 
 PaletteChoice = Literal["inferno", "iron", "grey", "black-hot", "rainbow", "arctic", "lava"]
-"""As in ``mrgs.pictures.stage``, which loads torch; grey is white-hot."""
+"""As in ``mrgs.pictures.page_data``, which loads torch; grey is white-hot."""
 
 T = TypeVar("T")
 

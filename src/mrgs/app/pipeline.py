@@ -31,12 +31,6 @@ def follow_pipeline(
 ) -> None:
     """Run a pipeline, show how far it is, and print what to open.
 
-    Args:
-        source: folder of photos, or of a scene.
-        command: with its other options.
-        options: facts about the photos.
-        yes: accept warnings without asking.
-
     Raises:
         MrgsError: as ``run_pipeline``.
     """

@@ -54,11 +54,6 @@ Clock = Callable[[], float]
 class _Line:
     """A line with a bar or a spinner that changes in place; where the output is not a terminal, a
     line now and then.
-
-    Args:
-        columns: beside the text, on a terminal.
-        clock: seconds, monotonic.
-        options: for ``rich.progress.Progress``.
     """
 
     def __init__(self, *columns: ProgressColumn | str, clock: Clock, **options: Any) -> None:
@@ -143,9 +138,6 @@ class TrainingProgress:
 
     Once the training has begun, an interruption ends it after the current step, and a second Ctrl-C
     at once.
-
-    Args:
-        clock: seconds, monotonic.
 
     Attributes:
         unfinished: whether it was interrupted before its last step.

@@ -1,4 +1,4 @@
-"""What photos show of the parts of a scene, as far as a coarse model tells."""
+"""Which parts of a scene photos show, according to a coarse model."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from mrgs.render import Model, render
 from mrgs.scene import Camera, Modality, Pixels, PosedImage, Scene, View
 
 ACROSS_PX = 96
-"""Width of the images in which it is found out where in the scene the pixels of a photo lie."""
+"""Width of the images for which the place of each pixel in the scene is computed."""
 
 COUNTED_PX = 32
-"""Width of those by which photos are chosen."""
+"""Width of the images by which photos are chosen."""
 
 LEAST_SHARE = 0.1
-"""Of its pixels, that a photo must show of a part of the scene to be of use for it."""
+"""Least share of a photo's pixels that must show a part of the scene to train it."""
 
 SHARE_OF_MOST = 0.5
-"""Of the pixels of the photo that shows most, where no photo shows much."""
+"""The same as a share of the best photo's, where no photo shows much."""
 
 SKY_PX = 3
-"""Pixels of such an image: so much of the sky counts beside a part of a scene, for its outline."""
+"""Width of the sky that counts around a part of a scene, for its outline."""
 
 
 class Places(NamedTuple):
-    """Where in the plane of a scene the pixels of an image lie.
+    """Places in the plane of a scene that the pixels of an image show.
 
     Attributes:
         known: coordinates in the plane, [H, W, 2]; NaN where the background is seen.
@@ -55,13 +55,7 @@ class Places(NamedTuple):
 
 
 class Surveyor:
-    """Finds the places that cameras show.
-
-    Args:
-        model: coarse, of the whole scene.
-        scene: that it was trained on.
-        plane: of the scene.
-    """
+    """Finds the places that cameras show."""
 
     def __init__(self, model: Model, scene: Scene, plane: ScenePlane) -> None:
         self._model, self._plane, self._reach = model, plane, scene.reach

@@ -11,9 +11,8 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from mrgs.blocks.density import Part
 from mrgs.blocks.plan import BlockPlan
-from mrgs.blocks.refinement import WholeModel
+from mrgs.blocks.refinement import Part, WholeModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.start.start_points import model_modalities
@@ -27,7 +26,7 @@ from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import TrainingState
 
 DRIFT = "thermal_drift."
-"""What the names of its tensors begin with."""
+"""Prefix of the drift's tensors in an image model."""
 
 
 class JoinedBlocks(NamedTuple):
@@ -54,13 +53,6 @@ def join(
 
     In memory is never more than the joined model and the checkpoint of one block.
 
-    Args:
-        coarse: of the whole.
-        blocks: finished.
-        plan: of the blocks.
-        scene: the whole.
-        config: of the whole.
-
     Raises:
         RunError: a checkpoint cannot be read.
     """
@@ -75,12 +67,6 @@ def save(
     path: Path, joined: JoinedBlocks, config: TrainConfig, more: Sequence[CheckpointFacts]
 ) -> None:
     """Write the checkpoint of a joined model, with its neighbours searched again.
-
-    Args:
-        path: of the checkpoint.
-        joined: the model.
-        config: of the whole.
-        more: facts of further runs that its training consists of.
 
     Raises:
         RunError: it cannot be written.
@@ -134,11 +120,6 @@ def mean_image_model(
     The mean over the blocks, weighted by their photos; what is known of a single photo's drift only
     over those that have learned of it, weighted by how often, and as in the coarse model where none
     has.
-
-    Args:
-        coarse: tensors of the coarse model's, by name.
-        blocks: of each block's.
-        photos: number of each block's.
     """
     found = {}
     for name, start in coarse.items():

@@ -1,4 +1,4 @@
-"""How a scene is cut into blocks, on disk: made once, and the same for all who train its blocks."""
+"""How a scene is cut into blocks; written once, and read by all processes that train them."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from mrgs.system.wording import counted
 FORMAT = 1
 
 VIEWS_PER_BLOCK = 150
-"""Photos over a block, where the number of blocks is chosen for the user."""
+"""Photos per block, if the number of blocks is automatic."""
 
 OVERLAP = 0.15
-"""Width of the margins, as a share of the narrowest block, where it is chosen for the user."""
+"""Default width of the margins, as a share of the narrowest block."""
 
 
 class BlockOptions(NamedTuple):
@@ -136,13 +136,6 @@ def make_plan(
     say: Callable[[str], None],
 ) -> BlockPlan:
     """Cut a scene into blocks.
-
-    Args:
-        coarse: model of the whole.
-        scene: the whole.
-        config: of the whole, for the plan.
-        options: how to cut.
-        say: takes lines for the user.
 
     Raises:
         ConfigError: the scene cannot be cut like this.

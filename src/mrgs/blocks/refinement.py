@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mrgs.blocks.coverage import Surveyor, counted_places, views_of
-from mrgs.blocks.density import FixedGaussians, LocalDensityControl, Part
 from mrgs.blocks.plan import BlockPlan
-from mrgs.blocks.region import Ring
+from mrgs.blocks.region import Region, Ring, ScenePlane
 from mrgs.method.camera_model.image_model import Capture, ImageModel, PointSpread
 from mrgs.method.config import TrainConfig, with_steps
-from mrgs.method.density import Strategy
+from mrgs.method.density import DensityStep, DensityUpdate, Strategy, StrategyState
 from mrgs.method.losses.terms import configured_terms
+from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.method.start.fitted_residuals import leave_the_rest
 from mrgs.method.start.start_points import initial_gaussians, start_points
-from mrgs.render import Model, rows_in_view
-from mrgs.scene import THERMAL, Gaussians, PointCloud, Scene
+from mrgs.render import Model, ScreenPoints, rows_in_view
+from mrgs.scene import THERMAL, Gaussians, PointCloud, Scene, SceneBounds
 from mrgs.system.torch_modes import seeded
 from mrgs.training.checkpoint import load_model
 from mrgs.training.newest import load_newest
@@ -30,20 +30,101 @@ from mrgs.training.opening import TrainingPart
 from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import TrainingState
 
+EXTENT = 3.0
+"""Assumed radius of a Gaussian, in its largest standard deviations."""
+
 WIDEST = 1 / 3
 """Largest standard deviation of a Gaussian that blocks take over from the coarse model, as a share
-of their overlap: no block may move a wider one, see ``density.EXTENT``, so that it would stay."""
+of their overlap: no block may move a wider one, see ``EXTENT``."""
 
 SEAM_WIDTH = 1 / 3
-"""Of the strip to either side of a block's edge that is refined once the blocks are joined, as a
+"""Half width of the strip along a block's edge that is refined once the blocks are joined, as a
 share of their overlap."""
 
 SEAM_EXTENT = 1.0
-"""Of a Gaussian that a seam may move, in its largest standard deviations. There must be wide ones:
-the blocks' differ most, and no others are added."""
+"""Assumed radius of a Gaussian in a seam, in its largest standard deviations: smaller, so that wide
+ones may move, in which the blocks differ most."""
 
 SEAM_STEPS = 0.2
-"""Of a seam, as a share of a block's."""
+"""Steps of a seam, as a share of a block's."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a scene: a region of its plane, without the background.
+
+    Attributes:
+        plane: of the scene.
+        region: in the plane.
+        counted: the region whose pixels count in photos; the same or a larger one.
+        reach: of the scene.
+        extent: of a Gaussian, in its largest standard deviations.
+    """
+
+    plane: ScenePlane
+    region: Region | Ring
+    counted: Region | Ring
+    reach: SceneBounds
+    extent: float = EXTENT
+
+    def contains(self, points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
+        """Whether points of the world belong to it."""
+        inside = self.region.contains(self.plane.coordinates(points))
+        return inside & ~self.reach.is_background(points)
+
+    @torch.no_grad()
+    def holds(self, gaussians: Gaussians) -> Bool[Tensor, " n"]:
+        """Which Gaussians belong to it and reach no farther than photos count."""
+        places = self.plane.coordinates(gaussians.means)
+        seen = self.counted.contains(places, self.extent * gaussians.scales.amax(dim=1))
+        return seen & self.contains(gaussians.means)
+
+
+@dataclass(frozen=True)
+class LocalDensityControl(Strategy):
+    """Another strategy's density control for the Gaussians of a part of a scene.
+
+    Attributes:
+        inner: the strategy.
+        part: of the scene.
+    """
+
+    inner: Strategy = field(kw_only=True)
+    part: Part = field(kw_only=True)
+
+    def settings(self) -> Mapping[str, object]:
+        """None: they follow from the plan of the blocks, which is compared."""
+        return {}
+
+    def initial_state(self, gaussians: Gaussians) -> StrategyState:  # noqa: D102
+        return self.inner.initial_state(gaussians)
+
+    def movable(self, gaussians: Gaussians) -> Bool[Tensor, " n"]:
+        """Which Gaussians the part holds. Others stay as all parts know them: no pixel that counts
+        here shows what they do elsewhere."""
+        return self.part.holds(gaussians)
+
+    def observe(  # noqa: D102
+        self, passes: Sequence[ScreenPoints]
+    ) -> Mapping[str, Float[Tensor, " n"]]:
+        return self.inner.observe(passes)
+
+    def after_step(  # noqa: D102
+        self, state: StrategyState, optimizer: GaussianOptimizer, step: DensityStep
+    ) -> DensityUpdate:
+        inside = self.movable(optimizer.gaussians)
+        observed = {name: torch.where(inside, each, 0) for name, each in step.observed.items()}
+        return self.inner.after_step(state, optimizer, step._replace(observed=observed))
+
+
+@dataclass(frozen=True)
+class FixedGaussians(Strategy):
+    """No Gaussians are added or removed."""
+
+    def after_step(  # noqa: D102
+        self, state: StrategyState, optimizer: GaussianOptimizer, step: DensityStep
+    ) -> DensityUpdate:
+        return DensityUpdate(state)
 
 
 class WholeModel(NamedTuple):
@@ -155,13 +236,6 @@ def block(
 ) -> Refinement:
     """The refinement of a block, and of the strip about it, from the coarse model; or from the
     scene's points, where these are more than the coarse model's Gaussians there.
-
-    Args:
-        coarse: of the whole.
-        scene: the whole.
-        plan: of the blocks.
-        number: of the block, from 0.
-        config: of the whole.
     """
     cell = plan.cells[number]
     coarse = coarse.with_new_blur()

@@ -17,7 +17,7 @@ from mrgs.scene import Scene
 from mrgs.scene.arrays import constant
 
 TRIMMED = 0.02
-"""Share of the points at either end that say nothing of a scene's size: they may lie anywhere."""
+"""Share of the points at either end that are ignored as outliers."""
 
 MOST_BLOCKS = 10_000
 
@@ -137,11 +137,6 @@ def plane_of(scene: Scene) -> ScenePlane:
 def cells(places: Float64[Tensor, "n 2"], rows: int, columns: int) -> list[list[Region]]:
     """Rectangles that fill the plane and hold equally many places each: columns along the first
     axis, each cut into rows along the second; the outermost ones have no end.
-
-    Args:
-        places: coordinates in the plane.
-        rows: of each column.
-        columns: along the first axis.
     """
     found = []
     edges = _edges(places[:, 0], columns)

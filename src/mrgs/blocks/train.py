@@ -33,10 +33,10 @@ from mrgs.training.opening import train
 from mrgs.training.run_folder import RunFolder
 
 COARSE_STEPS = 0.5
-"""Of the coarse model, as a share of a block's."""
+"""Steps of the coarse model, as a share of a block's."""
 
 COARSE_ROUNDS = 4
-"""Steps of the coarse model for each photo, at least."""
+"""Least steps of the coarse model per photo."""
 
 WAIT_S = 1.0
 
@@ -58,7 +58,7 @@ class BlockTraining:
         options: how it is cut.
         device: where it is trained.
         plain: run the plain definitions of all operations.
-        follow: is told of each training.
+        follow: shows each training.
         say: takes lines for the user.
     """
 
@@ -142,9 +142,6 @@ class BlockTraining:
 
     def train_block(self, number: int) -> None:
         """Train a block, or continue it.
-
-        Args:
-            number: from 1.
 
         Raises:
             ConfigError: there is no such block.

@@ -57,11 +57,6 @@ class PlannedRun:
 def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[PlannedRun]:
     """All runs in their order of execution: every table is complete after the first seed.
 
-    Args:
-        scenes: the scenes' folders.
-        output: its folders ``runs/SCENE/METHOD/seed_N`` are those of the runs.
-        options: the methods, and what all runs share.
-
     Raises:
         SceneError: a scene cannot be read, or has no held-out views.
         ConfigError: an option is not allowed, two scenes have one name, or a run's folder has

@@ -103,11 +103,7 @@ def kind_of(figure: str) -> Kind:
 
 
 def figure_keys(modalities: Sequence[str]) -> tuple[str, ...]:
-    """Keys of all figures in tables.
-
-    Args:
-        modalities: names of those that were scored besides ``REPORTED``.
-    """
+    """Keys of all figures in tables."""
     names = dict.fromkeys((*(modality.name for modality in REPORTED), *modalities))
     images = [f"{name}.{key}" for name in names for key in _image_keys(name)]
     return (*images, *RUN_KINDS)
@@ -159,10 +155,6 @@ def over_seeds(figures: Sequence[Figure]) -> Cell:
 def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
     """The mean over scenes of the seeds that have all of them, and its standard deviation over
     seeds.
-
-    Args:
-        scenes: of each scene the figure of each seed, equally many.
-        names: the scenes' names, for the note where one has no figure.
     """
     per_seed = []
     for seed in zip(*scenes, strict=True):

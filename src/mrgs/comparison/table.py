@@ -10,8 +10,7 @@ from string import ascii_lowercase
 from typing import Literal, NamedTuple
 
 from mrgs.comparison.results import Cell, kind_of
-from mrgs.pictures.markdown import escape_markdown
-from mrgs.pictures.spreadsheet import escape_cell
+from mrgs.pictures.escape import escape_cell, escape_markdown
 
 Mark = Literal["best", "second", ""]
 

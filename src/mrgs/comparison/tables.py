@@ -211,16 +211,7 @@ def _by_scene(
     scenes: tuple[str, ...] | None = None,
     remarks: Sequence[str] = (),
 ) -> Table:
-    """A row per method and a group of columns per scene, as the paper's Tables 1 and 2.
-
-    Args:
-        outcomes: of all runs.
-        name: of the table.
-        caption: what it shows.
-        figures_of: the figures below a scene and, given all scenes, below the mean.
-        scenes: the columns; None for all scenes.
-        remarks: sentences below the table.
-    """
+    """A row per method and a group of columns per scene, as the paper's Tables 1 and 2."""
     scenes = outcomes.scenes if scenes is None else scenes
     columns = [(scene, key) for scene in scenes for key in figures_of((scene,))]
     means = figures_of(scenes) if len(scenes) > 1 else ()

@@ -20,9 +20,9 @@ from mrgs.evaluation.figures import (
     figure_names,
     mean_figures,
 )
-from mrgs.evaluation.foreground import Foreground
 from mrgs.evaluation.lpips import MIN_SIDE_PX, Lpips
 from mrgs.evaluation.metrics import (
+    Foreground,
     fill_invalid,
     mean_absolute_error,
     psnr,

@@ -1,4 +1,4 @@
-"""Where the photos of held-out views were taken, as far as the model tells.
+"""The poses of held-out photos, estimated from the model.
 
 At a wrong pose a sharp model scores no better than a blurred one. So where the poses of held-out
 photos are wrong, the photos are aligned with the model and scored there as well, as is usual where
@@ -32,28 +32,28 @@ from mrgs.training.resolution import pixel_sizes
 from mrgs.training.trained_run import TrainedRun
 
 MOST_VIEWS = 16
-"""So many held-out views tell whether poses are wrong."""
+"""Number of held-out views that are inspected for wrong poses."""
 
 FEWEST_VIEWS = 4
-"""Fewer tell nothing: halves may agree by chance."""
+"""Least number of views: the halves of fewer may agree by chance."""
 
 MOST_ROUNDS = 4
-"""Each begins where the one before has laid the photo, with a rendering from there."""
+"""Rounds of alignment, each with a rendering from the pose that the last one found."""
 
 NEAR_PX = 0.02
-"""Alignment stops when a round would move the photo by less."""
+"""Motion of the photo below which alignment stops."""
 
 FEWEST_POINTS = 16
-"""Where the model shows fewer, nothing can be told."""
+"""Least number of surface points that a view must show."""
 
 MOST_POINTS = 1000
 
 
 class HeldOutError(NamedTuple):
-    """How far off what the model shows typical held-out photos are.
+    """Distance of typical held-out photos from what the model shows.
 
     Attributes:
-        found: in the pixels that were looked at.
+        found: in the inspected pixels.
         pixel_size: of these, in pixels of the photos.
     """
 
@@ -62,13 +62,13 @@ class HeldOutError(NamedTuple):
 
     @property
     def photo_px(self) -> float | None:
-        """In pixels of the photos; None where the model is not clear enough to tell."""
+        """The distance in pixels of the photos; None if the model is not clear enough."""
         known = self.found.is_right or self.found.is_wrong
         return self.found.agreed_px * self.pixel_size if known else None
 
 
 class HeldOutPoses(NamedTuple):
-    """What is known of the poses of eval views.
+    """Result of checking the poses of eval views.
 
     Attributes:
         error_px: how far off what the model shows a typical photo is, pixels of the photo;
@@ -84,7 +84,7 @@ NOT_KNOWN = HeldOutPoses(None)
 
 
 def looked_at_first(views: Sequence[View]) -> list[View]:
-    """The views that tell whether poses are wrong: all, some of many, or none of too few."""
+    """The views that are inspected for wrong poses: all, some of many, or none of too few."""
     if len(views) < FEWEST_VIEWS:
         return []
     return [views[number] for number in spread(len(views), MOST_VIEWS)]
@@ -95,11 +95,6 @@ def held_out_error(
 ) -> HeldOutError | None:
     """How far off what the model shows held-out photos are; None where it shows a surface in too
     few.
-
-    Args:
-        run: whose model it is.
-        views: ``looked_at_first`` of the held-out ones.
-        on_view: called after each view.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -121,10 +116,6 @@ def held_out_error(
 def aligned_view(run: TrainedRun, view: View) -> View:
     """The view with its photos where the model shows what they show; as given where nothing fits
     better.
-
-    Args:
-        run: whose model it is.
-        view: that it was not trained on.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -156,7 +147,7 @@ def _fit_db(images: Sequence[Alignable]) -> float:
 
 
 class _Photographed:
-    """A view's photos of what a model renders, with the pixels that are looked at."""
+    """A view's photos of the modalities that a model renders, at the inspected size."""
 
     def __init__(self, run: TrainedRun, view: View) -> None:
         self._run = run
@@ -168,15 +159,11 @@ class _Photographed:
 
     @property
     def pixel_size(self) -> float:
-        """Side of the pixels that are looked at, in pixels of the first photo."""
+        """Side of the inspected pixels, in pixels of the first photo."""
         return next(iter(self._sizes.values()))
 
     def images(self, motion: Float64[Tensor, "4 4"]) -> list[Alignable]:
-        """The photos and the renderings that should look like them.
-
-        Args:
-            motion: of the world that the cameras see.
-        """
+        """The photos and the renderings that should look like them."""
         if not self._cameras:
             return []
         cameras = moved_cameras(self._cameras, motion)

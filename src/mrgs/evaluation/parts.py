@@ -50,11 +50,6 @@ class Parts:
 def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> Parts | None:
     """Knock the parts out of a run's model, one at a time, and score what is left.
 
-    Args:
-        run: a trained run.
-        views: the held-out views.
-        truth: exact temperatures, see ``Truth.find``.
-
     Returns:
         None for a model without the paper's field (3DGS_RGB-T).
 

@@ -13,7 +13,7 @@ from mrgs.evaluation.figures import Figure, Figures, Missing, figure_names, to_j
 from mrgs.evaluation.parts import Parts
 from mrgs.evaluation.scored_data import ScoredData
 from mrgs.evaluation.truth import TRUTH_FIGURES
-from mrgs.pictures.markdown import escape_markdown
+from mrgs.pictures.escape import escape_markdown
 from mrgs.pictures.values import capitalised
 from mrgs.system.atomic import write_text
 
@@ -175,13 +175,6 @@ def write_report(
     data: ScoredData | None = None,
 ) -> tuple[Path, Path]:
     """Write ``metrics.json`` and ``metrics.md`` into the folder; returns their paths.
-
-    Args:
-        folder: to write into.
-        facts: of the run.
-        metrics: its figures.
-        parts: what its model's parts contribute; None where it has none.
-        data: of its scores; None where they are not of a run.
 
     Raises:
         RunError: a file cannot be written.

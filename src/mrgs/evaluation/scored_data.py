@@ -29,10 +29,6 @@ class ScoredData(NamedTuple):
     def of(cls, scene: Scene, trained: Sequence[ImageFingerprint]) -> ScoredData:
         """The data of a scene's scores.
 
-        Args:
-            scene: whose held-out views are scored.
-            trained: of the images that the run was trained on; empty if they are not known.
-
         Raises:
             SceneError: a photo cannot be read.
         """
@@ -63,12 +59,7 @@ class ScoredData(NamedTuple):
             return None
 
     def changes(self, now: ScoredData, scene: Scene) -> str:
-        """What has changed since the scores were computed, for the user; empty if nothing has.
-
-        Args:
-            now: the data of the scene.
-            scene: names the images.
-        """
+        """What has changed since the scores were computed, for the user; empty if nothing has."""
         if self.temperature != now.temperature:
             return "it has another temperature range"
         if self.training_photos and self.training_photos != now.training_photos:

@@ -17,8 +17,8 @@ from mrgs.data.earth import geodetic
 from mrgs.marks.mark import Mark, Place
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.uncertainty import COVERAGE, Uncertainty
+from mrgs.pictures.escape import escape_cell
 from mrgs.pictures.numbers import number_text
-from mrgs.pictures.spreadsheet import escape_cell
 from mrgs.pictures.values import decimals_of, unit_label
 from mrgs.scene import THERMAL, TemperatureRange, WorldFrame
 from mrgs.system.atomic import write_text

@@ -88,12 +88,7 @@ class Page(NamedTuple):
 
 
 def make_page(template: str, **values: Any) -> Page:
-    """A page whose policy allows its own script and style, and nothing else.
-
-    Args:
-        template: extends ``pictures/templates/base.html``.
-        values: see ``_filled``.
-    """
+    """A page whose policy allows its own script and style, and nothing else."""
     values = _filled(**values)
     return Page(render(template, **values), values["policy"])
 
@@ -106,15 +101,7 @@ def _filled(
     sources: Sequence[str] = (),
     **values: Any,
 ) -> dict[str, Any]:
-    """The values for a page's template, with its scripts, styles and policy.
-
-    Args:
-        title: plain text.
-        styles: paths of style sheets inside the package ``mrgs``.
-        scripts: paths of scripts inside the package ``mrgs``, run as one.
-        sources: further directives of the content security policy.
-        values: for the template.
-    """
+    """The values for a page's template, with its scripts, styles and policy."""
     style = "\n".join(asset(name) for name in styles)
     script = '"use strict";\n' + "\n".join(asset(name) for name in scripts) if scripts else ""
     directives = ["default-src 'none'", "base-uri 'none'", "img-src data:", *sources]

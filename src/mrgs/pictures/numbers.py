@@ -4,12 +4,6 @@ from __future__ import annotations
 
 
 def number_text(value: float, decimals: int, *, sign: bool = False) -> str:
-    """A number with a proper minus sign, which what is shown as zero never has.
-
-    Args:
-        value: of the number.
-        decimals: that it is rounded to.
-        sign: whether other numbers have a plus sign.
-    """
+    """A rounded number with a proper minus sign, but none before zero; ``sign`` adds plus signs."""
     text = f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}"
     return text.replace("-", "−")

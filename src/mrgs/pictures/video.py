@@ -35,7 +35,6 @@ def frame_writer(
     folder: Path,
     name: str,
     size: tuple[int, int],
-    fps: int = VIDEO_FPS,
     mp4: bool | None = None,
 ) -> Iterator[AddFrame]:
     """Give a function that writes frames into ``NAME/00000.png`` and so on and, if possible, into
@@ -48,7 +47,6 @@ def frame_writer(
         folder: made if it does not exist.
         name: of the video.
         size: width and height of the frames, pixels.
-        fps: frames per second of the mp4.
         mp4: whether to write it; None writes it if imageio-ffmpeg is installed.
 
     Raises:
@@ -59,7 +57,7 @@ def frame_writer(
         add_to_mp4 = None
         if can_write_mp4() if mp4 is None else mp4:
             temporary = stack.enter_context(replacing(folder / f"{name}.mp4"))
-            add_to_mp4 = stack.enter_context(_mp4_encoder(temporary, size, fps))
+            add_to_mp4 = stack.enter_context(_mp4_encoder(temporary, size))
         count = 0
 
         def add(frame: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -73,27 +71,23 @@ def frame_writer(
 
 
 def _remove_video(folder: Path, name: str) -> None:
-    """Frames of a longer path would stay behind the new ones, and an mp4 where no new one can be
-    written."""
-    for path in [*(folder / name).glob("[0-9][0-9][0-9][0-9][0-9].png"), folder / f"{name}.mp4"]:
-        _remove(path)
-
-
-def _remove(path: Path) -> None:
+    """Remove an earlier video, whose frames would mix with the new ones."""
+    frames = (folder / name).glob("[0-9][0-9][0-9][0-9][0-9].png")
     try:
-        path.unlink(missing_ok=True)
+        for path in [*frames, folder / f"{name}.mp4"]:
+            path.unlink(missing_ok=True)
     except OSError as error:
         raise RunError(
-            f"{path} of an earlier video cannot be removed ({error.strerror or error}): remove it "
+            f"{error.filename} of an earlier video cannot be removed ({error.strerror}): remove it "
             f"by hand"
         ) from error
 
 
 @contextmanager
-def _mp4_encoder(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFrame]:
+def _mp4_encoder(path: Path, size: tuple[int, int]) -> Iterator[AddFrame]:
     """Feed frames to ffmpeg; an OSError with the last line that it printed if it fails."""
     process = subprocess.Popen(
-        _ffmpeg_command(path, size, fps), stdin=subprocess.PIPE, stderr=subprocess.PIPE
+        _ffmpeg_command(path, size), stdin=subprocess.PIPE, stderr=subprocess.PIPE
     )
 
     def add(frame: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -116,22 +110,11 @@ def _mp4_encoder(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFra
         )
 
 
-def _ffmpeg_command(path: Path, size: tuple[int, int], fps: int) -> list[str]:
+def _ffmpeg_command(path: Path, size: tuple[int, int]) -> list[str]:
     """Raw RGB frames from standard input into H.264 in the pixel format that every player knows."""
     import imageio_ffmpeg  # an extra: only where it is installed
 
-    source = [
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-s",
-        f"{size[0]}x{size[1]}",
-        "-r",
-        str(fps),
-        "-i",
-        "-",
-    ]
+    raw = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {VIDEO_FPS} -i -".split()
     even = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0"]
     target = ["-c:v", "libx264", "-crf", str(CRF), "-pix_fmt", "yuv420p", str(path)]
-    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *source, *even, *target]
+    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *raw, *even, *target]

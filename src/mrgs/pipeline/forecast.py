@@ -213,12 +213,7 @@ class Forecast:
         self._part = ""
 
     def left(self, text: str, share: float | None = None) -> float | None:
-        """Seconds left; None for an unknown part.
-
-        Args:
-            text: the part, or "part: step".
-            share: done of it, 0 to 1; None if not known.
-        """
+        """Seconds left; None for an unknown part."""
         part = text if text in self._parts else text.partition(": ")[0]
         if part not in self._parts:
             return None

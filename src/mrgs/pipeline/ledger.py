@@ -21,9 +21,6 @@ CONTENTS = "contents.json"
 class Ledger:
     """The stages that are done, in a JSON file; what it does not hold, or what cannot be read, is
     not done.
-
-    Args:
-        folder: of the file, and of the files that stages make.
     """
 
     def __init__(self, folder: Path) -> None:

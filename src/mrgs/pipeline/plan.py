@@ -125,12 +125,7 @@ class Monitor:
         """Called instead of ``running`` for a stage that an earlier call has finished."""
 
     def running(self, stage: PlannedStage, rest_s: float) -> AbstractContextManager[None]:
-        """A context in which a stage runs.
-
-        Args:
-            stage: that begins.
-            rest_s: expected seconds of the stages after it.
-        """
+        """A context in which a stage runs."""
         return nullcontext()
 
     def progress(self, part: str, done: int, total: int, left_s: float | None) -> None:

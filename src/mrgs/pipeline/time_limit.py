@@ -56,13 +56,6 @@ def measure_pace(
     """Train for a few seconds into a folder that is thrown away, on photos of full resolution; this
     also compiles the kernels.
 
-    Args:
-        method: to train.
-        scene: the scene's folder.
-        config: of the training.
-        clock: seconds, monotonic.
-        options: for ``method.train``.
-
     Raises:
         MrgsError: what the training itself would raise.
     """

@@ -20,7 +20,7 @@ from mrgs.marks.mark import (
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.texts import MarkText, mark_text
 from mrgs.pictures.numbers import number_text
-from mrgs.pictures.stage import (
+from mrgs.pictures.page_data import (
     PALETTE_CHOICES,
     air_facts,
     camera_facts,

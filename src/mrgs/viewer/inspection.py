@@ -15,7 +15,7 @@ from mrgs.marks.mark import MarkKind
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.texts import label_text
-from mrgs.pictures.limits import rounded
+from mrgs.pictures.page_data import rounded
 from mrgs.scene import Camera, Modality, View
 from mrgs.viewer.annotation import Outline, PointLabel, annotate
 from mrgs.viewer.board import MarkBoard

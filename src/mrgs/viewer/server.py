@@ -23,7 +23,7 @@ from mrgs.marks.run_marks import MarkPicker, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import SurfaceRenderer, before_background
 from mrgs.marks.uncertainty import Budget, UncertaintyMeter
-from mrgs.pictures.stage import camera_facts, world_facts
+from mrgs.pictures.page_data import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, CameraResponse, Rendering, Scene

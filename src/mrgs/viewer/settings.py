@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from mrgs.pictures.limits import starting_limits
+from mrgs.pictures.page_data import starting_limits
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.values import capitalised, format_value
 from mrgs.render import Model

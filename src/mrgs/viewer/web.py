@@ -19,7 +19,7 @@ from websockets.http11 import Request, Response
 
 from mrgs.errors import ConfigError
 from mrgs.pictures.html import Page, make_page
-from mrgs.pictures.stage import MARKS_STYLE, STAGE_SCRIPTS, STAGE_STYLE
+from mrgs.pictures.page_data import MARKS_STYLE, STAGE_SCRIPTS, STAGE_STYLE
 from mrgs.scene import Camera
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.gate import Gate, require_port

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from mrgs.export.job import ExportJob
 from mrgs.export.page.write import page_marks, write_page
-from mrgs.pictures.limits import starting_limits
+from mrgs.pictures.page_data import air_facts, starting_limits
 from mrgs.pictures.settings import settings_of, settings_text
-from mrgs.pictures.stage import air_facts
 from mrgs.scene import THERMAL
 from mrgs.scene.preview import best_view
 from mrgs.survey import SURVEY_FILE, read_survey

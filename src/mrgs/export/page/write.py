@@ -23,8 +23,7 @@ from mrgs.marks.tables import corrected_text
 from mrgs.marks.texts import label_text, mark_text
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
-from mrgs.pictures.palette import PaletteName, display_range
-from mrgs.pictures.stage import (
+from mrgs.pictures.page_data import (
     BASE64_SCRIPT,
     MARKS_STYLE,
     PALETTE_CHOICES,
@@ -35,6 +34,7 @@ from mrgs.pictures.stage import (
     palette_facts,
     world_facts,
 )
+from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.values import in_unit, range_of
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (

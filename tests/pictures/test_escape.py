@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.pictures.markdown import escape_markdown
+from mrgs.pictures.escape import escape_cell, escape_markdown
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,16 @@ from mrgs.pictures.markdown import escape_markdown
 )
 def test_what_strangers_wrote_shows_as_it_is(text, escaped):
     assert escape_markdown(text) == escaped
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["=1+1", "+1", "-1", "@SUM(1)", "\t=1", "\r=1", "\uff1d1", "\uff0b1", "\uff0d1", "\uff201"],
+)
+def test_what_a_spreadsheet_would_run_is_quoted(text):
+    assert escape_cell(text) == f"'{text}"
+
+
+@pytest.mark.parametrize("text", ["", "house", "a=1", "− 3", "'=1"])
+def test_other_texts_stay_as_they_are(text):
+    assert escape_cell(text) == text

@@ -1,4 +1,4 @@
-"""Text of unknown origin in Markdown files."""
+"""Text of unknown origin in Markdown and in files for spreadsheets."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ _ACTIVE = re.compile(r"[\\`*\[\]|~$@]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|(?<=:)/
 _AT_START = re.compile(r"^\s*(#|[-+=]|\d+(?=[.)]))")
 """What makes a line a heading or an item of a list."""
 
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\uff1d", "\uff0b", "\uff0d", "\uff20")
+"""How cells begin that a spreadsheet runs as a formula; the last four are as wide as letters of
+Chinese and Japanese."""
+
 
 def escape_markdown(text: str) -> str:
     """Text on one line that shows as it is, wherever it stands: no HTML, link, markup or cell."""
@@ -21,3 +25,8 @@ def escape_markdown(text: str) -> str:
 
 def _escaped_start(found: re.Match[str]) -> str:
     return f"{found[1]}\\" if found[1].isdigit() else f"\\{found[1]}"
+
+
+def escape_cell(text: str) -> str:
+    """Text for a cell that no spreadsheet runs as a formula."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
