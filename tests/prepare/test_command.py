@@ -21,7 +21,7 @@ from mrgs.prepare.page.check import SceneCheck
 
 
 @pytest.fixture
-def recording_copy(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable], None]:
+def stand_in(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable], None]:
     """Puts a function in the place of ``prepare``."""
     return lambda function: monkeypatch.setattr("mrgs.prepare.run.prepare", function)
 

@@ -13,6 +13,7 @@ from mrgs.errors import DeviceError, RunError, SceneError
 from mrgs.evaluation import evaluate_run
 from mrgs.evaluation.evaluate import evaluate
 from mrgs.field import RadianceField
+from mrgs.kernels.heat.residuals import residuals_on_cpu
 from mrgs.render import Model
 from mrgs.runs.open import Run, load_run, open_run
 from mrgs.runs.registry import Method
