@@ -8,12 +8,12 @@ import time
 
 import pytest
 
-from mrgs.system.turns import Turns, ctrl_c_waits
+from mrgs.system.turns import FairLock, ctrl_c_waits
 
 DEADLINE_S = 60
 
 
-def wait_until_awaited(turns: Turns) -> None:
+def wait_until_awaited(turns: FairLock) -> None:
     until = time.monotonic() + DEADLINE_S
     while not turns.is_awaited:
         assert time.monotonic() < until, "the other thread never asked"
@@ -21,7 +21,7 @@ def wait_until_awaited(turns: Turns) -> None:
 
 
 def test_a_thread_that_waits_is_not_overtaken_by_the_one_that_gives_back():
-    turns, order = Turns(), []
+    turns, order = FairLock(), []
 
     def ask() -> None:
         with turns.taken():
@@ -40,7 +40,7 @@ def test_a_thread_that_waits_is_not_overtaken_by_the_one_that_gives_back():
 
 
 def test_no_two_threads_hold_it():
-    turns, inside, most = Turns(), [], []
+    turns, inside, most = FairLock(), [], []
 
     def work() -> None:
         for _ in range(200):
@@ -59,7 +59,7 @@ def test_no_two_threads_hold_it():
 
 
 def test_the_thread_that_holds_it_may_take_it_again():
-    turns = Turns()
+    turns = FairLock()
     with turns.taken(), turns.taken():
         pass
     with turns.taken():
@@ -68,9 +68,9 @@ def test_the_thread_that_holds_it_may_take_it_again():
 
 CTRL_C_WHILE_WAITING = """
 import os, signal, sys, threading, time
-from mrgs.system.turns import Turns
+from mrgs.system.turns import FairLock
 
-turns, held, pressed = Turns(), threading.Event(), threading.Event()
+turns, held, pressed = FairLock(), threading.Event(), threading.Event()
 
 def hold():
     with turns.taken():

@@ -28,7 +28,7 @@ MAX_NEIGHBOURS_N = 16
 
 
 MAX_FREQUENCIES = 24
-"""Of an encoding: float32 has no more binary digits."""
+"""Largest number of frequencies of an encoding: float32 has no more binary digits."""
 
 
 @dataclass(frozen=True)

@@ -42,11 +42,11 @@ SURFACE_TRANSMITTANCES = (0.6, 0.4)
 """The surface that a ray meets is what brings T from the first to the second."""
 
 STEEPEST = 4.0
-"""A ray meets a Gaussian at most at so many times the depth of its centre: a plane that is seen at
+"""Largest ratio of the depth at which a ray meets a Gaussian to that of its centre: a plane seen at
 a grazing angle would be met at infinity."""
 
 STEEPEST_TANGENT = 10.0
-"""A Gaussian's plane is taken to rise at most so many units of depth per unit across (84°)."""
+"""Steepest rise of a Gaussian's plane, in units of depth per unit across (84°)."""
 
 FRUSTUM_MARGIN = 0.3
 """x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of
@@ -137,7 +137,7 @@ class Dilation:
     finest_focal_px: float | None = None
 
     def of(self, camera: Camera) -> float:
-        """The dilation in a camera's image, px²; ``dilation.js`` says the same."""
+        """The dilation in a camera's image, px²; ``dilation.js`` computes the same."""
         if self.finest_focal_px is None:
             return self.px2
         fineness = min(1.0, camera.focal_px / self.finest_focal_px)
@@ -145,4 +145,4 @@ class Dilation:
 
 
 AS_PUBLISHED = Dilation()
-"""That of 3DGS and the paper."""
+"""The dilation of 3DGS and the paper."""

@@ -35,8 +35,8 @@ from mrgs.rasterizer.contract import (
 )
 
 CHUNK_ELEMENTS = 2**20
-"""Pixels are blended in chunks of at most so many (pixel, Gaussian) pairs: bounds the memory, not
-the result."""
+"""Largest number of (pixel, Gaussian) pairs that are blended at once: bounds the memory, not the
+result."""
 
 
 class Splats(NamedTuple):

@@ -118,7 +118,7 @@ def write_error(path: Path, error: Exception, options: tuple[str, ...] = ()) -> 
 
     Args:
         path: what cannot be written.
-        error: what the system, or the safetensors library in its stead, says of it.
+        error: of the system, or of the safetensors library in its stead.
         options: those of the error.
     """
     number, reason = getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)

@@ -11,13 +11,13 @@ from mrgs.system.wording import shown
 
 MOST_STEPS = 10**9
 MOST_WIDTH = 4_096
-"""Of a hidden layer."""
+"""Largest width of a hidden layer."""
 
 MOST_WEIGHT = 10**12
-"""Of a loss, or of anything else that multiplies."""
+"""Largest weight of a loss, or of anything else that multiplies."""
 
 MOST_RATE = 10
-"""Of learning."""
+"""Largest learning rate."""
 
 MOST_SEED = 2**32 - 1
 

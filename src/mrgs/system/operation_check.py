@@ -43,8 +43,7 @@ class KernelComparison(NamedTuple):
     def problem_of(
         self, kernel: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]
     ) -> str | None:
-        """What is to be said of a kernel that is to be rejected; None if it equals the plain
-        definition."""
+        """Why a kernel is rejected; None if it equals the plain definition."""
         error, problem = self._difference(kernel, args, kwargs)
         generator = torch.Generator().manual_seed(0)
         for _ in range(NUDGES):
@@ -58,7 +57,7 @@ class KernelComparison(NamedTuple):
     def _difference(
         self, kernel: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]
     ) -> tuple[float, str]:
-        """Relative error of the kernel, and what is to be said of it."""
+        """Relative error of the kernel, and a description of it."""
         expected = self._outcome(self.plain, args, kwargs)
         try:
             error = _relative_error(self._outcome(kernel, args, kwargs), expected)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
-class Turns:
+class FairLock:
     """A lock that threads get in the order in which they ask for it, also where the one that gives
     it back asks again at once; the thread that holds it may take it again.
 

@@ -19,7 +19,7 @@ from mrgs.system import gpu
 from mrgs.system.gpu import HOST
 from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
-from mrgs.system.turns import Turns, ctrl_c_waits
+from mrgs.system.turns import FairLock, ctrl_c_waits
 from mrgs.training.checkpoint_file import first_not_finite
 from mrgs.training.facts import CheckpointFacts
 from mrgs.training.memory import peak_memory_bytes
@@ -108,7 +108,7 @@ class Driver(ABC, Generic[S]):
         self._step_done = facts.step
         self._is_half_done = False
         self._is_closed = False
-        self._turns = Turns()
+        self._turns = FairLock()
         self._skipped_steps = facts.skipped_steps
         self._started = clock()
         self._save_at = self._started + SAVE_EVERY_S

@@ -275,7 +275,7 @@ def _launch(
 
 
 def _spec(kernel: Any, names: tuple[str, ...], channels: int) -> KernelSpec:
-    """A kernel for so many channels."""
+    """A kernel for a number of channels."""
     signature = dict.fromkeys(names, "*fp32") | dict.fromkeys(SIZES, "i32") | {"floor": "fp32"}
     constants = {"CHANNELS": channels, "BLOCK": BLOCK}
     return KernelSpec(kernel, signature, constants, NUM_WARPS, variant=VARIANTS[channels])

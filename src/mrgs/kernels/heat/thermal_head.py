@@ -167,7 +167,7 @@ def _flattened(tensors: Sequence[Tensor]) -> _Inputs:
 
 
 def _packed(parameters: Sequence[Tensor]) -> _Network:
-    """Of the first layer's inputs only e_orth gets a gradient."""
+    """The layers, packed; only e_orth among the first layer's inputs gets a gradient."""
     phi_sh, phi_sh_bias, first, first_bias, output, output_bias = parameters
     return _Network(
         pack(phi_sh, phi_sh_bias), pack(first, first_bias, len(phi_sh)), pack(output, output_bias)

@@ -37,7 +37,7 @@ FARTHEST = 1e18
 """Coordinates are clamped to it: the square of twice as much is still finite."""
 
 BITS = 21
-"""Of each coordinate in the Z-order code."""
+"""Number of bits of each coordinate in the Z-order code."""
 
 SPREADING = (
     (32, 0x1F00000000FFFF),
@@ -206,7 +206,7 @@ def _boxes(points: Tensor) -> Tensor:
 
 
 def _spec(k: int) -> KernelSpec:
-    """The kernel for so many neighbours."""
+    """The kernel for a number of neighbours."""
     signature = {"points": "*fp32", "originals": "*i32", "boxes": "*fp32", "result": "*i64"}
     constants = {"K": k, "SLOTS": triton.next_power_of_2(k), "BLOCK": BLOCK, "CHUNK": CHUNK}
     numbers = {"count": "i32", "blocks": "i32"}

@@ -17,7 +17,7 @@ from mrgs.method.camera_model.photo_gain import (
 )
 
 PARTS = 4
-"""A photo is divided into so many parts across and down."""
+"""Number of parts of a photo across and down."""
 
 NEWEST_SHARE = 0.25
 """Weight of the newest residual in the running mean."""

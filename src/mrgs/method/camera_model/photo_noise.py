@@ -11,7 +11,7 @@ from torch import Tensor
 from mrgs.scene import Pixels, PosedImage, evenly_spaced
 
 PHOTOS = 16
-"""At most so many photos are read, evenly spread."""
+"""Largest number of photos that are read, evenly spread."""
 
 MEDIAN_OF_NORMAL = 0.6745
 """The median of the absolute value of a standard normal variable."""
@@ -41,8 +41,8 @@ def photo_noise(photos: Sequence[PosedImage], distance_px: int = 1) -> float:
 
 
 def _second_differences(photo: Pixels, distance_px: int) -> Float[Tensor, " n"]:
-    """Of all pixels whose neighbours in that distance are in the photo; NaN where one of these is
-    not valid."""
+    """Differences at all pixels whose neighbours at that distance are in the photo; NaN where one
+    of these is not valid."""
     values = photo.values
     if photo.valid is not None:
         values = torch.where(photo.valid[:, :, None], values, torch.nan)

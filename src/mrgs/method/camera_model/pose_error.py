@@ -23,7 +23,7 @@ ROUNDS = 3
 """Steps of Gauss–Newton with each width."""
 
 OUTLYING = 2.0
-"""Differences of more than so many standard deviations hardly count: they are no motion of the
+"""Number of standard deviations above which differences hardly count: they are no motion of the
 camera's."""
 
 LEAST_DEVIATION = 2e-3
@@ -37,11 +37,12 @@ WRONG_PX = 0.3
 """Poses are wrong if photos are typically off by clearly more."""
 
 WELL_SEEN = 4
-"""So many of the six axes of a motion tell whether poses are wrong: those along which a view tells
-most. Along the others, what an unfinished model has at a wrong depth looks like a wrong pose."""
+"""Number of the six axes of a motion that show whether poses are wrong: those along which a view
+shows most. Along the others, parts of an unfinished model at a wrong depth look like a wrong
+pose."""
 
 UNCLEAR = 2.0
-"""Halves that differ by more than so many times that tell nothing."""
+"""Ratio above which halves that differ give no evidence."""
 
 SQUARE_PX = 16
 """Side of the squares that the two halves of an image consist of."""
@@ -147,11 +148,11 @@ def halves_px(
 
 
 class PoseAgreement(NamedTuple):
-    """What the halves of typical photos say of their poses: medians over views.
+    """What the halves of typical photos show about their poses: medians over views.
 
     Attributes:
-        agreed_px: how far both say that a photo is off.
-        apart_px: how much what they say differs.
+        agreed_px: how far a photo is off according to both.
+        apart_px: how much the two differ.
     """
 
     agreed_px: float

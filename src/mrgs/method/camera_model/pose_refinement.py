@@ -14,7 +14,8 @@ from mrgs.scene import Camera, Modality
 from mrgs.scene.rotations import cross_matrix
 
 FEWEST_POINTS = 16
-"""Where fewer lie in a photo, points before the camera tell what a motion does to the image."""
+"""Fewest points in a photo; with fewer, points made up before the camera show what a motion does to
+the image."""
 
 MOST_POINTS = 1000
 """Of those that lie in a photo; of the scene, twenty times as many are looked through."""

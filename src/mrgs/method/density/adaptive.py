@@ -98,7 +98,7 @@ class AdaptiveDensityControl(Strategy):
     def after_step(
         self, state: StrategyState, optimizer: GaussianOptimizer, step: DensityStep
     ) -> DensityUpdate:
-        """Add the views' gradients; clone, split, prune and reset where the schedule says so."""
+        """Add the views' gradients; clone, split, prune and reset when they are due."""
         state = {name: total + step.observed[name] for name, total in state.items()}
         densifies, resets = self.densifies_at(step.number), self.resets_at(step.number)
         if not (densifies or resets) or step.skipped:

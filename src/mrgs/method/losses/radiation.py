@@ -24,7 +24,7 @@ DEPTH_FLOOR = 1e-3
 """Smallest depth that divides, as a share of the scene's extent."""
 
 QUANTILES = (0.01, 0.99)
-"""Of E_r, which become 0 and 1."""
+"""Quantiles of E_r that become 0 and 1."""
 
 SAMPLED_PIXELS = 5_000
 """About how many pixels the quantiles are read from."""

@@ -37,7 +37,7 @@ def configured_terms(
     """The terms of a training.
 
     Args:
-        config: says which of the paper's terms there are.
+        config: selects the terms.
         extra: more terms; one with the name of a configured term takes its place.
         modalities: each has a photometric term of its own.
     """

@@ -17,12 +17,12 @@ from torch import Tensor
 from mrgs.scene import Camera, SceneBounds
 
 CELLS_ACROSS = 24
-"""A photo is divided into so many cells across, which are about square. A direction counts if its
+"""Number of cells across a photo, which are about square. A direction counts if its
 cell lies in three by three empty ones: smaller gaps lie on surfaces, and what is put behind these
 makes them transparent."""
 
 FEWEST_PER_CELL = 0.5
-"""A photo with fewer start points than this share of its cells does not tell which directions are
+"""A photo with fewer start points than this share of its cells does not show which directions are
 empty."""
 
 SPACING_RAD = 0.1

@@ -1,4 +1,4 @@
-"""Temperature residuals that start with what the photos say (not in the paper).
+"""Temperature residuals that start with what the photos show (not in the paper).
 
 Left to themselves t_i and t̂ share one task, and whichever learns faster leaves the other nothing:
 with temperatures read off the photos t̂ stays 0, and no equation of the thermal branch matters. So

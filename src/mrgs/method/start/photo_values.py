@@ -16,20 +16,20 @@ from mrgs.scene import Camera, PosedImage, evenly_spaced
 from mrgs.scene.point_cloud import coincident_points, spare_points
 
 PHOTOS = 64
-"""At most so many photos are read, evenly spread."""
+"""Largest number of photos that are read, evenly spread."""
 
 LOOKED_AT_PX = 600
 """A large photo may be read at a fraction of its size that is at least so wide."""
 
 CELLS_ACROSS = 48
-"""A photo is divided into so many cells across, which are about square. A point is hidden where
+"""Number of cells across a photo, which are about square. A point is hidden where
 another in its cell, or in one of those around it, is much nearer."""
 
 MUCH_NEARER = 1.5
-"""A hidden point is more than so many times as far away."""
+"""Ratio of distances above which a farther point is hidden."""
 
 NEIGHBOURS = 8
-"""A point that no photo shows takes the values of so many others."""
+"""Number of others whose values a point takes that no photo shows."""
 
 SMALLEST_DISTANCE = 1e-9
 """That divides; scene units."""

@@ -1,4 +1,4 @@
-"""The points that training starts from: the scene's, those far away, and what the photos say of
+"""The points that training starts from: the scene's, distant ones, and what the photos show of
 both.
 
 Only the scene's points and their colours are as in 3DGS. They have no temperatures: from one value
@@ -166,7 +166,7 @@ def _unknown(modalities: tuple[Modality, ...], count: int) -> dict[Modality, Ten
 
 INITIAL_SCALE_NEIGHBOURS = 3
 UNSEEN = 0.5
-"""Colour and temperature of a point of which no photo tells them."""
+"""Colour and temperature of a point that no photo shows."""
 
 SMALLEST_DISTANCE = 1e-7
 """Coincident points still become Gaussians of some size (scene units)."""

@@ -141,7 +141,7 @@ def _drawn_splats(
     projection: _Projection,
     offset: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Those projected Gaussians that are drawn, in the order of their indices [V, 16], and all
+    """The projected Gaussians that are drawn, in the order of their indices [V, 16], and all
     radii [N]: less memory than records of all, from which no gradient finds its way back."""
     count = gaussians[0].shape[0]
     splats, radii = empty_splats(count), np.empty(count, np.float32)

@@ -1,6 +1,6 @@
 """The rasterizer for NVIDIA GPUs, in Triton: nothing is compiled at install time.
 
-Importing this package imports Triton; ``mrgs.system.gpu.runs_triton`` says whether to.
+Importing this package imports Triton; ``mrgs.system.gpu.runs_triton`` decides whether to.
 """
 
 from mrgs.kernels.rasterize.gpu.rasterize import median_depth, rasterize

@@ -41,8 +41,8 @@ _MOST_GAUSSIANS = (2**31 - 2**16) // SPLAT_FLOATS.value
 """The kernels number the values of their records with 32 bits."""
 
 _MOST_SHORT_TILES = 2**15 - 1
-"""Up to so many tiles, their numbers (and one more) fit 16 bits, which are sorted in half the time
-of 32."""
+"""Largest number of tiles whose numbers (and one more) fit 16 bits, which are sorted in half the
+time of 32."""
 
 
 class _Pass(NamedTuple):
@@ -128,7 +128,7 @@ def _needed_backward(what: _Pass) -> set[str]:
 
 
 def _programs(items: int, per_program: int = kernels.BLOCK) -> tuple[int]:
-    """The grid in which each program takes so many items."""
+    """The grid in which each program takes ``per_program`` items."""
     return (-(-items // per_program),)
 
 
