@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from mrgs.app.arguments import read_text
 from mrgs.app.commands import CompareMethods
-from mrgs.app.terminal import print_table
 from mrgs.errors import ConfigError, TrainingError
 
 if TYPE_CHECKING:
@@ -23,6 +22,7 @@ def compare(command: CompareMethods) -> None:
     """
     from mrgs.comparison import Options, Variant
     from mrgs.comparison import compare as compare_methods
+    from mrgs.comparison.table import to_plain
 
     variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
     options = Options(
@@ -52,7 +52,7 @@ def compare(command: CompareMethods) -> None:
         print("interrupted runs keep their checkpoints; re-run the same command to resume")
         raise
     for table in comparison.tables:
-        print_table(table)
+        print("\n" + to_plain(table), end="")
     for line in how_to_read(comparison.tables, command.seeds):
         print(line)
     print(f"tables: {command.output / 'tables'}\nfigures: {command.output / 'figures'}")

@@ -17,7 +17,6 @@ from mrgs.errors import MrgsWarning, SceneError
 if TYPE_CHECKING:
     import torch
 
-    from mrgs.comparison.table import Table
     from mrgs.evaluation import Metrics
     from mrgs.export import BakingLoss
     from mrgs.runs.open import Run, TrainedRun
@@ -144,10 +143,3 @@ def print_figures(metrics: Metrics) -> None:
     if metrics.aligned is not None:
         print("with each photo aligned with the model:")
         print_figures(metrics.aligned)
-
-
-def print_table(table: Table) -> None:
-    """Print a comparison's table, one block per scene; * marks the best figure, + the second."""
-    from mrgs.comparison.table import to_plain
-
-    print("\n" + to_plain(table), end="")

@@ -1,11 +1,10 @@
 """One run in a process of its own: ``python -m mrgs.comparison.child REQUEST``, started by
-``processes``.
+``processes`` with the protocol of ``mrgs.system.child``.
 
-See ``mrgs.system.child`` for the protocol. The request holds ``scene``, ``folder``, ``config``
-(YAML), ``device`` and ``lpips_weights`` (a path or null); messages are ``{"step", "gaussians"}``,
-``{"scored", "of"}`` and ``{"warning"}``; the work ends "scored", "stopped" or with an error. When
-its parent or the system asks it to stop, a training writes a checkpoint first; anything else stops
-at once.
+The request has ``scene``, ``folder``, ``config`` (YAML), ``device`` and ``lpips_weights`` (a path
+or null); messages are ``{"step", "gaussians"}``, ``{"scored", "of"}`` and ``{"warning"}``; the work
+ends "scored", "stopped" or with an error. On a request to stop, a training writes a checkpoint
+first; anything else stops at once.
 """
 
 from __future__ import annotations
@@ -27,9 +26,8 @@ from mrgs.system.child import read_request, send, when_asked_to_stop
 
 REPORT_EVERY_S = 1.0
 
-
 REQUESTS = ("SIGTERM", "SIGHUP")
-"""Signals that ask the process to stop, as far as the system knows them."""
+"""Signals that ask the process to stop, where the system has them."""
 
 
 class _StoppedError(KeyboardInterrupt):

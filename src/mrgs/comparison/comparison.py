@@ -52,9 +52,9 @@ class Comparison:
     """The results of a comparison.
 
     Attributes:
-        tables: all that have contents.
-        failures: of each run or set of renders that has no scores, why.
-        folder: holds ``tables/``, ``figures/``, ``results.json`` and ``runs/``.
+        tables: without empty ones.
+        failures: reason of each run or set of renders without scores.
+        folder: of ``tables/``, ``figures/``, ``results.json`` and ``runs/``.
     """
 
     tables: tuple[Table, ...]
@@ -75,19 +75,19 @@ def compare(
 ) -> Comparison:
     """Train and score every method on every scene, then write tables and figures.
 
-    Runs that are scored are kept, and scored again where held-out images have changed since; runs
-    with a checkpoint are continued; a run that fails is reported at the end. Tables and figures of
-    an earlier call that this one does not write are removed.
+    Scored runs are kept, and scored again if held-out images have changed; runs with a checkpoint
+    are continued; a run that fails is reported at the end. Tables and figures of an earlier call
+    that this one does not write are removed.
 
     Args:
         scenes: the scenes' folders.
-        output: the folder to write into, and to go on in.
+        output: folder to write to, or to continue in.
         options: the methods, and what all runs share.
-        renders: other programs' renderings by the name that the tables give them: folders that hold
-            one folder per scene, see ``mrgs.evaluation.renders``.
-        jobs: how many runs at a time; the machine's cores are divided among them.
+        renders: other programs' renderings by their name in tables: folders with one folder per
+            scene, see ``mrgs.evaluation.renders``.
+        jobs: number of parallel runs, which share the cores.
         device: where they train and render, if their method can use a GPU.
-        lpips_weights: weights for LPIPS; without them it is left out.
+        lpips_weights: weights for LPIPS; None leaves it out.
         say: called with lines of progress.
 
     Raises:
@@ -198,7 +198,7 @@ def _renders_outcome(
     options: Options,
     lpips_weights: Path | None,
 ) -> Outcome:
-    """Score another program's renderings; this is cheap, and repeated each time."""
+    """Score another program's renderings, which is cheap."""
     scores = output / "renders" / name / scene
     try:
         evaluate_renders(
@@ -217,7 +217,7 @@ def _renders_outcome(
 
 
 def _write_tables(folder: Path, tables: Sequence[Table]) -> None:
-    """Tables of an earlier call that this one has not are removed."""
+    """Write the tables in all formats; remove those of an earlier call that are empty now."""
     writers = {".md": to_markdown, ".tex": to_latex, ".csv": to_csv}
     for table in tables:
         for suffix, write in writers.items():
@@ -286,8 +286,8 @@ def _exhibit(
     renders: Mapping[str, Path],
     options: Options,
 ) -> Exhibit:
-    """The middle one of a scene's held-out views as the methods show it; one model is in memory at
-    a time."""
+    """The middle held-out view of a scene as the methods show it; one model is in memory at a
+    time."""
     path = next(job.scene for job in planned if job.scene_name == scene)
     loaded = load_scene(path, resolution=options.resolution)
     view = loaded.eval[len(loaded.eval) // 2]

@@ -46,8 +46,7 @@ def run_jobs(
 
     Args:
         jobs: in the order in which they are started.
-        count: how many processes at a time; the machine's cores are divided among as many as there
-            can be.
+        count: number of parallel processes, which share the cores.
         lpips_weights: weights for LPIPS.
         on_message: called with each message of a child, and with ``{"start": True}`` when it
             starts.
@@ -56,7 +55,7 @@ def run_jobs(
         child: arguments of the Python process that does a run.
 
     Returns:
-        of each job that failed, why: one line.
+        The reason, one line, of each job that failed.
 
     Raises:
         KeyboardInterrupt: Ctrl-C; the running jobs have left checkpoints. A second one ends them at
@@ -173,7 +172,7 @@ class Progress:
 
     Attributes:
         jobs: all runs that are due.
-        count: how many run at a time.
+        count: number of parallel runs.
         say: called with each line.
         clock: seconds.
     """
@@ -243,8 +242,8 @@ class Progress:
         return f", about {hours}{minutes % 60} min left" if minutes else ", less than a minute left"
 
     def _seconds_left(self, job: PlannedRun) -> float:
-        """As long as the method's last run took in all; else the steps that are left, at the speeds
-        seen so far."""
+        """As long as the method's last run took; before it, the steps left at the speeds seen so
+        far."""
         running = self._running.get(job)
         if job.method in self._durations:
             elapsed = self.clock() - running.started if running else 0.0

@@ -36,7 +36,7 @@ IMAGE_KINDS = {
     "mae_c": Kind("MAE", "°C", 3, 3, "lower"),
     "lpips": Kind("LPIPS", "", 4, 3, "lower"),
 }
-"""The figures of one modality's images; in tables ``MODALITY.`` stands before the name."""
+"""The figures of one modality's images; their keys are ``MODALITY.NAME``."""
 
 RUN_KINDS = {
     "gaussians_k": Kind("Gaussians", "K", 1, 0, "lower"),
@@ -84,9 +84,9 @@ class Cell(NamedTuple):
     """Mean and sample standard deviation over seeds.
 
     Attributes:
-        mean: None where there is none.
-        std: None where fewer than two seeds have the figure.
-        seeds: how many have it.
+        mean: None if missing.
+        std: None for fewer than two seeds.
+        seeds: number of seeds with the figure.
         note: why it is missing, or what it leaves out.
     """
 
@@ -135,8 +135,7 @@ def failed(scene: str, method: str, seed: int | None, reason: str) -> Outcome:
 
 
 def over_seeds(figures: Sequence[Figure]) -> Cell:
-    """Mean ± standard deviation of the seeds that have the figure; a note where some or all have
-    not."""
+    """Mean ± standard deviation of the seeds with the figure; a note if some or all lack it."""
     values = [figure for figure in figures if not isinstance(figure, Missing)]
     reasons = list(
         dict.fromkeys(figure.reason for figure in figures if isinstance(figure, Missing))

@@ -73,9 +73,9 @@ class Metrics:
         truth: means over the views of the figures against the exact truth; None where the scene
             has none.
         views: each view's own figures.
-        pose_error_px: how far off what the model shows a typical held-out photo is, pixels of
-            the photo; None where that was not looked at.
-        aligned: the figures with each photo aligned with the model; None where the poses are right.
+        pose_error_px: distance of a typical held-out photo from what the model shows, pixels of the
+            photo; None if not inspected.
+        aligned: the figures with each photo aligned with the model; None if the poses are right.
     """
 
     mean: Mapping[Modality, Figures]
@@ -106,10 +106,9 @@ def evaluate(
         temperature: the scene's scale; None leaves the figures in °C out.
         lpips: the network; None leaves LPIPS out.
         truth: exact temperatures and depths, see ``Truth.find``.
-        visit: called after each view with what was compared with its photos; nothing is kept
-            between views.
-        camera_response: from the rendering to what the cameras would have recorded, which is
-            compared with the photos; the truth is compared with the rendering.
+        visit: called after each view with the images that were compared with its photos.
+        camera_response: from the rendering to what the cameras record, which is compared with the
+            photos; the truth is compared with the rendering.
 
     Raises:
         SceneError: there are no views, or an image or a truth file cannot be read.

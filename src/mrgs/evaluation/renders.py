@@ -63,7 +63,7 @@ class Renders:
 
     Attributes:
         images: of each modality that the folder has, by view name; the name of a file's folder
-            determines what it holds.
+            determines how it is read.
         depths: of the thermal camera, by view name; may be empty.
     """
 
@@ -121,11 +121,11 @@ def evaluate_renders(
 
     Args:
         scene: the scene's folder.
-        folder: holds the images, see the module.
-        name: what the report calls the program; by default the folder's name.
-        output: the folder to write into; by default ``folder/eval``.
-        resolution: photos wider than this many pixels are reduced to it, as in training.
-        lpips_weights: weights for LPIPS; without them it is left out, with the reason.
+        folder: of the images, see the module.
+        name: of the program, in the report; by default the folder's name.
+        output: folder to write to; by default ``folder/eval``.
+        resolution: photos wider than this many pixels are downscaled to it, as in training.
+        lpips_weights: weights for LPIPS; without them it is missing, with the reason.
         progress: called after each view.
 
     Raises:

@@ -68,7 +68,7 @@ class RunFacts:
         gaussians: how many Gaussians the model has; None if it has none, or for another program's
             images.
         train_seconds: wall-clock time of the training, s.
-        peak_memory_bytes: largest memory held during the training.
+        peak_memory_bytes: largest memory of the training.
         device: ``cpu`` or the GPU's name.
     """
 

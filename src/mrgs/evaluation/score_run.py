@@ -53,8 +53,8 @@ def evaluate_run(
     Args:
         run: what ``load_run`` or ``open_run`` returns.
         lpips_weights: weights for LPIPS; without them it is left out, with the reason.
-        progress: called with the steps that are done and all: each view is looked at, of many only
-            some, and scored. There are more where the poses turn out to be wrong.
+        progress: called with finished and all steps: a view is inspected, and scored. There are
+            more steps if the poses turn out to be wrong.
 
     Raises:
         SceneError: the scene cannot be read, or has no eval views.
@@ -82,7 +82,7 @@ def evaluate_run(
 
 
 class Counted:
-    """How many views are done of those that are to be looked at, aligned, or scored."""
+    """Counts the views that are inspected, aligned or scored."""
 
     def __init__(self, progress: Progress | None, total: int) -> None:
         self._progress, self._done, self.total = progress, 0, total
@@ -133,19 +133,17 @@ def score_views(
     folder.
 
     Args:
-        scene: whose eval views are scored.
+        scene: with eval views.
         truth: the scene's exact truth; None if there is none.
         render: from a view to its images.
-        facts: listed in the report besides the figures.
-        output: the folder to write into.
-        lpips_weights: weights for LPIPS; without them it is left out, with the reason.
+        facts: of the run, for the report.
+        output: folder to write to.
+        lpips_weights: weights for LPIPS; without them it is missing, with the reason.
         on_view: called after each view.
-        camera_response: from a rendering to what the cameras would have recorded, which is compared
-            with the photos.
-        parts: what the model's parts contribute, for the report; None where it has none.
-        data: of the scores, for the report; None where they are not of a run.
-        poses: of the eval views, as far as they were checked; where there are aligned ones, the
-            views are scored with them too, and the contact sheet shows these.
+        camera_response: from a rendering to what the cameras record, which the photos show.
+        parts: for the report; None if the model has none.
+        data: of the scores, for the report; None for another program's renderings.
+        poses: of the eval views; aligned ones are scored too, and shown on the contact sheet.
 
     Raises:
         SceneError: the scene has no eval views, or an image cannot be read.

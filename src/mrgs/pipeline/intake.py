@@ -1,5 +1,5 @@
-"""What a folder holds, from the headers of its files: photos or a scene, how many, of what size,
-with °C or without."""
+"""The contents of a folder, from the headers of its files: photos or a scene, their number and
+size, with °C or without."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class Intake:
-    """What a folder holds.
+    """The contents of a folder.
 
     Attributes:
         source: the folder.
         kind: photos, or a scene with poses.
         views: number of pairs, or of a scene's views.
-        held_out: views that are kept for scoring.
+        held_out: views for scoring.
         sizes: width and height of the images by modality, px.
-        camera: model of the thermal camera; empty if the files do not say.
-        has_celsius: whether the thermal photos hold temperatures; None without thermal photos.
+        camera: model of the thermal camera; empty if not known.
+        has_celsius: whether the thermal photos have temperatures; None without thermal photos.
         points: start points of a scene; None for photos.
         bytes: size of the files that are used.
         facts: further sentences for the user.
         poses_given: whether the poses of photos need not be found.
-        without_celsius: why the thermal photos hold no temperatures, as the first of them says;
-            empty where they do, and for a scene.
+        without_celsius: why the first thermal photo has no temperatures; empty if it has, and for a
+            scene.
         takes_bounds: whether the °C of black and white would turn them into temperatures.
     """
 
@@ -79,7 +79,7 @@ class Intake:
 
 
 def is_scene(folder: Path) -> bool:
-    """Whether a folder holds poses in a layout that ``load_scene`` reads."""
+    """Whether a folder has poses in a layout that ``load_scene`` reads."""
     if folder.is_file():
         return folder.suffix == ".json"
     if not folder.is_dir():
@@ -110,7 +110,7 @@ def take_in(source: Path, options: PrepareOptions, progress: Progress | None = N
 
 
 def _refuse_photo_options(source: Path, options: PrepareOptions) -> None:
-    """A scene's temperatures and cameras are fixed: what would change them must not be ignored.
+    """Refuse options for photos, which would change nothing in a scene.
 
     Raises:
         ConfigError: an option differs from its default.
@@ -165,7 +165,9 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
             f"{MIN_VIEWS}, better 20 or more; add photos of the same object from other places",
         )
     thermal = _first_readable(pairing.pairs, options)
-    relative = thermal.temperature_c is None
+    relative, skipped = thermal.temperature_c is None, len(pairing.skipped)
+    are = "is" if skipped == 1 else "are"
+    unused = [f"{counted(skipped, 'other file')} {are} not used."] if skipped else []
     return Intake(
         source,
         "photos",
@@ -176,7 +178,7 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
         not relative,
         None,
         sum(path.stat().st_size for pair in pairing.pairs for path in pair.photos.values()),
-        (pairing.rule, *_unused(len(pairing.skipped))),
+        (pairing.rule, *unused),
         options.poses is not None,
         " ".join(thermal.facts.warnings) if relative else "",
         relative and _takes_bounds(pairing.pairs, options),
@@ -184,19 +186,13 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
 
 
 def _takes_bounds(pairs: tuple[PhotoPair, ...], options: PrepareOptions) -> bool:
-    """Whether a thermal photo holds temperatures once the °C of black and white are given; it does
-    not where it shows a palette."""
+    """Whether a thermal photo has temperatures once the °C of black and white are given; not if it
+    shows a palette."""
     if options.overrides.unit is not None:
         return False
     bounded = replace(options, overrides=replace(options.overrides, bounds_c=(0.0, 1.0)))
     found = [_read(pair, bounded) for pair in pairs[:MIN_VIEWS]]
     return any(isinstance(each, ThermalPhoto) for each in found)
-
-
-def _unused(count: int) -> tuple[str, ...]:
-    if count == 0:
-        return ()
-    return ("1 other file is not used." if count == 1 else f"{count} other files are not used.",)
 
 
 def _first_readable(pairs: tuple[PhotoPair, ...], options: PrepareOptions) -> ThermalPhoto:

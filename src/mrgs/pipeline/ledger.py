@@ -1,10 +1,11 @@
-"""Which stages of a pipeline are done, and from what."""
+"""Which stages of a pipeline are done, and with which inputs."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from contextlib import suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,11 @@ from mrgs.system.atomic import write_text
 
 LEDGER = "pipeline.json"
 CONTENTS = "contents.json"
-"""The file that remembers what the files of the scene hold."""
+"""File of the digests of the scene's files."""
 
 
 class Ledger:
-    """The stages that are done, in a JSON file; what it does not hold, or what cannot be read, is
-    not done.
-    """
+    """The finished stages, in a JSON file; an unreadable entry counts as not done."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -76,18 +75,24 @@ class Ledger:
     def contents_of(self, folder: Path, without: Sequence[str] = ()) -> list[tuple[str, str]]:
         """Names and SHA-256 of all visible files below a folder, sorted. Only those that changed
         since the last call, also of another process, are read (on Windows: of this process).
-
-        Args:
-            folder: where.
-            without: names of folders, or endings such as ``*.html``, that do not count.
+        Files and folders whose names match a pattern of ``without`` do not count.
 
         Raises:
-            RunError: what they hold cannot be remembered.
+            RunError: the digests cannot be written.
         """
+        files = sorted(
+            path
+            for path in visible_files(folder)
+            if path.is_file()
+            and not any(
+                fnmatchcase(part, pattern)
+                for pattern in without
+                for part in path.relative_to(folder).parts
+            )
+        )
         try:
             found = [
-                (path.relative_to(folder).as_posix(), self._digests.of(path))
-                for path in _counting_files(folder, without)
+                (path.relative_to(folder).as_posix(), self._digests.of(path)) for path in files
             ]
         except BaseException:  # Ctrl-C: the next call reads the others only
             with suppress(RunError):
@@ -122,17 +127,3 @@ def file_stamp(path: Path, root: Path) -> tuple[str, int, int]:
     keeps its mtime is the same file."""
     size, mtime, _ = stamp_of(path)
     return path.relative_to(root).as_posix(), size, mtime
-
-
-def _counting_files(folder: Path, without: Sequence[str]) -> list[Path]:
-    """All visible files below a folder, sorted, but for those that do not count."""
-    return sorted(
-        path
-        for path in visible_files(folder)
-        if path.is_file()
-        and not any(
-            part.match(pattern)
-            for pattern in without
-            for part in (Path(name) for name in path.relative_to(folder).parts)
-        )
-    )
