@@ -16,10 +16,8 @@ from mrgs.report.pictures import (
     OVERVIEW_PX,
     _thermal,
     overviews,
-    photo_value,
-    surroundings,
 )
-from mrgs.report.spots import Renderer, Spot
+from mrgs.report.spots import Renderer, Spot, photo_value, surroundings
 from mrgs.scene import THERMAL, Camera, Pixels, PosedImage, Rendering, Scene, View
 from mrgs.scene.rendering import Blend
 

@@ -10,13 +10,12 @@ import torch
 from PIL import Image
 
 from mrgs.marks.mark import Mark
-from mrgs.marks.photo_survey import square_about
 from mrgs.pictures.drawing import Scale, above_scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
 from mrgs.report.plan import LABEL_PX, draw_marks
-from mrgs.report.spots import SAME_DEPTH, Renderer, Spot
+from mrgs.report.spots import SAME_DEPTH, Renderer
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
 
 OVERVIEW_PX = 900
@@ -84,7 +83,8 @@ def _overview(
         else:
             pixels = to_picture(modality, view.images[modality].load().values, None, "inferno")
             picture = Image.fromarray(pixels)
-        picture = _enlarged(picture, OVERVIEW_PX)
+        size = OVERVIEW_PX, max(1, round(picture.height * OVERVIEW_PX / picture.width))
+        picture = picture.resize(size, Image.Resampling.LANCZOS)
         _draw_marks(picture, camera, marks)
         pictures.append(
             picture if modality != THERMAL else above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
@@ -104,21 +104,6 @@ def _thermal(
     return Image.fromarray(scale.colorize(values)), scale
 
 
-def photo_value(view: View, spot: Spot) -> float | None:
-    """Normalised temperature of the thermal photo at a spot: the mean of 3×3 pixels.
-
-    None where the photo has no valid pixel.
-    """
-    photo = view.images[THERMAL]
-    pixels = photo.load()
-    values = to_array(pixels.values[..., 0])
-    if pixels.valid is not None:
-        values = np.where(pixels.valid.numpy(), values, np.nan)
-    column, row = (int(value) for value in _pixel(photo.camera, spot))
-    patch = values[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-    return float(np.nanmean(patch)) if patch.size and np.isfinite(patch).any() else None
-
-
 def _seen(view: View, marks: Mapping[str, Mark], render: Renderer) -> list[str]:
     """Names of the marks whose middle the view's thermal camera sees: in the image and not
     hidden."""
@@ -134,18 +119,6 @@ def _seen(view: View, marks: Mapping[str, Mark], render: Renderer) -> list[str]:
     return seen
 
 
-def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
-    """Column and row of a spot, which may lie outside the image; NaN behind the camera."""
-    column, row = camera.project(torch.from_numpy(spot.position))[0].tolist()
-    return column, row
-
-
-def _enlarged(image: Image.Image, width: int) -> Image.Image:
-    return image.resize(
-        (width, max(1, round(image.height * width / image.width))), Image.Resampling.LANCZOS
-    )
-
-
 def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -> None:
     """Draw the marks that do not reach behind the camera."""
     zoom = image.width / camera.width
@@ -155,13 +128,3 @@ def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -
     }
     shown = {name: corners for name, corners in places.items() if np.isfinite(corners).all()}
     draw_marks(image, marks, shown)
-
-
-def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:
-    """Normalised temperature about a spot: the median of the pixels about it that show a surface;
-    that of the spot where none does."""
-    camera = view.images[THERMAL].camera
-    part = square_about((camera.width, camera.height), *_pixel(camera, spot))
-    values = to_array(rendering[THERMAL].image[..., 0])[part]
-    solid = np.isfinite(to_array(rendering.surface_depth(THERMAL))[part])
-    return float(np.median(values[solid])) if solid.any() else spot.value

@@ -13,14 +13,8 @@ from mrgs.marks import MarkReading, Marks, RunMarks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import eye_of, spot_radius
-from mrgs.marks.tables import value_text
-from mrgs.pictures.numbers import number_text
-from mrgs.pictures.values import in_unit
-from mrgs.report.marks import ShownMark
-from mrgs.report.pictures import photo_value, surroundings
-from mrgs.report.spots import Spot, find_spots
-from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Scene, TemperatureRange
+from mrgs.report.spots import Spot, find_spots, surroundings
+from mrgs.scene import THERMAL, Scene
 from mrgs.survey import Survey
 
 PROPOSED = 3
@@ -67,30 +61,6 @@ class Proposals(NamedTuple):
 
     anomalies: Mapping[str, Anomaly]
     held_back: int
-
-
-class ShownProposal(NamedTuple):
-    """A proposal as the report shows it; numbers are formatted.
-
-    Attributes:
-        mark: as it would be if it were accepted.
-        contrast: its temperature minus that of its surroundings.
-        low: 10th percentile over the views.
-        high: 90th percentile over the views.
-        views: how many views see it.
-        position: x, y, z in scene units.
-        photo: temperature of the thermal photo there; None where it has no valid pixel.
-        at_end: whether the photo is at an end of the recorded range there.
-    """
-
-    mark: ShownMark
-    contrast: str
-    low: str
-    high: str
-    views: int
-    position: str
-    photo: str | None
-    at_end: bool
 
 
 def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> Proposals:
@@ -184,39 +154,3 @@ def _named(letter: str, anomalies: Sequence[Anomaly], marks: Marks) -> dict[str,
 def _is_at(mark: Mark, spot: Spot) -> bool:
     distance = np.linalg.norm(np.array(mark.points[0]) - spot.position)
     return bool(distance < SAME_PLACE * mark.radius)
-
-
-def show_proposals(
-    anomalies: Mapping[str, Anomaly], shown: Sequence[ShownMark], run: Run, scene: Scene
-) -> list[ShownProposal]:
-    """Proposals as the report shows them.
-
-    Args:
-        anomalies: by name.
-        shown: the same as marks.
-        run: that they were found in.
-        scene: with the photos.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
-    return [_shown(anomalies[mark.name], mark, run, scene) for mark in shown]
-
-
-def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> ShownProposal:
-    spot, temperature = anomaly.spot, scene.temperature
-    photo = photo_value(scene.views[spot.view], spot)
-    return ShownProposal(
-        mark,
-        value_text(anomaly.contrast, temperature, sign=True),
-        _text(spot.low, temperature),
-        _text(spot.high, temperature),
-        spot.views,
-        ", ".join(number_text(each, 2) for each in spot.position.tolist()),
-        None if photo is None else _text(photo, temperature),
-        photo is not None and not 0 < photo < 1 and run.image_model.thermal_gain is None,
-    )
-
-
-def _text(value: float, temperature: TemperatureRange | None) -> str:
-    return value_text(in_unit(THERMAL, value, temperature), temperature)

@@ -33,6 +33,7 @@ from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import label
 
 from mrgs.marks.photo_survey import square_about
+from mrgs.pictures.files import to_array
 from mrgs.scene import THERMAL, Camera, Rendering, SceneBounds, View, evenly_spaced
 
 VIEWS = 60
@@ -363,3 +364,34 @@ def _is_local(image: _Image, position: Float[np.ndarray, "3"], value: float, sig
     own = parts == parts[int(y), int(x)]
     reaches = own[0].any() or own[-1].any() or own[:, 0].any() or own[:, -1].any()
     return not (parts[int(y), int(x)] and reaches and own.mean() > LARGE_SHARE)
+
+
+def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:
+    """Normalised temperature about a spot: the median of the pixels about it that show a surface;
+    that of the spot where none does."""
+    camera = view.images[THERMAL].camera
+    part = square_about((camera.width, camera.height), *_pixel(camera, spot))
+    values = to_array(rendering[THERMAL].image[..., 0])[part]
+    solid = np.isfinite(to_array(rendering.surface_depth(THERMAL))[part])
+    return float(np.median(values[solid])) if solid.any() else spot.value
+
+
+def photo_value(view: View, spot: Spot) -> float | None:
+    """Normalised temperature of the thermal photo at a spot: the mean of 3×3 pixels.
+
+    None where the photo has no valid pixel.
+    """
+    photo = view.images[THERMAL]
+    pixels = photo.load()
+    values = to_array(pixels.values[..., 0])
+    if pixels.valid is not None:
+        values = np.where(pixels.valid.numpy(), values, np.nan)
+    column, row = (int(value) for value in _pixel(photo.camera, spot))
+    patch = values[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+    return float(np.nanmean(patch)) if patch.size and np.isfinite(patch).any() else None
+
+
+def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
+    """Column and row of a spot, which may lie outside the image; NaN behind the camera."""
+    column, row = camera.project(torch.from_numpy(spot.position))[0].tolist()
+    return column, row

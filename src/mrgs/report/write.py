@@ -3,40 +3,32 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
-from PIL import Image
-
-from mrgs.marks import RunMarks, open_marks
-from mrgs.marks.mark import Mark
-from mrgs.marks.regions import Regions
+from mrgs.marks import open_marks
 from mrgs.marks.tables import DASH
 from mrgs.marks.texts import PART_NAMES
-from mrgs.pictures.html import PAGE_STYLE, InlineImage, inline_image, write_html
+from mrgs.pictures.html import PAGE_STYLE, write_html
 from mrgs.pictures.settings import settings_of
 from mrgs.report.conditions import (
     air_sentence,
     conditions_of,
     emissivity_sentence,
     given_rows,
-    pixel_cm_text,
     stated_rows,
 )
+from mrgs.report.findings import show_findings
 from mrgs.report.marks import (
     CHART_HEIGHT,
     CHART_LEFT,
     CHART_WIDTH,
-    ShownMark,
     known_parts,
-    show_marks,
 )
 from mrgs.report.pdf import require_weasyprint, write_pdf
-from mrgs.report.pictures import Overview, overviews
-from mrgs.report.plan import Plan, TemperatureMap, temperature_map
-from mrgs.report.proposals import Anomaly, Proposals, ShownProposal, propose, show_proposals
+from mrgs.report.proposals import Proposals, propose
 from mrgs.report.sections import (
     capture_rows,
     read_contact_sheet,
@@ -47,85 +39,12 @@ from mrgs.report.sections import (
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
-from mrgs.survey import SURVEY_FILE, Survey, read_survey
+from mrgs.survey import SURVEY_FILE, read_survey
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
 
 PARTS = ("anomalies", "measurements and pictures", "scores and page")
-
-
-class ShownOverview(NamedTuple):
-    """A view in which marks are shown.
-
-    Attributes:
-        view: its name.
-        pictures: its photo, and its thermal rendering above the scale.
-    """
-
-    view: str
-    pictures: list[InlineImage]
-
-    @classmethod
-    def of(cls, overview: Overview) -> ShownOverview:
-        """An overview for a page."""
-        text = ", ".join(overview.seen)
-        return cls(
-            overview.view, [inline_image(each, text, quality=88) for each in overview.pictures]
-        )
-
-
-class ShownMap(NamedTuple):
-    """A map of the temperatures.
-
-    Attributes:
-        picture: with the marks, legend and scale bar.
-        caption: what it shows.
-    """
-
-    picture: InlineImage
-    caption: str
-
-    @classmethod
-    def of(cls, drawn: TemperatureMap, marks: Mapping[str, Mark], t: Texts) -> ShownMap:
-        """A map with marks for a page."""
-        width, height = drawn.size_m
-        size = {
-            "width": t.number(f"{width:.1f}"),
-            "height": t.number(f"{height:.1f}"),
-            "pixel": t.number(pixel_cm_text(drawn.drawn.grid.pixel_m)),
-        }
-        what = (
-            t("Temperatures of the façade from the front, to scale:")
-            if drawn.from_the_front
-            else t("Temperatures from above, to scale:")
-        )
-        rest = t("{width} × {height} m, {pixel} cm per pixel.", **size)
-        white = t("White: no surface, or too few photos look there.")
-        return cls(
-            inline_image(drawn.picture(marks, t.decimal), "map", quality=90),
-            f"{what} {rest} {white}",
-        )
-
-
-class Findings(NamedTuple):
-    """What was measured and what was found.
-
-    Attributes:
-        marks: of the run.
-        proposals: anomalies that nobody has judged.
-        overviews: the views that see them.
-        plan: with all of them; None without any, or where the map shows them all.
-        from_the_front: whether the plan is an elevation.
-        map: temperatures to scale; None where the scene has no such map.
-    """
-
-    marks: Sequence[ShownMark] = ()
-    proposals: Sequence[ShownProposal] = ()
-    overviews: Sequence[ShownOverview] = ()
-    plan: InlineImage | None = None
-    from_the_front: bool = False
-    map: ShownMap | None = None
 
 
 def report_run(
@@ -198,15 +117,17 @@ def write_report(
     regions = marks.meter.regions(marks.marks)
     found = propose(marks, scene, regions, survey) if has_thermal else Proposals({}, 0)
     begin(1)
-    findings = _findings(marks, regions, found.anomalies, scene, survey, t)
+    findings = show_findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
     every = (*findings.marks, *(proposal.mark for proposal in findings.proposals))
     parts = known_parts(every)
+    who = [each for each in (survey.inspector, survey.company) if each]
+    compared_with = {mark.compared_with for mark in findings.marks} - {""}
     return write_html(
         path,
         "report/report.html",
         title=survey.title or t("Thermal report: {name}", name=scene.name),
-        subtitle=_subtitle(survey, t),
+        subtitle=" · ".join([*([", ".join(who)] if who else []), t.date(date.today())]),
         language=language,
         t=t,
         survey=survey,
@@ -226,7 +147,7 @@ def write_report(
         parts_of_uncertainty=parts,
         camera_is_known=PART_NAMES["camera"] in parts.values(),
         every=every,
-        compared_with=_one_for_all(mark.compared_with for mark in findings.marks),
+        compared_with=compared_with.pop() if len(compared_with) == 1 else "",
         has_factor=any(mark.factor != DASH for mark in every),
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
         has_thermal_gains=run.image_model.thermal_gain is not None,
@@ -239,52 +160,3 @@ def write_report(
         contact_sheet=read_contact_sheet(run),
         training=training_rows(run, t),
     )
-
-
-def _findings(
-    marks: RunMarks,
-    regions: Regions,
-    anomalies: Mapping[str, Anomaly],
-    scene: Scene,
-    survey: Survey,
-    t: Texts,
-) -> Findings:
-    known = marks.marks
-    readings = marks.meter.measure(known, regions)
-    proposed = [anomaly.reading for anomaly in anomalies.values()]
-    named = {reading.mark.name: reading.mark for reading in (*readings, *proposed)}
-    drawn = temperature_map(marks.run, scene, regions)
-    shown_map = None if drawn is None else ShownMap.of(drawn, named, t)
-    if not named:
-        return Findings(map=shown_map)
-    plan = Plan(scene, list(named.values()))
-
-    def place(mark: Mark) -> Image.Image:
-        return plan.small(mark) if drawn is None or not drawn.shows(mark) else drawn.small(mark)
-
-    shown, candidates = (
-        show_marks(each, reference, regions, scene, survey, place, t.decimal)
-        for each, reference in ((readings, known.reference), (proposed, ""))
-    )
-    all_shown = drawn is not None and all(map(drawn.shows, named.values()))
-    views = overviews(scene, named, regions.render, t.decimal)
-    return Findings(
-        shown,
-        show_proposals(anomalies, candidates, marks.run, scene),
-        [ShownOverview.of(each) for each in views],
-        None if all_shown else inline_image(plan.whole(named), "plan", png=True),
-        plan.from_the_front,
-        shown_map,
-    )
-
-
-def _one_for_all(names: Iterable[str]) -> str:
-    """The one mark that all are compared with which are compared with any; empty if they differ."""
-    different = set(names) - {""}
-    return different.pop() if len(different) == 1 else ""
-
-
-def _subtitle(survey: Survey, t: Texts) -> str:
-    """Who reports, and when."""
-    who = [each for each in (survey.inspector, survey.company) if each]
-    return " · ".join([*([", ".join(who)] if who else []), t.date(date.today())])
