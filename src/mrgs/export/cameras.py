@@ -107,7 +107,7 @@ def _frame(view: View, has_celsius: bool) -> dict[str, Any]:
 
 
 def _image_path(view: View, modality: Modality, has_celsius: bool) -> str:
-    """Of a view's photo, relative to the folder."""
+    """Path of a view's photo, relative to the folder."""
     suffix = "tiff" if modality == THERMAL and has_celsius else "png"
     return f"{'images' if modality == RGB else modality}/{view.name}.{suffix}"
 

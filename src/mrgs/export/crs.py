@@ -2,7 +2,7 @@
 
 Where GPS placed the scene, coordinates become those of a projected CRS: UTM on WGS 84, or any other
 in metres. East, north, up at the scene's origin (ENU) and map coordinates differ by more than a
-similarity, but over a scene by millimetres; what is left is said.
+similarity, but over a scene by millimetres; the residual is reported.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ class ExportJob:
 
     @cached_property
     def uncertainty(self) -> UncertaintyMeter | None:
-        """Of the temperatures; None without thermal photos."""
+        """Uncertainty of the temperatures; None without thermal photos."""
         if THERMAL not in self.scene.modalities:
             return None
         if self.marks is not None:

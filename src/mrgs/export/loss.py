@@ -52,7 +52,7 @@ def _loss(photo: PosedImage, trained: Tensor, baked: Tensor) -> float:
 
 
 def _mean(losses: list[float]) -> float | None:
-    """Mean of those that are finite: of identical images, or images without a valid pixel, none
+    """Mean of the finite losses: of identical images, or images without a valid pixel, none
     is."""
     finite = [loss for loss in losses if math.isfinite(loss)]
     return round(math.fsum(finite) / len(finite), 4) + 0.0 if finite else None  # no -0.0
@@ -93,7 +93,7 @@ def correction_note(
 def _errors_c(
     uncorrected: BakedModel, corrected: BakedModel, regions: Regions, camera: Camera
 ) -> Float32[np.ndarray, " n"]:
-    """Of the pixels of the regions in a view, K."""
+    """Errors in the pixels of the regions in a view, K."""
     assert uncorrected.temperature is not None
     if camera.width > WIDTH_PX:
         camera = camera.with_width(WIDTH_PX)

@@ -23,7 +23,7 @@ MEAN_OVER = 32
 """Cameras over which a colour without direction is averaged."""
 
 UNSEEN_WEIGHT = 1e-3
-"""Of a camera that does not have the splat in its image; not zero, for splats that none has."""
+"""Weight of a camera without the splat in its image; not zero, for splats that none sees."""
 
 
 @dataclass(frozen=True, eq=False)

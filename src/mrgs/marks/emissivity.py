@@ -54,7 +54,7 @@ class CaptureSettings:
 
     @classmethod
     def of(cls, scene: Scene | None) -> CaptureSettings:
-        """Of a scene's thermal photos; what differs between them is the median."""
+        """The settings of a scene's thermal photos: their median where they differ."""
         records = [] if scene is None else scene.records
         surface, surface_notes = _surface_of(records)
         law, law_notes = _law_of(records)

@@ -1,4 +1,4 @@
-"""What a mark is: points on a surface, where they were drawn from, and what the user says of it."""
+"""What a mark is: points on a surface, where they were drawn from, and the user's notes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Mark:
             does not belong to it.
         radius: of a spot's disc, scene units; 0 for the other kinds.
         note: the user's words.
-        severity: how grave the finding is: a class of IEC TS 62446-3 (1, 2, 3), or words.
+        severity: of the finding: class 1 to 3 of IEC TS 62446-3, or free text.
         emissivity: of the surface in a box or polygon; None keeps that of the photos.
         reflected_c: reflected apparent temperature there, °C; None keeps that of the photos.
         against: name of the mark whose mean is subtracted in ΔT; empty for the reference.
@@ -177,12 +177,9 @@ class Marks:
             raise ConfigError(f"more than {MOST_MARKS} marks: delete some")
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ConfigError(f"two marks are named {shown(twice[0])}: choose another name")
-        missing = [*([self.reference] if self.reference else []), *self._compared()]
-        for name in missing:
-            self.named(name)
-
-    def _compared(self) -> list[str]:
-        return [mark.against for mark in self.marks if mark.against]
+        for name in (self.reference, *(mark.against for mark in self.marks)):
+            if name:
+                self.named(name)  # raises where there is none
 
     def __len__(self) -> int:
         return len(self.marks)

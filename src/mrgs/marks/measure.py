@@ -32,7 +32,7 @@ from mrgs.scene import THERMAL, Camera, TemperatureRange
 
 PROFILE_SAMPLES = 200
 CHECKED_POINTS = 64
-"""Of a mark, to tell which photos see it."""
+"""Number of points of a mark by which photos count as seeing it."""
 
 NO_SURFACE = "no surface there: draw it on the model"
 NO_PHOTO = "no photo looks at it, so its temperature is not known"
@@ -126,7 +126,7 @@ class MarkMeter:
         temperature: the scale of the thermal values; None without known °C.
         cameras: of the thermal photos; empty if they are not known.
         capture: what the temperatures of the photos were computed with.
-        uncertainty: says how far they may be from the truth; None if the photos are not known.
+        uncertainty: of the temperatures; None if the photos are not known.
 
     Attributes:
         survey: what the cameras see of the model.

@@ -78,10 +78,10 @@ class Shares(NamedTuple):
 
 
 OF_POINT = Shares(0.7, 0.65, 0.0, 0.0)
-"""Of what the photos' cameras see at a single point, so that there is no deviation."""
+"""For what the photos' cameras see at a single point, which has no deviation."""
 
 OF_MARK = Shares(0.9, 0.4, 4.0, 1.2)
-"""Of the mean of a mark, which is over detail that is not resolved."""
+"""For the mean of a mark, which averages over unresolved detail."""
 
 READING, RENDERED = 0, 1
 SHIFTS = slice(2, 6)
@@ -168,10 +168,10 @@ WIDTH_PX = 320
 """Wider photos are reduced to this width."""
 
 NOISE_PHOTOS = 4
-"""In which the noise of the values is looked for, where these are rounded."""
+"""Number of photos whose noise is estimated, where their values are rounded."""
 
 EVEN_SHARE = 0.25
-"""Of the blocks of a photo, that show even surfaces: elsewhere what the model does not resolve
+"""Share of a photo's blocks that show even surfaces: elsewhere what the model does not resolve
 looks like noise, and noise would average the roundings."""
 
 USUAL_BLUR_PX = 1.4
@@ -319,7 +319,7 @@ def _reduced(image: Float[Tensor, "h w"], size: tuple[int, ...]) -> Float[np.nda
 
 
 def _shifted(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 4"]:
-    """By how much the values ``SHIFT_PX`` below, above, to the right and to the left are larger."""
+    """Differences to the values ``SHIFT_PX`` below, above, to the right and to the left."""
     wide = np.pad(image, SHIFT_PX, mode="edge")
     middle, twice = slice(SHIFT_PX, -SHIFT_PX), 2 * SHIFT_PX
     sides = [
@@ -331,10 +331,10 @@ def _shifted(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 4"]:
 def _blurring(
     change: Float[np.ndarray, "h w"], shifted: Float[np.ndarray, "h w 4"]
 ) -> Float[np.ndarray, "h w"]:
-    """By how much the camera's blur changes what the model shows.
+    """Change of the model's image by the camera's blur.
 
     Where no blur is known, that of a usual one: for small widths σ it is σ² / 2 times the
-    Laplacian, which four values in the distance d tell as 4 (mean − middle) / d².
+    Laplacian, which four values in the distance d give as 4 (mean − middle) / d².
     """
     if np.abs(change).max() < LEAST_BLURRING:
         return 2 * (USUAL_BLUR_PX / SHIFT_PX) ** 2 * shifted.mean(axis=2)

@@ -22,7 +22,7 @@ from mrgs.scene.depth_map import MAX_VIEWS, DepthMap
 from mrgs.scene.view import evenly_spaced
 
 SURVEY_WIDTH_PX = 160
-"""Width of the images that tell which photos see a place."""
+"""Width of the depth images by which a photo counts as seeing a place."""
 
 
 class PhotoSurvey:

@@ -34,7 +34,7 @@ REGION_DEPTH = 0.08
 than this share: more than the depths of a model differ from view to view."""
 
 FLAT, FLAT_PERCENT = 0.02, 75
-"""A region is flat if so many per cent of its depths are within this share of those of a plane."""
+"""A region is flat if ``FLAT_PERCENT`` of its depths are within the share ``FLAT`` of a plane's."""
 
 MOST_FITTED = 4_000
 """Pixels of a region that its plane is found by."""

@@ -196,7 +196,7 @@ class MarkPicker:
     Args:
         meter: sees the surface.
         scene: with the photos; None if it is not available.
-        by_photos: whether depths are those that the photos agree on; else those of the model.
+        by_photos: whether depths come from the photos; else from the model.
     """
 
     def __init__(self, meter: MarkMeter, scene: Scene | None, by_photos: bool = True) -> None:
@@ -263,7 +263,7 @@ def spot_radius(place: Place, camera: Camera, scene: Scene | None) -> float:
 
 
 def eye_of(camera: Camera) -> Place:
-    """Where a camera stands."""
+    """Position of a camera."""
     (place,) = places_of([camera.position.tolist()])
     return place
 

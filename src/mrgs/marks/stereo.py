@@ -26,7 +26,7 @@ PHOTO_WIDTH_PX = 640
 """Wider photos are reduced to this width."""
 
 FEWEST_PHOTOS, MOST_PHOTOS = 3, 16
-"""That are compared."""
+"""Number of photos that are compared."""
 
 PATCH_PX, PATCH_SAMPLES, PATCH_SIGMA = 8.0, 15, 0.6
 """Half a side of the patch in pixels of the photos, samples along a side, and the standard
@@ -46,7 +46,7 @@ INDEPENDENT = 0.25
 """Share of the samples that count as independent: neighbours have the same pixels."""
 
 LEAST_NOISE = 0.003
-"""Of photos from 0 to 1, standard deviation."""
+"""Standard deviation of the noise of photos from 0 to 1."""
 
 STEPS = 8
 DONE = 1e-4
@@ -178,7 +178,7 @@ def _faces(camera: Camera, place: Float[np.ndarray, "3"], normal: Float[np.ndarr
 
 
 def _normal(place: Float[np.ndarray, "3"], maps: Sequence[DepthMap]) -> Float[np.ndarray, "3"]:
-    """Of the plane through most of what depth maps show about a place that all of them see."""
+    """Normal of the plane through most of what depth maps show about a place that all see."""
     about = [_about(item, place) for item in maps]
     points, weights = (np.concatenate(each) for each in zip(*about, strict=True))
     now = weights
@@ -237,13 +237,13 @@ def _patch(
 
 
 def _pixel_size(photo: _Photo, place: Float[np.ndarray, "3"]) -> float:
-    """Of a pixel at a place, scene units."""
+    """Width of a pixel at a place, scene units."""
     z = photo.projection[2, :3] @ place + photo.projection[2, 3]
     return float(z / np.linalg.norm(photo.projection[0, :3]))
 
 
 def _step_to_agreement(photos: Sequence[_Photo], patch: _Patch) -> float:
-    """By which share of its distance the patch moves to where the photos agree: Gauss-Newton about
+    """Share of its distance that the patch moves by to where the photos agree: Gauss-Newton about
     the model's surface. Photos and samples that agree with no others lose their weight."""
     known = np.array([DEPTH_DEVIATION, SLOPE_DEVIATION, SLOPE_DEVIATION])
     now, of_photos, of_samples = np.zeros(3), np.ones(len(photos)), patch.weights
@@ -280,7 +280,7 @@ def _shown(
 def _slopes(
     photos: Sequence[_Photo], patch: _Patch, parameters: Float[np.ndarray, "3"]
 ) -> list[Float[np.ndarray, "v s c"]]:
-    """By how much what they show changes with each parameter."""
+    """Derivatives of what photos show by each parameter."""
     return [
         (_shown(photos, patch, parameters + step) - _shown(photos, patch, parameters - step))
         / (2 * step.sum())

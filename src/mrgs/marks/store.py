@@ -17,7 +17,7 @@ from jaxtyping import Float
 from mrgs.errors import ConfigError, RunError, warn_user
 from mrgs.marks.mark import Mark, Marks
 from mrgs.runs.open import TrainedRun
-from mrgs.scene import Camera, Scene
+from mrgs.scene import Scene
 from mrgs.system.atomic import require_folder, write_error, write_text
 from mrgs.system.wording import shown
 
@@ -36,7 +36,7 @@ Content = TypeVar("Content")
 
 
 class CameraSpread(NamedTuple):
-    """By which a world is known again: its photos' cameras.
+    """Positions of a scene's cameras in brief, to recognise its coordinate frame.
 
     Attributes:
         images: number of training images.
@@ -50,20 +50,20 @@ class CameraSpread(NamedTuple):
 
     @classmethod
     def of(cls, positions: Float[np.ndarray, "n 3"]) -> CameraSpread:
-        """Of positions in world coordinates."""
+        """The spread of positions in world coordinates."""
         centre = positions.mean(axis=0)
         extent = np.linalg.norm(positions - centre, axis=1).max()
         return cls(len(positions), tuple(centre.tolist()), float(extent))
 
     @classmethod
     def of_scene(cls, scene: Scene) -> CameraSpread:
-        """Of a scene's training images."""
+        """The spread of the cameras of a scene's training images."""
         cameras = [camera for view in scene.train for camera in view.cameras.values()]
-        return cls.of(_positions(cameras))
+        return cls.of(np.stack([camera.position.numpy() for camera in cameras]))
 
     @classmethod
     def of_run(cls, run: TrainedRun) -> CameraSpread:
-        """Of the images that a run was trained on.
+        """The spread of the cameras that a run was trained on.
 
         Raises:
             SceneError: an old run does not say where they were, and its scene cannot be read.
@@ -202,7 +202,7 @@ class MarkStore:
         return document
 
     def _set_aside(self, path: Path, reason: str) -> None:
-        """Keep a damaged file under another name, and say so."""
+        """Keep a damaged file under another name, with a warning."""
         names = (f"{path.name}.damaged{number}" for number in ["", *range(2, 1000)])
         aside = next(path.with_name(each) for each in names if not path.with_name(each).exists())
         try:
@@ -302,7 +302,3 @@ def _spread_from_json(value: Any) -> CameraSpread:
     if len(centre) != 3:
         raise ConfigError(f"its cameras are {shown(value)}")
     return spread
-
-
-def _positions(cameras: Sequence[Camera]) -> Float[np.ndarray, "n 3"]:
-    return np.stack([camera.position.numpy() for camera in cameras])

@@ -38,7 +38,7 @@ WIDEST_SLOPE = 5.0
 """Tangent of the largest angle between the middle of a mark and its corners, seen from the eye."""
 
 FEWEST_PIXELS = 12
-"""To fit a surface to."""
+"""Smallest number of pixels to fit a surface to."""
 
 PICK_SHARE = 0.02
 """Half width of the pixels that a picked place is steadied with, as a share of the image's."""
@@ -56,7 +56,7 @@ folds it by some 25°: the area of a rectangle with such a corner is off by 4 % 
 
 ROBUST_STEPS = 8
 TUKEY = 6.0
-"""What lies farther from a surface than so many times the median does not count."""
+"""Residual, in multiples of the median, from which on a point is ignored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,14 +270,8 @@ def steady_depth(surface: SeenSurface, x: float, y: float) -> float:
         return float(here)
     rays = rays_of(surface.camera, *grid[near].T)
     fx, fy, cx, cy = surface.camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-    return _plane_depth(rays, depth[near], np.array([(x - cx) / fx, (y - cy) / fy, 1.0]))
-
-
-def _plane_depth(
-    rays: Float[np.ndarray, "n 3"], depth: Float[np.ndarray, " n"], wanted: Float[np.ndarray, "3"]
-) -> float:
-    """z-depth on a ray of the plane through most of the depths on others."""
-    return float(1 / max(float(wanted @ fitted_plane(rays, depth)), 1e-12))
+    wanted = np.array([(x - cx) / fx, (y - cy) / fy, 1.0])
+    return float(1 / max(float(wanted @ fitted_plane(rays, depth[near])), 1e-12))
 
 
 def fitted_plane(

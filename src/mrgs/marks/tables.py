@@ -90,7 +90,7 @@ def around_text(around: float, temperature: TemperatureRange | None, *, unit: bo
 
 
 def total_uncertainty(reading: MarkReading) -> float:
-    """Of the mean, all parts together; NaN where it is not known."""
+    """Total uncertainty of the mean; NaN where it is not known."""
     return math.nan if reading.uncertainty is None else reading.uncertainty.total
 
 
@@ -146,8 +146,8 @@ def text_rows(
 
 
 def _note_text(reading: MarkReading) -> str:
-    """What else there is to say of a mark, on one line."""
-    corrected, note = corrected_text(reading), _line(reading.mark.note)
+    """Problem, correction, remarks and note of a mark, on one line."""
+    corrected, note = corrected_text(reading), " ".join(reading.mark.note.split())
     return "; ".join(filter(None, (reading.problem, corrected, *reading.remarks, note)))
 
 
@@ -220,7 +220,7 @@ def write_csv(
         readings: of the marks.
         temperature: the scale of the thermal values; None without known °C.
         world: the frame of the marks' coordinates.
-        assumed: says what a reading takes for known.
+        assumed: returns what a reading takes for known.
 
     Raises:
         RunError: a file cannot be written.
@@ -304,10 +304,6 @@ def _cell(value: Any) -> Any:
     if isinstance(value, float):
         return f"{value:.6g}"
     return escape_cell(value) if isinstance(value, str) else value
-
-
-def _line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _known(value: float) -> float | None:

@@ -30,7 +30,7 @@ PART_NAMES = {
 """What the parts of an uncertainty are called."""
 
 MOSTLY_COVERED = 0.98
-"""A mark that shows a surface on less of it says so."""
+"""Covered share of a mark below which its text mentions the share."""
 
 
 class MarkText(TypedDict):
@@ -53,7 +53,7 @@ class MarkText(TypedDict):
 
 
 def label_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
-    """What stands beside a mark in a picture: its name, and its mean if there is one."""
+    """Label of a mark in a picture: its name, and its mean if there is one."""
     return f"{reading.mark.name}  {value_with_uncertainty(reading, temperature)}".rstrip()
 
 

@@ -108,7 +108,7 @@ class Budget:
 
     @classmethod
     def of(cls, scene: Scene | None, survey: Survey) -> Budget:
-        """Of a scene's photos, and of what a survey states."""
+        """The budget of a scene's photos, with what a survey states."""
         records = [] if scene is None else scene.records
         known = [record.parameters for record in records if record.parameters is not None]
         accuracy, notes = _accuracy(survey, any(record.camera for record in records))
@@ -191,7 +191,7 @@ class Budget:
     def _gain(
         self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
     ) -> Float64[np.ndarray, "..."]:
-        """By how much the temperature of a surface changes with that of the photos."""
+        """Derivative of a surface's temperature by that of the photos."""
         if surface == self.capture.surface:
             return np.ones(celsius.shape)
         ends = [self.capture.corrected(celsius + step, surface) for step in (-0.5, 0.5)]
@@ -237,7 +237,7 @@ def _half(pair: Sequence[Float64[np.ndarray, "..."]]) -> Float64[np.ndarray, "..
 
 
 def _share(value: float) -> float:
-    """An emissivity within what there is."""
+    """An emissivity within its limits."""
     return min(max(value, 0.01), 1.0)
 
 
@@ -284,7 +284,7 @@ def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | N
 
 
 class UncertaintyMeter:
-    """Says how far temperatures may be from the truth, in 95 of 100 cases.
+    """Estimates how far temperatures may be from the truth, in 95 of 100 cases.
 
     Args:
         witnesses: the thermal photos.
@@ -301,7 +301,7 @@ class UncertaintyMeter:
 
     @classmethod
     def of_run(cls, run: Run, scene: Scene) -> UncertaintyMeter:
-        """Of a run, with what the survey in its folder states.
+        """The meter of a run, with what the survey in its folder states.
 
         Raises:
             ConfigError: the survey has a value that cannot be.
@@ -319,7 +319,7 @@ class UncertaintyMeter:
         temperature: TemperatureRange | None,
         survey: Survey,
     ) -> UncertaintyMeter:
-        """Of a model that is rendered in any way.
+        """The meter of a model that is rendered in any way.
 
         Args:
             render: renders it with the depth of its surfaces.
@@ -337,7 +337,7 @@ class UncertaintyMeter:
         value: float,
         surface: SurfaceSettings | None = None,
     ) -> Uncertainty:
-        """Of the mean of a mark.
+        """Uncertainty of the mean of a mark.
 
         Args:
             points: on its surface, world coordinates.
@@ -358,7 +358,7 @@ class UncertaintyMeter:
         values: Float32[np.ndarray, " n"],
         regions: Regions | None = None,
     ) -> Float32[np.ndarray, " n"]:
-        """Of temperatures at points on surfaces, all parts together; NaN where no photo looked,
+        """Total uncertainty of temperatures at points on surfaces; NaN where no photo looked,
         [N].
 
         Args:

@@ -50,10 +50,10 @@ MARK_SHARE = 0.5
 """Share of a picture's side that a mark takes up at most."""
 
 LEAST_SHARE = 0.4
-"""Of the photo's width that a picture shows at least: what lies about a mark tells where it is."""
+"""Smallest share of the photo's width in a picture: the surroundings show where a mark is."""
 
 SPANNED_SHARE = 0.6
-"""Of a picture's sides about the mark whose temperatures the colours span."""
+"""Share of a picture's sides, about the mark, whose temperatures the colours span."""
 
 LABEL_PX, BAR_TEXT_PX, SCALE_GAP_PX = 22, 24, 8
 CROSS_PX, DOT_PX = 16, 7

@@ -25,7 +25,7 @@ OVERVIEW_CANDIDATES = 24
 MOST_OVERVIEWS = 3
 SCALE_GAP_PX = 10
 TAIL_PERCENT = 0.2
-"""Of the surfaces' temperatures at each end that may lie beyond the colours of a picture."""
+"""Percentage of the surfaces' temperatures cut off at each end of a picture's colour scale."""
 
 
 class Overview(NamedTuple):

@@ -55,7 +55,7 @@ def draw_marks(
     Args:
         image: to draw on.
         marks: by name.
-        places: pixels of the corners of those that are drawn.
+        places: pixels of the corners of the marks to draw.
     """
     for name, corners in places.items():
         path = [*map(tuple, corners)]
@@ -167,7 +167,7 @@ WIDTH_PX, HEIGHT_PX, MARGIN_PX = 1440, 840, 40
 SMALL_RADIUS_PX = 22
 MOST_POINTS = 20_000
 TRIMMED_PERCENT = 4.0
-"""Of the start points on each side: what strays far off does not shrink the plan."""
+"""Percentage of start points ignored on each side, so that outliers do not shrink the plan."""
 
 FACES_ONE_SIDE = 0.7
 """Length of the mean of the cameras' level directions above which they look at one side."""
@@ -292,7 +292,7 @@ MOST_PX = 1200
 
 SMALL_DRAWN_PX, SMALL_RADIUS = 1200, 0.02
 WHITE_SHARE = 0.3
-"""In the colours of the small map, so that the mark stands out."""
+"""Share of white mixed into the small map, to make the mark visible."""
 
 LOOKS_DOWN = 0.7
 """Mean share of the cameras' directions that points down, above which a scene is seen from

@@ -18,16 +18,16 @@ from mrgs.scene import THERMAL, Scene
 from mrgs.survey import Survey
 
 PROPOSED = 3
-"""At most so many hot and so many cold places, unless the survey says how many."""
+"""Largest number of hot places, and of cold ones, unless the survey sets them."""
 
 CANDIDATES = 2
-"""Times as many are measured to find them."""
+"""Candidates measured per proposal."""
 
 LEAST_PHOTOS = 2
-"""That see a place as a mark."""
+"""Number of photos that must see a proposed place."""
 
 SAME_PLACE = 10.0
-"""A spot that lies nearer to an earlier proposal than so many of its radii keeps its name."""
+"""Distance from an earlier proposal, in its radii, below which a spot keeps that name."""
 
 
 class Anomaly(NamedTuple):
@@ -74,7 +74,7 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> 
         marks: of the run.
         scene: of the run.
         regions: surfaces with an emissivity of their own, for which temperatures are corrected.
-        survey: may say how many to propose.
+        survey: may set the numbers of proposals.
 
     Raises:
         SceneError: a photo cannot be read.

@@ -50,19 +50,19 @@ image's width do not count."""
 
 CUBE_PX = 3
 CELL_BITS = 21
-"""Of a number of a cube for each axis; what lies farther off counts as one cube."""
+"""Bits of a cube's number per axis; anything farther away counts as one cube."""
 
 MIN_POINTS = 3
-"""Of one view in a cube; fewer are a sliver seen at a grazing angle."""
+"""Smallest number of points of a view in a cube; fewer are a sliver at a grazing angle."""
 
 LARGE_SHARE = 0.04
-"""Of a picture, above which something that reaches its border is no anomaly."""
+"""Share of a picture above which something that reaches its border is no anomaly."""
 
 LEFT_OUT_SHARE = 0.2
-"""Of the separation: what lies nearer to a cube that was left out is not looked at."""
+"""Share of the separation within which neighbours of a rejected cube are skipped."""
 
 LEAST_CONTRAST = 0.01
-"""Of the recorded range, by which a spot differs from the middle of its surroundings at least."""
+"""Smallest difference of a spot to the median about it, as a share of the recorded range."""
 
 AS_EXTREME = 0.1
 """What differs from a spot by less than this share of the range about it is as extreme."""

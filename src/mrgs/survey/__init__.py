@@ -33,7 +33,7 @@ class Survey:
     Attributes:
         title: of the report.
         object: what was inspected.
-        address: where it stands.
+        address: of the object.
         client: who ordered the inspection.
         inspector: who did it.
         company: the inspector's.
@@ -67,7 +67,7 @@ class Survey:
         emissivity_uncertainty: standard uncertainty of the emissivities.
         reflected_uncertainty_c: standard uncertainty of the reflected temperatures, K.
         distance_uncertainty_percent: standard uncertainty of the distances, per cent.
-        hot_places: at most so many of the hottest places are proposed as anomalies.
+        hot_places: largest number of hottest places that are proposed as anomalies.
         cold_places: the same of the coldest.
         statement: the inspector's conclusion.
         remarks: anything else.

@@ -158,7 +158,7 @@ class MarkBoard:
 
     @property
     def uncertainty(self) -> UncertaintyMeter | None:
-        """Of the model's temperatures; None where it is not known."""
+        """Uncertainty of the model's temperatures; None where it is not known."""
         return self._meter.uncertainty
 
     def subscribe(self, listener: Listener) -> None:

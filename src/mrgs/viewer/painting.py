@@ -19,7 +19,7 @@ from mrgs.viewer.settings import Settings, in_kelvin
 
 ISOTHERM_COLOR = (0, 230, 118)
 ISOTHERM_ON_RAINBOW = (255, 0, 220)
-"""Green stands in the rainbow already."""
+"""The rainbow palette contains green."""
 
 EMPTY_COLOR = (38, 41, 48)
 """Around the panes."""

@@ -44,7 +44,7 @@ DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8080
 
 LIVE_REFRESH_S = 3.0
-"""Time after which a browser at rest is told that the model has changed."""
+"""Interval at which browsers at rest are notified that the model has changed."""
 
 _log = logging.getLogger(__name__)
 

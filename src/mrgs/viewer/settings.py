@@ -51,7 +51,7 @@ class Mode:
     Attributes:
         kind: ``image``, ``uncertainty`` and ``difference`` (model minus photo) show one modality,
             ``side_by_side``, ``blend`` and ``split`` two; ``photos`` shows photos beside the model.
-        modalities: those that are shown; of two, the left or lower one first.
+        modalities: that are shown; of two, the left or lower one first.
     """
 
     kind: Kind
@@ -134,7 +134,7 @@ class Subject:
     Attributes:
         name: of the scene and the run, for the title.
         source: gives access to the model.
-        modalities: those that are shown, see ``shown_modalities``.
+        modalities: that are shown, see ``shown_modalities``.
         temperature: the scale of the thermal values; None without known °C.
         scene: the capture, for its cameras and photos; None if it is not available.
         folder: the run's folder; screenshots and videos go into its ``renders``.
@@ -164,7 +164,7 @@ class Subject:
 
     @cached_property
     def limits(self) -> Mapping[Modality, tuple[float, float]]:
-        """Of each modality with a unit, the limits that its scale is locked at to begin with."""
+        """The limits that the scale of each modality with a unit is locked at at first."""
         return starting_limits(self.modalities, self.scene, self.temperature)
 
     @property

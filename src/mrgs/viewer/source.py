@@ -96,7 +96,7 @@ MOST_IN_VIEW = 80_000
 """Gaussians that are drawn ten times a second by two cores."""
 
 LEVEL_FACTOR = 5
-"""A level has so many times the Gaussians of the one below it."""
+"""Ratio of the numbers of Gaussians of neighbouring levels."""
 
 
 class DetailLevel(NamedTuple):
@@ -104,7 +104,7 @@ class DetailLevel(NamedTuple):
 
     Attributes:
         model: of this level.
-        stands_for: how many of this level each Gaussian of the coarsest stands for.
+        stands_for: number of Gaussians of this level that each of the coarsest replaces.
     """
 
     model: Model

@@ -117,8 +117,8 @@ class Viewer:
         self._worker.put("warm up", lambda: _draw_unseen(self._subject, camera))
 
     def refresh(self, note: str) -> None:
-        """Say to every browser that the model has changed, with a new note; those that are looked
-        at ask for a picture."""
+        """Tell every browser that the model has changed, with a new note; visible pages
+        then ask for a picture."""
         self.note = note
         for browser in self.browsers:
             browser.set_note(note)

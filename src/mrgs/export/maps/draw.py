@@ -1,4 +1,4 @@
-"""An orthographic map of a model: temperatures, colours, and what the photos say of both."""
+"""An orthographic map of a model: temperatures, colours, and their support by photos."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from mrgs.scene import RGB, THERMAL, Camera, Scene
 from mrgs.scene.depth_map import DepthMap
 
 MAX_PIXELS = 50_000_000
-"""Of a map; drawing it takes some 60 bytes for each."""
+"""Largest number of pixels of a map; drawing takes about 60 bytes per pixel."""
 
 PART_PX = 1024
-"""Maps are drawn in parts of so many pixels in width and height."""
+"""Largest width and height, in pixels, of the parts that a map is drawn in."""
 
 LEAST_ALPHA = 0.05
 """A colour that is blended less is darker than its surface."""
@@ -76,7 +76,7 @@ def draw_map(
     coverage: Coverage | None = None,
     regions: Regions | None = None,
 ) -> OrthographicMap:
-    """Draw the splats but for those that float, seen from very far away.
+    """Draw the splats without floaters, seen from very far away.
 
     The drawing gives the surface of each pixel and its colour. Its temperature is the mean of what
     the cameras of the photos see there in the model, as in all exports: from where no photo was

@@ -36,7 +36,7 @@ CANDIDATES = 400
 REFITS = 4
 
 BASELINE_PX = 4
-"""Normals are those of triangles with sides of so many pixels: depths jump from splat to splat."""
+"""Side, in pixels, of the triangles that give the normals: depths jump from splat to splat."""
 
 THICKNESS = 0.012
 """A point this share of the median viewing distance off a plane still belongs to it: window reveals
@@ -279,7 +279,7 @@ def export(job: ExportJob) -> list[Path]:
 def caption_and_facts(
     scene: Scene, drawn: OrthographicMap, facade: Facade
 ) -> tuple[Caption, dict[str, Any]]:
-    """What is said of a façade in its picture, and in its sidecar."""
+    """The texts of a façade's picture, and the facts of its sidecar."""
     grid = drawn.grid
     facts = {
         "map": "orthographic, of a façade",

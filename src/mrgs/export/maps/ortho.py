@@ -50,7 +50,7 @@ def export(job: ExportJob) -> list[Path]:
 def caption_and_facts(
     name: str, drawn: OrthographicMap, system: CoordinateSystem
 ) -> tuple[Caption, dict[str, Any]]:
-    """What is said of the map of a scene in its picture, and in its sidecar."""
+    """The texts of a map's picture, and the facts of its sidecar."""
     north = " · north is up" if system.north else ""
     caption = Caption(
         f"{name}: temperatures from above",

@@ -138,7 +138,7 @@ def bar_length(width: int, metres_per_px: float, decimal: str) -> tuple[float, l
 
 
 def _draw_north(picture: Image.Image, middle: tuple[float, float], angle_deg: float) -> None:
-    """An arrow that points so many degrees clockwise from up, with an N at its tip."""
+    """An arrow at an angle clockwise from up, with an N at its tip."""
     ahead = np.exp(1j * np.radians(angle_deg - 90))
 
     def place(forward: float, right: float) -> tuple[float, float]:

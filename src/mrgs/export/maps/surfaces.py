@@ -274,7 +274,7 @@ class Coverage:
 
     @classmethod
     def of(cls, places: Iterable[Float64[np.ndarray, "_ 2"]], cell_m: float) -> Coverage:
-        """Of the map coordinates of what each photo shows, at least one place in all.
+        """Count photos by the map coordinates of what each shows, at least one place in all.
 
         Args:
             places: of each photo, [N, 2].

@@ -40,7 +40,7 @@ SH_STEPS = (254, 126, 126, 126)
 """Per degree; even, so that zero is exact."""
 
 CLIPPED_SHARE = 5e-4
-"""Of the coefficients of a band; the few beyond would cost all others their precision."""
+"""Share of a band's coefficients that is clipped, for the precision of all others."""
 
 SAMPLED = 2**18
 """Splats from which the limits of the harmonics are taken, at least; all if there are fewer."""

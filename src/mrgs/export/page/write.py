@@ -48,7 +48,7 @@ from mrgs.scene import (
 )
 
 DEPTH_STEP = 1e-3
-"""Of the logarithms of depths: an eightieth of what they may differ by."""
+"""Quantisation step of the logarithms of depths: an eightieth of what they may differ by."""
 
 NO_PLANE = RegionPlane(np.zeros(3), 0.0)
 
