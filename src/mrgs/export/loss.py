@@ -8,14 +8,13 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float32
-from torch import Tensor
 
 from mrgs.evaluation.metrics import psnr
 from mrgs.marks.regions import Regions
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Camera, Modality, PosedImage, Scene, evenly_spaced
+from mrgs.scene import THERMAL, Camera, Modality, Scene, evenly_spaced
 
 BakingLoss: TypeAlias = dict[Modality, float | None]
 """Mean over the held-out views of PSNR(photo, trained model) − PSNR(photo, baked model) of each
@@ -41,14 +40,12 @@ def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
             run.camera_response(model.render(cameras), view.camera) for model in (run, baked)
         )
         for modality in cameras:
-            images = trained[modality].image, plain[modality].image
-            losses[modality].append(_loss(view.images[modality], *images))
+            photo = view.images[modality].load()
+            of_trained, of_plain = (
+                psnr(each[modality].image, photo.values, photo.valid) for each in (trained, plain)
+            )
+            losses[modality].append(of_trained - of_plain)
     return {modality: _mean(each) for modality, each in losses.items()}
-
-
-def _loss(photo: PosedImage, trained: Tensor, baked: Tensor) -> float:
-    pixels = photo.load()
-    return psnr(trained, pixels.values, pixels.valid) - psnr(baked, pixels.values, pixels.valid)
 
 
 def _mean(losses: list[float]) -> float | None:

@@ -276,48 +276,38 @@ def show_marks(
     Raises:
         SceneError: a photo cannot be read.
     """
-    return [
-        _shown(reading, reference, regions, scene, survey, place, decimal) for reading in readings
-    ]
+    temperature = scene.temperature
 
+    def shown(reading: MarkReading) -> ShownMark:
+        mark, view = reading.mark, nearest_view(reading.mark, scene)
+        return ShownMark(
+            mark.name,
+            mark.kind,
+            mark.severity,
+            value_text(reading.mean, temperature),
+            _around(total_uncertainty(reading), temperature),
+            [
+                value_text(part, temperature)
+                for part in asdict(reading.uncertainty or Uncertainty()).values()
+            ],
+            _factor(reading.mean, survey),
+            value_text(reading.low, temperature),
+            value_text(reading.high, temperature),
+            _difference(reading, temperature),
+            "" if math.isnan(reading.difference) else mark.against or reference,
+            size_text(reading, scene.world),
+            "–" if reading.photos is None else str(reading.photos),
+            settings_texts(reading),
+            mark.note,
+            reading.problem,
+            list(reading.remarks),
+            "" if view is None else view.name,
+            [] if view is None else mark_pictures(reading, view, regions, scene, decimal),
+            inline_image(place(mark), f"{mark.name}, plan", quality=85),
+            _chart(reading, scene),
+        )
 
-def _shown(
-    reading: MarkReading,
-    reference: str,
-    regions: Regions,
-    scene: Scene,
-    survey: Survey,
-    place: Callable[[Mark], Image.Image],
-    decimal: str,
-) -> ShownMark:
-    mark, temperature = reading.mark, scene.temperature
-    view = nearest_view(mark, scene)
-    return ShownMark(
-        mark.name,
-        mark.kind,
-        mark.severity,
-        value_text(reading.mean, temperature),
-        _around(total_uncertainty(reading), temperature),
-        [
-            value_text(part, temperature)
-            for part in asdict(reading.uncertainty or Uncertainty()).values()
-        ],
-        _factor(reading.mean, survey),
-        value_text(reading.low, temperature),
-        value_text(reading.high, temperature),
-        _difference(reading, temperature),
-        "" if math.isnan(reading.difference) else mark.against or reference,
-        size_text(reading, scene.world),
-        "–" if reading.photos is None else str(reading.photos),
-        settings_texts(reading),
-        mark.note,
-        reading.problem,
-        list(reading.remarks),
-        "" if view is None else view.name,
-        [] if view is None else mark_pictures(reading, view, regions, scene, decimal),
-        inline_image(place(mark), f"{mark.name}, plan", quality=85),
-        _chart(reading, scene),
-    )
+    return [shown(reading) for reading in readings]
 
 
 def _around(value: float, temperature: TemperatureRange | None) -> str:

@@ -28,7 +28,7 @@ from mrgs.system.threads import one_thread
 
 _log = logging.getLogger(__name__)
 
-Job = Callable[[], None]
+Job = Callable[[], object]
 
 
 class Worker:

@@ -114,7 +114,9 @@ class Viewer:
 
     def warm_up(self, camera: Camera) -> None:
         """Draw a picture that nobody sees, so that the first browser need not wait for kernels."""
-        self._worker.put("warm up", lambda: _draw_unseen(self._subject, camera))
+        longest = self._subject.source.most_pixels["moving"]
+        small = camera.resized(*fitted_size(camera.width, camera.height, longest))
+        self._worker.put("warm up", lambda: Inspection(self._subject).picture(small))
 
     def refresh(self, note: str) -> None:
         """Tell every browser that the model has changed, with a new note; visible pages
@@ -232,12 +234,6 @@ class Viewer:
         response.headers["Location"] = "/"
         response.headers["Set-Cookie"] = gate.cookie(self.port)
         return response
-
-
-def _draw_unseen(subject: Subject, camera: Camera) -> None:
-    longest = subject.source.most_pixels["moving"]
-    size = fitted_size(camera.width, camera.height, longest)
-    Inspection(subject).picture(camera.resized(*size))
 
 
 def _html(status: HTTPStatus, page: Page) -> Response:

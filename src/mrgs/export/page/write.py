@@ -137,7 +137,10 @@ def _rounded(point: Place) -> list[float]:
 
 
 OWN_SCRIPTS = ("dilation", "areas", "shaders", "surface", "renderer", "stream", "app")
-WORKER_SCRIPTS = ("dilation", "decode", "worker")
+WORKER_SCRIPTS = [
+    BASE64_SCRIPT,
+    *(f"export/page/{name}.js" for name in ("dilation", "decode", "worker")),
+]
 ASSETS: dict[str, Any] = {
     "styles": [STAGE_STYLE, MARKS_STYLE],
     "scripts": [*STAGE_SCRIPTS, *(f"export/page/{name}.js" for name in OWN_SCRIPTS)],
@@ -239,15 +242,9 @@ def write_page(
         length_unit=length_unit,
         settings=settings,
         facts=script_json(facts),
-        worker=_worker(),
+        worker=Markup("\n").join(map(asset, WORKER_SCRIPTS)),
         parts=(Markup(part.to_json()) for part in model.parts()),
     )
-
-
-def _worker() -> Markup:
-    """What the page's script runs beside itself."""
-    names = [BASE64_SCRIPT, *(f"export/page/{name}.js" for name in WORKER_SCRIPTS)]
-    return Markup("\n").join(map(asset, names))
 
 
 def visible_range(
