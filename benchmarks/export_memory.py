@@ -23,9 +23,9 @@ from torch import Tensor
 from benchmarks.memory import peak_bytes
 from mrgs.app import cli
 from mrgs.export.formats import FORMATS
+from mrgs.run_files.checkpoint import read_file, write_file
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene.rotations import matrix_from_quaternion
-from mrgs.training.checkpoint_file import read_file, write_file
-from mrgs.training.run_folder import RunFolder
 
 CHILD = "import sys; from benchmarks.export_memory import export_alone; export_alone(*sys.argv[1:])"
 

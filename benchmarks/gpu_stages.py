@@ -38,6 +38,7 @@ from mrgs.method.config import make_config
 from mrgs.runs.open import load_run
 from mrgs.training import StepStatistics, train
 from mrgs.training.recorder import Recorder
+from mrgs.training.start import Hooks, TrainOptions
 from mrgs.training.step import training_step
 from mrgs.training.view_pass import PhotographedView
 
@@ -258,7 +259,13 @@ def training(order: Order) -> Iterator[Row]:
             return time.time() > order.until - EVALUATION_S
 
         with warnings.catch_warnings(record=True) as caught:
-            train(SCENE, Path(folder) / "run", config, device=device.type, on_step=on_step)
+            train(
+                SCENE,
+                Path(folder) / "run",
+                config,
+                options=TrainOptions(device=device.type),
+                hooks=Hooks(on_step=on_step),
+            )
         clock.wait()
         seconds = time.perf_counter() - started
         yield {

@@ -6,7 +6,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from mrgs.training.memory import peak_memory_bytes
+from mrgs.run_files.record import peak_memory_bytes
 
 _STATUS = Path("/proc/self/status")
 

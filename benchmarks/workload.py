@@ -15,8 +15,6 @@ from torch import Tensor
 
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0
-from mrgs.method.camera_model.image_model import Capture
-from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.losses.terms import configured_terms
@@ -33,6 +31,7 @@ from mrgs.scene import (
     TemperatureRange,
     View,
 )
+from mrgs.scene.capture import Capture, Viewpoint
 from mrgs.system.gpu import HOST
 from mrgs.training.state import TrainingState
 

@@ -15,10 +15,10 @@ import torch
 from benchmarks.growth.plan import Case, case_from_json
 from benchmarks.growth.wall import write_wall
 from benchmarks.memory import peak_bytes, reset_peak
+from mrgs.kernels.cache import are_compiled
 from mrgs.scene import Scene
 from mrgs.system.child import read_request, send, when_asked_to_stop
 from mrgs.training import TrainConfig, estimate_bytes, train
-from mrgs.training.compilation import compiling_progress
 
 UNTIMED = 3
 """Steps at the beginning that are not timed: they import and compile."""
@@ -38,12 +38,12 @@ def result_of(case: Case) -> dict[str, Any]:
         ends.append(time.process_time())
 
     config = case.config()
-    compiles = compiling_progress(config).seconds_left > 0
+    compiles = not are_compiled()
     with TemporaryDirectory() as folder:
         scene = write_wall(Path(folder) / "wall", case)
         reset_peak()
         started = time.process_time()
-        train(scene, Path(folder) / "run", config, on_step=on_step, on_start=on_start)
+        train(scene, Path(folder) / "run", config, hooks=Hooks(on_step, on_start))
     steps = [after - before for before, after in pairwise(ends)]
     return {
         "start_s": ends[0] - started,

@@ -70,6 +70,7 @@ def _train(scene: str, folder: Path, config: Any, every: int) -> list[dict[str, 
     """Train, with a copy of the run after every so many steps."""
     from dataclasses import replace
 
+    from mrgs import training
     from mrgs.training import train
 
     config = replace(config, checkpoint_every=every)
@@ -93,7 +94,10 @@ def _train(scene: str, folder: Path, config: Any, every: int) -> list[dict[str, 
         last.update(_entry(statistics, clocks))
 
     last: dict[str, Any] = {}
-    train(scene, folder / "run", config, on_step=on_step)
+    if hasattr(training, "Hooks"):
+        train(scene, folder / "run", config, hooks=training.Hooks(on_step))
+    else:  # earlier commits
+        train(scene, folder / "run", config, on_step=on_step)  # type: ignore[call-arg]
     cpu, wall = clocks.read()
     copied(last | {"cpu_s": cpu, "wall_s": wall})
     return copies

@@ -23,10 +23,10 @@ from mrgs.data import load_scene
 from mrgs.errors import ConfigError, FolderInUseError, RunError
 from mrgs.evaluation import evaluate_run
 from mrgs.method.camera_model.image_model import PointSpread
+from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import load_run
 from mrgs.scene import PointCloud
 from mrgs.training.checkpoint import load_state
-from mrgs.training.run_folder import RunFolder
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.scenes import write_scene
 from tests.helpers.training import short_config

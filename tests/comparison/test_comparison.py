@@ -19,9 +19,9 @@ from mrgs.comparison.methods import Variant
 from mrgs.comparison.plan import PlannedRun, plan
 from mrgs.comparison.runs import run_one
 from mrgs.errors import MrgsError
+from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import TrainedRun, open_run
 from mrgs.training import train
-from mrgs.training.run_folder import RunFolder
 from tests.helpers.comparison import tiny_options
 
 

@@ -23,10 +23,10 @@ from mrgs.comparison.runs import (
 )
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError
+from mrgs.run_files.checkpoint import read_file, write_file
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene import RGB
 from mrgs.training import make_config, train
-from mrgs.training.checkpoint_file import read_file, write_file
-from mrgs.training.run_folder import RunFolder
 from tests.helpers.comparison import tiny_options
 from tests.helpers.runs import made_once
 

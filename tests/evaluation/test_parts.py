@@ -12,7 +12,7 @@ from mrgs.evaluation.parts import Parts, score_parts
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.runs.open import open_run
 from mrgs.scene import THERMAL
-from mrgs.training.opening import train
+from mrgs.training.start import train
 
 SCENE = Path(__file__).parents[2] / "examples/tabletop"
 

@@ -16,14 +16,14 @@ from mrgs.evaluation.score_run import facts_of, score_views
 from mrgs.evaluation.scored_data import ScoredData
 from mrgs.pictures.files import to_rgb8
 from mrgs.render import render, render_view
+from mrgs.run_files.facts import CheckpointFacts
+from mrgs.run_files.fingerprint import fingerprints
+from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
+from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
 from mrgs.scene.camera_paths import orbit
 from mrgs.training import make_config
-from mrgs.training.facts import CheckpointFacts
-from mrgs.training.fingerprint import fingerprints
-from mrgs.training.run_folder import RunFolder
-from mrgs.training.trained_run import TrainedRun
 from tests.helpers.colored_ball import colored_ball, photographed
 from tests.helpers.runs import trained_run
 

@@ -8,8 +8,8 @@ import pytest
 
 from mrgs.data import load_scene
 from mrgs.evaluation.scored_data import ScoredData
+from mrgs.run_files.fingerprint import fingerprints
 from mrgs.scene import Scene, TemperatureRange
-from mrgs.training.fingerprint import fingerprints
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from safetensors.torch import load_file
 
-from mrgs.training.run_folder import RunFolder
+from mrgs.run_files.folder import RunFolder
 from tests.faults.program import Started, ended, newest_step, run, small_scene, start, wait_until
 from tests.faults.tally import Tally
 

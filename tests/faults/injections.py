@@ -16,9 +16,10 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from mrgs.errors import TrainingError
+from mrgs.run_files.folder import RunFolder
 from mrgs.training import train, trainer
 from mrgs.training.checkpoint import tensors_of
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import TrainOptions
 from tests.faults.program import small_scene
 from tests.faults.runs import GAUSSIANS
 from tests.faults.tally import Tally
@@ -97,7 +98,7 @@ def _go_on(scene: Path, run: RunFolder) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            train(scene, run.path, GAUSSIANS, resume=True)
+            train(scene, run.path, GAUSSIANS, options=TrainOptions(resume=True))
         except TrainingError as error:
             return "stopped" if "\n" not in str(error) else f"many lines: {error}"
         except Exception as error:  # whatever it is, it is a finding

@@ -18,8 +18,8 @@ import torch
 from safetensors.torch import load_file
 
 from mrgs.method.config import from_yaml
+from mrgs.run_files.folder import RunFolder
 from mrgs.training import train
-from mrgs.training.run_folder import RunFolder
 from tests.helpers.scenes import write_scene
 
 SOURCE = Path(__file__).parents[2] / "src"

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mrgs.baselines.thermonerf import checkpoint as nerf_checkpoint
+from mrgs.baselines.thermonerf import run as nerf_checkpoint
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.training import checkpoint
 from tests.helpers.thermonerf import small_config

@@ -18,7 +18,6 @@ from mrgs.baselines.thermonerf import open_thermonerf, train_thermonerf
 from mrgs.errors import DamagedCheckpointError, MrgsError, MrgsWarning, RunError
 from mrgs.runs.open import load_run
 from mrgs.training import train
-from mrgs.training.newest import load_newest
 from tests.faults.runs import GAUSSIANS, NERF, load_gaussians, load_nerf
 from tests.helpers.checkpoints import rewrite, rewrite_without_digests
 
@@ -59,11 +58,11 @@ def test_one_bit_or_one_byte_is_enough(kind, folder):
     for data in damaged_copies(good):
         newest.write_bytes(data)
         with pytest.warns(MrgsWarning, match=r"step_000010\.safetensors.*whole") as caught:
-            state = load_newest(folder, LOAD[kind])
+            state = folder.load_newest(LOAD[kind])
         assert state.step == 5
         assert str(caught[0].message).count("step_000005.safetensors") == 1
     newest.write_bytes(good)
-    assert load_newest(folder, LOAD[kind]).step == 10
+    assert folder.load_newest(LOAD[kind]).step == 10
 
 
 def test_a_damaged_run_still_renders(kind, folder):
@@ -111,7 +110,7 @@ def test_what_cannot_be_read_is_not_called_damaged(kind, folder, monkeypatch):
 
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(RunError) as caught:
-        load_newest(folder, LOAD[kind])
+        folder.load_newest(LOAD[kind])
     assert not isinstance(caught.value, DamagedCheckpointError)
     message = str(caught.value)
     assert message.startswith(str(newest))
@@ -123,7 +122,7 @@ def test_what_is_no_file_is_not_waited_for(kind, folder):
     newest.unlink()
     newest.mkdir()
     with pytest.raises(RunError, match="not a file"):
-        load_newest(folder, LOAD[kind])
+        folder.load_newest(LOAD[kind])
 
 
 def other_forms(tensor: Tensor) -> Iterator[Tensor]:
@@ -241,7 +240,7 @@ def test_values_that_are_not_finite_count_as_damage(value, kind, folder):
         rewrite_without_digests(path, {**good, name: wrong})
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            assert load_newest(folder, LOAD[kind]).step == 5
+            assert folder.load_newest(LOAD[kind]).step == 5
         message = str(caught[0].message)
         assert name in message
         assert "not finite" in message
@@ -251,7 +250,7 @@ def test_a_checkpoint_under_the_name_of_another_step_hides_nothing(kind, folder)
     path = folder.newest_checkpoint()
     path.with_name("step_999999.safetensors").write_bytes(path.read_bytes())
     with pytest.warns(MrgsWarning, match=r"step_999999.*step 10\)"):
-        assert load_newest(folder, LOAD[kind]).step == 10
+        assert folder.load_newest(LOAD[kind]).step == 10
 
 
 def test_a_configuration_that_was_cut_off_is_said(kind, folder):

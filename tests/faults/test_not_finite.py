@@ -11,11 +11,12 @@ from torch import Tensor
 
 from mrgs.baselines.thermonerf import train_thermonerf
 from mrgs.baselines.thermonerf import trainer as nerf_trainer
-from mrgs.baselines.thermonerf.checkpoint import tensors_of as nerf_tensors
+from mrgs.baselines.thermonerf.run import tensors_of as nerf_tensors
 from mrgs.errors import NotFiniteError, TrainingError
-from mrgs.training import train, trainer
+from mrgs.run_files.folder import RunFolder
+from mrgs.training import loop, train
 from mrgs.training.checkpoint import tensors_of
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import TrainOptions
 from tests.faults.injections import not_finite, put
 from tests.faults.runs import GAUSSIANS, NERF
 
@@ -61,7 +62,7 @@ def at_5(gaussians_run: RunFolder) -> RunFolder:
 
 def go_on(scene: Path, run: RunFolder) -> None:
     """Train to step 10."""
-    train(scene, run.path, GAUSSIANS, resume=True)
+    train(scene, run.path, GAUSSIANS, options=TrainOptions(resume=True))
 
 
 def saved(run: RunFolder) -> list[int]:
@@ -90,7 +91,7 @@ def saved(run: RunFolder) -> list[int]:
 )
 def test_gaussians(name, value, small_scene, at_5, monkeypatch):
     where = lambda state, *rest: tensors_of(state)  # noqa: E731
-    inject(monkeypatch, trainer, where, name, value, name.endswith("weight"))
+    inject(monkeypatch, loop, where, name, value, name.endswith("weight"))
     with pytest.raises(TrainingError, match="last good") as caught:
         go_on(small_scene, at_5)
     assert str(at_5.checkpoint_file(5)) in str(caught.value)
@@ -103,7 +104,7 @@ def test_photos(value, small_scene, at_5, monkeypatch):
     def where(state, views, *rest):
         return {modality.name: pixels.values for modality, pixels in views[0].photos.items()}
 
-    inject(monkeypatch, trainer, where, "thermal", value, False)
+    inject(monkeypatch, loop, where, "thermal", value, False)
     go_on(small_scene, at_5)  # the step is skipped, and no other has it
     assert saved(at_5) == [5, 10]
 
@@ -129,7 +130,7 @@ def test_radiance_fields(name, value, small_scene, tmp_path, monkeypatch):
 def test_what_shows_in_no_gradient_is_found_before_it_is_saved(small_scene, at_5, monkeypatch):
     """A moment of infinity stops its parameter, and the loss stays finite."""
     name = "gaussians.adam.means.exp_avg_sq"
-    inject(monkeypatch, trainer, lambda state, *_: tensors_of(state), name, math.inf, True)
+    inject(monkeypatch, loop, lambda state, *_: tensors_of(state), name, math.inf, True)
     with pytest.raises(NotFiniteError) as caught:
         go_on(small_scene, at_5)
     message = str(caught.value)
@@ -144,7 +145,7 @@ def test_gradients_whose_squares_overflow_are_skipped(small_scene, at_5, monkeyp
         means = state.gaussian_optimizer.gaussians.means
         return means.register_hook(lambda g: g * 0 + (1e30 if state.step == AT else 1)).remove
 
-    around_steps(monkeypatch, trainer, before)
+    around_steps(monkeypatch, loop, before)
     go_on(small_scene, at_5)
     assert '"step": 9, "skipped"' in at_5.log_file.read_text()
     assert saved(at_5) == [5, 10]

@@ -14,10 +14,10 @@ from mrgs.app.cli import main
 from mrgs.baselines.thermonerf import train_thermonerf
 from mrgs.data.load import load_scene
 from mrgs.errors import MrgsWarning, RunError
-from mrgs.method.camera_model.image_model import Capture
+from mrgs.run_files.checkpoint import load_facts
+from mrgs.scene.capture import Capture
 from mrgs.training import train
-from mrgs.training.checkpoint import load_facts
-from mrgs.training.opening import open_training
+from mrgs.training.start import TrainOptions, open_training
 from tests.faults.runs import GAUSSIANS, NERF
 from tests.helpers.checkpoints import header_of, rewrite_without_digests
 
@@ -107,7 +107,10 @@ def test_a_run_goes_on_with_the_dilation_of_accepted_cameras(scene, gaussians_ru
     with (
         pytest.warns(MrgsWarning, match="intrinsics of"),
         open_training(
-            scene, gaussians_run.path, GAUSSIANS, resume=True, accept_changes=True
+            scene,
+            gaussians_run.path,
+            GAUSSIANS,
+            options=TrainOptions(resume=True, accept_changes=True),
         ) as trainer,
     ):
         dilation = trainer.state.model.dilation

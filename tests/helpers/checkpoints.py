@@ -11,7 +11,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from mrgs.training.checkpoint_file import write_file
+from mrgs.run_files.checkpoint import write_file
 
 
 def header_of(path: Path) -> dict[str, Any]:

@@ -6,8 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from mrgs.baselines.thermonerf import ThermoNerfConfig
-from mrgs.baselines.thermonerf.field import NerfFieldConfig
-from mrgs.baselines.thermonerf.hash_grid import HashGridConfig
+from mrgs.baselines.thermonerf.networks import HashGridConfig, NerfFieldConfig
 from mrgs.baselines.thermonerf.sampling import SamplingConfig
 
 

@@ -11,6 +11,9 @@ from mrgs.pipeline.forecast import step_seconds
 from mrgs.pipeline.time_limit import MARGIN, PILOT_STEPS, Pace, measure_pace, steps_within
 from mrgs.runs.registry import Method, find_method
 from mrgs.scene import RGB, PosedImage, View
+from mrgs.training.start import TrainOptions
+
+CPU = TrainOptions(device="cpu")
 
 
 def test_a_training_that_does_not_grow_takes_its_pace():
@@ -41,7 +44,8 @@ def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene):
     seen = {}
     clock = iter(range(1000))
 
-    def train(scene, output, config, *, on_start, on_step, device):
+    def train(scene, output, config, options, hooks):
+        on_start, on_step = hooks.on_start, hooks.on_step
         seen["output"] = output
         output.mkdir()
         on_start(load_scene(scene), config)
@@ -51,7 +55,7 @@ def test_a_pilot_trains_until_its_pace_is_known_and_leaves_nothing(small_scene):
                 return
 
     method = Method("paced", "", lambda **_: None, train=train)
-    pace = measure_pace(method, small_scene, None, lambda: next(clock), device="cpu")
+    pace = measure_pace(method, small_scene, None, CPU, lambda: next(clock))
     assert seen["steps"] == PILOT_STEPS
     kpx = 2 * 40 * 30 / 1e3
     assert pace == Pace(loading_s=1, step_s=1, gaussians=7, kpx=kpx, mean_kpx=kpx)
@@ -67,7 +71,8 @@ def test_coarse_photos_leave_time_for_more_steps():
 def test_a_pilot_trains_on_photos_of_full_resolution(small_scene):
     seen = {}
 
-    def train(scene, output, config, *, on_start, on_step):
+    def train(scene, output, config, options, hooks):
+        on_start, on_step = hooks.on_start, hooks.on_step
         seen["coarse_until"] = config.coarse_until
         loaded = load_scene(scene)
         (camera, *_) = loaded.train[0].cameras.values()
@@ -86,6 +91,6 @@ def test_a_pilot_trains_on_photos_of_full_resolution(small_scene):
 def test_a_pilot_of_a_short_training_ends_with_it(small_scene):
     method = find_method("mrgs-plus")
     config = method.configure("fast", max_steps=2, max_gaussians=50)
-    pace = measure_pace(method, small_scene, config, device="cpu")
+    pace = measure_pace(method, small_scene, config, CPU)
     assert pace.step_s > 0
     assert pace.gaussians == 25

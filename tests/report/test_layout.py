@@ -14,9 +14,9 @@ import pytest
 from mrgs import open_marks
 from mrgs.report import write_report
 from mrgs.report.pdf import require_weasyprint
+from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL
-from mrgs.training.run_folder import RunFolder
 from tests.helpers.browsers import chromium, needs_chromium, new_page
 from tests.helpers.pdf import needs_pango
 

@@ -24,12 +24,12 @@ from mrgs.report.proposals import Proposals, propose
 from mrgs.report.sections import read_scores
 from mrgs.report.spots import find_spots
 from mrgs.report.texts import Texts
+from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
 from mrgs.survey import Survey, write_survey
 from mrgs.training import make_config, train
-from mrgs.training.run_folder import RunFolder
 from tests.helpers.changed_views import with_cameras
 from tests.helpers.scenes import write_scene
 

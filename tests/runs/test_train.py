@@ -33,9 +33,10 @@ from mrgs import (
 )
 from mrgs.errors import ConfigError, MrgsWarning, RunError, SceneError
 from mrgs.method.losses.term import LossContext, Term
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.training import train as train_into
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import Hooks
 from tests.helpers.runs import trained_run
 
 CONFIG = make_config("mrgs", "fast", max_steps=6, max_gaussians=60)
@@ -126,7 +127,7 @@ def test_the_loop_is_the_callers(small_scene, tmp_path):
         small_scene,
         tmp_path / "whole",
         CONFIG,
-        on_step=lambda s: logged.append((s.step, s.terms["rgb"], s.gaussians)) is True,
+        hooks=Hooks(on_step=lambda s: logged.append((s.step, s.terms["rgb"], s.gaussians)) is True),
     )
     assert [step for step, _, _ in seen] == [1, 2, 3, 4, 5, 6]
     assert [entry[:2] for entry in seen] == [entry[:2] for entry in logged]

@@ -11,15 +11,14 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from mrgs.errors import DamagedCheckpointError, RunError
-from mrgs.method.camera_model.image_model import Capture
-from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.method.losses.term import SceneScale
 from mrgs.rasterizer.contract import Dilation
+from mrgs.run_files.checkpoint import first_not_finite, load_facts, read_file
+from mrgs.run_files.facts import CheckpointFacts
 from mrgs.scene import TemperatureRange
+from mrgs.scene.capture import Capture, Viewpoint
 from mrgs.training import step
-from mrgs.training.checkpoint import load_facts, load_model, load_state, save
-from mrgs.training.checkpoint_file import first_not_finite, read_file
-from mrgs.training.facts import CheckpointFacts
+from mrgs.training.checkpoint import load_model, load_state, save
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import PhotographedView
 from tests.helpers.checkpoints import header_of, rewrite, rewrite_without_digests

@@ -7,7 +7,7 @@ import torch
 
 from mrgs.errors import SceneError
 from mrgs.scene import Pixels, PosedImage
-from mrgs.training.device_photos import DevicePhotos
+from mrgs.training.photos import DevicePhotos
 from tests.helpers.views import posed_image
 
 CPU = torch.device("cpu")

@@ -10,12 +10,7 @@ import pytest
 import torch
 
 from mrgs.method.camera_model import point_spread
-from mrgs.method.camera_model.image_model import (
-    Capture,
-    ImageModel,
-    ImageModelConfig,
-)
-from mrgs.method.camera_model.photo_gain import Viewpoint
+from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.config import make_config
 from mrgs.method.losses import photometric as losses
 from mrgs.method.losses import radiation
@@ -25,6 +20,7 @@ from mrgs.method.losses.term import LossContext, SceneScale
 from mrgs.method.losses.terms import configured_terms, term_values
 from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, Rendering, TemperatureRange
+from mrgs.scene.capture import Capture, Viewpoint
 from mrgs.system.cuda_graph import sync_debug_mode
 from mrgs.training.state import learned_layers
 from tests.helpers.gaussians import random_gaussians

@@ -8,13 +8,9 @@ import torch
 
 from mrgs.data import load_scene
 from mrgs.method.config import make_config
+from mrgs.run_files.record import peak_memory_bytes
 from mrgs.scene import THERMAL, Modality, Pixels, PosedImage, View
-from mrgs.training.memory import (
-    estimate_bytes,
-    gaussian_bytes,
-    peak_memory_bytes,
-    retried_when_full,
-)
+from mrgs.training.memory import estimate_bytes, gaussian_bytes
 from mrgs.training.photos import kept_bytes
 from tests.helpers.gaussians import NEAR_INFRARED
 
@@ -133,27 +129,6 @@ def _uneven(images: Mapping[Modality, PosedImage]) -> dict[Modality, PosedImage]
     camera = images[THERMAL].camera
     values = torch.full((camera.height, camera.width, 1), 0.1234)
     return {**images, THERMAL: PosedImage(camera, lambda: Pixels(values))}
-
-
-def test_only_a_full_memory_is_tried_again():
-    undone = []
-    errors = [RuntimeError("Triton Error [CUDA]: out of memory")]
-
-    def action() -> int:
-        if errors:
-            raise errors.pop()
-        return 3
-
-    assert retried_when_full(action, lambda: undone.append(1)) == 3
-    assert undone == [1]
-    errors += [RuntimeError("sizes differ")]
-    with pytest.raises(RuntimeError, match="sizes differ"):
-        retried_when_full(action, lambda: undone.append(2))
-    assert undone == [1]
-    errors += [RuntimeError("CUDA error: out of memory")] * 2
-    with pytest.raises(RuntimeError, match="out of memory"):
-        retried_when_full(action, lambda: undone.append(3))
-    assert undone == [1, 3, 3]
 
 
 def test_peak_is_that_of_a_process_with_torch_in_it():

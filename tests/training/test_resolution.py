@@ -15,7 +15,8 @@ from mrgs.method.config import make_config
 from mrgs.method.losses.term import LossContext, Term
 from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, View
 from mrgs.training import train
-from mrgs.training.resolution import SMALLEST_PX, coarse_size, coarser, pixel_sizes
+from mrgs.training.start import TrainOptions
+from mrgs.training.view_pass import SMALLEST_PX, coarse_size, coarser, pixel_sizes
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.training import short_config
 
@@ -115,7 +116,9 @@ def test_a_training_begins_on_coarse_photos_and_resumes_there(small_scene, tmp_p
     del widths.seen[0]  # before the first step the kernels were checked
     assert list(widths.seen.values()) == [[160]] + [[320]] * 2 + [[640]] * 5
     train(scene, tmp_path / "parts", config, terms=[widths], stop_at=2)
-    parts = train(scene, tmp_path / "parts", config, terms=[widths], resume=True)
+    parts = train(
+        scene, tmp_path / "parts", config, options=TrainOptions(resume=True), terms=[widths]
+    )
     expected, found = (load_file(run.newest_checkpoint()) for run in (whole, parts))
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
 

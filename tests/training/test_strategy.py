@@ -22,11 +22,12 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation import evaluate_run
 from mrgs.method.config import METHODS
 from mrgs.method.density import DensityUpdate
+from mrgs.run_files.checkpoint import read_file, write_file
 from mrgs.runs import registry
 from mrgs.runs.registry import find_method, registered_methods
 from mrgs.system.strict_yaml import write_yaml
 from mrgs.training import train
-from mrgs.training.checkpoint_file import read_file, write_file
+from mrgs.training.start import Hooks, TrainOptions
 from tests.helpers.training import short_config
 
 
@@ -104,7 +105,7 @@ def test_a_strategy_of_ones_own_trains_logs_resumes_and_opens(small_scene, tmp_p
     mine = Duplicate(every=4, max_gaussians=27)
     whole = train(small_scene, tmp_path / "whole", config, strategy=mine)
     parts = train(small_scene, tmp_path / "parts", config, strategy=mine, stop_at=6)
-    train(small_scene, parts.path, config, strategy=mine, resume=True)
+    train(small_scene, parts.path, config, options=TrainOptions(resume=True), strategy=mine)
     assert_same(whole, parts)
     assert load_file(whole.newest_checkpoint())["strategy.drawn"].max() == 12
     events = [entry for entry in log_of(whole) if "doubled" in entry]
@@ -128,10 +129,14 @@ def test_a_term_of_ones_own_is_weighed_learned_logged_and_saved(small_scene, tmp
     config = short_config(max_steps=10)
     statistics = []
     whole = train(
-        small_scene, tmp_path / "whole", config, terms=[Sizes()], on_step=statistics.append
+        small_scene,
+        tmp_path / "whole",
+        config,
+        hooks=Hooks(on_step=statistics.append),
+        terms=[Sizes()],
     )
     parts = train(small_scene, tmp_path / "parts", config, terms=[Sizes()], stop_at=4)
-    train(small_scene, parts.path, config, terms=[Sizes()], resume=True)
+    train(small_scene, parts.path, config, options=TrainOptions(resume=True), terms=[Sizes()])
     assert_same(whole, parts)
     assert load_file(whole.newest_checkpoint())["terms.sizes.weight"].item() < 0.5
     terms = statistics[-1].terms
@@ -149,8 +154,8 @@ def test_a_term_takes_the_place_of_one_of_its_name(small_scene, tmp_path):
         small_scene,
         tmp_path,
         short_config("3dgs-rgbt", max_steps=2),
+        hooks=Hooks(on_step=statistics.append),
         terms=[DarkPhotos()],
-        on_step=statistics.append,
     )
     assert set(statistics[0].terms) == {"rgb"}
 
@@ -166,15 +171,27 @@ def test_a_run_goes_on_with_what_it_began_with(options, named, small_scene, tmp_
     config = short_config(max_steps=3)
     train(small_scene, tmp_path, config, strategy=Duplicate(), terms=[Sizes()], stop_at=1)
     with pytest.raises(RunError, match=named):
-        train(small_scene, tmp_path, config, resume=True, **options)
+        train(small_scene, tmp_path, config, options=TrainOptions(resume=True), **options)
 
 
 def test_a_run_goes_on_with_the_settings_of_a_strategy_that_it_began_with(small_scene, tmp_path):
     config = short_config(max_steps=3)
     train(small_scene, tmp_path, config, strategy=Duplicate(every=2), stop_at=1)
     with pytest.raises(RunError, match="every=2 in Duplicate, not 3"):
-        train(small_scene, tmp_path, config, strategy=Duplicate(every=3), resume=True)
-    train(small_scene, tmp_path, config, strategy=Duplicate(every=2), resume=True)
+        train(
+            small_scene,
+            tmp_path,
+            config,
+            options=TrainOptions(resume=True),
+            strategy=Duplicate(every=3),
+        )
+    train(
+        small_scene,
+        tmp_path,
+        config,
+        options=TrainOptions(resume=True),
+        strategy=Duplicate(every=2),
+    )
 
 
 def test_settings_of_the_configuration_may_be_changed_in_its_file(small_scene, tmp_path):
@@ -182,7 +199,7 @@ def test_settings_of_the_configuration_may_be_changed_in_its_file(small_scene, t
     train(small_scene, tmp_path, config, stop_at=1)
     fewer = replace(config, densification=replace(config.densification, max_gaussians=40))
     (tmp_path / "config.yaml").write_text(write_yaml(fewer))
-    train(small_scene, tmp_path, config, resume=True)
+    train(small_scene, tmp_path, config, options=TrainOptions(resume=True))
 
 
 @dataclass(frozen=True)
@@ -230,15 +247,33 @@ def test_settings_of_any_kind_are_compared(before, same, other, small_scene, tmp
     config = short_config(max_steps=2)
     train(small_scene, tmp_path, config, strategy=Anything(setting=before), stop_at=1)
     with pytest.raises(RunError, match="setting=") as caught:
-        train(small_scene, tmp_path, config, strategy=Anything(setting=other), resume=True)
+        train(
+            small_scene,
+            tmp_path,
+            config,
+            options=TrainOptions(resume=True),
+            strategy=Anything(setting=other),
+        )
     assert len(caught.value.message) < len(str(tmp_path)) + 400
-    train(small_scene, tmp_path, config, strategy=Anything(setting=same), resume=True)
+    train(
+        small_scene,
+        tmp_path,
+        config,
+        options=TrainOptions(resume=True),
+        strategy=Anything(setting=same),
+    )
 
 
 def test_a_setting_without_a_text_of_its_own_is_not_compared(small_scene, tmp_path):
     config = short_config(max_steps=2)
     train(small_scene, tmp_path, config, strategy=Anything(setting=object()), stop_at=1)
-    train(small_scene, tmp_path, config, strategy=Anything(setting=lambda: 0), resume=True)
+    train(
+        small_scene,
+        tmp_path,
+        config,
+        options=TrainOptions(resume=True),
+        strategy=Anything(setting=lambda: 0),
+    )
 
 
 @pytest.mark.parametrize("said", [float("nan"), 0.5, "text", True, None])
@@ -249,8 +284,20 @@ def test_settings_that_an_earlier_version_wrote_are_compared(said, small_scene, 
     header["strategy_settings"] = {"setting": said}
     write_file(folder.newest_checkpoint(), tensors, header)
     with pytest.raises(RunError, match="setting="):
-        train(small_scene, tmp_path, config, strategy=Anything(setting=7), resume=True)
-    train(small_scene, tmp_path, config, strategy=Anything(setting=said), resume=True)
+        train(
+            small_scene,
+            tmp_path,
+            config,
+            options=TrainOptions(resume=True),
+            strategy=Anything(setting=7),
+        )
+    train(
+        small_scene,
+        tmp_path,
+        config,
+        options=TrainOptions(resume=True),
+        strategy=Anything(setting=said),
+    )
 
 
 @pytest.mark.parametrize("said", [{}, {"strategy_settings": {"renamed": 1}}])
@@ -260,7 +307,13 @@ def test_a_checkpoint_that_does_not_say_a_setting_is_resumed(said, small_scene, 
     tensors, header = read_file(folder.newest_checkpoint())
     del header["strategy_settings"]
     write_file(folder.newest_checkpoint(), tensors, {**header, **said})
-    train(small_scene, tmp_path, config, strategy=Duplicate(every=2), resume=True)
+    train(
+        small_scene,
+        tmp_path,
+        config,
+        options=TrainOptions(resume=True),
+        strategy=Duplicate(every=2),
+    )
 
 
 @pytest.fixture
@@ -286,7 +339,7 @@ def test_a_registered_method_is_configured_trained_opened_and_scored(
     config = method.configure("fast", max_steps=4, max_gaussians=50, changes="{seed: 3}")
     assert (config.method, config.seed, config.shares_opacity) == ("doubling", 3, True)
     method.train(small_scene, tmp_path, config, stop_at=2)
-    method.train(small_scene, tmp_path, config, resume=True)
+    method.train(small_scene, tmp_path, config, options=TrainOptions(resume=True))
     run = load_run(tmp_path)
     assert (run.config, run.gaussian_count, run.facts.step) == (config, 27, 4)
     evaluate_run(run)

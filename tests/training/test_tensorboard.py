@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from mrgs.errors import ConfigError
+from mrgs.run_files.folder import TENSORBOARD
 from mrgs.training import make_config, train
-from mrgs.training.tensorboard import FOLDER
+from mrgs.training.start import TrainOptions
 
 CONFIG = make_config("mrgs", "fast", max_steps=20, max_gaussians=60)
 
@@ -18,7 +19,7 @@ CONFIG = make_config("mrgs", "fast", max_steps=20, max_gaussians=60)
 def scalars_of(run: Path) -> dict[str, dict[int, float]]:
     """By name and step."""
     module = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    events = module.EventAccumulator(str(run / FOLDER)).Reload()
+    events = module.EventAccumulator(str(run / TENSORBOARD)).Reload()
     return {
         name: {event.step: event.value for event in events.Scalars(name)}
         for name in events.Tags()["scalars"]
@@ -27,8 +28,10 @@ def scalars_of(run: Path) -> dict[str, dict[int, float]]:
 
 def test_every_number_of_the_log_is_a_scalar_also_after_resuming(small_scene, tmp_path):
     pytest.importorskip("tensorboard")
-    folder = train(small_scene, tmp_path, CONFIG, tensorboard=True, stop_at=10)
-    train(small_scene, tmp_path, CONFIG, tensorboard=True, resume=True)
+    folder = train(
+        small_scene, tmp_path, CONFIG, options=TrainOptions(tensorboard=True), stop_at=10
+    )
+    train(small_scene, tmp_path, CONFIG, options=TrainOptions(tensorboard=True, resume=True))
     lines = [json.loads(line) for line in folder.log_file.read_text().splitlines()]
     scalars = scalars_of(tmp_path)
     assert {"loss", "loss/rgb", "loss/thermal", "thermal_error_c", "gaussians"} <= scalars.keys()
@@ -40,10 +43,10 @@ def test_every_number_of_the_log_is_a_scalar_also_after_resuming(small_scene, tm
 
 def test_without_it_nothing_is_written(small_scene, tmp_path):
     train(small_scene, tmp_path, CONFIG, stop_at=10)
-    assert not (tmp_path / FOLDER).exists()
+    assert not (tmp_path / TENSORBOARD).exists()
 
 
 def test_what_is_missing_is_said_with_the_remedy(small_scene, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(ConfigError, match=r"pip install 'mrgs\[tensorboard\]'"):
-        train(small_scene, tmp_path / "run", CONFIG, tensorboard=True)
+        train(small_scene, tmp_path / "run", CONFIG, options=TrainOptions(tensorboard=True))

@@ -19,15 +19,16 @@ from mrgs.method.config import from_yaml
 from mrgs.method.density.adaptive import AdaptiveDensityControl
 from mrgs.method.losses.term import LossContext, Term
 from mrgs.render import render_view
+from mrgs.run_files.checkpoint import load_facts
+from mrgs.run_files.facts import CheckpointFacts
+from mrgs.run_files.folder import RunFolder
+from mrgs.run_files.record import RunRecord
 from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, View
 from mrgs.training import METHODS, StepStatistics, train
-from mrgs.training.checkpoint import load_facts, load_model
-from mrgs.training.driver import Driver
-from mrgs.training.facts import CheckpointFacts
-from mrgs.training.opening import TrainingPart, open_training
+from mrgs.training.checkpoint import load_model
 from mrgs.training.photos import HostPhotos
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import Hooks, TrainingPart, TrainOptions, open_training
 from mrgs.training.state import initial_state
 from tests.helpers.changed_views import with_cameras
 from tests.helpers.checkpoints import rewrite
@@ -123,7 +124,9 @@ def test_temperatures_depend_on_the_view_where_a_camera_may_make_them(make_scene
 
 def test_training_learns_the_scene(small_scene, tmp_path):
     statistics = []
-    folder = train(small_scene, tmp_path / "run", short_config(), on_step=statistics.append)
+    folder = train(
+        small_scene, tmp_path / "run", short_config(), hooks=Hooks(on_step=statistics.append)
+    )
     assert [entry.step for entry in statistics] == list(range(1, 61))
     assert statistics[-1].gaussians == 25
     first, last = statistics[:6], statistics[-6:]  # one round of the views
@@ -177,7 +180,12 @@ def test_run_folder_holds_configuration_log_and_two_checkpoints(small_scene, tmp
 def test_light_and_heat_are_compared_although_their_cameras_differ(make_scene, tmp_path):
     statistics = []
     config = short_config("mrgs-plus", max_steps=2)
-    train(make_scene(two_cameras=True), tmp_path / "run", config, on_step=statistics.append)
+    train(
+        make_scene(two_cameras=True),
+        tmp_path / "run",
+        config,
+        hooks=Hooks(on_step=statistics.append),
+    )
     assert "opaque" in statistics[0].terms
 
 
@@ -188,7 +196,7 @@ def test_every_method_trains(method, small_scene, tmp_path):
         small_scene,
         tmp_path / "run",
         short_config(method, max_steps=3),
-        on_step=statistics.append,
+        hooks=Hooks(on_step=statistics.append),
     )
     assert [entry.skipped for entry in statistics] == [False] * 3
     expected = {"rgb", "thermal"}
@@ -213,7 +221,9 @@ def test_every_method_trains(method, small_scene, tmp_path):
 def test_every_kind_of_scene_trains(options, terms, method, make_scene, tmp_path):
     statistics = []
     config = short_config(method, max_steps=3)
-    folder = train(make_scene(**options), tmp_path / "run", config, on_step=statistics.append)
+    folder = train(
+        make_scene(**options), tmp_path / "run", config, hooks=Hooks(on_step=statistics.append)
+    )
     assert [entry.skipped for entry in statistics] == [False] * 3
     assert set(statistics[0].terms) & {"rgb", "thermal"} == terms
     assert (statistics[0].thermal_error is None) == ("thermal" not in terms)
@@ -247,7 +257,12 @@ def test_a_resumed_run_is_the_uninterrupted_run_bit_for_bit(
     assert load_facts(parts.newest_checkpoint()).step == cut
     # The caller's configuration and torch's own generator must not matter.
     torch.rand(7)
-    train(small_scene, tmp_path / "parts", short_config(max_steps=7), resume=True)
+    train(
+        small_scene,
+        tmp_path / "parts",
+        short_config(max_steps=7),
+        options=TrainOptions(resume=True),
+    )
 
     expected, found = load_file(whole.newest_checkpoint()), load_file(parts.newest_checkpoint())
     assert load_facts(parts.newest_checkpoint()).step == 120
@@ -298,7 +313,13 @@ def test_a_run_that_died_in_a_step_goes_on_from_the_last_checkpoint(small_scene,
     with folder.log_file.open("a") as file:
         file.write('{"step": 5')  # torn
     assert load_facts(folder.newest_checkpoint()).step == 40
-    train(small_scene, folder.path, config, resume=True, terms=[InStep(56, lambda: None)])
+    train(
+        small_scene,
+        folder.path,
+        config,
+        options=TrainOptions(resume=True),
+        terms=[InStep(56, lambda: None)],
+    )
     assert [entry["step"] for entry in read_log(folder)] == [10, 20, 30, 40, 50, 60]
     expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
     assert all(torch.equal(found[name], expected[name]) for name in expected)
@@ -310,7 +331,7 @@ def test_whoever_watches_may_stop_the_run(kind, small_scene, tmp_path):
         small_scene,
         tmp_path / "run",
         short_config(),
-        on_step=lambda statistics: kind(statistics.step == 7),
+        hooks=Hooks(on_step=lambda statistics: kind(statistics.step == 7)),
     )
     assert load_facts(folder.newest_checkpoint()).step == 7
 
@@ -318,7 +339,9 @@ def test_whoever_watches_may_stop_the_run(kind, small_scene, tmp_path):
 @pytest.mark.parametrize("answer", [1, "written", [True], torch.tensor([True]), np.ones(3)])
 def test_only_true_stops_the_run(answer, small_scene, tmp_path):
     config = short_config(max_steps=3)
-    folder = train(small_scene, tmp_path / "run", config, on_step=lambda statistics: answer)
+    folder = train(
+        small_scene, tmp_path / "run", config, hooks=Hooks(on_step=lambda statistics: answer)
+    )
     assert load_facts(folder.newest_checkpoint()).step == 3
 
 
@@ -329,7 +352,7 @@ def test_an_error_of_whoever_watches_keeps_the_last_step(error, small_scene, tmp
             raise error
 
     with pytest.raises(error):
-        train(small_scene, tmp_path / "run", short_config(), on_step=fail)
+        train(small_scene, tmp_path / "run", short_config(), hooks=Hooks(on_step=fail))
     stopped = train(small_scene, tmp_path / "stopped", short_config(), stop_at=7)
     kept = RunFolder(tmp_path / "run").newest_checkpoint()
     assert load_facts(kept).step == 7
@@ -405,10 +428,20 @@ def test_start_is_told_once_with_what_is_in_force(small_scene, tmp_path):
     told = []
     config = short_config(max_steps=4)
     folder = train(
-        small_scene, tmp_path / "run", config, stop_at=2, on_start=lambda *facts: told.append(facts)
+        small_scene,
+        tmp_path / "run",
+        config,
+        hooks=Hooks(on_start=lambda *facts: told.append(facts)),
+        stop_at=2,
     )
     other = short_config("3dgs-rgbt")
-    train(small_scene, folder.path, other, resume=True, on_start=lambda *facts: told.append(facts))
+    train(
+        small_scene,
+        folder.path,
+        other,
+        options=TrainOptions(resume=True),
+        hooks=Hooks(on_start=lambda *facts: told.append(facts)),
+    )
     assert [(scene.name, given) for scene, given in told] == [(small_scene.name, config)] * 2
 
 
@@ -421,38 +454,35 @@ def test_start_is_told_before_the_model_is_made(small_scene, tmp_path):
     config = short_config()
     part = TrainingPart([0], config.densification, lambda *_: pytest.fail("made"))
     with pytest.raises(KeyboardInterrupt):
-        train(small_scene, tmp_path / "run", config, on_start=tell, part=part)
+        train(small_scene, tmp_path / "run", config, hooks=Hooks(on_start=tell), part=part)
 
 
-class OfNothing(Driver[StepStatistics]):
-    """Steps that compute nothing and take so long as a clock says."""
+def recorded(folder: RunFolder, scene: Path, **options) -> RunRecord:
+    """A record whose checkpoints are empty files."""
 
-    bad_steps: Sequence[int] = ()
-    _skipped_in_a_row = 0
-
-    def _take_step(self) -> StepStatistics:
-        number = self._step_done + 1
-        return StepStatistics(number, 0.5, {}, None, 25, number in self.bad_steps)
-
-    def _tensors(self):
-        return {}
-
-    def _write_checkpoint(self, path, facts):
+    def write(path: Path, facts: CheckpointFacts) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
+
+    folder.path.mkdir()
+    facts = CheckpointFacts.at_start(load_scene(scene))
+    return RunRecord(folder, facts, short_config(checkpoint_every=4), dict, write, **options)
+
+
+def statistics_of(step: int, skipped: bool = False) -> StepStatistics:
+    return StepStatistics(step, 0.5, {}, None, 25, skipped)
 
 
 def test_slow_steps_are_saved_before_their_turn(small_scene, tmp_path):
     def saved_where_a_step_takes(seconds: float, name: str) -> list[int]:
         folder, now = RunFolder(tmp_path / name), 0.0
-        facts = CheckpointFacts.at_start(load_scene(small_scene))
-        driver = OfNothing(folder, facts, 8, checkpoint_every=4, clock=lambda: now)
-        folder.path.mkdir()
+        record = recorded(folder, small_scene, clock=lambda: now)
         saved = []
-        for statistics in driver.steps():
+        for step in range(1, 8):
             now += seconds
-            newest = folder.checkpoint_file(statistics.step - 1)
-            saved.extend([statistics.step - 1] * newest.is_file())
+            record.add(statistics_of(step))
+            record.save_if_due(8)
+            saved.extend([step] * folder.checkpoint_file(step).is_file())
         return saved
 
     assert saved_where_a_step_takes(1, "fast") == [4]
@@ -476,8 +506,8 @@ def test_the_log_says_what_a_step_measured_and_of_a_skipped_one_that_it_was(smal
         small_scene,
         tmp_path / "run",
         short_config(max_steps=21),
+        hooks=Hooks(on_step=lambda each: statistics.update({each.step: each})),
         terms=[Spoilt(20)],
-        on_step=lambda each: statistics.update({each.step: each}),
     )
     lines = {line["step"]: line for line in read_log(folder) if "skipped" not in line}
     assert lines.keys() == {10, 20, 21}
@@ -496,7 +526,7 @@ def test_a_resumed_run_counts_the_time_before_it(small_scene, tmp_path):
     config = short_config(max_steps=20)
     folder = train(small_scene, tmp_path / "run", config, stop_at=10)
     rewrite(folder.newest_checkpoint(), train_seconds=1e6)
-    train(small_scene, tmp_path / "run", config, resume=True)
+    train(small_scene, tmp_path / "run", config, options=TrainOptions(resume=True))
     assert load_facts(folder.newest_checkpoint()).train_seconds > 1e6
     assert read_log(folder)[-1]["seconds"] > 1e6
 
@@ -514,7 +544,7 @@ def test_skipped_steps_are_counted_across_a_resume(small_scene, tmp_path):
     config, terms = short_config(max_steps=20), [Spoilt(4, 5, 6)]
     train(small_scene, tmp_path / "run", config, terms=terms, stop_at=5)
     with pytest.raises(TrainingError, match="at step 6"):
-        train(small_scene, tmp_path / "run", config, terms=terms, resume=True)
+        train(small_scene, tmp_path / "run", config, options=TrainOptions(resume=True), terms=terms)
 
 
 def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path):
@@ -522,7 +552,13 @@ def test_without_a_checkpoint_the_error_says_so(small_scene, tmp_path):
     with pytest.raises(TrainingError, match="no checkpoint"):
         train(small_scene, tmp_path / "run", short_config(), terms=terms)
     with pytest.raises(RunError, match="no checkpoint"):
-        train(small_scene, tmp_path / "run", short_config(), terms=terms, resume=True)
+        train(
+            small_scene,
+            tmp_path / "run",
+            short_config(),
+            options=TrainOptions(resume=True),
+            terms=terms,
+        )
 
 
 class Memory:
@@ -662,7 +698,7 @@ def test_a_training_that_fails_leaves_no_thread(small_scene, tmp_path):
 
     before = readers()
     with pytest.raises(ZeroDivisionError) as caught:
-        train(small_scene, tmp_path / "run", short_config(), on_step=fail)
+        train(small_scene, tmp_path / "run", short_config(), hooks=Hooks(on_step=fail))
     assert caught.tb is not None  # it holds the trainer, whose thread has ended nonetheless
     assert readers() <= before
 
@@ -675,7 +711,13 @@ def test_where_memory_stays_full_the_last_good_step_is_kept(small_scene, tmp_pat
     kept = tmp_path / "run/checkpoints/step_000005.safetensors"
     assert f"{kept}: resume" in str(caught.value)
     assert caught.value.options == ("max_gaussians", "resolution")
-    folder = train(small_scene, tmp_path / "run", config, resume=True, device="cpu", terms=terms)
+    folder = train(
+        small_scene,
+        tmp_path / "run",
+        config,
+        options=TrainOptions(resume=True, device="cpu"),
+        terms=terms,
+    )
     expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
 
@@ -689,7 +731,7 @@ def test_a_gpu_that_cannot_be_used_is_said_before_anything_is_made(small_scene, 
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     with pytest.raises(DeviceError, match="use the CPU"):
-        train(small_scene, tmp_path / "run", short_config(), device="cuda")
+        train(small_scene, tmp_path / "run", short_config(), options=TrainOptions(device="cuda"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -703,30 +745,31 @@ def test_the_peak_of_memory_is_that_of_one_device(device, is_kept, small_scene, 
     config = short_config(max_steps=2)
     folder = train(small_scene, tmp_path / "run", config, stop_at=1)
     rewrite(folder.newest_checkpoint(), device=device, peak_memory_bytes=2**50)
-    train(small_scene, folder.path, config, resume=True, device="cpu")
+    train(small_scene, folder.path, config, options=TrainOptions(resume=True, device="cpu"))
     facts = load_facts(folder.newest_checkpoint())
     assert (facts.step, facts.device, facts.peak_memory_bytes == 2**50) == (2, "cpu", is_kept)
 
 
 def test_steps_that_are_looked_at_later_are_counted_all_the_same(small_scene, tmp_path):
-    """As on a GPU, where the driver looks every tenth step."""
+    """As on a GPU, where skipped steps are counted after every tenth."""
     folder = RunFolder(tmp_path / "run")
-    folder.path.mkdir()
-    facts = CheckpointFacts.at_start(load_scene(small_scene))
-    driver = OfNothing(folder, facts, 60, checkpoint_every=5, check_every=10)
-    driver.bad_steps = (2, 3, 12, 13, 14)
+    record = recorded(folder, small_scene, check_every=10)
+    for step in range(1, 20):
+        record.add(statistics_of(step, step in (2, 3, 12, 13, 14)))
     with pytest.raises(TrainingError, match="step 14"):
-        driver.run(None, None)
+        record.add(statistics_of(20))
     assert [entry["step"] for entry in read_log(folder)] == [2, 3, 10, 12, 13, 14]
-    assert folder.checkpoints()[-1] == folder.checkpoint_file(10)
+    assert record.step == 20
 
 
 @pytest.mark.gpu
 @pytest.mark.parametrize(("first", "second"), [("cpu", "cuda"), ("cuda", "cpu")])
 def test_a_run_goes_on_on_another_device(first, second, small_scene, tmp_path):
     config = eventful("mrgs-plus")
-    folder = train(small_scene, tmp_path / "run", config, stop_at=110, device=first)
-    train(small_scene, folder.path, config, resume=True, device=second)
+    folder = train(
+        small_scene, tmp_path / "run", config, options=TrainOptions(device=first), stop_at=110
+    )
+    train(small_scene, folder.path, config, options=TrainOptions(resume=True, device=second))
     facts = load_facts(folder.newest_checkpoint())
     assert (facts.step, facts.device == "cpu", facts.skipped_steps) == (120, second == "cpu", 0)
     assert facts.peak_memory_bytes > 2**20
@@ -764,7 +807,7 @@ def test_a_resumed_run_needs_its_own_scene(small_scene, make_scene, tmp_path):
     content = json.loads((other / "transforms.json").read_text())
     (other / "transforms.json").write_text(json.dumps({**content, "frames": content["frames"][:4]}))
     with pytest.raises(RunError, match=f"{other.name} has 3 "):
-        train(other, folder.path, config, resume=True)
+        train(other, folder.path, config, options=TrainOptions(resume=True))
 
 
 def test_training_leaves_the_callers_random_numbers_alone(small_scene, tmp_path):

@@ -7,19 +7,18 @@ import math
 import pytest
 import torch
 
-from mrgs.training.view_sums import LOSS, THERMAL_ERROR, ViewSums
+from mrgs.training.step import LOSS, THERMAL_ERROR, ViewSums
+from mrgs.training.view_pass import ViewMeasures
 
 
 def summed(*views: tuple[float, dict[str, float], float | None]) -> ViewSums:
     """Sums over views, each with its loss, its terms and its thermal error."""
     found = ViewSums()
     for loss, terms, error in views:
-        found.add(
-            torch.tensor(loss),
-            {name: torch.tensor(value) for name, value in terms.items()},
-            None if error is None else torch.tensor(error),
-            {"gradients": torch.tensor([1.0, loss])},
-        )
+        values = {name: torch.tensor(value) for name, value in terms.items()}
+        known = None if error is None else torch.tensor(error)
+        measures = ViewMeasures(torch.tensor(loss), values, known, None, ())
+        found.add(0, measures, {"gradients": torch.tensor([1.0, loss])})
     return found
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.training.views import ViewSampler
+from mrgs.training.state import ViewSampler
 
 
 def sampler(count: int, seed: int = 0) -> tuple[ViewSampler, torch.Generator]:

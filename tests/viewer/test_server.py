@@ -20,6 +20,7 @@ from mrgs.render import render
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Blend, Camera, Gaussians, Rendering
 from mrgs.training import StepStatistics, make_config, train
+from mrgs.training.start import Hooks
 from mrgs.viewer import LiveView, view
 from mrgs.viewer.browser import Browser
 from mrgs.viewer.gate import require_free
@@ -123,9 +124,11 @@ def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
         looker = threading.Thread(target=look, daemon=True)
         looker.start()
         train(
-            small_scene, tmp_path / "run", make_config("mrgs", max_steps=6, max_gaussians=60),
-            on_start=live.on_start, on_model=on_model, on_step=live.on_step,
-        )  # fmt: skip
+            small_scene,
+            tmp_path / "run",
+            make_config("mrgs", max_steps=6, max_gaussians=60),
+            hooks=Hooks(on_start=live.on_start, on_model=on_model, on_step=live.on_step),
+        )
         looker.join(60)
     assert urls[0].startswith("http://127.0.0.1:")
     assert "1 of 6" in browser.notes[0]
@@ -155,7 +158,9 @@ def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scen
             found.append(written)
 
         config = make_config("mrgs-plus", max_steps=2, max_gaussians=60)
-        train(small_scene, tmp_path / "run", config, on_model=live.on_model, on_step=look)
+        train(
+            small_scene, tmp_path / "run", config, hooks=Hooks(on_model=live.on_model, on_step=look)
+        )
     run = load_run(tmp_path / "run")
     blurred, even = found[-1]
     expected = run.camera_response(thermal_rendering(sharp), CAMERA)
@@ -185,7 +190,10 @@ def test_watching_changes_nothing(small_scene, tmp_path):
             return live.on_step(statistics)
 
         watched = train(
-            small_scene, tmp_path / "watched", config, on_model=live.on_model, on_step=on_step
+            small_scene,
+            tmp_path / "watched",
+            config,
+            hooks=Hooks(on_model=live.on_model, on_step=on_step),
         )
     assert seen
     first, second = load_run(alone.path).model.gaussians, load_run(watched.path).model.gaussians
@@ -202,9 +210,11 @@ def test_a_burst_viewer_does_not_stop_the_training(small_scene, tmp_path, caplog
             return live.on_step(statistics)
 
         folder = train(
-            small_scene, tmp_path / "run", make_config("mrgs", max_steps=4, max_gaussians=60),
-            on_model=live.on_model, on_step=on_step,
-        )  # fmt: skip
+            small_scene,
+            tmp_path / "run",
+            make_config("mrgs", max_steps=4, max_gaussians=60),
+            hooks=Hooks(on_model=live.on_model, on_step=on_step),
+        )
     assert "the browser burst" in caplog.text
     steps = [json.loads(line)["step"] for line in folder.log_file.read_text().splitlines()]
     assert steps[-1] == 4

@@ -17,11 +17,11 @@ from mrgs.app.terminal import print_note, print_warning, styled
 from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.prepare import PrepareOptions, StageReport
+from mrgs.run_files.folder import RunConfig
+from mrgs.run_files.record import Statistics
 from mrgs.scene import Scene
 from mrgs.system.disk import free_disk
 from mrgs.system.wording import counted
-from mrgs.training.driver import Statistics
-from mrgs.training.run_folder import RunConfig
 
 GIGABYTE = 1e9
 

@@ -27,9 +27,9 @@ from mrgs.errors import warn_user
 if TYPE_CHECKING:
     from mrgs.pipeline.forecast import Forecast
     from mrgs.prepare import Preparation, StageReport
+    from mrgs.run_files.folder import RunConfig
+    from mrgs.run_files.record import Statistics
     from mrgs.scene import Scene
-    from mrgs.training.driver import Statistics
-    from mrgs.training.run_folder import RunConfig
 
 PLAIN_LINE_EVERY_S = 10.0
 """Interval of the lines if the output is not a terminal."""
@@ -326,14 +326,14 @@ class PrepareProgress:
 
 def _plan(scene: Scene, config: RunConfig) -> str:
     """Method, steps, cap on the Gaussians, and the memory needed."""
+    from mrgs.kernels.cache import are_compiled
     from mrgs.training import TrainConfig, estimate_bytes
-    from mrgs.training.compilation import compiling_progress
     from mrgs.training.memory import gaussian_bytes
 
     if not isinstance(config, TrainConfig):
         return f"{config.method}, {config.max_steps:,} steps"
     cap = config.densification.max_gaussians
-    compiles = compiling_progress(config).seconds_left > 0
+    compiles = not are_compiled()
     start = min(len(scene.points.positions), cap)
     # Once, for it reads photos.
     first = estimate_bytes(scene, config, start, compiles=compiles)

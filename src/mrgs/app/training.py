@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -19,11 +19,11 @@ from mrgs.app.terminal import note_gpu, print_viewer_address
 from mrgs.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:
+    from mrgs.run_files.folder import RunFolder
     from mrgs.runs.registry import Method
     from mrgs.scene import Scene
     from mrgs.system.gpu import DeviceName
-    from mrgs.training import StepStatistics, TrainConfig
-    from mrgs.training.run_folder import RunFolder
+    from mrgs.training import Hooks, StepStatistics, TrainConfig
     from mrgs.viewer import LiveView
 
 
@@ -34,10 +34,11 @@ def train(command: Train) -> None:
         MrgsError: an option cannot be followed, or as the training.
         Interrupted: the training was interrupted, and has saved a checkpoint.
     """
+    from mrgs.run_files.folder import RunFolder
     from mrgs.runs.open import method_of
     from mrgs.runs.registry import find_method
     from mrgs.system.gpu import choose_device
-    from mrgs.training.run_folder import RunFolder
+    from mrgs.training.start import TrainOptions
 
     scene = command.scene.parent if command.scene.is_file() else command.scene
     output = command.output or Path("runs") / f"{scene.resolve().name}-{command.method}"
@@ -61,12 +62,10 @@ def train(command: Train) -> None:
             command.scene,
             output,
             config,
-            resume=command.resume,
-            accept_changes=command.accept_changes,
-            device=device,
-            plain=command.plain,
-            tensorboard=command.tensorboard,
-            **_hooks(progress, live),
+            TrainOptions(
+                command.resume, command.accept_changes, device, command.plain, command.tensorboard
+            ),
+            _hooks(progress, live),
         )
     _print_next(command, output, progress)
 
@@ -123,14 +122,16 @@ def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
     )
 
 
-def _within_minutes(command: Train, method: Method, config: Any, device: str) -> Any:
+def _within_minutes(command: Train, method: Method, config: Any, device: DeviceName) -> Any:
     """The configuration with the steps that fit into ``--minutes``, at the pace measured here."""
     from mrgs.pipeline.time_limit import measure_pace, steps_within
+    from mrgs.training.start import TrainOptions
 
     assert command.minutes is not None
     print("measuring the pace of a few steps", flush=True)
     started = time.monotonic()
-    pace = measure_pace(method, command.scene, config, device=device, plain=command.plain)
+    options = TrainOptions(device=device, plain=command.plain)
+    pace = measure_pace(method, command.scene, config, options)
     left_s = command.minutes * 60 - (time.monotonic() - started)
     most = config.densification.max_gaussians if method.has_gaussians else None
     steps = steps_within(left_s, pace, most)
@@ -207,10 +208,12 @@ def _live_view(command: Train, output: Path) -> Iterator[LiveView | None]:
         yield live
 
 
-def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
+def _hooks(progress: TrainingProgress, live: LiveView | None) -> Hooks:
     """Callbacks of ``train``: the terminal's line, and the view if there is one."""
+    from mrgs.training.start import Hooks
+
     if live is None:
-        return {"on_start": progress.start, "on_step": progress.step}
+        return Hooks(progress.step, progress.start)
 
     def on_start(scene: Scene, config: TrainConfig) -> None:
         progress.start(scene, config)
@@ -220,7 +223,7 @@ def _hooks(progress: TrainingProgress, live: LiveView | None) -> dict[str, Any]:
         live.on_step(statistics)
         return progress.step(statistics)
 
-    return {"on_start": on_start, "on_model": live.on_model, "on_step": on_step}
+    return Hooks(on_step, on_start, live.on_model)
 
 
 def _train_in_blocks(command: Train, folder: RunFolder, config: Any, device: DeviceName) -> None:
@@ -259,12 +262,14 @@ def _train_in_blocks(command: Train, folder: RunFolder, config: Any, device: Dev
 
 
 @contextmanager
-def _follow_block(title: str) -> Iterator[Mapping[str, Any]]:
+def _follow_block(title: str) -> Iterator[Hooks]:
     """Show a training; ends the command if it was interrupted."""
+    from mrgs.training.start import Hooks
+
     print(f"{title}:", flush=True)
     progress = TrainingProgress()
     with progress:
-        yield {"on_start": progress.start, "on_step": progress.step}
+        yield Hooks(progress.step, progress.start)
     if progress.unfinished:
         print("checkpoint saved; re-run the same command to resume", file=progress.sink)
         raise Interrupted

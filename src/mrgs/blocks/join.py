@@ -15,14 +15,13 @@ from mrgs.blocks.plan import BlockPlan
 from mrgs.blocks.refinement import Part, WholeModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.terms import configured_terms
-from mrgs.method.start.start_points import model_modalities
+from mrgs.run_files.checkpoint import below
+from mrgs.run_files.facts import CheckpointFacts
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene import Gaussians, Scene
+from mrgs.scene.capture import model_modalities
 from mrgs.system.torch_modes import seeded
 from mrgs.training import checkpoint
-from mrgs.training.checkpoint_layout import below
-from mrgs.training.facts import CheckpointFacts
-from mrgs.training.newest import load_newest
-from mrgs.training.run_folder import RunFolder
 from mrgs.training.state import TrainingState
 
 DRIFT = "thermal_drift."
@@ -140,7 +139,7 @@ def mean_image_model(
 def load_gaussians(run: RunFolder) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Tensor]]:
     """Parameters of the Gaussians in a run's newest checkpoint, without moments; its facts; and its
     image model."""
-    tensors, facts, _ = load_newest(run, checkpoint.read)
+    tensors, facts, _ = run.load_newest(checkpoint.read)
     named = below(tensors, "gaussians.")
     gaussians = {name: each for name, each in named.items() if not name.startswith("adam.")}
     return gaussians, facts, below(tensors, "image_model.")

@@ -14,7 +14,7 @@ from torch import Tensor
 from mrgs.blocks.coverage import Surveyor, counted_places, views_of
 from mrgs.blocks.plan import BlockPlan
 from mrgs.blocks.region import Region, Ring, ScenePlane
-from mrgs.method.camera_model.image_model import Capture, ImageModel, PointSpread
+from mrgs.method.camera_model.image_model import ImageModel, PointSpread
 from mrgs.method.config import TrainConfig, with_steps
 from mrgs.method.density import DensityStep, DensityUpdate, Strategy, StrategyState
 from mrgs.method.losses.terms import configured_terms
@@ -22,12 +22,12 @@ from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.method.start.fitted_residuals import leave_the_rest
 from mrgs.method.start.start_points import initial_gaussians, start_points
 from mrgs.render import Model, ScreenPoints, rows_in_view
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene import THERMAL, Gaussians, PointCloud, Scene, SceneBounds
+from mrgs.scene.capture import Capture
 from mrgs.system.torch_modes import seeded
 from mrgs.training.checkpoint import load_model
-from mrgs.training.newest import load_newest
-from mrgs.training.opening import TrainingPart
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import TrainingPart
 from mrgs.training.state import TrainingState
 
 EXTENT = 3.0
@@ -145,7 +145,7 @@ class WholeModel(NamedTuple):
         Raises:
             RunError: it cannot be read.
         """
-        model, _, image_model = load_newest(folder, lambda path: load_model(path, config))
+        model, _, image_model = folder.load_newest(lambda path: load_model(path, config))
         return cls(model, image_model)
 
     def with_new_blur(self) -> WholeModel:

@@ -4,12 +4,11 @@ model."""
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import torch
 from filelock import FileLock, Timeout
@@ -23,14 +22,13 @@ from mrgs.blocks.region import parse_grid
 from mrgs.errors import ConfigError, FolderInUseError
 from mrgs.method.config import TrainConfig, with_steps
 from mrgs.method.density.adaptive import AdaptiveDensityControl
+from mrgs.run_files.checkpoint import load_facts
+from mrgs.run_files.facts import CheckpointFacts, facts_to_resume
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene import Scene
 from mrgs.system.atomic import write_error
 from mrgs.system.gpu import DeviceName
-from mrgs.training.checkpoint import load_facts
-from mrgs.training.facts import CheckpointFacts, facts_to_resume
-from mrgs.training.newest import load_newest
-from mrgs.training.opening import train
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import NO_HOOKS, Hooks, TrainOptions, train
 
 COARSE_STEPS = 0.5
 """Steps of the coarse model, as a share of a block's."""
@@ -40,8 +38,8 @@ COARSE_ROUNDS = 4
 
 WAIT_S = 1.0
 
-Follow = Callable[[str], AbstractContextManager[Mapping[str, Any]]]
-"""From the title of a training to what follows it: ``on_start`` and ``on_step`` of ``train``."""
+Follow = Callable[[str], AbstractContextManager[Hooks]]
+"""From the title of a training to the hooks that follow it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +66,7 @@ class BlockTraining:
     options: BlockOptions
     device: DeviceName = "auto"
     plain: bool = False
-    follow: Follow = field(default=lambda title: nullcontext({}))
+    follow: Follow = field(default=lambda title: nullcontext(NO_HOOKS))
     say: Callable[[str], None] = field(default=lambda line: None)
 
     @property
@@ -110,7 +108,7 @@ class BlockTraining:
             plan = read_plan(path)
             if plan is not None:
                 plan.require_same(path, self.scene, self.config, self.options)
-                facts_to_resume(load_newest(self.coarse_folder, load_facts), self.scene)
+                facts_to_resume(self.coarse_folder.load_newest(load_facts), self.scene)
                 return plan
             self._train(self.coarse_folder, self._coarse_config, "coarse model of the whole")
             plan = make_plan(
@@ -221,17 +219,10 @@ class BlockTraining:
         scene = self.scene
         if part is not None:
             scene = only(scene, part.part.counted, part.views, self._surveyor)
+        options = TrainOptions(bool(folder.checkpoints()), device=self.device, plain=self.plain)
+        own = None if part is None else part.training_part
         with self.follow(title) as hooks:
-            train(
-                scene,
-                folder.path,
-                config,
-                resume=bool(folder.checkpoints()),
-                device=self.device,
-                plain=self.plain,
-                part=None if part is None else part.training_part,
-                **hooks,
-            )
+            train(scene, folder.path, config, options, hooks, part=own)
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -261,4 +252,4 @@ def _wait_for(lock: FileLock) -> None:
 def _is_finished(folder: RunFolder, config: TrainConfig) -> bool:
     if not folder.config_file.is_file() or not folder.checkpoints():
         return False
-    return load_newest(folder, load_facts).step >= config.max_steps
+    return folder.load_newest(load_facts).step >= config.max_steps

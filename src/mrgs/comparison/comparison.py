@@ -34,6 +34,7 @@ from mrgs.evaluation.renders import evaluate_renders, find_renders
 from mrgs.pictures.files import write_png
 from mrgs.pictures.sheet import stack
 from mrgs.render import Rendering
+from mrgs.run_files.folder import CHECKPOINTS_KEPT
 from mrgs.runs.open import open_run
 from mrgs.scene import BUILT_IN, THERMAL, Scene, View
 from mrgs.system import gpu
@@ -42,7 +43,6 @@ from mrgs.system.disk import warn_if_short
 from mrgs.system.gpu import DeviceName
 from mrgs.training import TrainConfig
 from mrgs.training.memory import checkpoint_bytes
-from mrgs.training.run_folder import CHECKPOINTS_KEPT
 
 Say = Callable[[str], None]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from mrgs.errors import ConfigError
+from mrgs.run_files.folder import RunConfig
 from mrgs.runs.registry import find_method
 from mrgs.system.strict_yaml import parse_yaml
-from mrgs.training.run_folder import RunConfig
 
 DEFAULT_METHODS = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
 

@@ -20,9 +20,9 @@ from mrgs.comparison.runs import (
 )
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, SceneError
+from mrgs.run_files.folder import RunConfig
 from mrgs.system.atomic import write_text
 from mrgs.training import make_config
-from mrgs.training.run_folder import RunConfig
 
 NEIGHBOURS_METHOD = "mrgs"
 """The method whose number of neighbours the paper's Table 4 varies."""

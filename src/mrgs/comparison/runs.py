@@ -14,14 +14,15 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation import evaluate_run
 from mrgs.evaluation.figures import REPORTED, figure_names
 from mrgs.evaluation.scored_data import ScoredData
+from mrgs.run_files.checkpoint import load_facts
+from mrgs.run_files.facts import CheckpointFacts, differences
+from mrgs.run_files.folder import RunConfig, RunFolder
 from mrgs.runs.open import method_of, open_run
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
 from mrgs.system.gpu import DeviceName
 from mrgs.system.strict_yaml import first_difference, flat
-from mrgs.training.checkpoint import load_facts
-from mrgs.training.facts import CheckpointFacts, differences
-from mrgs.training.run_folder import RunConfig, RunFolder
+from mrgs.training.start import Hooks, TrainOptions
 
 OnStep: TypeAlias = Callable[[Any], bool | None]
 """Called with a step's statistics, which have ``step`` and ``gaussians``; returning True stops the
@@ -62,7 +63,7 @@ def run_one(
     device = device if method.uses_gpu else "cpu"
     if not _is_trained(folder, config):
         resume = bool(RunFolder(folder).checkpoints())
-        method.train(scene, folder, config, resume=resume, device=device, on_step=on_step)
+        method.train(scene, folder, config, TrainOptions(resume, device=device), Hooks(on_step))
     run = open_run(folder, scene, device)
     if run.facts.step < config.max_steps:
         return False

@@ -26,10 +26,10 @@ from mrgs.method.camera_model.pose_error import (
 )
 from mrgs.method.camera_model.view_motion import as_matrix, effect, motion_axes
 from mrgs.runs.refined_poses import moved_cameras, moved_view
+from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import View
 from mrgs.training.pose_check import looked_at, spread
-from mrgs.training.resolution import pixel_sizes
-from mrgs.training.trained_run import TrainedRun
+from mrgs.training.view_pass import pixel_sizes
 
 MOST_VIEWS = 16
 """Number of held-out views that are inspected for wrong poses."""

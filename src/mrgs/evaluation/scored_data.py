@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from mrgs.run_files.fingerprint import ImageFingerprint, changes, fingerprints
 from mrgs.scene import Scene, TemperatureRange
-from mrgs.training.fingerprint import ImageFingerprint, changes, fingerprints
 
 
 class ScoredData(NamedTuple):

@@ -97,6 +97,15 @@ class KernelCache(FunctionCache):
             _warn_not_kept(f"{self.cache_path} cannot be written ({error.strerror})")
 
 
+def are_compiled() -> bool:
+    """Whether this package's kernels are on disk, as after the first training; else compiling them
+    takes about a minute."""
+    if config.DISABLE_JIT:
+        return True
+    folder = version_folder(FOLDER)
+    return folder is not None and any(folder.rglob("*.nbi"))
+
+
 @cache
 def version_folder(sources: Path) -> Path | None:
     """The cache for kernels whose source files are in a folder; None, with a warning, if there is

@@ -11,12 +11,13 @@ from typing import Literal, get_args
 from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig
 from mrgs.field.spherical_harmonics import MAX_DEGREE
-from mrgs.method.camera_model.image_model import Capture, ImageModelConfig
+from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.density import AdaptiveDensityControl, ConfiguredStrategy
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
+from mrgs.scene.capture import Capture
 from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within, whole_number
 from mrgs.system.strict_yaml import read_yaml
 

@@ -24,7 +24,7 @@ from mrgs.prepare.options import PrepareOptions
 from mrgs.runs.open import Run
 from mrgs.scene import Scene
 from mrgs.system.threads import available_cores
-from mrgs.training.resolution import coarse_size
+from mrgs.training.view_pass import coarse_size
 
 PARALLEL = 0.5
 """Share of the work that is spread over the cores (Amdahl)."""

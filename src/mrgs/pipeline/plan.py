@@ -12,10 +12,10 @@ from mrgs.method.config import DEFAULT_METHOD, TrainConfig
 from mrgs.pipeline.intake import Intake
 from mrgs.prepare.contract import StageReport
 from mrgs.prepare.options import PrepareOptions
+from mrgs.run_files.folder import RunConfig
+from mrgs.run_files.record import Statistics
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
-from mrgs.training.driver import Statistics
-from mrgs.training.run_folder import RunConfig
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.export.points import require_laspy
+from mrgs.kernels.cache import are_compiled
 from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, reduced, stage_parts
 from mrgs.pipeline.intake import Intake, take_in
 from mrgs.pipeline.ledger import LEDGER
@@ -16,16 +17,18 @@ from mrgs.pipeline.plan import QUALITIES, Monitor, PipelinePlan, PlannedStage, Q
 from mrgs.pipeline.stages import Job, Report, Stage
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.reconstruct import check_version, installed_version
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene import THERMAL
 from mrgs.system import gpu
 from mrgs.system.disk import free_disk
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.memory import free_memory
 from mrgs.system.threads import available_cores
-from mrgs.training.compilation import compiling_progress
 from mrgs.training.memory import training_bytes
 from mrgs.training.photos import bytes_per_pixel
-from mrgs.training.run_folder import RunFolder
+
+COMPILING_S = 45.0
+"""Processor seconds to compile the kernels of a method with heads (docs/performance.md)."""
 
 CACHED_SHARE = 0.01
 """Share of the time to prepare photos that is needed if all results are in the cache."""
@@ -93,7 +96,7 @@ def run_pipeline(
     _require_own(source, target)
     missing = _require_extras(intake, options)
     on_cpu = gpu.choose_device(device) == HOST
-    compiling_s = compiling_progress(chosen.config()).seconds_left if on_cpu else 0.0
+    compiling_s = COMPILING_S if on_cpu and not are_compiled() else 0.0
     work = Workload.of(intake, chosen, compiling_s)
     disk = disk_bytes(work, intake)
     _require_disk(disk, target)

@@ -22,6 +22,8 @@ from mrgs.prepare import Preparation, PrepareOptions, prepare
 from mrgs.prepare.contract import CACHE_FOLDER
 from mrgs.prepare.page.check import check_scene
 from mrgs.report import write_report
+from mrgs.run_files.folder import RunFolder
+from mrgs.run_files.record import Statistics
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
@@ -29,8 +31,7 @@ from mrgs.survey import SURVEY_FILE
 from mrgs.system.gpu import DeviceName
 from mrgs.system.strict_yaml import write_yaml
 from mrgs.system.wording import counted
-from mrgs.training.driver import Statistics
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import Hooks, TrainOptions
 
 PAGE_FORMAT, PREPARE = "page", "prepare"
 
@@ -230,10 +231,8 @@ class Job:
             self.scene,
             self.model,
             self.config,
-            resume=resume,
-            device=self.device,
-            on_start=self.monitor.training_started,
-            on_step=stepped,
+            TrainOptions(resume, device=self.device),
+            Hooks(stepped, self.monitor.training_started),
         )
         if last < self.config.max_steps:
             raise KeyboardInterrupt

@@ -17,6 +17,7 @@ from mrgs.method.config import TrainConfig
 from mrgs.pipeline.forecast import mean_gaussians, mean_kpx, step_seconds
 from mrgs.runs.registry import Method
 from mrgs.scene import Scene
+from mrgs.training.start import DEFAULT_OPTIONS, Hooks, TrainOptions
 
 PILOT_S = 3.0
 """How long the steps of a pilot take at least."""
@@ -50,8 +51,8 @@ def measure_pace(
     method: Method,
     scene: str | Path,
     config: Any,
+    options: TrainOptions = DEFAULT_OPTIONS,
     clock: Callable[[], float] = time.perf_counter,
-    **options: Any,
 ) -> Pace:
     """Train for a few seconds into a folder that is thrown away, on photos of full resolution; this
     also compiles the kernels.
@@ -79,7 +80,7 @@ def measure_pace(
     sharp = replace(config, coarse_until=0.0) if isinstance(config, TrainConfig) else config
     with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
         pilot = Path(folder, "run")
-        method.train(scene, pilot, sharp, on_start=on_start, on_step=on_step, **options)
+        method.train(scene, pilot, sharp, options, Hooks(on_step, on_start))
     steps = [after - before for before, after in pairwise(times[len(times) // 3 :])]
     return Pace(times[0] - called, statistics.median(steps), **found)
 

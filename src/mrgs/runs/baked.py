@@ -18,6 +18,7 @@ from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade, u
 from mrgs.rasterizer import Layer, median_depth, rasterize
 from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, shared_passes
+from mrgs.runs.trained_run import asked_cameras
 from mrgs.scene import (
     RGB,
     THERMAL,
@@ -29,7 +30,6 @@ from mrgs.scene import (
     evenly_spaced,
 )
 from mrgs.system.torch_modes import own_modes
-from mrgs.training.asked_cameras import asked_cameras
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
 

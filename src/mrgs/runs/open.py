@@ -17,19 +17,18 @@ from mrgs.errors import ConfigError, DeviceError, RunError
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.render import Model, bake_temperature_residuals, render
+from mrgs.run_files.facts import require_scene
+from mrgs.run_files.folder import RunFolder
 from mrgs.runs.refined_poses import with_refined_poses
 from mrgs.runs.registry import Method, find_method
+from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.threads import will_compute
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_model
-from mrgs.training.facts import require_scene
 from mrgs.training.kernel_check import check_rendering
-from mrgs.training.newest import load_newest
-from mrgs.training.run_folder import RunFolder
-from mrgs.training.trained_run import TrainedRun
 
 __all__ = ["Run", "TrainedRun", "load_run", "method_of", "open_gaussians", "open_run"]
 
@@ -201,12 +200,11 @@ def open_gaussians(
     """Open the newest checkpoint of a run that ``mrgs.train`` trained; see ``open_run``."""
     folder = RunFolder(path)
     folder.newest_checkpoint()
-    config = folder.read_config(from_yaml)
-    folder.warn_if_incomplete(config)
+    config = folder.read_whole_config(from_yaml)
     chosen = gpu.choose_device(device)
     will_compute()
     with own_modes(chosen):
-        model, facts, image_model = load_newest(folder, lambda file: load_model(file, config))
+        model, facts, image_model = folder.load_newest(lambda file: load_model(file, config))
         check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
         model = bake_temperature_residuals(model)
     return Run(folder, config, facts.moved_to(scene), model, image_model, chosen)

@@ -41,7 +41,7 @@ class Method:
         description: one line, for the help.
         make_config: configuration of a preset, from the keywords ``preset``, ``max_steps``,
             ``resolution``, ``seed``, and ``max_gaussians`` and ``batch`` where the method has
-            Gaussians. A dataclass with what ``mrgs.training.run_folder.RunConfig`` asks for.
+            Gaussians. A dataclass with what ``mrgs.run_files.folder.RunConfig`` asks for.
         train: trains or resumes a run, with the parameters of ``mrgs.train``; without ``on_model``
             where the method has no Gaussians.
         open: opens the newest checkpoint of a run as a ``TrainedRun``, from the folder, the scene

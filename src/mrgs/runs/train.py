@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import atexit
+import os
+import shutil
+import tempfile
 import weakref
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import torch
 
@@ -16,21 +20,21 @@ from mrgs.method.config import TrainConfig, make_config
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.render import Model, render
+from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
+from mrgs.runs.trained_run import asked_cameras
 from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
 from mrgs.system.gpu import DeviceName
 from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.wording import shown
-from mrgs.training import opening
-from mrgs.training.asked_cameras import asked_cameras
-from mrgs.training.opening import OnStep
-from mrgs.training.run_folder import RunFolder, TemporaryRunFolder
+from mrgs.training import start
+from mrgs.training.loop import Trainer
+from mrgs.training.start import Hooks, TrainOptions
 from mrgs.training.step import StepStatistics
-from mrgs.training.trainer import Trainer
 
 _OPEN_LOOPS: weakref.WeakSet[Generator[LiveRun, None, None]] = weakref.WeakSet()
-"""Loops of runs with a folder that may not have ended."""
+"""Loops of runs with a folder, which may not have ended."""
 
 
 def train(
@@ -46,14 +50,14 @@ def train(
     stop_at: int | None = None,
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
-    on_step: OnStep | None = None,
+    on_step: Callable[[StepStatistics], object] | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
     on_model: Callable[[Model, CameraResponse], None] | None = None,
 ) -> Run:
     """Train a model of a scene, and open the run.
 
-    Ctrl-C ends the training after the current step, and an error in ``on_step`` after the last one,
-    with a checkpoint; a second Ctrl-C ends it at once.
+    Ctrl-C ends the training after the current step with a checkpoint, a second Ctrl-C at once. An
+    error in ``on_step`` ends it with a checkpoint of the last step.
 
     Args:
         scene: the scene or its folder; one that was read before keeps its resolution.
@@ -62,10 +66,11 @@ def train(
             process.
         config: what to train, see ``make_config``; what that returns by default if None. A resumed
             run keeps its own.
-        resume: continue the run from its newest checkpoint that is whole, exactly; on another
-            device up to rounding.
-        accept_changes: resume where photos, poses or intrinsics have changed since the run began.
-        device: "auto" takes the GPU where there is one that can be used.
+        resume: continue the run from its newest undamaged checkpoint, exactly; on another device
+            up to rounding.
+        accept_changes: resume although photos, poses or intrinsics have changed since the run
+            began.
+        device: "auto" takes the GPU if there is one that can be used.
         plain: run the plain definitions of all operations instead of kernels, much slower; so does
             the environment variable MRGS_PLAIN=1.
         tensorboard: also write the log to the run's folder ``tensorboard``.
@@ -74,11 +79,10 @@ def train(
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
         on_step: called after every step; returning True stops with a checkpoint.
-        on_start: called once, before the model is made, with the scene and the configuration in
-            force.
-        on_model: called after it with the model that is trained, which ``on_step`` may look at and
-            must not change, and with what the scene's cameras are taken to do to its renderings, as
-            far as is learned by then.
+        on_start: called once, before the model is made, with the scene and the configuration.
+        on_model: called once, after that, with the model that is trained, which ``on_step`` may
+            read and must not change, and with the response of the scene's cameras to a rendering,
+            as learned so far.
 
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
@@ -93,26 +97,21 @@ def train(
         DeviceError: the GPU was asked for and cannot be used.
         ConfigError: a parameter is not what it should be, torch's default type is not float32, or
             TensorBoard was asked for and is not installed.
-        TrainingError: three steps in a row gave values that are not finite, the model holds such a
-            value, or the GPU's memory does not suffice; the last good checkpoint is kept.
+        TrainingError: three steps in a row gave values that are not finite (found up to ten steps
+            later on a GPU), the model has such a value, or the GPU's memory does not suffice; the
+            last good checkpoint is kept.
     """
     folder = _folder(output)
     with _kept_if_stopped(folder):
-        opening.train(
+        start.train(
             scene,
             folder.path,
             _checked_config(config),
-            resume=resume,
-            accept_changes=accept_changes,
-            device=device,
-            plain=plain,
-            tensorboard=tensorboard,
+            TrainOptions(resume, accept_changes, device, plain, tensorboard),
+            Hooks(on_step, on_start, on_model),
             stop_at=stop_at,
             strategy=strategy,
             terms=terms,
-            on_step=on_step,
-            on_start=on_start,
-            on_model=on_model,
         )
     run = load_run(folder.path, scene, device)
     return replace(run, folder=folder)
@@ -137,18 +136,8 @@ def train_steps(
     do an error in it, Ctrl-C, which waits for the end of a step, and the end of the process. The
     run's folder is locked until the loop ends.
 
-    Args:
-        scene: as for ``train``, like all others.
-        output: the run's folder; None takes a temporary one, which is removed with its checkpoints
-            when neither the loop nor what it has yielded nor a snapshot is left.
-        config: what to train.
-        resume: continue the run from its newest checkpoint that is whole.
-        accept_changes: resume where photos, poses or intrinsics have changed.
-        device: "auto" takes the GPU where there is one that can be used.
-        plain: run the plain definitions of all operations instead of kernels, much slower.
-        tensorboard: also write the log to the run's folder ``tensorboard``.
-        strategy: density control instead of the configuration's.
-        terms: of the loss, besides the configuration's.
+    The arguments are those of ``train``, except that a temporary folder is removed, with its
+    checkpoints, when neither the loop nor what it has yielded nor a snapshot is left.
 
     Yields:
         the run after each step.
@@ -156,19 +145,12 @@ def train_steps(
     Raises:
         MrgsError: as ``train``.
     """
+    options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
 
     def opened(folder: RunFolder) -> AbstractContextManager[Trainer]:
-        return opening.open_training(
-            scene,
-            folder.path,
-            _checked_config(config),
-            resume=resume,
-            accept_changes=accept_changes,
-            device=device,
-            plain=plain,
-            tensorboard=tensorboard,
-            strategy=strategy,
-            terms=terms,
+        chosen = _checked_config(config)
+        return start.open_training(
+            scene, folder.path, chosen, options, strategy=strategy, terms=terms
         )
 
     loop = _loop(output, opened)
@@ -279,6 +261,27 @@ def _checked_config(config: TrainConfig | None) -> TrainConfig:
             options=("config",),
         )
     return config
+
+
+class TemporaryRunFolder(RunFolder):
+    """A run's folder among the system's temporary files, removed with this object, or, once it is
+    kept, with the process."""
+
+    _kept: ClassVar[list[TemporaryRunFolder]] = []
+
+    def __init__(self) -> None:
+        super().__init__(tempfile.mkdtemp(prefix="mrgs-"))
+        weakref.finalize(self, _remove_own, self.path, os.getpid())
+
+    def keep(self) -> None:
+        """Keep the folder as long as the process lives."""
+        self._kept.append(self)
+
+
+def _remove_own(folder: Path, owner: int) -> None:
+    """Remove a folder, unless this process is a fork of the one that made it."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _folder(output: str | Path | None) -> RunFolder:

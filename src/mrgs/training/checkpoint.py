@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,29 +10,31 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mrgs.errors import DamagedCheckpointError, RunError
+from mrgs.errors import RunError
 from mrgs.field import RadianceField
+from mrgs.field.spherical_harmonics import MAX_DEGREE
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
+from mrgs.method.start.start_points import blended_apart
 from mrgs.render import Model
+from mrgs.run_files.checkpoint import (
+    UNFIT,
+    below,
+    read,
+    require_like,
+    skipped_in_a_row_of,
+    unfit,
+    write_file,
+)
+from mrgs.run_files.facts import CheckpointFacts
+from mrgs.scene import THERMAL, Gaussians
+from mrgs.scene.capture import model_modalities
 from mrgs.system.gpu import HOST
 from mrgs.system.torch_modes import seeded
-from mrgs.training.checkpoint_file import read_file, read_header, write_file
-from mrgs.training.checkpoint_layout import (
-    below,
-    gaussians_from,
-    require_like,
-    require_neighbours,
-)
-from mrgs.training.facts import CheckpointFacts
-from mrgs.training.run_folder import step_named
 from mrgs.training.state import TrainingState, learned_layers
-
-UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
-"""What is raised for tensors that are not those of the configuration."""
 
 _SETTINGS = "strategy_settings"
 
@@ -63,69 +65,14 @@ def tensors_of(state: TrainingState) -> dict[str, Tensor]:
 
 
 def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
-    """Write everything needed to resume exactly, in one file that is either whole or not there.
-
-    Raises:
-        NotFiniteError: the state holds a NaN or an infinity; nothing is written.
-        RunError: the file cannot be written.
-    """
-    write_file(path, tensors_of(state), header_of(state, facts))
-
-
-def header_of(state: TrainingState, facts: CheckpointFacts) -> dict[str, Any]:
-    """The header of a state's checkpoint, for JSON."""
-    made_with = _made_with(state.strategy, state.terms)
-    settings = {_SETTINGS: _stated_settings(state.strategy)}
-    skipped = {"skipped_in_a_row": int(state.skipped_in_a_row)}
-    return {**facts.to_json(), **skipped, **made_with, **settings}
-
-
-def write(
-    path: Path,
-    tensors: Mapping[str, Tensor],
-    facts: CheckpointFacts,
-    skipped_in_a_row: int,
-) -> None:
-    """Write a checkpoint of any method.
-
-    Args:
-        path: the file.
-        tensors: by name.
-        facts: about the run.
-        skipped_in_a_row: steps skipped since the last good one.
-
-    Raises:
-        NotFiniteError: a tensor holds a NaN or an infinity; nothing is written.
-        RunError: the file cannot be written.
-    """
-    write_file(path, tensors, {**facts.to_json(), "skipped_in_a_row": skipped_in_a_row})
-
-
-def read(
-    path: Path, needed: Callable[[str], bool] = lambda name: True
-) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
-    """Tensors, facts and header of a checkpoint of any method.
-
-    Args:
-        path: the checkpoint.
-        needed: whether the tensor of a name is to be returned; all are checked.
-
-    Raises:
-        DamagedCheckpointError: it is not what was written, or not finite.
-        RunError: it cannot be read, or is of another format.
-    """
-    tensors, header = read_file(path, needed)
-    return tensors, _facts(path, header), header
-
-
-def load_facts(path: Path) -> CheckpointFacts:
-    """The facts of a checkpoint, without its tensors.
-
-    Raises:
-        DamagedCheckpointError: not a checkpoint, or another header than was written.
-        RunError: it cannot be read, or is of another format.
-    """
-    return _facts(path, read_header(path))
+    """Write everything needed to resume exactly; see ``write_file``."""
+    header = {
+        **facts.to_json(),
+        "skipped_in_a_row": int(state.skipped_in_a_row),
+        **_made_with(state.strategy, state.terms),
+        _SETTINGS: _settings_as_text(state.strategy),
+    }
+    write_file(path, tensors_of(state), header)
 
 
 def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts, ImageModel]:
@@ -133,9 +80,9 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
 
     Raises:
         DamagedCheckpointError: it is not what was written, or not finite.
-        RunError: it cannot be read, is of another format, or not of this configuration.
+        RunError: it cannot be read, has another format, or does not fit the configuration.
     """
-    tensors, facts, _ = read(path, _renders)
+    tensors, facts, _ = read(path, _is_rendered_with)
     try:
         model = _model(tensors, config, facts)
         image_model = ImageModel(config.image_model, facts.capture)
@@ -165,38 +112,10 @@ def load_state(
 
     Raises:
         DamagedCheckpointError: it is not what was written, or not finite.
-        RunError: it cannot be read, is of another format, not of this configuration, or of another
-            strategy or other terms.
+        RunError: it cannot be read, has another format, does not fit the configuration, or was
+            written with another strategy, a strategy with other settings, or other terms.
     """
-    return state_of(*read(path), path, config, device, strategy, terms)
-
-
-def state_of(
-    tensors: Mapping[str, Tensor],
-    facts: CheckpointFacts,
-    header: Mapping[str, Any],
-    path: Path,
-    config: TrainConfig,
-    device: torch.device = HOST,
-    strategy: Strategy | None = None,
-    terms: Sequence[Term] = (),
-) -> TrainingState:
-    """The state that ``tensors_of`` and ``header_of`` describe; see ``load_state``.
-
-    Args:
-        tensors: by name.
-        facts: in the header.
-        header: of the checkpoint.
-        path: where it comes from, for messages.
-        config: the run's configuration.
-        device: where to train on.
-        strategy: density control, if the run was given one.
-        terms: of the loss, if the run was given any.
-
-    Raises:
-        RunError: it is not of this configuration, or of another strategy, a strategy with other
-            settings, or other terms.
-    """
+    tensors, facts, header = read(path)
     chosen = config.densification if strategy is None else strategy
     try:
         model = _model(tensors, config, facts).to(device)
@@ -222,39 +141,18 @@ def state_of(
     return state
 
 
-def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
-    """Steps skipped since the last good one.
-
-    Raises:
-        KeyError, ValueError: the header does not say it.
-    """
-    count = header["skipped_in_a_row"]
-    if type(count) is not int or count < 0:
-        raise ValueError("skipped_in_a_row is a number of at least 0")
-    return count
-
-
-def unfit(path: Path, error: Exception) -> RunError:
-    """The error for a checkpoint whose tensors are not those that its configuration implies."""
-    reason = " ".join(str(error).split())
-    return RunError(
-        f"{path} does not fit the run's config.yaml ({reason:.120}): restore the configuration it "
-        f"was trained with"
-    )
-
-
-def _renders(name: str) -> bool:
-    """Whether a model is rendered with the tensor of a name: all but those that training needs."""
+def _is_rendered_with(name: str) -> bool:
+    """Whether rendering needs the tensor of a name; training needs all."""
     return name.startswith(("gaussians.", "field.", "image_model.", "neighbours")) and not (
         name.startswith("gaussians.adam.")
     )
 
 
 def _load_training(state: TrainingState, tensors: Mapping[str, Tensor]) -> None:
-    """Fill a state at step 0 with all that its model does not hold.
+    """Fill a state at step 0 with everything besides its model.
 
     Raises:
-        KeyError, RuntimeError, TypeError, ValueError: the tensors are not those of such a state.
+        KeyError, RuntimeError, TypeError, ValueError: the tensors do not fit the state.
     """
     _load_module(state.image_model, below(tensors, "image_model."))
     state.gaussian_optimizer.load_moments(below(tensors, "gaussians."))
@@ -272,12 +170,12 @@ def _load_module(module: torch.nn.Module, tensors: Mapping[str, Tensor]) -> None
 
 
 def _made_with(strategy: Strategy, terms: Sequence[Term]) -> dict[str, Any]:
-    """What a configuration need not say, because Python may have given it."""
+    """The parts that may come from Python instead of the configuration."""
     return {"strategy": type(strategy).__name__, "terms": [term.name for term in terms]}
 
 
 def _require_made_with(path: Path, header: Mapping[str, Any], made_with: dict[str, Any]) -> None:
-    """A run resumes with the strategy and the terms that it started with.
+    """Check that a run resumes with the strategy and the terms that it started with.
 
     Raises:
         RunError: they are others.
@@ -291,14 +189,14 @@ def _require_made_with(path: Path, header: Mapping[str, Any], made_with: dict[st
 
 
 def _require_settings(path: Path, header: Mapping[str, Any], strategy: Strategy) -> None:
-    """A strategy that Python gives has the settings that it had; those of a configuration are in
+    """Check the settings of a strategy that was given in Python; those of a configuration are in
     the run's config.yaml.
 
     Raises:
         RunError: they are others.
     """
     settings = header.get(_SETTINGS, {})
-    for name, now in _stated_settings(strategy).items():
+    for name, now in _settings_as_text(strategy).items():
         before = settings.get(name, now)
         if now not in (before, repr(before)):  # earlier versions wrote numbers and texts as such
             raise RunError(
@@ -308,19 +206,19 @@ def _require_settings(path: Path, header: Mapping[str, Any], strategy: Strategy)
             )
 
 
-def _stated_settings(strategy: Strategy) -> dict[str, str]:
-    """What a header says of a strategy's settings: each as Python writes it, but for those whose
-    text is another in each process."""
-    stated = {name: _stated(value) for name, value in strategy.settings().items()}
-    return {name: text for name, text in stated.items() if " at 0x" not in text}
+def _settings_as_text(strategy: Strategy) -> dict[str, str]:
+    """A strategy's settings, each as its ``repr``, without those that contain an address and so
+    differ between processes."""
+    texts = {name: _as_text(value) for name, value in strategy.settings().items()}
+    return {name: text for name, text in texts.items() if " at 0x" not in text}
 
 
-def _stated(value: object) -> str:
-    """A value as Python writes it; numbers of NumPy as the same ones of Python, sets in order."""
+def _as_text(value: object) -> str:
+    """``repr``, with NumPy's numbers as Python's, and sets in order."""
     if isinstance(value, np.generic):
         return repr(value.item())
     if isinstance(value, set | frozenset):
-        return f"{type(value).__name__}({sorted(map(_stated, value))})"
+        return f"{type(value).__name__}({sorted(map(_as_text, value))})"
     return repr(value)
 
 
@@ -329,29 +227,23 @@ def _shortened(text: str) -> str:
     return line if len(line) <= _MOST_SHOWN else f"{line[: _MOST_SHOWN - 3]}..."
 
 
-def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:
-    """The facts in a header; one that was copied under the name of another step would hide newer
-    ones."""
-    try:
-        facts = CheckpointFacts.from_json(header)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise DamagedCheckpointError(path, "its header lacks facts") from error
-    if step_named(path) not in (None, facts.step):
-        raise DamagedCheckpointError(path, f"it is the one of step {facts.step}")
-    return facts
-
-
 def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
     """The model of a checkpoint.
 
     Raises:
-        ValueError: the tensors are not those of a model of this configuration.
+        ValueError: the tensors do not fit a model of this configuration.
     """
     named = below(tensors, "gaussians.")
     parameters = {name: each for name, each in named.items() if not name.startswith("adam.")}
     gaussians = gaussians_from(parameters, config, facts)
-    neighbours = tensors.get("neighbours")
-    require_neighbours(neighbours, len(gaussians), config.field.neighbours_k)
+    neighbours, k = tensors.get("neighbours"), config.field.neighbours_k
+    if neighbours is not None:  # they may be missing right after a densification
+        if k == 0:
+            raise ValueError("neighbours is unknown")
+        like = torch.empty(len(gaussians), k, dtype=torch.int64, device="meta")
+        require_like({"neighbours": neighbours}, {"neighbours": like})
+        if not 0 <= int(neighbours.min()) <= int(neighbours.max()) < len(gaussians):
+            raise ValueError("neighbours names Gaussians that do not exist")
     with seeded(config.seed):
         field = RadianceField(config.field)
     _load_module(field, below(tensors, "field."))
@@ -362,3 +254,41 @@ def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: Checkpoint
         sh_degree=config.sh_degree_at(facts.step),
         dilation=config.dilation_of(facts.capture),
     )
+
+
+def gaussians_from(
+    tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts
+) -> Gaussians:
+    """The Gaussians of a checkpoint.
+
+    Args:
+        tensors: parameters by name, as in ``Gaussians.tensors``.
+        config: of the run.
+        facts: of the checkpoint.
+
+    Raises:
+        ValueError: they do not fit a model of this configuration.
+    """
+    modalities = model_modalities(facts.modalities)
+    means = tensors.get("means")
+    if means is None or means.dim() != 2 or len(means) == 0:
+        raise ValueError("there are no Gaussians")
+    count = len(means)
+    shapes: dict[str, tuple[int, ...]] = {
+        "means": (count, 3),
+        "quats": (count, 4),
+        "log_scales": (count, 3),
+        "embedding": (count, config.field.embedding_width if config.field.residuals else 0),
+    }
+    for modality in blended_apart(facts.modalities, config.shares_opacity):
+        shapes[f"opacity_logit.{modality}"] = (count, 1)
+    for modality in modalities:
+        degree = MAX_DEGREE
+        if modality == THERMAL:
+            degree = config.temperature_sh_degree_of(facts.capture)
+        shapes[f"sh_dc.{modality}"] = (count, 1, modality.channels)
+        shapes[f"sh_rest.{modality}"] = (count, (degree + 1) ** 2 - 1, modality.channels)
+    require_like(
+        tensors, {name: torch.empty(shape, device="meta") for name, shape in shapes.items()}
+    )
+    return Gaussians.from_tensors(tensors, modalities)

@@ -7,10 +7,9 @@ from typing import TypeVar
 
 import torch
 
-from mrgs.method.camera_model.image_model import Capture
 from mrgs.method.config import MAX_DEGREE, TrainConfig
-from mrgs.method.start.start_points import model_modalities
 from mrgs.scene import THERMAL, Modality, Scene
+from mrgs.scene.capture import Capture, model_modalities
 from mrgs.system.gpu import lacks_memory
 from mrgs.system.memory import peak_resident
 from mrgs.training.photos import kept_bytes, kept_limit

@@ -21,9 +21,8 @@ from mrgs.method.camera_model.pose_error import (
 from mrgs.method.config import TrainConfig
 from mrgs.render import render
 from mrgs.scene import THERMAL, Camera, Modality, Pixels
-from mrgs.training.resolution import coarser, pixel_sizes
 from mrgs.training.state import TrainingState
-from mrgs.training.view_pass import PhotographedView, temperature_degree
+from mrgs.training.view_pass import PhotographedView, coarser, pixel_sizes, temperature_degree
 
 SHARE_OF_STEPS = 0.1
 EARLIEST_STEP = 200

@@ -1,135 +1,243 @@
-"""How a training of any method begins: the run's folder is locked, the scene read, and the state
-made or loaded."""
+"""A training of Gaussians: started or resumed, checked, and run to its end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager, nullcontext
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, NamedTuple
+
+import torch
 
 from mrgs.check import warn_of_problems
 from mrgs.data import load_scene
-from mrgs.scene import Scene
+from mrgs.errors import ConfigError
+from mrgs.method.config import TrainConfig, from_yaml
+from mrgs.method.density import Strategy
+from mrgs.method.losses.term import Term
+from mrgs.render import Model
+from mrgs.run_files.checkpoint import load_facts
+from mrgs.run_files.facts import CheckpointFacts, facts_to_resume, require_scene
+from mrgs.run_files.folder import CHECKPOINTS_KEPT, RunConfig, RunFolder
+from mrgs.scene import CameraResponse, Scene
+from mrgs.system import gpu
+from mrgs.system.disk import warn_if_short
+from mrgs.system.gpu import HOST, DeviceName
+from mrgs.system.limits import whole_number
 from mrgs.system.operation import plainly
 from mrgs.system.threads import require_own_threads, will_compute
 from mrgs.system.torch_modes import own_modes
-from mrgs.training.checkpoint import load_facts
-from mrgs.training.facts import CheckpointFacts, facts_to_resume, require_scene
-from mrgs.training.newest import load_newest
-from mrgs.training.run_folder import RunConfig, RunFolder
-from mrgs.training.tensorboard import tensorboard_log
-
-C = TypeVar("C", bound=RunConfig)
-S = TypeVar("S")
+from mrgs.training import checkpoint
+from mrgs.training.loop import Trainer
+from mrgs.training.memory import checkpoint_bytes
+from mrgs.training.state import TrainingState, initial_state
 
 
 @dataclass(frozen=True)
-class TrainingStart(Generic[C, S]):
-    """The folder, scene, configuration and state that a training starts from.
+class TrainOptions:
+    """How a run of any method is trained, without effect on its result.
 
     Attributes:
-        folder: the run's folder, locked.
-        facts: of the checkpoint that is continued, or of step 0.
-        scene: at the run's resolution.
-        config: in force.
-        state: all that changes during training.
+        resume: continue the run from its newest undamaged checkpoint, exactly; on another device up
+            to rounding. The run keeps its own configuration.
+        accept_changes: resume although photos, poses or intrinsics have changed since the run
+            began.
+        device: "auto" takes the GPU if there is one that can be used.
+        plain: run the plain definitions of all operations instead of kernels, much slower; so does
+            the environment variable MRGS_PLAIN=1.
+        tensorboard: also write the log to the run's folder ``tensorboard``.
     """
 
-    folder: RunFolder
-    facts: CheckpointFacts
-    scene: Scene
-    config: C
-    state: S
+    resume: bool = False
+    accept_changes: bool = False
+    device: DeviceName = "auto"
+    plain: bool = False
+    tensorboard: bool = False
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Functions that a training calls.
+
+    Attributes:
+        on_step: called with the ``Statistics`` of every step; returning True stops the training
+            with a checkpoint.
+        on_start: called once, before the model is made, with the scene and the configuration.
+        on_model: called once, after that, with the model that is trained, which ``on_step`` may
+            read and must not change, and with the response of the scene's cameras as learned so
+            far; not by methods without Gaussians.
+    """
+
+    on_step: Callable[[Any], object] | None = None
+    on_start: Callable[[Scene, Any], object] | None = None
+    on_model: Callable[[Model, CameraResponse], object] | None = None
+
+
+class TrainingPart(NamedTuple):
+    """A training of a part of a scene.
+
+    Attributes:
+        views: numbers of the training views that take part, in ascending order.
+        strategy: density control; defines which Gaussians move.
+        start: returns the state at step 0, from the scene, the configuration and the device.
+    """
+
+    views: Sequence[int]
+    strategy: Strategy
+    start: Callable[[Scene, TrainConfig, torch.device], TrainingState]
+
+
+DEFAULT_OPTIONS, NO_HOOKS = TrainOptions(), Hooks()
+
+
+def train(
+    scene: Scene | str | Path,
+    output: str | Path,
+    config: TrainConfig,
+    options: TrainOptions = DEFAULT_OPTIONS,
+    hooks: Hooks = NO_HOOKS,
+    *,
+    stop_at: int | None = None,
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
+    part: TrainingPart | None = None,
+) -> RunFolder:
+    """Train a model of a scene into a run folder; see ``mrgs.train``, which also opens the run.
+
+    Args:
+        scene: the scene or its folder.
+        output: the run's folder.
+        config: what to train.
+        options: how.
+        hooks: called during the training.
+        stop_at: leave after this step with a checkpoint, without changing the schedule.
+        strategy: density control instead of the configuration's.
+        terms: of the loss, besides the configuration's.
+        part: of the scene to which the training is limited; a resumed run needs it again.
+
+    Raises:
+        MrgsError: as ``mrgs.train``.
+    """
+    if stop_at is not None and whole_number(stop_at, "stop_at") < 1:
+        raise ConfigError(f"stop_at must be at least 1, not {stop_at}", options=("stop_at",))
+    opened = open_training(
+        scene, output, config, options, hooks, strategy=strategy, terms=terms, part=part
+    )
+    with opened as trainer:
+        if hooks.on_model is not None:
+            hooks.on_model(trainer.state.model, _response_of(trainer.state))
+        trainer.check_kernels()
+        trainer.run(stop_at, hooks.on_step)
+    return trainer.folder
 
 
 @contextmanager
-def start_training(
+def open_training(
     scene: Scene | str | Path,
     output: str | Path,
-    config: C,
+    config: TrainConfig,
+    options: TrainOptions = DEFAULT_OPTIONS,
+    hooks: Hooks = NO_HOOKS,
     *,
-    resume: bool,
-    accept_changes: bool,
-    plain: bool,
-    tensorboard: bool,
-    on_start: Callable[[Scene, C], None] | None = None,
-    read_config: Callable[[RunFolder], C],
-    initial_state: Callable[[Scene, C], S],
-    load_state: Callable[[Path, C], S],
-) -> Iterator[TrainingStart[C, S]]:
-    """Within this block the run's folder is locked, and no other process trains in it.
+    strategy: Strategy | None = None,
+    terms: Sequence[Term] = (),
+    part: TrainingPart | None = None,
+) -> Iterator[Trainer]:
+    """Within this block the run's folder is locked, and a trainer is ready for its first step; see
+    ``train``."""
+    folder, device = RunFolder(output), gpu.choose_device(options.device)
+    strategy = strategy if part is None else part.strategy
+    config = folder.config_to_train(config, options.resume, from_yaml)
+    if isinstance(scene, Scene) and not options.resume:
+        config = replace(config, resolution=scene.resolution)
+    loaded = scene_to_train(scene, config)
+    with folder.training(config, options.resume), plainly(options.plain):
+        if hooks.on_start is not None:
+            hooks.on_start(loaded, config)
+        with own_modes():
+            if options.resume:
+                state, facts = folder.load_newest(
+                    lambda path: (
+                        checkpoint.load_state(path, config, device, strategy, terms),
+                        load_facts(path),
+                    ),
+                    set_aside=True,
+                )
+                facts = facts_to_resume(facts, loaded, options.accept_changes)
+                folder.cut_log(facts.step)
+            else:
+                facts = CheckpointFacts.at_start(loaded)
+                if part is not None:
+                    state = part.start(loaded, config, device)
+                else:
+                    state = initial_state(loaded, config, device, strategy, terms)
+        _require_enough_views(
+            loaded, config, len(loaded.train) if part is None else len(part.views)
+        )
+        _warn_if_short_of_disk(folder, loaded, config, len(state.model.gaussians))
+        if part is not None:
+            state.sampler.restrict(part.views)
+        # A resumed run continues with the cameras as they are now.
+        state.model.dilation = config.dilation_of(facts.capture)
+        log = folder.tensorboard_log(facts.step) if options.tensorboard else nullcontext()
+        with log, closing(Trainer(folder, facts, loaded, config, state)) as trainer:
+            yield trainer
+
+
+def scene_to_train(scene: Scene | str | Path, config: RunConfig) -> Scene:
+    """The scene that a run of any method is trained on.
 
     Args:
-        scene: the scene or its folder; one that was read before keeps its resolution.
-        output: the run's folder; must not hold a run unless ``resume``.
-        config: what to train; a resumed run keeps its own.
-        resume: continue the run from its newest checkpoint that is whole.
-        accept_changes: resume where photos, poses or intrinsics have changed.
-        plain: run the plain definitions of all operations instead of kernels.
-        tensorboard: also write the log to the run's folder ``tensorboard``.
-        on_start: called with the scene and the configuration in force, before the state is made.
-        read_config: the configuration of the run that is continued.
-        initial_state: the state at step 0.
-        load_state: the state in a checkpoint.
+        scene: the scene, which keeps its resolution, or its folder.
+        config: of the run.
 
     Warns:
-        MrgsWarning: the scene has a problem that ``mrgs.check`` finds, or has changed,
-            and that is accepted; or the newest checkpoint is damaged, and an older one is used.
+        MrgsWarning: the scene has a problem that ``mrgs.check`` finds.
 
     Raises:
         SceneError: the scene cannot be used.
-        RunError: the output folder cannot be used, or the scene has changed.
-        ConfigError: TensorBoard was asked for and is not installed, or torch's default type is not
-            float32.
+        ConfigError: torch's default type is not float32.
         MrgsError: this process was forked from one that has computed.
     """
     require_own_threads()
     require_scene(scene)
-    folder = RunFolder(output)
-    config = _config_in_force(folder, config, resume, read_config)
-    if isinstance(scene, Scene) and not resume:
-        config = replace(cast(Any, config), resolution=scene.resolution)
     with own_modes():
-        loaded = (
-            scene
-            if isinstance(scene, Scene)
-            else load_scene(scene, resolution=config.resolution, seed=config.seed)
-        )
+        if not isinstance(scene, Scene):
+            scene = load_scene(scene, resolution=config.resolution, seed=config.seed)
     will_compute()
-    warn_of_problems(loaded)
-    with folder.training(config, resume), plainly(plain):
-        if on_start is not None:
-            on_start(loaded, config)
-        with own_modes():
-            if resume:
-                state, facts = load_newest(
-                    folder,
-                    lambda path: (load_state(path, config), load_facts(path)),
-                    set_aside=True,
-                )
-                facts = facts_to_resume(facts, loaded, accept_changes)
-                folder.cut_log(facts.step)
-            else:
-                facts = CheckpointFacts.at_start(loaded)
-                state = initial_state(loaded, config)
-        with tensorboard_log(folder, facts.step) if tensorboard else nullcontext():
-            yield TrainingStart(folder, facts, loaded, config, state)
+    warn_of_problems(scene)
+    return scene
 
 
-def _config_in_force(
-    folder: RunFolder, config: C, resume: bool, read_config: Callable[[RunFolder], C]
-) -> C:
-    """The configuration of a new run, or of the one that is continued.
+def _require_enough_views(scene: Scene, config: TrainConfig, count: int) -> None:
+    """Check that the views of a step can differ.
 
     Raises:
-        RunError: the folder cannot be used for it.
+        ConfigError: a step has more views than the scene.
     """
-    if not resume:
-        folder.require_new()
-        return config
-    folder.newest_checkpoint()
-    config = read_config(folder)
-    folder.warn_if_incomplete(config)
-    return config
+    if config.batch > count:
+        raise ConfigError(
+            f"a batch of {config.batch} is more than the {count} training views of {scene.name}: "
+            f"choose a smaller one",
+            options=("batch",),
+        )
+
+
+def _warn_if_short_of_disk(
+    folder: RunFolder, scene: Scene, config: TrainConfig, gaussians: int
+) -> None:
+    """Warn if the disk lacks space for the checkpoints: those that are kept, and the one being
+    written."""
+    most = max(config.densification.max_gaussians, gaussians)
+    size = checkpoint_bytes(config, scene.modalities, most)
+    warn_if_short(folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
+
+
+def _response_of(state: TrainingState) -> CameraResponse:
+    """What the scene's cameras do to a rendering in host memory, as learned when it is called."""
+    image_model = state.image_model
+    if state.device == HOST:
+        return image_model.expected
+    return lambda *seen, **sizes: deepcopy(image_model).to(HOST).expected(*seen, **sizes)

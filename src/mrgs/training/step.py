@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
@@ -15,16 +16,21 @@ from mrgs.method.density import DensityStep
 from mrgs.method.losses.term import SceneScale
 from mrgs.training.recorder import Recorder
 from mrgs.training.state import TrainingState
-from mrgs.training.view_pass import PhotographedView, forward_backward, view_inputs
-from mrgs.training.view_sums import LOSS, THERMAL_ERROR, ViewSums
+from mrgs.training.view_pass import (
+    PhotographedView,
+    ViewInputs,
+    ViewMeasures,
+    forward_backward,
+    view_inputs,
+)
 
 
 class StepStatistics:
-    """What a step measured. On a GPU the numbers are fetched when the first of them is asked for,
-    which waits for it.
+    """The measurements of a step. On a GPU the numbers are fetched when the first of them is
+    read, which waits for the GPU.
 
     Attributes:
-        step: its number, from 1.
+        step: number of the step, from 1.
         gaussians: N.
     """
 
@@ -41,7 +47,7 @@ class StepStatistics:
         self.gaussians = gaussians
         self._names = tuple(terms)
         error = math.nan if thermal_error is None else thermal_error
-        self._measured = _together([loss, skipped, error, *terms.values()])
+        self._measured = _as_one([loss, skipped, error, *terms.values()])
 
     @property
     def loss(self) -> float:
@@ -50,13 +56,13 @@ class StepStatistics:
 
     @property
     def skipped(self) -> bool:
-        """The loss or a gradient was not finite, so nothing was changed."""
+        """Whether the loss or a gradient was not finite, so that nothing was changed."""
         return bool(self._read()[1])
 
     @property
     def thermal_error(self) -> float | None:
-        """Mean absolute error of the normalised temperature on the training view; None without
-        one."""
+        """Mean absolute error of the normalised temperature on the training view; None without a
+        thermal photo."""
         error = self._read()[2]
         return None if math.isnan(error) else error
 
@@ -71,8 +77,8 @@ class StepStatistics:
         return self._measured
 
 
-def _together(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
-    """Numbers as one tensor, so that they are fetched at once, where any of them is a tensor."""
+def _as_one(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
+    """Numbers as one tensor, to be fetched at once, if any of them is a tensor."""
     tensors = [number for number in numbers if isinstance(number, Tensor)]
     if not tensors:
         return [float(number) for number in numbers]
@@ -89,14 +95,66 @@ class StepResult(NamedTuple):
     """A step that has moved the parameters, before density control.
 
     Attributes:
-        statistics: what it measured.
-        observed: what the strategy has observed, summed over the views.
-        finite: whether it counted; on the device.
+        statistics: the measurements.
+        observed: the strategy's observations, summed over the views.
+        finite: whether loss and gradients were finite; on the device.
     """
 
     statistics: StepStatistics
     observed: Mapping[str, Float[Tensor, " n"]]
     finite: Bool[Tensor, ""]
+
+
+LOSS, THERMAL_ERROR, TERM = "loss", "thermal_error", "term."
+
+
+@dataclass
+class ViewSums:
+    """Sums of measurements over the views of a step; not every view has every number.
+
+    Attributes:
+        totals: sums by name: ``loss``, ``thermal_error``, and ``term.NAME`` of each unweighted
+            term.
+        counts: number of views in each sum.
+        observed: the strategy's observations, [N] each.
+        residuals: of the thermal photos, by the numbers of their views, if drift is modelled; not
+            summed.
+    """
+
+    totals: dict[str, Tensor] = field(default_factory=dict)
+    counts: dict[str, Tensor | float] = field(default_factory=dict)
+    observed: dict[str, Tensor] = field(default_factory=dict)
+    residuals: dict[int, Float[Tensor, "2"]] = field(default_factory=dict)
+
+    def add(
+        self, number: int, measures: ViewMeasures, observed: Mapping[str, Float[Tensor, " n"]]
+    ) -> None:
+        """Add the measurements of the view of this number, and the strategy's observations."""
+        self._add(LOSS, measures.loss, 1.0)
+        for name, value in measures.terms.items():
+            self._add(f"{TERM}{name}", value, 1.0)
+        if (error := measures.thermal_error) is not None:
+            is_known = ~error.isnan()  # no pixel is valid
+            self._add(THERMAL_ERROR, torch.where(is_known, error, 0), is_known.float())
+        for name, value in observed.items():
+            self.observed[name] = self.observed[name] + value if name in self.observed else value
+        if measures.residual is not None:
+            self.residuals[number] = measures.residual
+
+    def _add(self, name: str, value: Tensor, count: Tensor | float) -> None:
+        has_some = name in self.totals
+        self.totals[name] = self.totals[name] + value if has_some else value
+        self.counts[name] = self.counts[name] + count if has_some else count
+
+    def mean(self, name: str) -> Float[Tensor, ""] | None:
+        """Mean over the views that have a number; None if no view has it."""
+        return self.totals[name] / self.counts[name] if name in self.totals else None
+
+    @property
+    def terms(self) -> dict[str, Float[Tensor, ""]]:
+        """Means of the unweighted terms, by name."""
+        names = [name for name in self.totals if name.startswith(TERM)]
+        return {name.removeprefix(TERM): self.totals[name] / self.counts[name] for name in names}
 
 
 def training_step(
@@ -108,8 +166,8 @@ def training_step(
 ) -> StepResult:
     """Render views, compare them with their photos, move the parameters once.
 
-    A step whose loss or gradients are not finite moves nothing. On a GPU that is decided there:
-    the host does not wait.
+    A step whose loss or gradients are not finite moves nothing. On a GPU that is decided there,
+    without waiting on the host.
 
     Args:
         state: changed in place.
@@ -126,7 +184,8 @@ def training_step(
     while True:
         found = ViewSums()
         for each in views:
-            _add_view(state, each, config, scale, found, recorder)
+            measures = _gradients_of(state, view_inputs(state, each, config), scale, recorder)
+            found.add(each.number, measures, state.strategy.observe(measures.passes))
         result = _move(state, found, config, recorder)
         if recorder is None or recorder.had_room():
             break
@@ -134,35 +193,19 @@ def training_step(
     return result
 
 
-def _add_view(
-    state: TrainingState,
-    each: PhotographedView,
-    config: TrainConfig,
-    scale: SceneScale,
-    found: ViewSums,
-    recorder: Recorder | None,
-) -> None:
-    """Add the gradients of a view's loss to those of the parameters, and what it measured to what
-    was found."""
-    inputs = view_inputs(state, each, config)
+def _gradients_of(
+    state: TrainingState, inputs: ViewInputs, scale: SceneScale, recorder: Recorder | None
+) -> ViewMeasures:
+    """Add the gradients of a view's loss to those of the parameters."""
     if recorder is None:
-        measures = forward_backward(state, inputs, scale)
-    else:
-        measures = recorder.run(state, inputs, lambda given: forward_backward(state, given, scale))
-    found.add(
-        measures.loss,
-        measures.terms,
-        measures.thermal_error,
-        state.strategy.observe(measures.passes),
-    )
-    if measures.residual is not None:
-        found.residuals[each.number] = measures.residual
+        return forward_backward(state, inputs, scale)
+    return recorder.run(state, inputs, lambda given: forward_backward(state, given, scale))
 
 
 def _move(
     state: TrainingState, found: ViewSums, config: TrainConfig, recorder: Recorder | None
 ) -> StepResult:
-    """Move the parameters by the gradients that they have; nothing, where these are not finite."""
+    """Move the parameters by their gradients; if these are not finite, nothing moves."""
     state.scale_gradients(1 / config.batch)
     loss = found.mean(LOSS)
     assert loss is not None
@@ -170,7 +213,7 @@ def _move(
     moves = finite if recorder is None else recorder.counted(finite)
     error, count = found.mean(THERMAL_ERROR), len(state.model.gaussians)
     statistics = StepStatistics(state.step, loss, found.terms, error, count, ~finite)
-    # Nothing has changed so far, so that a step for which memory does not suffice can be repeated.
+    # Nothing has changed so far, so that a step can be repeated if the memory is full.
     state.move(config, moves)
     for number, residual in found.residuals.items():
         state.image_model.learn_drift(number, residual, moves)
@@ -182,7 +225,7 @@ def control_density(
 ) -> Mapping[str, int] | None:
     """Let the strategy adapt the Gaussians after a step.
 
-    Where a GPU's memory does not suffice, nothing has changed.
+    If a GPU's memory is full, nothing has changed.
 
     Args:
         state: changed in place.
@@ -191,7 +234,7 @@ def control_density(
         extent: of the scene.
 
     Returns:
-        the strategy's counts for the log; None where it has left the rows as they are.
+        the strategy's counts for the log; None if it left the rows as they are.
     """
     strategy, before = state.strategy, state.model.gaussians.means
     observed = {

@@ -5,8 +5,13 @@ import math
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.field import Field, NerfFieldConfig, density_of, harmonics_of
-from mrgs.baselines.thermonerf.hash_grid import HashGridConfig
+from mrgs.baselines.thermonerf.networks import (
+    Field,
+    HashGridConfig,
+    NerfFieldConfig,
+    density_of,
+    harmonics_of,
+)
 from mrgs.errors import ConfigError
 
 

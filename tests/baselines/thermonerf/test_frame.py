@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.baselines.thermonerf.frame import contract, frame_of
+from mrgs.baselines.thermonerf.rays import contract, frame_of
 from mrgs.data import load_scene
 from mrgs.scene import RGB
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.hash_grid import INITIAL_RANGE, HashGrid, HashGridConfig
+from mrgs.baselines.thermonerf.networks import INITIAL_RANGE, HashGrid, HashGridConfig
 from mrgs.errors import ConfigError
 
 

@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.baselines.thermonerf.losses import (
+from mrgs.baselines.thermonerf.step import (
     NerfLossConfig,
     distortion_loss,
     interlevel_loss,

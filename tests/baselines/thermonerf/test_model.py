@@ -2,9 +2,8 @@ from __future__ import annotations
 
 import torch
 
-from mrgs.baselines.thermonerf.frame import frame_of
 from mrgs.baselines.thermonerf.model import ALL_ROWS, CHUNK_RAYS
-from mrgs.baselines.thermonerf.rays import CameraRays
+from mrgs.baselines.thermonerf.rays import CameraRays, frame_of
 from mrgs.baselines.thermonerf.step import new_model
 from mrgs.data import load_scene
 from mrgs.scene import RGB, THERMAL

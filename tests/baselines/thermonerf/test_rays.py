@@ -4,8 +4,7 @@ import math
 
 import torch
 
-from mrgs.baselines.thermonerf.frame import SceneFrame
-from mrgs.baselines.thermonerf.rays import CameraRays
+from mrgs.baselines.thermonerf.rays import CameraRays, SceneFrame
 from mrgs.scene import Camera
 
 

@@ -12,11 +12,12 @@ from mrgs.baselines.thermonerf import ThermoNerfRun, train_thermonerf
 from mrgs.baselines.thermonerf import step as step_module
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.evaluation import evaluate_run, render_run
+from mrgs.run_files.checkpoint import load_facts, write
+from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import load_run, open_run
 from mrgs.scene import RGB, THERMAL
 from mrgs.training import make_config, train
-from mrgs.training.checkpoint import load_facts, write
-from mrgs.training.run_folder import RunFolder
+from mrgs.training.start import Hooks, TrainOptions
 from tests.helpers.scenes import write_scene
 from tests.helpers.thermonerf import small_config
 
@@ -35,7 +36,10 @@ def spoil(monkeypatch, steps):
 def test_training_lowers_the_loss_of_both_modalities(small_scene, tmp_path):
     seen = []
     train_thermonerf(
-        small_scene, tmp_path / "run", small_config(80), on_step=lambda s: seen.append(s.terms)
+        small_scene,
+        tmp_path / "run",
+        small_config(80),
+        hooks=Hooks(on_step=lambda s: seen.append(s.terms)),
     )
     for name, factor in (("rgb", 0.5), ("thermal", 0.5)):
         first, last = (sum(terms[name] for terms in part) / 10 for part in (seen[:10], seen[-10:]))
@@ -62,7 +66,9 @@ def test_a_resumed_run_has_the_same_bits(small_scene, tmp_path):
     whole = train_thermonerf(small_scene, tmp_path / "whole", config)
     parted = train_thermonerf(small_scene, tmp_path / "parted", config, stop_at=5)
     assert load_facts(parted.newest_checkpoint()).step == 5
-    train_thermonerf(small_scene, parted.path, replace(config, max_steps=99), resume=True)
+    train_thermonerf(
+        small_scene, parted.path, replace(config, max_steps=99), options=TrainOptions(resume=True)
+    )
     expected, found = load_file(whole.newest_checkpoint()), load_file(parted.newest_checkpoint())
     assert set(expected) == set(found)
     assert all(torch.equal(expected[name], found[name]) for name in expected)
@@ -126,7 +132,9 @@ def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene
     )
     assert open_run(folder.path).gaussian_count == len(load_run(folder.path).model.gaussians)
     with pytest.raises(RunError, match=r"of mrgs, .*thermonerf"):
-        train_thermonerf(small_scene, folder.path, small_config(), resume=True)
+        train_thermonerf(
+            small_scene, folder.path, small_config(), options=TrainOptions(resume=True)
+        )
 
 
 def test_a_run_is_never_overwritten(small_scene, tmp_path):
@@ -189,7 +197,7 @@ def test_three_skipped_steps_in_a_row_end_the_run(small_scene, tmp_path, monkeyp
 
 def test_stopping_leaves_a_checkpoint(small_scene, tmp_path):
     folder = train_thermonerf(
-        small_scene, tmp_path / "run", small_config(20), on_step=lambda s: s.step == 4
+        small_scene, tmp_path / "run", small_config(20), hooks=Hooks(on_step=lambda s: s.step == 4)
     )
     assert load_facts(folder.newest_checkpoint()).step == 4
 
@@ -213,5 +221,7 @@ def test_an_interrupt_before_the_first_checkpoint_leaves_no_run(small_scene, tmp
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_thermonerf(small_scene, tmp_path / "run", small_config(), on_start=interrupt)
+        train_thermonerf(
+            small_scene, tmp_path / "run", small_config(), hooks=Hooks(on_start=interrupt)
+        )
     assert not RunFolder(tmp_path / "run").path.exists()

@@ -7,14 +7,9 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.method.camera_model.image_model import (
-    Capture,
-    ImageModel,
-    ImageModelConfig,
-    PointSpread,
-)
-from mrgs.method.camera_model.photo_gain import Viewpoint
+from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig, PointSpread
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering
+from mrgs.scene.capture import Capture, Viewpoint
 
 
 def along_a_line(count: int) -> tuple[Viewpoint, ...]:

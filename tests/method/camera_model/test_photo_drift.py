@@ -3,10 +3,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.method.camera_model.image_model import Capture, ImageModel, ImageModelConfig
+from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.camera_model.photo_drift import PhotoDrift, residual_of
-from mrgs.method.camera_model.photo_gain import Viewpoint
 from mrgs.scene import THERMAL, Blend, Pixels, Rendering
+from mrgs.scene.capture import Capture, Viewpoint
 
 YES = torch.tensor(True)
 POINTS = tuple(Viewpoint((float(x), 0.0, 0.0), (0.0, 0.0, 1.0)) for x in range(6))

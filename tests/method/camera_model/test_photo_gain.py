@@ -5,7 +5,8 @@ import math
 import pytest
 import torch
 
-from mrgs.method.camera_model.photo_gain import PhotoGain, Viewpoint, expected_gains
+from mrgs.method.camera_model.photo_gain import PhotoGain, expected_gains
+from mrgs.scene.capture import Viewpoint
 
 AHEAD = (0.0, 0.0, 1.0)
 

@@ -6,11 +6,10 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
-from mrgs.baselines.thermonerf.field import HashGridConfig, NerfFieldConfig
-from mrgs.baselines.thermonerf.losses import NerfLossConfig
+from mrgs.baselines.thermonerf.networks import HashGridConfig, NerfFieldConfig
 from mrgs.baselines.thermonerf.sampling import SamplingConfig
 from mrgs.errors import ConfigError
-from mrgs.system.limits import MOST_RATE, MOST_SEED, MOST_STEPS, require_within
+from mrgs.system.limits import MOST_RATE, MOST_SEED, MOST_STEPS, MOST_WEIGHT, require_within
 from mrgs.system.strict_yaml import read_yaml
 
 METHOD: Literal["thermonerf"] = "thermonerf"
@@ -21,6 +20,22 @@ MOST_RAYS = 10**6
 PRESETS = {"fast": (1_500, 1_024), "default": (4_000, 1_024), "paper": (30_000, 4_096)}
 """Steps, and rays of each: as many steps as the other methods take, and for ``paper`` the usual
 batch of the field."""
+
+
+@dataclass(frozen=True)
+class NerfLossConfig:
+    """Weights of the terms; both squared errors have the weight 1.
+
+    Attributes:
+        interlevel: of the term that teaches the proposal network.
+        distortion: of the term that pulls a ray's weights together.
+    """
+
+    interlevel: float = 1.0
+    distortion: float = 0.002
+
+    def __post_init__(self) -> None:
+        require_within(self, ("interlevel", "distortion"), 0, MOST_WEIGHT)
 
 
 @dataclass(frozen=True)

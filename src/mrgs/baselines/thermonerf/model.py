@@ -10,11 +10,16 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig
-from mrgs.baselines.thermonerf.field import Field, Proposal, harmonics_of
-from mrgs.baselines.thermonerf.frame import SceneFrame
-from mrgs.baselines.thermonerf.rays import CameraRays, Rays
-from mrgs.baselines.thermonerf.sampling import Spacing, even_edges, resample
-from mrgs.baselines.thermonerf.volume import composite, median_distance, render_weights
+from mrgs.baselines.thermonerf.networks import Field, Proposal, harmonics_of
+from mrgs.baselines.thermonerf.rays import CameraRays, Rays, SceneFrame
+from mrgs.baselines.thermonerf.sampling import (
+    Spacing,
+    composite,
+    even_edges,
+    median_distance,
+    render_weights,
+    resample,
+)
 from mrgs.scene import RGB, Blend, Camera, Modality, Rendering
 
 CHUNK_RAYS = 8_192

@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from mrgs.baselines.thermonerf.frame import SceneFrame
-from mrgs.baselines.thermonerf.rays import CameraRays, Rays
+from mrgs.baselines.thermonerf.rays import CameraRays, Rays, SceneFrame
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, THERMAL, Modality, PosedImage, Scene
 

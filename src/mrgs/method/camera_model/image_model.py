@@ -7,10 +7,8 @@ a thermal lens blurs, and automatic gain scales each photo differently.
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -18,10 +16,11 @@ from torch import Tensor, nn
 
 from mrgs.method.adam import ParameterGroup
 from mrgs.method.camera_model.photo_drift import PhotoDrift, residual_of
-from mrgs.method.camera_model.photo_gain import Gain, PhotoGain, Viewpoint
+from mrgs.method.camera_model.photo_gain import Gain, PhotoGain
 from mrgs.method.camera_model.point_spread import blur
 from mrgs.method.camera_model.pose_refinement import PoseRefinement
-from mrgs.scene import NOT_COARSER, THERMAL, Camera, Modality, Pixels, Rendering, Scene
+from mrgs.scene import NOT_COARSER, THERMAL, Camera, Modality, Pixels, Rendering
+from mrgs.scene.capture import Capture, Viewpoint
 from mrgs.system.limits import MOST_RATE, require_within
 
 INITIAL_POINT_SPREAD_PX = 0.8
@@ -69,78 +68,6 @@ class ImageModelConfig:
             thermal_gain_rate=factor * self.thermal_gain_rate,
             poses_rate=factor * self.poses_rate,
         )
-
-
-class Capture(NamedTuple):
-    """What a model needs to know of a scene's training views.
-
-    Attributes:
-        thermal_viewpoints: of each training view's camera, None where it has no thermal photo.
-        extent: of the scene.
-        has_celsius: whether the values of the thermal photos are temperatures.
-        finest_focal_px: median focal length, in pixels, of the modality whose photos are finest;
-            None in the checkpoints of older versions.
-    """
-
-    thermal_viewpoints: tuple[Viewpoint | None, ...]
-    extent: float
-    has_celsius: bool
-    finest_focal_px: float | None = None
-
-    @classmethod
-    def of(cls, scene: Scene) -> Capture:
-        """The capture of a scene's training views."""
-        extent = scene.extent
-        return cls(
-            tuple(
-                Viewpoint.of(camera, extent) if THERMAL in view.images else None
-                for camera, view in zip(scene.train_cameras, scene.train, strict=True)
-            ),
-            extent,
-            scene.temperature is not None,
-            _finest_focal_px(scene),
-        )
-
-    @property
-    def lacks_celsius(self) -> bool:
-        """Whether there are thermal photos whose values are no temperatures."""
-        return any(self.thermal_viewpoints) and not self.has_celsius
-
-    @property
-    def may_drift(self) -> bool:
-        """Whether there are thermal photos in °C."""
-        return any(self.thermal_viewpoints) and self.has_celsius
-
-    @property
-    def views(self) -> int:
-        """Number of training views."""
-        return len(self.thermal_viewpoints)
-
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> Capture:
-        """A capture from the JSON form of ``_asdict``.
-
-        Raises:
-            KeyError, TypeError, ValueError: the values are no capture.
-        """
-        viewpoints = tuple(
-            None if point is None else Viewpoint.from_json(point)
-            for point in values["thermal_viewpoints"]
-        )
-        extent = float(values["extent"])
-        if not 0 < extent < math.inf:
-            raise ValueError("the extent is a length")
-        finest = values.get("finest_focal_px")
-        finest = None if finest is None else float(finest)
-        if finest is not None and not 0 < finest < math.inf:
-            raise ValueError("the focal length is a number of pixels")
-        return cls(viewpoints, extent, bool(values["has_celsius"]), finest)
-
-
-def _finest_focal_px(scene: Scene) -> float:
-    """The largest of the modalities' median focal lengths: one zoomed photo makes none finer."""
-    photos = [scene.train_photos(modality) for modality in scene.modalities]
-    return max(statistics.median(photo.camera.focal_px for photo in own) for own in photos if own)
 
 
 class PointSpread(nn.Module):

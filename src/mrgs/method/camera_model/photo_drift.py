@@ -9,12 +9,8 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
-from mrgs.method.camera_model.photo_gain import (
-    Viewpoint,
-    only_one_at,
-    photo_rows,
-    viewpoint_distances,
-)
+from mrgs.method.camera_model.photo_gain import only_one_at, photo_rows, viewpoint_distances
+from mrgs.scene.capture import Viewpoint
 
 PARTS = 4
 """Number of parts of a photo across and down."""

@@ -2,51 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor, nn
 
-from mrgs.scene import Camera
+from mrgs.scene.capture import Viewpoint
 
 NEAREST = 3
 """Photos from which the gain of another one is predicted."""
 
 SAME_PLACE = 1e-6
 """Viewpoints closer than this are the same."""
-
-
-class Viewpoint(NamedTuple):
-    """Position and viewing direction of a camera, in world coordinates.
-
-    Attributes:
-        position: of the camera, in scene extents.
-        forward: viewing direction, unit length.
-    """
-
-    position: tuple[float, float, float]
-    forward: tuple[float, float, float]
-
-    @classmethod
-    def of(cls, camera: Camera, extent: float) -> Viewpoint:
-        """The viewpoint of a camera in a scene of this extent."""
-        return cls(_triple((camera.position / extent).tolist()), _triple(camera.forward.tolist()))
-
-    @classmethod
-    def from_json(cls, values: Any) -> Viewpoint:
-        """A viewpoint from its JSON form.
-
-        Raises:
-            TypeError, ValueError: the values are no viewpoint.
-        """
-        position, forward = values
-        viewpoint = cls(_triple(position), _triple(forward))
-        if not all(map(math.isfinite, (*viewpoint.position, *viewpoint.forward))):
-            raise ValueError("a viewpoint must be finite")
-        return viewpoint
 
 
 class Gain(NamedTuple):
@@ -171,8 +140,3 @@ def _columns(
     return torch.tensor(positions, dtype=torch.float64), torch.tensor(
         directions, dtype=torch.float64
     )
-
-
-def _triple(values: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = map(float, values)
-    return x, y, z

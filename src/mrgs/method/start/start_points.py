@@ -21,6 +21,7 @@ from mrgs.method.config import TrainConfig
 from mrgs.method.start.distant_points import distant_points
 from mrgs.method.start.photo_values import photo_values, with_neighbours_values
 from mrgs.scene import RGB, THERMAL, Gaussians, Modality, PointCloud, Scene, in_order
+from mrgs.scene.capture import model_modalities
 
 OPACITY = 0.1
 """3DGS's."""
@@ -92,15 +93,6 @@ def start_points(scene: Scene, config: TrainConfig) -> StartPoints:
         if modality != RGB:
             points = _with_photo_values(points, scene, modality)
     return points
-
-
-def model_modalities(captured: Iterable[Modality]) -> tuple[Modality, ...]:
-    """What a model renders: RGB and thermal always, others where there are photos.
-
-    Args:
-        captured: the scene's modalities.
-    """
-    return in_order((RGB, THERMAL, *captured))
 
 
 def blended_apart(captured: Iterable[Modality], shares_opacity: bool) -> tuple[Modality, ...]:

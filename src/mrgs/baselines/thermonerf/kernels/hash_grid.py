@@ -13,7 +13,7 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.baselines.thermonerf.hash_grid import CHANNELS, PRIMES
+from mrgs.baselines.thermonerf.networks import CHANNELS, PRIMES
 from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.require import require
 
@@ -33,7 +33,7 @@ def encode(
     resolutions: Int64[Tensor, " levels"],
     offsets: Int64[Tensor, " levels+1"],
 ) -> Float[Tensor, "n 4*levels"]:
-    """``mrgs.baselines.thermonerf.hash_grid.encode`` for float32 or float64 on the CPU.
+    """``mrgs.baselines.thermonerf.networks.encode`` for float32 or float64 on the CPU.
 
     Raises:
         ValueError: tensors of other sizes or types, or levels that do not lie in the table.

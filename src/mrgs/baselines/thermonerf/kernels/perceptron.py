@@ -35,7 +35,7 @@ def perceptron(
     output_weight: Float[Tensor, "o h"],
     output_bias: Float[Tensor, " o"],
 ) -> Float[Tensor, "n o"]:
-    """``mrgs.baselines.thermonerf.perceptron.perceptron`` for float32 on the CPU.
+    """``mrgs.baselines.thermonerf.networks.perceptron`` for float32 on the CPU.
 
     Raises:
         ValueError: tensors of other sizes or types.

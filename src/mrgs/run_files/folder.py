@@ -6,22 +6,35 @@ import json
 import math
 import os
 import re
-import shutil
-import tempfile
-import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from filelock import FileLock, Timeout
 
-from mrgs.errors import ConfigError, FolderInUseError, RunError, SceneError, warn_user
+from mrgs.errors import (
+    ConfigError,
+    DamagedCheckpointError,
+    FolderInUseError,
+    RunError,
+    SceneError,
+    warn_user,
+)
 from mrgs.system.atomic import remove_abandoned, write_error, write_text
-from mrgs.system.strict_yaml import parse_yaml, write_yaml
+from mrgs.system.strict_yaml import flat, parse_yaml, write_yaml
 from mrgs.system.wording import listed
 
 CHECKPOINTS_KEPT = 2
+
+TENSORBOARD = "tensorboard"
+"""Folder of the log for TensorBoard, in the run's folder."""
+
+_LEFT_BEHIND = {"checkpoints", TENSORBOARD, "blocks", "survey.yaml", "marks.json"}
+"""Files that a folder may contain before it becomes a run: those of an earlier run, and what the
+user has entered for it."""
+
+_EVERY_CONFIG_HAS = {"method", "max_steps", "resolution", "seed", "checkpoint_every"}
 
 
 @runtime_checkable
@@ -34,11 +47,11 @@ class RunConfig(Protocol):
 
     @property
     def max_steps(self) -> int:
-        """Training steps."""
+        """Number of training steps."""
 
     @property
     def resolution(self) -> int | None:
-        """Images wider than this many pixels are reduced to it; None keeps them."""
+        """Images wider than this many pixels are downscaled to it; None keeps them."""
 
     @property
     def seed(self) -> int:
@@ -49,18 +62,11 @@ class RunConfig(Protocol):
         """Steps between checkpoints."""
 
 
-_LEFT_BEHIND = {"checkpoints", "tensorboard", "blocks", "survey.yaml", "marks.json"}
-"""What may lie in a folder before it is a run: what an earlier one left, and what was stated for
-it."""
+T = TypeVar("T")
+C = TypeVar("C", bound=RunConfig)
 
-_EVERY_CONFIG_HAS = {"method", "max_steps", "resolution", "seed", "checkpoint_every"}
-
-Config = TypeVar("Config")
-ReadConfig = Callable[[str, str], Config]
-"""From the text of a config.yaml and the file's name, for messages."""
-
-LogMirror = Callable[[Mapping[str, Any]], None]
-"""Receives each entry of the log."""
+ReadConfig = Callable[[str, str], T]
+"""Parses the text of a config.yaml; the second argument is the file's name, for messages."""
 
 
 class RunFolder:
@@ -73,8 +79,8 @@ class RunFolder:
                 f"the run's folder must be a path, not {type(path).__name__}; other parameters "
                 f"follow by name, such as config="
             )
-        self.path = Path(path).absolute()  # whatever the current folder is later
-        self._log_mirrors: list[LogMirror] = []
+        self.path = Path(path).absolute()  # so that a later change of directory does not matter
+        self._tensorboard: Any = None
 
     def __repr__(self) -> str:
         return f"RunFolder({str(self.path)!r})"
@@ -100,7 +106,7 @@ class RunFolder:
         return sorted(numbered, key=lambda path: (len(path.name), path))
 
     def newest_checkpoint(self) -> Path:
-        """The checkpoint to continue or to use.
+        """The last checkpoint.
 
         Raises:
             RunError: the folder is not a run, or has no checkpoint yet.
@@ -111,16 +117,42 @@ class RunFolder:
             raise RunError(f"{self.path} has no checkpoint yet: train it first")
         return found[-1]
 
-    def set_aside(self, checkpoint: Path) -> Path:
-        """Rename a damaged checkpoint, so that it no longer counts as the newest; its new path.
+    def load_newest(self, load: Callable[[Path], T], *, set_aside: bool = False) -> T:
+        """Load the newest checkpoint, or an older one if it is damaged.
+
+        Args:
+            load: reads a checkpoint; raises DamagedCheckpointError if it is damaged.
+            set_aside: rename damaged checkpoints to ``*.damaged``, because newer ones will be
+                written.
+
+        Warns:
+            MrgsWarning: an older one is used.
 
         Raises:
-            RunError: the folder cannot be written.
+            RunError: there is no checkpoint, all are damaged, or the newest undamaged one cannot be
+                used.
         """
-        aside = checkpoint.with_name(f"{checkpoint.name}.damaged")
-        with self._writing():
-            checkpoint.replace(aside)
-        return aside
+        self.newest_checkpoint()
+        damaged: list[DamagedCheckpointError] = []
+        for path in reversed(self.checkpoints()):
+            try:
+                found = load(path)
+            except DamagedCheckpointError as error:
+                damaged.append(error)
+                continue
+            for one in damaged:
+                text = f"{one.path} is not a whole checkpoint ({one.reason}); {path.name} is used"
+                if set_aside:
+                    aside = one.path.with_name(f"{one.path.name}.damaged")
+                    with self._writing():
+                        one.path.replace(aside)
+                    text += f"; it is kept as {aside.name}"
+                warn_user(text)
+            return found
+        raise RunError(
+            f"{self.path} has no checkpoint that is whole ({damaged[0].reason}): restore one from "
+            f"a copy, or retrain into another folder"
+        )
 
     def drop_old_checkpoints(self) -> None:
         """Keep the newest two."""
@@ -129,12 +161,13 @@ class RunFolder:
                 path.unlink()
 
     def require_new(self) -> None:
-        """A folder without checkpoints may become a new run: one that died before its first leaves
-        nothing to keep.
+        """Check that the folder may become a new run; one whose run ended before its first
+        checkpoint may.
 
         Raises:
-            RunError: the folder holds a run.
+            RunError: the folder contains a run, or something else.
         """
+        problem = ""
         if self.checkpoints():
             raise RunError(
                 f"{self.path} already holds a run: resume it, or choose another folder",
@@ -142,33 +175,23 @@ class RunFolder:
             )
         if self.config_file.exists():
             if not self._config_values().keys() >= _EVERY_CONFIG_HAS:
-                raise RunError(
-                    f"{self.path} holds a config.yaml that is not a run's: choose another folder",
-                    options=("output",),
-                )
+                problem = "a config.yaml that is not a run's"
         elif self.log_file.exists():
+            problem = "a log.jsonl that is not a run's"
+        elif self.path.is_dir():
+            names = sorted(path.name for path in self.path.iterdir() if path.name[0] != ".")
+            foreign = [name for name in names if name not in _LEFT_BEHIND]
+            problem = f"something else ({listed(foreign)})" if foreign else ""
+        if problem:
             raise RunError(
-                f"{self.path} holds a log.jsonl that is not a run's: choose another folder",
-                options=("output",),
+                f"{self.path} holds {problem}: choose another folder", options=("output",)
             )
-        elif foreign := self._foreign():
-            raise RunError(
-                f"{self.path} holds something else ({listed(foreign)}): choose a new folder",
-                options=("output",),
-            )
-
-    def _foreign(self) -> list[str]:
-        """Names of what no run leaves behind; hidden files do not count."""
-        if not self.path.is_dir():
-            return []
-        names = sorted(path.name for path in self.path.iterdir())
-        return [name for name in names if name not in _LEFT_BEHIND and not name.startswith(".")]
 
     def start(self, config: RunConfig) -> None:
         """Make the folder a new run.
 
         Raises:
-            RunError: the folder holds a run, or cannot be written.
+            RunError: the folder contains a run, or cannot be written.
         """
         self.require_new()
         with self._writing():
@@ -183,84 +206,85 @@ class RunFolder:
             RunError: the folder is not a run.
         """
         values = self.read_config(parse_yaml)
-        if not isinstance(values, dict) or not isinstance(values.get("method"), str):
+        name = values.get("method") if isinstance(values, dict) else None
+        if not isinstance(name, str):
             raise RunError(
                 f"{self.path} is not a run: its config.yaml names no method; fix the file or "
                 f"retrain"
             )
-        name: str = values["method"]
         return name
 
-    def read_config(self, read: ReadConfig[Config]) -> Config:
+    def read_config(self, read: ReadConfig[T]) -> T:
         """The run's configuration.
 
         Args:
-            read: the method's.
+            read: the method's parser.
 
         Raises:
             RunError: the folder is not a run, or its configuration cannot be used.
         """
-        try:
-            return read(self._config_text(), str(self.config_file))
-        except ConfigError as error:
-            raise RunError(f"{error}; fix the file or retrain") from error
-
-    def warn_if_incomplete(self, config: RunConfig) -> None:
-        """A run's config.yaml names every setting; one that was cut off may still be read.
-
-        Args:
-            config: what was read from it.
-
-        Warns:
-            MrgsWarning: it lacks some, for which the defaults are used.
-        """
-        whole = parse_yaml(write_yaml(config), "")
-        have = set(_names_in(self._config_values()))
-        missing = [name for name in _names_in(whole) if name not in have]
-        if missing:
-            warn_user(
-                f"{self.config_file} lacks {listed(missing)}, for which the defaults are used: "
-                f"restore it if it was cut off"
-            )
-
-    def _require_config(self) -> None:
-        if self.config_file.is_file():
-            return
-        inside = self._runs_inside()
-        if len(inside) == 1:
-            raise RunError(
-                f"{self.path} is not a run itself; the model is in {inside[0]}: give that folder"
-            )
-        if inside:
-            raise RunError(
-                f"{self.path} is not a run itself; there are models in "
-                f"{listed([str(folder) for folder in inside])}: give one of these folders"
-            )
-        raise RunError(
-            f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs train` "
-            f"wrote"
-        )
-
-    def _runs_inside(self) -> list[Path]:
-        """The trained runs among the folders in this one, as where `mrgs run` keeps its results."""
-        try:
-            folders = sorted(path.parent for path in self.path.glob("*/config.yaml"))
-        except OSError:
-            return []
-        return [folder for folder in folders if RunFolder(folder).checkpoints()]
-
-    def _config_text(self) -> str:
         self._require_config()
         try:
-            return self.config_file.read_text(encoding="utf-8")
+            return read(self.config_file.read_text(encoding="utf-8"), str(self.config_file))
+        except ConfigError as error:
+            raise RunError(f"{error}; fix the file or retrain") from error
         except (OSError, UnicodeDecodeError) as error:
             raise RunError(
                 f"{self.path} is not a run: its config.yaml cannot be read; name a folder that "
                 f"`mrgs train` wrote"
             ) from error
 
+    def config_to_train(self, config: C, resume: bool, read: ReadConfig[C]) -> C:
+        """The configuration to train with: the given one, or that of the run that is resumed.
+
+        Warns:
+            MrgsWarning: the run's config.yaml lacks settings.
+
+        Raises:
+            RunError: the folder cannot be used for it.
+        """
+        if not resume:
+            self.require_new()
+            return config
+        self.newest_checkpoint()
+        return self.read_whole_config(read)
+
+    def read_whole_config(self, read: ReadConfig[C]) -> C:
+        """``read_config`` of a run, whose config.yaml names every setting.
+
+        Warns:
+            MrgsWarning: it lacks some, for which the defaults are used; the file may have been cut
+                off.
+        """
+        config = self.read_config(read)
+        have = flat(self._config_values())
+        missing = [name for name in flat(parse_yaml(write_yaml(config), "")) if name not in have]
+        if missing:
+            warn_user(
+                f"{self.config_file} lacks {listed(missing)}, for which the defaults are used: "
+                f"restore it if it was cut off"
+            )
+        return config
+
+    def _require_config(self) -> None:
+        if self.config_file.is_file():
+            return
+        try:
+            folders = sorted(path.parent for path in self.path.glob("*/config.yaml"))
+            inside = [str(folder) for folder in folders if RunFolder(folder).checkpoints()]
+        except OSError:
+            inside = []
+        if inside:  # as where `mrgs run` keeps its results
+            raise RunError(
+                f"{self.path} is not a run itself; it contains {listed(inside)}: give that folder"
+            )
+        raise RunError(
+            f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs train` "
+            f"wrote"
+        )
+
     def _config_values(self) -> dict[str, Any]:
-        """The outermost entries of config.yaml; empty where it holds something else."""
+        """The outermost entries of config.yaml; empty if it contains something else."""
         try:
             values = self.read_config(parse_yaml)
         except RunError:
@@ -279,20 +303,40 @@ class RunFolder:
         }
         with self._writing(), self.log_file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(finite, allow_nan=False) + "\n")
-        for mirror in self._log_mirrors:
-            mirror(finite)
+        if self._tensorboard is None:
+            return
+        for name, value in finite.items():
+            if name != "step" and isinstance(value, int | float):
+                grouped = name.replace("loss_", "loss/", 1) if name[:5] == "loss_" else name
+                self._tensorboard.add_scalar(grouped, value, finite["step"])
 
     @contextmanager
-    def log_mirrored(self, mirror: LogMirror) -> Iterator[None]:
-        """Within this block, hand over each entry of the log as well."""
-        self._log_mirrors.append(mirror)
+    def tensorboard_log(self, step: int) -> Iterator[None]:
+        """Within this block, write the numbers of the log as TensorBoard scalars, too.
+
+        Args:
+            step: that training continues from; TensorBoard hides what an earlier part wrote after
+                it.
+
+        Raises:
+            ConfigError: TensorBoard is not installed.
+        """
         try:
-            yield
-        finally:
-            self._log_mirrors.remove(mirror)
+            from torch.utils.tensorboard import SummaryWriter
+        except ModuleNotFoundError:
+            raise ConfigError(
+                "TensorBoard is not installed: run `pip install 'mrgs[tensorboard]'`",
+                options=("tensorboard",),
+            ) from None
+        with SummaryWriter(str(self.path / TENSORBOARD), purge_step=step + 1) as writer:
+            self._tensorboard = writer
+            try:
+                yield
+            finally:
+                self._tensorboard = None
 
     def cut_log(self, step: int) -> None:
-        """Drop the lines behind a step, which a resumed run writes again."""
+        """Drop the lines after a step, which a resumed run writes again."""
         if not self.log_file.exists():
             return
         lines = self.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -301,11 +345,12 @@ class RunFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the folder for this process; the system gives it back when the process ends, however
-        it ends.
+        """Within this block no other process uses the folder; the system releases the lock when the
+        process ends, however it ends.
 
         Raises:
-            RunError: another process holds it, or the folder cannot be made.
+            FolderInUseError: another process uses it.
+            RunError: the folder cannot be made.
         """
         lock = FileLock(self.path / ".lock")
         try:
@@ -324,13 +369,13 @@ class RunFolder:
 
     @contextmanager
     def training(self, config: RunConfig, resume: bool) -> Iterator[None]:
-        """Hold the folder while a run in it is trained: a new one, unless ``resume``.
+        """Within this block a run in the folder is trained: a new one, unless ``resume``.
 
         A run that ends before its first checkpoint, because of the scene or of Ctrl-C, leaves
         nothing.
 
         Raises:
-            RunError: another process holds the folder, or it cannot be used.
+            RunError: another process uses the folder, or it cannot be used.
         """
         with self.locked():
             remove_abandoned(self.path)
@@ -343,17 +388,17 @@ class RunFolder:
                 self.start(config)
             try:
                 yield
-            except (SceneError, KeyboardInterrupt):  # photos are decoded when their turn comes
+            except (SceneError, KeyboardInterrupt):  # photos are decoded when they are first used
                 if not self.checkpoints():
                     self.discard()
                 raise
 
     def discard(self) -> None:
-        """Remove a run that never came to a checkpoint, and the folder if nothing else is in it;
-        under the lock."""
+        """Remove a run without a checkpoint, and the folder if nothing else is in it; under the
+        lock."""
         for name in ("config.yaml", "log.jsonl"):
             (self.path / name).unlink(missing_ok=True)
-        with suppress(OSError):  # something else is in it; on Windows, the lock while it is held
+        with suppress(OSError):  # something else is in it; on Windows, the locked file
             (self.path / ".lock").unlink(missing_ok=True)
             self.path.rmdir()
 
@@ -368,43 +413,14 @@ class RunFolder:
             raise write_error(self.path, error, options=("output",)) from error
 
 
-class TemporaryRunFolder(RunFolder):
-    """A run's folder among the system's temporary files, removed with this object, or with the
-    process once it is kept."""
-
-    _kept: ClassVar[list[TemporaryRunFolder]] = []
-
-    def __init__(self) -> None:
-        super().__init__(tempfile.mkdtemp(prefix="mrgs-"))
-        weakref.finalize(self, _remove_own, self.path, os.getpid())
-
-    def keep(self) -> None:
-        """Keep the folder as long as the process lives."""
-        self._kept.append(self)
-
-
-def _remove_own(folder: Path, owner: int) -> None:
-    """Remove a folder, unless this process is a fork of the one that made it."""
-    if os.getpid() == owner:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 def step_named(checkpoint: Path) -> int | None:
     """The step in a checkpoint's name; None if it is not named like one."""
     found = re.fullmatch(r"step_([0-9]{1,18})\.safetensors", checkpoint.name)
     return None if found is None else int(found[1])
 
 
-def _names_in(values: Any, prefix: str = "") -> Iterator[str]:
-    """The dotted names of all entries of nested mappings."""
-    if isinstance(values, dict):
-        for name, value in values.items():
-            yield f"{prefix}{name}"
-            yield from _names_in(value, f"{prefix}{name}.")
-
-
 def _step_of(line: str) -> int:
-    """The step of a log line; a torn last line counts as behind everything."""
+    """The step of a log line; a torn last line counts as after everything."""
     try:
         return int(json.loads(line)["step"])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):

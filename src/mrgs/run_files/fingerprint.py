@@ -1,5 +1,5 @@
-"""What a run was trained on: a digest of each training photo, and the camera of each. A resumed run
-is the same run only where these are the same."""
+"""What a run was trained on: a digest of each training photo, and its camera. A resumed run is the
+same run only if these are the same."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from mrgs.scene import Camera, PosedImage, Scene
 from mrgs.system.wording import listed
 
 SAME = 1e-6
-"""Relative difference up to which cameras are the same: other machines round differently."""
+"""Relative difference up to which cameras count as equal: other machines round differently."""
 
 ROUNDING = 1e-9
-"""The same for numbers that vanish next to the largest one beside them."""
+"""The same relative to the largest of the compared numbers, for numbers near 0."""
 
 _READERS = 4
-"""Photos whose files are read at the same time."""
+"""Number of threads that read photos."""
 
 
 class ImageFingerprint(NamedTuple):
-    """One training image.
+    """Identifies one training image.
 
     Attributes:
         photo: digest of its files (the photo, and its mask if it has one).
@@ -43,7 +43,7 @@ class ImageFingerprint(NamedTuple):
         """A fingerprint from its JSON form.
 
         Raises:
-            TypeError, ValueError: the value is none.
+            TypeError, ValueError: the value is not a fingerprint.
         """
         photo, pose, intrinsics = value
         if not isinstance(photo, str) or len(pose) != 12 or len(intrinsics) != 6:
@@ -52,7 +52,7 @@ class ImageFingerprint(NamedTuple):
 
 
 def fingerprints(scene: Scene) -> tuple[ImageFingerprint, ...]:
-    """Of all training images, view by view.
+    """Fingerprints of all training images, view by view.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -69,11 +69,11 @@ def fingerprints(scene: Scene) -> tuple[ImageFingerprint, ...]:
 def changes(
     before: Sequence[ImageFingerprint], now: Sequence[ImageFingerprint], scene: Scene
 ) -> str:
-    """What has changed since a run began, for the user; empty if nothing has.
+    """What has changed since a run began, for a message; empty if nothing has.
 
     Args:
-        before: at the start of the run; one for each of ``now``.
-        now: of the scene.
+        before: fingerprints at the start of the run.
+        now: fingerprints of the scene, as many.
         scene: names the images.
     """
     pairs = list(zip(before, now, strict=True))
@@ -99,21 +99,15 @@ def _training_images(scene: Scene) -> Iterator[tuple[str, PosedImage]]:
 
 
 def _digest_of(image: PosedImage) -> str:
-    """SHA-256 of the image's files; of its pixels where it comes from no file."""
+    """SHA-256 of the image's files; of its values and mask if it was made from arrays."""
     digest = hashlib.sha256()
-    for content in _contents(image):
-        digest.update(hashlib.sha256(content).digest())
-    return digest.hexdigest()
-
-
-def _contents(image: PosedImage) -> Iterator[bytes]:
-    """The bytes of the image's files; of its values and mask where it comes from no file."""
     for path in image.files:
-        yield _read(path)
+        digest.update(hashlib.sha256(_read(path)).digest())
     if not image.files:
-        pixels = image.load()
-        yield pixels.values.numpy().tobytes()
-        yield b"" if pixels.valid is None else pixels.valid.numpy().tobytes()
+        for tensor in (pixels := image.load()).values, pixels.valid:
+            content = b"" if tensor is None else tensor.numpy().tobytes()
+            digest.update(hashlib.sha256(content).digest())
+    return digest.hexdigest()
 
 
 def _read(path: Path) -> bytes:
@@ -126,7 +120,7 @@ def _read(path: Path) -> bytes:
 
 
 def _numbers_of(camera: Camera) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Pose and intrinsics of a camera, as ``ImageFingerprint`` has them."""
+    """Pose and intrinsics of a camera, as in ``ImageFingerprint``."""
     K = camera.K
     intrinsics = (*K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), camera.width, camera.height)
     return tuple(camera.viewmat[:3].flatten().tolist()), tuple(map(float, intrinsics))

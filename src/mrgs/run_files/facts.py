@@ -1,4 +1,4 @@
-"""What a checkpoint says about its run besides the tensors, and whether a scene is the run's."""
+"""The facts about a run in its checkpoints, and whether a scene is the one it was trained on."""
 
 from __future__ import annotations
 
@@ -9,28 +9,27 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mrgs.errors import RunError, SceneError, warn_user
-from mrgs.method.camera_model.image_model import Capture
-from mrgs.method.start.start_points import model_modalities
+from mrgs.run_files.fingerprint import ImageFingerprint, changes, fingerprints
 from mrgs.scene import RGB, THERMAL, Modality, Scene, TemperatureRange
-from mrgs.training.fingerprint import ImageFingerprint, changes, fingerprints
+from mrgs.scene.capture import Capture, model_modalities
 
 
 class CheckpointFacts(NamedTuple):
-    """The facts about a run that its checkpoints hold besides the tensors.
+    """The facts about a run in the headers of its checkpoints.
 
     Attributes:
         step: steps done.
         scene: absolute path of the scene's folder; empty for a scene made from arrays.
-        capture: what the model must know of the scene's photos.
-        temperature: the scene's scale; None without known °C.
+        capture: what the model needs to know of the scene's photos.
+        temperature: the scene's temperature scale; None without known °C.
         train_seconds: time spent in training so far.
         peak_memory_bytes: largest memory of the process since the run came to ``device``; on a GPU
             that of its tensors there.
         skipped_steps: steps skipped so far because of values that were not finite.
-        device: that of the last step: a GPU's name, or "cpu".
+        device: device of the last step: a GPU's name, or "cpu".
         modalities: of the scene's images.
-        images: of each training image, by view and modality; empty where older versions of the
-            program wrote the checkpoint.
+        images: fingerprint of each training image, by view and modality; empty in checkpoints of
+            older versions of the program.
     """
 
     step: int
@@ -46,7 +45,7 @@ class CheckpointFacts(NamedTuple):
 
     @classmethod
     def at_start(cls, scene: Scene) -> CheckpointFacts:
-        """Before the first step on a scene.
+        """The facts before the first step on a scene.
 
         Raises:
             SceneError: a photo cannot be read.
@@ -64,7 +63,7 @@ class CheckpointFacts(NamedTuple):
         )
 
     def photographed(self, modalities: Iterable[Modality]) -> tuple[Modality, ...]:
-        """Some modalities, without those of which the scene has no photos."""
+        """The given modalities of which the scene has photos."""
         return tuple(each for each in modalities if each in self.modalities)
 
     def moved_to(self, path: str | Path | None) -> CheckpointFacts:
@@ -88,7 +87,7 @@ class CheckpointFacts(NamedTuple):
         Raises:
             KeyError, TypeError, ValueError: one is missing, or is not what it should be.
         """
-        known = {"device": "cpu", "images": [], **header}  # older checkpoints do not say it
+        known = {"device": "cpu", "images": [], **header}  # missing in older checkpoints
         values = {name: known[name] for name in cls._fields}
         for name in ("step", "peak_memory_bytes", "skipped_steps"):
             if type(values[name]) is not int or values[name] < 0:
@@ -107,7 +106,7 @@ class CheckpointFacts(NamedTuple):
 
 
 def require_scene(scene: object) -> None:
-    """What a caller gives must be a scene or its folder.
+    """Check that an argument is a scene or its folder.
 
     Raises:
         SceneError: it is something else.
@@ -121,10 +120,10 @@ def require_scene(scene: object) -> None:
 
 
 def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
-    """A run belongs to the cameras and the temperatures that it was trained with.
+    """Check that a scene has the cameras and the temperatures that its run was trained with.
 
     Raises:
-        RunError: the scene has others.
+        RunError: it has others.
     """
     _require_same_views(facts, scene)
     if not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
@@ -137,19 +136,19 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
 def facts_to_resume(
     facts: CheckpointFacts, scene: Scene, accept_changes: bool = False
 ) -> CheckpointFacts:
-    """The facts of a checkpoint that is trained on, with those of its scene as it is now.
+    """The facts of a checkpoint that is resumed, updated to its scene as it is now.
 
     Args:
         facts: of the checkpoint.
         scene: to train on.
-        accept_changes: go on where photos, poses or intrinsics have changed.
+        accept_changes: continue although photos, poses or intrinsics have changed.
 
     Warns:
-        MrgsWarning: they have, and that is accepted.
+        MrgsWarning: they have changed, which is accepted.
 
     Raises:
-        RunError: they have, and that is not accepted; or the scene has another number of images,
-            another temperature range or more modalities.
+        RunError: they have changed, which is not accepted; or the scene has another number of
+            images, another temperature range or more modalities.
     """
     _require_same_views(facts, scene)
     _require_same_temperatures(facts, scene)
@@ -173,7 +172,7 @@ def facts_to_resume(
 def _changes_since(
     facts: CheckpointFacts, images: tuple[ImageFingerprint, ...], scene: Scene
 ) -> str:
-    """What has changed in a scene since its run began, see ``changes``."""
+    """The changes of a scene since its run began; see ``changes``."""
     if facts.images:
         return changes(facts.images, images, scene)
     is_same = math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6)
@@ -181,7 +180,7 @@ def _changes_since(
 
 
 def differences(facts: CheckpointFacts, scene: Scene) -> str:
-    """How a scene differs from the one of the facts, for the user; empty if it does not.
+    """How a scene differs from the run's, for a message; empty if it does not.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -194,17 +193,13 @@ def differences(facts: CheckpointFacts, scene: Scene) -> str:
 
 
 def _require_same_views(facts: CheckpointFacts, scene: Scene) -> None:
-    """The state of a training fits as many images as it began with, thermal ones in the same views.
-
-    Raises:
-        RunError: there are others.
-    """
     if other := _other_views(facts, scene):
         raise RunError(f"{scene.name} {other}: use that scene as it was")
 
 
 def _other_views(facts: CheckpointFacts, scene: Scene) -> str:
-    """How the numbers of a scene's images differ from those of the facts; empty if they do not."""
+    """How the numbers of a scene's images differ from the run's, or their thermal views; empty if
+    they do not."""
     trained = model_modalities(facts.modalities)
     count = sum(modality in trained for view in scene.train for modality in view.images)
     if facts.capture.views != len(scene.train) or (facts.images and len(facts.images) != count):
@@ -219,7 +214,7 @@ def _other_views(facts: CheckpointFacts, scene: Scene) -> str:
 
 
 def _untrained(facts: CheckpointFacts, scene: Scene) -> str:
-    """Which modalities a scene has and its model does not; empty if there are none."""
+    """The modalities of a scene that its model lacks; empty if there are none."""
     names = sorted(
         each.name for each in set(scene.modalities) - set(model_modalities(facts.modalities))
     )

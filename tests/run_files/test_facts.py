@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from mrgs.errors import RunError
+from mrgs.run_files.facts import CheckpointFacts, differences, facts_to_resume
 from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, Scene, TemperatureRange, View
-from mrgs.training.facts import CheckpointFacts, differences, facts_to_resume
 from tests.helpers.gaussians import NEAR_INFRARED
 
 LENS = Camera.from_fov(12, 10, 60)

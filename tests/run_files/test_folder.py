@@ -12,7 +12,8 @@ import pytest
 
 from mrgs.errors import MrgsWarning, RunError
 from mrgs.method.config import TrainConfig, from_yaml, make_config
-from mrgs.training.run_folder import RunFolder, TemporaryRunFolder
+from mrgs.run_files.folder import RunFolder
+from mrgs.runs.train import TemporaryRunFolder
 
 
 @pytest.fixture
@@ -117,7 +118,7 @@ def test_a_folder_of_runs_says_where_they_are(tmp_path, folder):
         outer.newest_checkpoint()  # nothing is trained in it yet
     touch_checkpoints(folder, 10)
     inside = re.escape(str(folder.path))
-    with pytest.raises(RunError, match=f"is in {inside}"):
+    with pytest.raises(RunError, match=f"contains {inside}"):
         outer.newest_checkpoint()
     other = RunFolder(tmp_path / "best")
     other.start(TrainConfig())
@@ -169,14 +170,6 @@ def test_numbers_of_the_log_that_are_not_finite_are_null(folder):
     assert written == {"step": 1, "loss": None, "rgb": None, "thermal": 0.5}
 
 
-def test_the_log_is_handed_over_within_a_block_alone(folder):
-    entries: list[dict] = []
-    with folder.log_mirrored(entries.append):
-        folder.append_log({"step": 1})
-    folder.append_log({"step": 2})
-    assert entries == [{"step": 1}]
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without pipes")
 def test_a_log_that_is_no_file_is_refused(tmp_path):
     folder = RunFolder(tmp_path / "run")
@@ -194,7 +187,7 @@ def test_settings_that_were_cut_off_are_named_by_their_place(folder):
     (place,) = (i for i, line in enumerate(lines) if line.startswith("  dssim:"))
     folder.config_file.write_text("".join(lines[:place] + lines[place + 1 :]), encoding="utf-8")
     with pytest.warns(MrgsWarning, match=r"lacks loss\.dssim"):
-        folder.warn_if_incomplete(TrainConfig())
+        folder.read_whole_config(from_yaml)
 
 
 def test_a_lock_is_held_and_given_back(folder):
@@ -216,7 +209,7 @@ def test_a_lock_is_given_back_after_an_error(folder):
 
 def test_a_dead_process_loses_its_lock(folder):
     program = (
-        "import os; from mrgs.training.run_folder import RunFolder;"
+        "import os; from mrgs.run_files.folder import RunFolder;"
         f"RunFolder({str(folder.path)!r}).locked().__enter__(); os._exit(1)"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,8 @@ from torch import Tensor
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
+from mrgs.run_files.facts import CheckpointFacts, require_same_scene
+from mrgs.run_files.folder import RunConfig, RunFolder
 from mrgs.scene import (
     NOT_COARSER,
     THERMAL,
@@ -35,9 +37,6 @@ from mrgs.scene.depth_map import (
     carry_over,
     surveying_cameras,
 )
-from mrgs.training.asked_cameras import asked_cameras
-from mrgs.training.facts import CheckpointFacts, require_same_scene
-from mrgs.training.run_folder import RunConfig, RunFolder
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -208,3 +207,36 @@ class TrainedRun(ABC):
         )
         require_same_scene(self.facts, scene)
         return scene
+
+
+def asked_cameras(
+    cameras: Camera | Mapping[Modality, Camera], modalities: Iterable[Modality]
+) -> Mapping[Modality, Camera]:
+    """The camera of each modality to render.
+
+    Args:
+        cameras: one for all modalities, or one for each modality to render.
+        modalities: those that can be rendered.
+
+    Raises:
+        ValueError: neither of the two, or a modality that cannot be rendered.
+    """
+    modalities = tuple(modalities)
+    if isinstance(cameras, Camera):
+        return dict.fromkeys(modalities, cameras)
+    if not isinstance(cameras, Mapping):
+        raise ValueError(
+            f"cameras must be a Camera or a mapping such as {{RGB: camera}}, not "
+            f"{type(cameras).__name__}"
+        )
+    names = " and ".join(map(str, modalities))
+    if not cameras:
+        raise ValueError(f"cameras is empty: give a Camera, or one for each of {names}")
+    for modality, camera in cameras.items():
+        if not isinstance(modality, Modality):
+            raise ValueError(f"{modality!r} is not a modality: use mrgs.RGB or mrgs.THERMAL")
+        if modality not in modalities:
+            raise ValueError(f"{modality} cannot be rendered here, only {names}: leave it out")
+        if not isinstance(camera, Camera):
+            raise ValueError(f"{modality} must have a Camera, not {type(camera).__name__}")
+    return cameras

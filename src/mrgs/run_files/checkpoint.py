@@ -1,0 +1,262 @@
+"""The file of a checkpoint of any method: tensors in safetensors, a header of JSON, and digests of
+both.
+
+The header contains the digest of the tensors, and the file's second metadata entry is the digest of
+the header: a bit that changed anywhere is noticed when the file is read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import stat
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+import torch
+from safetensors import safe_open
+from torch import Tensor
+
+from mrgs.errors import DamagedCheckpointError, NotFiniteError, RunError
+from mrgs.run_files.facts import CheckpointFacts
+from mrgs.run_files.folder import step_named
+from mrgs.system.atomic import replacing
+
+FORMAT = 6
+
+WITHOUT_DIGESTS = 5
+"""The last format without digests; still read."""
+
+UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
+"""Raised for tensors that do not fit the configuration."""
+
+_HEADER = "mrgs"
+_HEADER_DIGEST = "sha256"
+_TENSORS_DIGEST = "tensors_sha256"
+
+
+def write_file(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
+    """Write a checkpoint in one file that is either whole or not there.
+
+    Args:
+        path: the file.
+        tensors: by name, on any device.
+        header: JSON values: those of ``CheckpointFacts.to_json``, ``skipped_in_a_row``, and others
+            of the method.
+
+    Raises:
+        NotFiniteError: a tensor has a NaN or an infinity; nothing is written.
+        RunError: the file cannot be written.
+    """
+    if (name := first_not_finite(tensors)) is not None:
+        raise NotFiniteError(f"{name} holds values that are not finite: {path.name} is not written")
+    kept = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    digest = hashlib.sha256()
+    for name in sorted(kept):
+        _add_to(digest, name, kept[name])
+    text = json.dumps({**header, "format": FORMAT, _TENSORS_DIGEST: digest.hexdigest()})
+    metadata = {_HEADER: text, _HEADER_DIGEST: hashlib.sha256(text.encode()).hexdigest()}
+    with replacing(path) as temporary:
+        safetensors.torch.save_file(kept, temporary, metadata)
+
+
+def read_file(
+    path: Path, needed: Callable[[str], bool] = lambda name: True
+) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors by name, and the header.
+
+    All tensors are read and checked, one after the other, so that unneeded ones take little memory.
+
+    Args:
+        path: the file.
+        needed: whether the tensor of a name is to be returned.
+
+    Raises:
+        DamagedCheckpointError: not a checkpoint, not what was written, or not finite.
+        RunError: the file cannot be read, or has another format.
+    """
+    header, names = _header_and_names(path)
+    digest = hashlib.sha256()
+    tensors: dict[str, Tensor] = {}
+    broken = None
+    for name in sorted(names):
+        # In memory of its own: if someone cuts off a mapped file, the process ends. Opened for each
+        # tensor, because the file's pages count as the process's memory until it is closed.
+        with _opened(path) as file:
+            tensor = file.get_tensor(name).clone()
+        _add_to(digest, name, tensor)
+        broken = broken or first_not_finite({name: tensor})
+        if needed(name):
+            tensors[name] = tensor
+    if header["format"] != WITHOUT_DIGESTS and header.get(_TENSORS_DIGEST) != digest.hexdigest():
+        raise DamagedCheckpointError(path, "its tensors do not match their digest")
+    if broken is not None:
+        raise DamagedCheckpointError(path, f"{broken} holds values that are not finite")
+    return tensors, header
+
+
+def read(
+    path: Path, needed: Callable[[str], bool] = lambda name: True
+) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
+    """Tensors, facts and header of a checkpoint; see ``read_file``."""
+    tensors, header = read_file(path, needed)
+    return tensors, _facts(path, header), header
+
+
+def load_facts(path: Path) -> CheckpointFacts:
+    """The facts of a checkpoint, whose tensors are neither read nor checked.
+
+    Raises:
+        DamagedCheckpointError: not a checkpoint, or another header than was written.
+        RunError: it cannot be read, or has another format.
+    """
+    return _facts(path, _header_and_names(path)[0])
+
+
+def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:
+    """The facts in a header; a file that was copied under the name of another step would hide newer
+    ones."""
+    try:
+        facts = CheckpointFacts.from_json(header)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise DamagedCheckpointError(path, "its header lacks facts") from error
+    if step_named(path) not in (None, facts.step):
+        raise DamagedCheckpointError(path, f"it is the one of step {facts.step}")
+    return facts
+
+
+def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
+    """Number of steps skipped since the last good one.
+
+    Raises:
+        KeyError, ValueError: the header lacks it.
+    """
+    count = header["skipped_in_a_row"]
+    if type(count) is not int or count < 0:
+        raise ValueError("skipped_in_a_row is a number of at least 0")
+    return count
+
+
+def unfit(path: Path, error: Exception) -> RunError:
+    """The error for a checkpoint whose tensors do not fit its configuration."""
+    reason = " ".join(str(error).split())
+    return RunError(
+        f"{path} does not fit the run's config.yaml ({reason:.120}): restore the configuration it "
+        f"was trained with"
+    )
+
+
+def require_like(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
+    """Check names, types and shapes of tensors, which kernels and optimizers rely on.
+
+    Args:
+        found: tensors from a file.
+        expected: examples, whose values do not matter.
+
+    Raises:
+        ValueError: they differ; names the first tensor that does.
+    """
+    for name in sorted(found.keys() | expected.keys()):
+        if name not in found:
+            raise ValueError(f"{name} is missing")
+        if name not in expected:
+            raise ValueError(f"{name} is unknown")
+        has, needs = (
+            f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
+            for tensor in (found[name], expected[name])
+        )
+        if has != needs:
+            raise ValueError(f"{name} is {has} where {needs} is expected")
+
+
+def below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """The tensors whose names begin with a prefix, by the rest of their names."""
+    return {
+        name.removeprefix(prefix): tensor
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
+
+
+def first_not_finite(tensors: Mapping[str, Tensor]) -> str | None:
+    """The name of a tensor with a NaN or an infinity; None if there is none."""
+    for name, tensor in tensors.items():
+        # Both stay in a sum, which is cheaper than to ask each number; a sum may also overflow.
+        if (
+            tensor.is_floating_point()
+            and not tensor.detach().sum().isfinite()
+            and not tensor.isfinite().all()
+        ):
+            return name
+    return None
+
+
+def _header_and_names(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """The header, and the names of the tensors."""
+    try:  # so that what the system refuses is not taken for damage
+        if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe would wait
+            raise RunError(f"{path} is not a file: put the checkpoint there")
+        path.open("rb").close()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    with _opened(path) as file:
+        return _parsed_header(path, file.metadata() or {}), list(file.keys())
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A checkpoint, mapped.
+
+    Raises:
+        DamagedCheckpointError: it is of another kind, or cut off.
+        RunError: it cannot be read.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            yield file
+    except RunError:
+        raise
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    except Exception as error:  # a reader may raise anything on a file of something else
+        raise DamagedCheckpointError(path, "it cannot be parsed") from error
+
+
+def _parsed_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
+    """The header, checked against its digest and of a known format.
+
+    Raises:
+        DamagedCheckpointError: it is not what was written.
+        RunError: another version of the program wrote it.
+        KeyError, ValueError: there is none, or it is not JSON.
+    """
+    text = metadata[_HEADER]
+    expected = metadata.get(_HEADER_DIGEST)
+    if expected is not None and expected != hashlib.sha256(text.encode()).hexdigest():
+        raise DamagedCheckpointError(path, "its header does not match its digest")
+    header: dict[str, Any] = dict(json.loads(text))
+    version = header.get("format")
+    if version == FORMAT and expected is None:
+        raise DamagedCheckpointError(path, "its header has no digest")
+    if version not in (FORMAT, WITHOUT_DIGESTS):
+        raise RunError(
+            f"{path} has checkpoint format {version!r:.20}, this program reads {WITHOUT_DIGESTS} "
+            f"and {FORMAT}: use the version of mrgs that wrote it"
+        )
+    return header
+
+
+def _unreadable(path: Path, error: OSError) -> RunError:
+    return RunError(
+        f"{path} cannot be read ({error.strerror or error}): check its permissions and the disk"
+    )
+
+
+def _add_to(digest: Any, name: str, tensor: Tensor) -> None:
+    """Add name, type, shape and contents of a tensor in host memory to a digest."""
+    digest.update(f"{name} {tensor.dtype} {list(tensor.shape)}\n".encode())
+    if tensor.numel() > 0:
+        digest.update(tensor.flatten().view(torch.uint8).numpy().data)

@@ -1,0 +1,276 @@
+"""The training loop of a model of Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from typing import TypeVar
+
+import torch
+
+from mrgs.errors import NotFiniteError, RunError, TrainingError, warn_user
+from mrgs.method.config import TrainConfig
+from mrgs.method.losses.term import SceneScale
+from mrgs.method.parts import part_spreads
+from mrgs.run_files.facts import CheckpointFacts
+from mrgs.run_files.folder import RunFolder
+from mrgs.run_files.record import RunRecord, asks_to_stop
+from mrgs.scene import Scene
+from mrgs.system.gpu import HOST, lacks_memory
+from mrgs.system.operation import is_plain
+from mrgs.system.threads import require_own_threads
+from mrgs.system.torch_modes import own_modes
+from mrgs.system.turns import Turns, ctrl_c_waits
+from mrgs.training import checkpoint
+from mrgs.training.kernel_check import check_kernels
+from mrgs.training.photos import DevicePhotos, HostPhotos, PhotoSource
+from mrgs.training.pose_check import PoseCheck, checks_poses_now
+from mrgs.training.recorder import Recorder
+from mrgs.training.state import TrainingState
+from mrgs.training.step import StepResult, StepStatistics, control_density, training_step
+from mrgs.training.view_pass import PhotographedView
+
+Result = TypeVar("Result")
+
+
+class Trainer:
+    """Trains Gaussians: choose views, take a step on them, control the density; log, checkpoint.
+
+    Args:
+        folder: the run's folder, locked by the caller.
+        facts: of the checkpoint that is resumed, or of step 0.
+        scene: at the run's resolution.
+        config: of the run.
+        state: changed in place.
+
+    Attributes:
+        folder: the run's folder.
+        scene: that is trained on.
+        config: of the run.
+        state: all that changes during training.
+    """
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        facts: CheckpointFacts,
+        scene: Scene,
+        config: TrainConfig,
+        state: TrainingState,
+    ) -> None:
+        self.folder, self.scene, self.config, self.state = folder, scene, config, state
+        device = state.device
+        self._record = RunRecord(
+            folder,
+            facts,
+            config,
+            tensors=lambda: checkpoint.tensors_of(state),
+            write=lambda path, facts: checkpoint.save(path, state, facts),
+            describe=self._describe_model,
+            device=device,
+            skipped_in_a_row=int(state.skipped_in_a_row),
+        )
+        self._scale = SceneScale.of(scene)
+        self._recorder = Recorder(device) if device.type == "cuda" and not is_plain() else None
+        self._photos: PhotoSource = HostPhotos() if device == HOST else DevicePhotos(device)
+        self._turns = Turns()
+        self._is_half_done = self._is_closed = False
+
+    def check_kernels(self) -> None:
+        """Compare the kernels in use with their plain definitions; the training stays the same."""
+        with own_modes(self.state.device):
+            check_kernels(self.state, self.scene, self.config, self._scale)
+
+    def run(
+        self,
+        stop_at: int | None = None,
+        on_step: Callable[[StepStatistics], object] | None = None,
+    ) -> None:
+        """Train until the end of the schedule, the step ``stop_at``, or until ``on_step`` returns
+        True.
+
+        The last step is checkpointed, also if Ctrl-C or an error in ``on_step`` ends the training.
+        """
+        last = self.config.max_steps if stop_at is None else min(stop_at, self.config.max_steps)
+        while self._record.step < last:
+            with self._saved_if_left():
+                statistics = self._next_step()
+                if on_step is not None and asks_to_stop(on_step(statistics)):
+                    last = self._record.step
+            self._record.save_if_due(last)
+
+    def steps(self) -> Generator[StepStatistics, None, None]:
+        """Train until the end of the schedule, or until closed; the last step is checkpointed, also
+        if Ctrl-C ends the training."""
+        while self._record.step < self.config.max_steps:
+            with self._saved_if_left():
+                yield self._next_step()
+            self._record.save_if_due(self.config.max_steps)
+
+    def save(self) -> None:
+        """Write a checkpoint of the last step; Ctrl-C waits for its end.
+
+        Raises:
+            NotFiniteError: the state has a NaN or an infinity.
+            TrainingError: the step was interrupted half-way.
+            RunError: the training has ended, or the checkpoint cannot be written.
+            MrgsError: this process was forked from the one that trains.
+        """
+        require_own_threads()
+        with ctrl_c_waits(), self.between_steps():
+            if self._is_closed:
+                path = str(self.folder.path)
+                raise RunError(f"the training has ended: open the run with load_run({path!r})")
+            if self._is_half_done:
+                raise TrainingError(
+                    f"step {self._record.step + 1} was interrupted half-way and cannot be saved: "
+                    f"resume from the last checkpoint"
+                )
+            self._record.save()
+
+    def close(self) -> None:
+        """Stop saving, because the run's folder may become another training's, and stop loading
+        photos."""
+        with self.between_steps():
+            self._is_closed = True
+        self._photos.close()
+
+    def between_steps(self) -> AbstractContextManager[None]:
+        """Within this block no other thread takes a step or writes a checkpoint."""
+        return self._turns.taken()
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether another thread waits for the end of the current step."""
+        return self._turns.is_awaited
+
+    @contextmanager
+    def _saved_if_left(self) -> Iterator[None]:
+        """If this block is left early, checkpoint the last step, unless the step itself failed."""
+        try:
+            yield
+        except BaseException:
+            if not self._is_half_done:
+                self.save()
+            raise
+
+    def _next_step(self) -> StepStatistics:
+        """Take a whole step, and log it; Ctrl-C waits for its end."""
+        require_own_threads()
+        with ctrl_c_waits(), self.between_steps(), own_modes(self.state.device):
+            self._is_half_done = True
+            try:
+                statistics = self._take_step()
+            except NotFiniteError as error:
+                raise self._record.error(str(error), NotFiniteError) from error
+            self._record.add(statistics)
+            self._is_half_done = False
+        return statistics
+
+    def _take_step(self) -> StepStatistics:
+        result = self._with_enough_memory(self._step_on_next_views)
+        if checks_poses_now(self.state, self.config):
+            self._check_poses()
+        self._with_enough_memory(lambda: self._control_density(result))
+        return result.statistics
+
+    def _step_on_next_views(self) -> StepResult:
+        views = [self._with_photos(number) for number in self.state.sampler.next()]
+        self._fetch_next_views()
+        return training_step(self.state, views, self.config, self._scale, self._recorder)
+
+    def _with_photos(self, number: int) -> PhotographedView:
+        view = self.scene.train[number]
+        photos = {modality: self._photos.load(image) for modality, image in view.images.items()}
+        return PhotographedView(number, view, photos)
+
+    def _fetch_next_views(self) -> None:
+        """Load the photos of the next step while this one is computed, if there is memory for
+        them."""
+        following = [self.scene.train[number] for number in self.state.sampler.peek()]
+        if not following:
+            return
+        try:
+            self._photos.fetch([image for view in following for image in view.images.values()])
+        except RuntimeError as error:
+            if not lacks_memory(error):
+                raise
+            self._photos.release()
+
+    def _check_poses(self) -> None:
+        """Refine the poses of the training photos from here on, if they turn out to be wrong."""
+        poses = self.state.image_model.poses
+        assert poses is not None
+        check = PoseCheck(self.state, self._with_photos, self.config)
+        found = self._with_enough_memory(check.agreement)
+        photo_px = self._with_enough_memory(check.pixel_size) * found.agreed_px
+        self.folder.append_log({"step": self.state.step, "pose_error_px": photo_px})
+        if found.is_wrong:
+            warn_user(
+                f"{self.scene.name}: the poses of the training photos are off by about "
+                f"{photo_px:.1f} pixels and will be refined during training"
+            )
+            poses.begin(self._with_enough_memory(check.motions))
+            if self._recorder is not None:
+                self._recorder.forget()
+        poses.note_checked()
+
+    def _control_density(self, result: StepResult) -> None:
+        state = self.state
+        counts = control_density(state, result, self.config, self._scale.extent)
+        if counts is None:
+            return
+        gaussians = len(state.model.gaussians)
+        self.folder.append_log({"step": state.step, **counts, "gaussians": gaussians})
+        if gaussians == 0:
+            raise TrainingError(
+                f"every Gaussian has turned transparent by step {state.step}: check the scene's "
+                f"poses and images"
+            )
+
+    def _with_enough_memory(self, action: Callable[[], Result]) -> Result:
+        """Do a part of a step; if the GPU's memory is full, undo it, release memory that is only
+        reserved or kept for speed, and do it again.
+
+        Adam makes its moments at the first step, one parameter after another: this alone is not
+        undone.
+
+        Args:
+            action: changes the state only once it has all the memory that it needs.
+
+        Raises:
+            TrainingError: the memory is full again; the state before is checkpointed.
+        """
+        state = self.state
+        before = (state.step, state.generator.get_state(), state.sampler.state())
+        for _ in range(2):
+            try:
+                return action()
+            except RuntimeError as error:
+                if not lacks_memory(error):
+                    raise
+            # The memory of the error's frames is free here, outside of the except block.
+            state.go_back(*before)
+            self._photos.release()
+            if self._recorder is not None:
+                self._recorder.forget()
+            torch.cuda.empty_cache()
+        self._record.step = state.step
+        if state.step > 0:
+            self._record.save()
+        found = self.folder.checkpoints()
+        kept = (
+            f"the last good step is kept in {found[-1]}" if found else "there is no checkpoint yet"
+        )
+        go_on = "resume on the CPU, or retrain" if found else "retrain"
+        raise TrainingError(
+            f"the GPU's memory does not suffice for step {state.step + 1:,} with "
+            f"{len(state.model.gaussians):,} Gaussians; {kept}: {go_on} with fewer Gaussians or a "
+            f"lower resolution",
+            options=("max_gaussians", "resolution"),
+        )
+
+    def _describe_model(self) -> Mapping[str, float | None]:
+        """Spread of the parts of the model, see ``PartSpreads``."""
+        spreads = part_spreads(self.state.model, self.scene.train[0].camera.position)
+        return {} if spreads is None else spreads.to_json(self.scene.temperature)
