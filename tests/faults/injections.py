@@ -17,7 +17,7 @@ from torch import Tensor
 
 from mrgs.errors import TrainingError
 from mrgs.run_files.folder import RunFolder
-from mrgs.training import train, trainer
+from mrgs.training import loop, train
 from mrgs.training.checkpoint import tensors_of
 from mrgs.training.start import TrainOptions
 from tests.faults.program import small_scene
@@ -55,7 +55,7 @@ def _injecting(rng: random.Random) -> Iterator[list[str]]:
     at, value, everywhere = rng.randint(5, 9), rng.choice(VALUES), rng.random() < 0.3
     into_photos, place = rng.random() < SHARE_OF_PHOTOS, rng.random()
     what: list[str] = []
-    original: Callable[..., Any] = trainer.training_step
+    original: Callable[..., Any] = loop.training_step
 
     def training_step(state: Any, views: Any, *rest: Any) -> Any:
         if state.step == at:
@@ -65,11 +65,11 @@ def _injecting(rng: random.Random) -> Iterator[list[str]]:
             put(tensors[name], value, everywhere, place)
         return original(state, views, *rest)
 
-    trainer.training_step = training_step
+    loop.training_step = training_step
     try:
         yield what
     finally:
-        trainer.training_step = original
+        loop.training_step = original
 
 
 def _photos(views: Any) -> dict[str, Tensor]:

@@ -5,8 +5,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mrgs.baselines.thermonerf.config import NerfLossConfig
 from mrgs.baselines.thermonerf.step import (
-    NerfLossConfig,
     distortion_loss,
     interlevel_loss,
     squared_error,

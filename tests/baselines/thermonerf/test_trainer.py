@@ -12,7 +12,7 @@ from mrgs.baselines.thermonerf import ThermoNerfRun, train_thermonerf
 from mrgs.baselines.thermonerf import step as step_module
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.evaluation import evaluate_run, render_run
-from mrgs.run_files.checkpoint import load_facts, write
+from mrgs.run_files.checkpoint import load_facts, write_file
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import load_run, open_run
 from mrgs.scene import RGB, THERMAL
@@ -174,12 +174,8 @@ def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp
 
 def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path):
     path = train_thermonerf(small_scene, tmp_path / "run", small_config(1)).newest_checkpoint()
-    write(
-        path,
-        {"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)},
-        load_facts(path),
-        skipped_in_a_row=0,
-    )
+    header = {**load_facts(path).to_json(), "skipped_in_a_row": 0}
+    write_file(path, {"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)}, header)
     with pytest.raises(RunError, match="does not fit"):
         open_run(path.parents[1])
 
