@@ -20,7 +20,7 @@ from mrgs.system.gpu import HOST, lacks_memory
 from mrgs.system.operation import is_plain
 from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
-from mrgs.system.turns import Turns, ctrl_c_waits
+from mrgs.system.turns import FairLock, ctrl_c_waits
 from mrgs.training import checkpoint
 from mrgs.training.kernel_check import check_kernels
 from mrgs.training.photos import DevicePhotos, HostPhotos, PhotoSource
@@ -73,7 +73,7 @@ class Trainer:
         self._scale = SceneScale.of(scene)
         self._recorder = Recorder(device) if device.type == "cuda" and not is_plain() else None
         self._photos: PhotoSource = HostPhotos() if device == HOST else DevicePhotos(device)
-        self._turns = Turns()
+        self._turns = FairLock()
         self._is_half_done = self._is_closed = False
 
     def check_kernels(self) -> None:
