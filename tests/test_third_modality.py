@@ -24,7 +24,7 @@ from mrgs.export import export
 from mrgs.method.config import TrainConfig
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Modality, known_modalities
-from mrgs.viewer import texts
+from mrgs.viewer.facts import point_text
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.settings import Mode, Settings
 from tests.helpers.runs import made_once, trained_run
@@ -158,7 +158,7 @@ def test_it_is_shown_and_read_in_the_viewer(run: Run, tmp_path: Path) -> None:
     assert shown.modality == NIR
     assert shown.value == pytest.approx(rendering.image[row, column, 0].item(), abs=1e-4)
     assert set(shown.reading.values) == {THERMAL, NIR}
-    text = texts.point(shown, subject)
+    text = point_text(shown, subject)
     assert text["value"] == f"Near infrared {shown.value:.3f}"
     assert "°C" in text["lines"][0]  # the temperature is read as well
 
@@ -190,7 +190,7 @@ def test_a_modality_with_a_unit_has_a_palette_and_its_unit(run: Run, tmp_path: P
     row, column = divmod(int(run.render({NIR: camera})[NIR].alpha.argmax()), camera.width)
     shown = inspection.click((column + 0.5) / camera.width, (row + 0.5) / camera.height)
     assert shown is not None
-    assert "W/m²" in texts.point(shown, subject)["value"]
+    assert "W/m²" in point_text(shown, subject)["value"]
 
 
 def test_it_is_offered_by_the_page(run: Run, tmp_path: Path) -> None:
