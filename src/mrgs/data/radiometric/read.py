@@ -52,45 +52,28 @@ def _read_flir_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPho
     return read_flir(record, path, read_exif(data), overrides)
 
 
-def _is_fff(data: bytes, path: Path) -> bool:
-    return data.startswith(fff.SIGNATURES)
-
-
-def _read_fff(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    return read_flir(data, path, ExifFacts(), overrides)
-
-
 def _is_dji_jpeg(data: bytes, path: Path) -> bool:
     return data.startswith(jpeg.SIGNATURE) and jpeg.holds_dji_signal(data, read_exif(data).make)
 
 
-def _read_dji_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    return read_r_jpeg(path, read_exif(data), overrides)
-
-
-def _is_raster(data: bytes, path: Path) -> bool:
-    return data.startswith(_RASTERS)
-
-
-def _read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    return read_raster(data, path, read_exif(data), overrides)
-
-
-def _is_table(data: bytes, path: Path) -> bool:
-    return path.suffix.lower() in _TABLE_SUFFIXES
-
-
-def _is_bare_numbers(data: bytes, path: Path) -> bool:
-    return path.suffix.lower() == ".raw"
-
-
 READERS = [
     Reader(_is_flir_jpeg, _read_flir_jpeg, "signal"),
-    Reader(_is_dji_jpeg, _read_dji_jpeg, "dji"),
-    Reader(_is_fff, _read_fff, "signal"),
-    Reader(_is_raster, _read_raster),
-    Reader(_is_table, read_table, "table"),
-    Reader(_is_bare_numbers, read_bare_numbers, "numbers"),
+    Reader(
+        _is_dji_jpeg,
+        lambda data, path, overrides: read_r_jpeg(path, read_exif(data), overrides),
+        "dji",
+    ),
+    Reader(
+        lambda data, _: data.startswith(fff.SIGNATURES),
+        lambda data, path, overrides: read_flir(data, path, ExifFacts(), overrides),
+        "signal",
+    ),
+    Reader(
+        lambda data, _: data.startswith(_RASTERS),
+        lambda data, path, overrides: read_raster(data, path, read_exif(data), overrides),
+    ),
+    Reader(lambda _, path: path.suffix.lower() in _TABLE_SUFFIXES, read_table, "table"),
+    Reader(lambda _, path: path.suffix.lower() == ".raw", read_bare_numbers, "numbers"),
 ]
 """All kinds of files; the first that recognises a file reads it."""
 
