@@ -62,7 +62,7 @@ FORBIDDEN_ATTRIBUTES = {
 }
 
 
-BUDGET = {"lines": 70_000, "files": 450, "floors": 15}
+BUDGET = {"lines": 68_200, "files": 392, "floors": 14}
 """What ``src/mrgs`` may have at most: a new feature folds or deletes as much as it adds."""
 
 

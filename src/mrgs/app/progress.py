@@ -342,6 +342,7 @@ def _plan(scene: Scene, config: RunConfig) -> str:
         f"{config.method}, {config.max_steps:,} steps, at most {cap:,} Gaussians; "
         f"memory: about {first / 2**30:.1f} GiB at the start, "
         f"{last / 2**30:.1f} GiB at the cap"
+        + ("; kernels are compiled first, which takes about a minute, once" if compiles else "")
     )
 
 
