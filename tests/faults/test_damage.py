@@ -18,6 +18,7 @@ from mrgs.baselines.thermonerf import open_thermonerf, train_thermonerf
 from mrgs.errors import DamagedCheckpointError, MrgsError, MrgsWarning, RunError
 from mrgs.runs.open import load_run
 from mrgs.training import train
+from mrgs.training.start import TrainOptions
 from tests.faults.runs import GAUSSIANS, NERF, load_gaussians, load_nerf
 from tests.helpers.checkpoints import rewrite, rewrite_without_digests
 
@@ -79,7 +80,7 @@ def test_training_goes_on_from_the_checkpoint_before_exactly(kind, folder, small
     newest.write_bytes(data)
     do_train, config = TRAIN[kind]
     with pytest.warns(MrgsWarning, match=r"step_000010\.safetensors\.damaged"):
-        do_train(small_scene, folder.path, config, resume=True)
+        do_train(small_scene, folder.path, config, TrainOptions(resume=True))
     found = load_file(folder.newest_checkpoint())
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
     assert newest.with_name("step_000010.safetensors.damaged").read_bytes() == data
@@ -91,7 +92,7 @@ def test_without_a_whole_checkpoint_nothing_is_thrown_away(kind, folder, small_s
     do_train, config = TRAIN[kind]
     for use in (
         lambda: OPEN[kind](folder.path),
-        lambda: do_train(small_scene, folder.path, config, resume=True),
+        lambda: do_train(small_scene, folder.path, config, TrainOptions(resume=True)),
     ):
         with pytest.raises(RunError, match=r"whole .*restore") as caught:
             use()
@@ -266,4 +267,4 @@ def test_a_log_that_is_no_file_is_named(make, kind, folder, small_scene):
     make(folder.log_file)
     do_train, config = TRAIN[kind]
     with pytest.raises(RunError, match=r"log\.jsonl"):
-        do_train(small_scene, folder.path, config, resume=True)
+        do_train(small_scene, folder.path, config, TrainOptions(resume=True))

@@ -31,7 +31,7 @@ def scene(small_scene, tmp_path) -> Path:
 
 def resume(scene: Path, folder, kind: str = "gaussians", **options) -> None:
     do_train, config = TRAIN[kind]
-    do_train(scene, folder.path, config, resume=True, **options)
+    do_train(scene, folder.path, config, TrainOptions(resume=True, **options))
 
 
 def change_frame(scene: Path, change) -> None:
