@@ -27,6 +27,7 @@ from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import load_run
 from mrgs.scene import PointCloud
 from mrgs.training.checkpoint import load_state
+from mrgs.training.start import Hooks
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.scenes import write_scene
 from tests.helpers.training import short_config
@@ -206,7 +207,7 @@ def test_a_training_that_was_killed_goes_on(joined, scene, tmp_path):
                 if now.startswith(title) and statistics.step == step:
                     raise KilledError
 
-            yield {"on_step": on_step}
+            yield Hooks(on_step=on_step)
 
         return follow
 

@@ -21,6 +21,7 @@ import sys, warnings
 from dataclasses import replace
 from mrgs.errors import MrgsWarning
 from mrgs.training import make_config, train
+from mrgs.training.start import TrainOptions
 
 scene, output, mode, *opened = sys.argv[1:]
 config = make_config("mrgs", "fast", max_steps=20, resolution=24)
@@ -34,7 +35,7 @@ with warnings.catch_warnings(record=True) as caught:
         for warning in caught:
             print("opened:", warning.message)
         caught.clear()
-    train(scene, output, config, device="cpu", plain=mode == "plain")
+    train(scene, output, config, TrainOptions(device="cpu", plain=mode == "plain"))
 for warning in caught:
     if issubclass(warning.category, MrgsWarning):
         print(warning.message)
