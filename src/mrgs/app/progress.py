@@ -89,7 +89,7 @@ class _Line:
         )
 
     def clear(self) -> None:
-        """End the line; the next one starts anew."""
+        """End the line; the next update begins a new one."""
         self.bar.stop()
         for task in self.bar.task_ids:
             self.bar.remove_task(task)

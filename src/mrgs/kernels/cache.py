@@ -75,11 +75,6 @@ class KernelCache(FunctionCache):
         name = f"{self._impl.filename_base}.{_PROCESS}"
         self._cache_file._data_name_pattern = name + "-{number:d}.nbc"
 
-    @property
-    def is_saved(self) -> bool:
-        """Whether any compiled version is on disk."""
-        return Path(self._cache_file._index_path).is_file()
-
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled version for a signature; None if it is missing or damaged."""
         try:
