@@ -20,7 +20,7 @@ from mrgs.method.losses.term import Term
 from mrgs.render import Model
 from mrgs.run_files.checkpoint import load_facts
 from mrgs.run_files.facts import CheckpointFacts, facts_to_resume, require_scene
-from mrgs.run_files.folder import CHECKPOINTS_KEPT, RunConfig, RunFolder
+from mrgs.run_files.folder import CHECKPOINTS_KEPT, C, ReadConfig, RunConfig, RunFolder, T
 from mrgs.scene import CameraResponse, Scene
 from mrgs.system import gpu
 from mrgs.system.disk import warn_if_short
@@ -107,10 +107,6 @@ def train(
     """Train a model of a scene into a run folder; see ``mrgs.train``, which also opens the run.
 
     Args:
-        scene: the scene or its folder.
-        output: the run's folder.
-        config: what to train.
-        options: how.
         hooks: called during the training.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         strategy: density control instead of the configuration's.
@@ -149,30 +145,23 @@ def open_training(
     ``train``."""
     folder, device = RunFolder(output), gpu.choose_device(options.device)
     strategy = strategy if part is None else part.strategy
-    config = folder.config_to_train(config, options.resume, from_yaml)
     if isinstance(scene, Scene) and not options.resume:
         config = replace(config, resolution=scene.resolution)
-    loaded = scene_to_train(scene, config)
-    with folder.training(config, options.resume), plainly(options.plain):
-        if hooks.on_start is not None:
-            hooks.on_start(loaded, config)
-        with own_modes():
-            if options.resume:
-                state, facts = folder.load_newest(
-                    lambda path: (
-                        checkpoint.load_state(path, config, device, strategy, terms),
-                        load_facts(path),
-                    ),
-                    set_aside=True,
-                )
-                facts = facts_to_resume(facts, loaded, options.accept_changes)
-                folder.cut_log(facts.step)
-            else:
-                facts = CheckpointFacts.at_start(loaded)
-                if part is not None:
-                    state = part.start(loaded, config, device)
-                else:
-                    state = initial_state(loaded, config, device, strategy, terms)
+    begun = begun_run(
+        folder,
+        scene,
+        config,
+        options,
+        hooks,
+        read=from_yaml,
+        load=lambda path, own: checkpoint.load_state(path, own, device, strategy, terms),
+        start=lambda scene, own: (
+            initial_state(scene, own, device, strategy, terms)
+            if part is None
+            else part.start(scene, own, device)
+        ),
+    )
+    with begun as (loaded, config, state, facts):
         _require_enough_views(
             loaded, config, len(loaded.train) if part is None else len(part.views)
         )
@@ -186,12 +175,40 @@ def open_training(
             yield trainer
 
 
-def scene_to_train(scene: Scene | str | Path, config: RunConfig) -> Scene:
-    """The scene that a run of any method is trained on.
+@contextmanager
+def begun_run(
+    folder: RunFolder,
+    scene: Scene | str | Path,
+    config: C,
+    options: TrainOptions,
+    hooks: Hooks,
+    *,
+    read: ReadConfig[C],
+    load: Callable[[Path, C], T],
+    start: Callable[[Scene, C], T],
+) -> Iterator[tuple[Scene, C, T, CheckpointFacts]]:
+    """Within this block the folder of a run of any method is locked. Its scene, its configuration,
+    and the state of its newest checkpoint or, where it is not resumed, a new one; see ``train``."""
+    config = folder.config_to_train(config, options.resume, read)
+    loaded = scene_to_train(scene, config)
+    with folder.training(config, options.resume), plainly(options.plain):
+        if hooks.on_start is not None:
+            hooks.on_start(loaded, config)
+        with own_modes():
+            if options.resume:
+                state, facts = folder.load_newest(
+                    lambda path: (load(path, config), load_facts(path)), set_aside=True
+                )
+                facts = facts_to_resume(facts, loaded, options.accept_changes)
+                folder.cut_log(facts.step)
+            else:
+                facts = CheckpointFacts.at_start(loaded)
+                state = start(loaded, config)
+        yield loaded, config, state, facts
 
-    Args:
-        scene: the scene, which keeps its resolution, or its folder.
-        config: of the run.
+
+def scene_to_train(scene: Scene | str | Path, config: RunConfig) -> Scene:
+    """The scene that a run of any method is trained on; a given one keeps its resolution.
 
     Warns:
         MrgsWarning: the scene has a problem that ``mrgs.check`` finds.

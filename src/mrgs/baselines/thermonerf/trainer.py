@@ -14,15 +14,20 @@ from mrgs.baselines.thermonerf.pixels import MODALITIES, PixelPool
 from mrgs.baselines.thermonerf.run import load_state, require_cpu, save, tensors_of
 from mrgs.baselines.thermonerf.step import NerfState, initial_state, training_step
 from mrgs.errors import RunError
-from mrgs.run_files.checkpoint import load_facts
-from mrgs.run_files.facts import CheckpointFacts, facts_to_resume
+from mrgs.run_files.facts import CheckpointFacts
 from mrgs.run_files.folder import RunFolder
 from mrgs.run_files.record import RunRecord, asks_to_stop
 from mrgs.scene import Scene
-from mrgs.system.operation import checking, plainly
+from mrgs.system.operation import checking
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.turns import ctrl_c_waits
-from mrgs.training.start import DEFAULT_OPTIONS, NO_HOOKS, Hooks, TrainOptions, scene_to_train
+from mrgs.training.start import (
+    DEFAULT_OPTIONS,
+    NO_HOOKS,
+    Hooks,
+    TrainOptions,
+    begun_run,
+)
 
 CHECKED_RAYS = 32
 """Number of rays on which the kernels are compared with their plain definitions."""
@@ -50,23 +55,12 @@ def train_thermonerf(
     folder = RunFolder(output)
     if options.resume and folder.method != METHOD:
         raise RunError(f"{folder.path} is a run of {folder.method}, not of {METHOD}")
-    config = folder.config_to_train(config, options.resume, from_yaml)
     if isinstance(scene, Scene) and not options.resume:
         config = replace(config, resolution=scene.resolution)
-    loaded = scene_to_train(scene, config)
-    with folder.training(config, options.resume), plainly(options.plain):
-        if hooks.on_start is not None:
-            hooks.on_start(loaded, config)
-        with own_modes():
-            if options.resume:
-                state, facts = folder.load_newest(
-                    lambda path: (load_state(path, config), load_facts(path)), set_aside=True
-                )
-                facts = facts_to_resume(facts, loaded, options.accept_changes)
-                folder.cut_log(facts.step)
-            else:
-                facts = CheckpointFacts.at_start(loaded)
-                state = initial_state(loaded, config)
+    begun = begun_run(
+        folder, scene, config, options, hooks, read=from_yaml, load=load_state, start=initial_state
+    )
+    with begun as (loaded, config, state, facts):
         last = config.max_steps if stop_at is None else min(stop_at, config.max_steps)
         log = folder.tensorboard_log(facts.step) if options.tensorboard else nullcontext()
         with log:
