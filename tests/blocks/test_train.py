@@ -22,7 +22,7 @@ from mrgs.blocks.train import BlockTraining
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError, FolderInUseError, RunError
 from mrgs.evaluation import evaluate_run
-from mrgs.method.camera_model.image_model import PointSpread
+from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import load_run
 from mrgs.scene import PointCloud

@@ -10,7 +10,7 @@ from safetensors.torch import load_file
 from mrgs.data import load_scene
 from mrgs.data.undistort import resize
 from mrgs.errors import ConfigError
-from mrgs.method.camera_model.image_model import PointSpread
+from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.method.config import make_config
 from mrgs.method.losses.term import LossContext, Term
 from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, View

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mrgs.data import load_scene
-from mrgs.method.camera_model.image_model import SMALLEST_LEARNED_PX
+from mrgs.method.camera_model.point_spread import SMALLEST_LEARNED_PX
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.term import LossContext, SceneScale, Term
 from mrgs.render import render

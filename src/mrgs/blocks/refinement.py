@@ -14,7 +14,8 @@ from torch import Tensor
 from mrgs.blocks.coverage import Surveyor, counted_places, views_of
 from mrgs.blocks.plan import BlockPlan
 from mrgs.blocks.region import Region, Ring, ScenePlane
-from mrgs.method.camera_model.image_model import ImageModel, PointSpread
+from mrgs.method.camera_model.image_model import ImageModel
+from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.method.config import TrainConfig, with_steps
 from mrgs.method.density import DensityStep, DensityUpdate, Strategy, StrategyState
 from mrgs.method.losses.terms import configured_terms

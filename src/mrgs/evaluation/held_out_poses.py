@@ -24,7 +24,7 @@ from mrgs.method.camera_model.pose_error import (
     halves_px,
     pose_error,
 )
-from mrgs.method.camera_model.view_motion import as_matrix, effect, motion_axes
+from mrgs.method.camera_model.pose_refinement import as_matrix, effect, motion_axes
 from mrgs.runs.refined_poses import moved_cameras, moved_view
 from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import View

@@ -33,9 +33,6 @@ class OrthogonalExtraction(nn.Module):
     Eq. 7 (embedding_proj) and Eq. 8 (embedding_t), Sec. Orthogonal Embedding Extraction: SH' =
     φ_SH(SH) and e_t = φ_e(e_m − e_proj) with single linear layers φ. Nothing is detached: the
     thermal loss also reaches SH.
-
-    Args:
-        width: C, the width of e_m, SH' and e_t.
     """
 
     def __init__(self, width: int) -> None:
@@ -53,15 +50,8 @@ class OrthogonalExtraction(nn.Module):
 
 class ColorHead(nn.Module):
     """The colour residual ĉ, Sec. Rendering Overview: an MLP on e_m ⊕ PE_v of the viewing
-    direction.
-
-    Args:
-        embedding_width: C of e_m.
-        frequencies: L of PE_v.
-        hidden_width: of both hidden layers.
-        scale: the output is multiplied by it, so that training starts at the plain spherical
-            harmonics.
-    """
+    direction, with L frequencies. The output is multiplied by a scale, so that training starts at
+    the plain spherical harmonics."""
 
     def __init__(
         self, embedding_width: int, frequencies: int, hidden_width: int, scale: float
@@ -94,15 +84,8 @@ def color_residuals(
     camera_position: Float[Tensor, "3"],
     rows: Int64[Tensor, " v"] | None = None,
 ) -> Float[Tensor, "v 3"]:
-    """ĉ of Eq. 4 (rgb_alphblending): the colour head on e_m and the viewing direction.
-
-    Args:
-        head: the MLP.
-        embedding: e_m.
-        means: centres in world coordinates.
-        camera_position: centre of projection in world coordinates.
-        rows: distinct Gaussians to evaluate; all if None (V = N).
-    """
+    """ĉ of Eq. 4 (rgb_alphblending): the colour head on e_m and the viewing direction, of the
+    Gaussians in these distinct rows, all if None (V = N)."""
     directions = viewing_directions(take(means, rows), camera_position)
     residuals: Tensor = head(take(embedding, rows), directions)
     return residuals
@@ -113,12 +96,6 @@ class ThermalFeatureHead(nn.Module):
 
     The positions are detached inside PE_p: its top frequency is 2⁹π by default, and the gradient of
     so fast an oscillation would shake the geometry instead of moving it.
-
-    Args:
-        embedding_width: C of e_t.
-        frequencies: L of PE_p.
-        hidden_width: of the hidden layer.
-        feature_width: of F_t.
     """
 
     def __init__(

@@ -20,12 +20,8 @@ def positional_encoding(
 ) -> Float[Tensor, "n 2*{frequencies}*d"]:
     """Eq. 9 (positional_embedding), Sec. Modeling Lambertian Reflectance.
 
-    PE(x) = concat[sin(2ⁿ π x), cos(2ⁿ π x)] for n = 0 … L − 1, applied to each coordinate: for each
-    n first the d sines, then the d cosines.
-
-    Args:
-        x: normalised positions or unit directions, [N, d].
-        frequencies: L.
+    PE(x) = concat[sin(2ⁿ π x), cos(2ⁿ π x)] for n = 0 … L − 1, applied to each coordinate of
+    normalised positions or unit directions: for each n first the d sines, then the d cosines.
     """
     scales = math.pi * 2.0 ** torch.arange(frequencies, dtype=x.dtype, device=x.device)
     angles = x[:, None, :] * scales[:, None]
@@ -48,14 +44,10 @@ def position_frame(positions: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "3"],
 
 def fourier_embedding(positions: Float[Tensor, "n 3"], width: int) -> Float[Tensor, "n {width}"]:
     """The start of the multi-modal embedding e_m: Fourier features of the normalised positions plus
-    a little noise.
+    a little noise from torch's default generator.
 
-    The paper leaves the start open; this is WildGaussians' per-Gaussian embedding. The noise comes
-    from torch's default generator.
-
-    Args:
-        positions: normalised positions, [N, 3].
-        width: C, a multiple of 6 (sine and cosine of three coordinates per frequency).
+    The paper leaves the start open; this is WildGaussians' per-Gaussian embedding. Its width is a
+    multiple of 6: sine and cosine of three coordinates per frequency.
     """
     features = positional_encoding(positions.detach(), width // 6)
     return features + EMBEDDING_NOISE * torch.randn_like(features)

@@ -26,7 +26,6 @@ from mrgs.system.operation import operation
 MAX_NEIGHBOURS_N = 16
 """255 neighbours of each Gaussian; the paper stops at 48."""
 
-
 MAX_FREQUENCIES = 24
 """Largest number of frequencies of an encoding: float32 has no more binary digits."""
 
@@ -103,11 +102,8 @@ class RadianceField(nn.Module):
         self.register_buffer("scale", torch.ones(()))
         if not config.residuals:
             return
-        width, hidden, feature = (
-            config.embedding_width,
-            config.hidden_width,
-            config.thermal_feature_width,
-        )
+        width, hidden = config.embedding_width, config.hidden_width
+        feature = config.thermal_feature_width
         self.color_head = ColorHead(width, config.direction_frequencies, hidden, config.color_scale)
         self.extraction = OrthogonalExtraction(width)
         self.thermal_head = ThermalFeatureHead(width, config.position_frequencies, hidden, feature)
@@ -138,17 +134,7 @@ class RadianceField(nn.Module):
         rows: Int64[Tensor, " v"] | None = None,
     ) -> Float[Tensor, "v 3"]:
         """c + ĉ of Eq. 4 (rgb_alphblending), Sec. Rendering Overview: SH2RGB clamped at 0, plus the
-        residual.
-
-        Args:
-            gaussians: N Gaussians.
-            camera_position: centre of projection in world coordinates.
-            sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
-            rows: distinct Gaussians to evaluate; all if None (V = N).
-
-        Raises:
-            IndexError: rows on the CPU that do not exist.
-        """
+        residual; see ``intensities``."""
         c = self.intensities(RGB, gaussians, camera_position, sh_degree, rows)
         if not self.config.residuals:
             return c
@@ -175,21 +161,16 @@ class RadianceField(nn.Module):
 
         Args:
             gaussians: N Gaussians.
-            neighbours: what ``neighbours_of`` returns; not read if the field exchanges no heat, or
-                if t̂ is known.
+            neighbours: see ``temperature_residuals``; not read if t̂ is known.
             camera_position: centre of projection in world coordinates; not read where t is of
                 degree 0.
             sh_degree: highest degree of the temperature's spherical harmonics in use.
             rows: distinct Gaussians to evaluate; all if None (V = N).
-            residuals: t̂ of all Gaussians, where it is known; not read by a field without
-                residuals.
-            color_degree: highest degree of the colour's spherical harmonics in use, see
-                ``temperature_residuals``.
+            residuals: t̂ of all Gaussians, where it is known.
+            color_degree: see ``temperature_residuals``.
 
         Raises:
-            ValueError: t̂ is not known and heat is exchanged, but ``neighbours`` is None or of
-                another shape.
-            IndexError: rows or neighbours on the CPU that do not exist.
+            ValueError, IndexError: as ``intensities`` and ``temperature_residuals``.
         """
         if not self.config.residuals:
             return self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows)
@@ -220,7 +201,7 @@ class RadianceField(nn.Module):
             modality: one that the Gaussians have, of C channels.
             gaussians: N Gaussians.
             camera_position: centre of projection in world coordinates.
-            sh_degree: highest degree of the spherical harmonics in use.
+            sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
             rows: distinct Gaussians to evaluate; all if None (V = N).
             floor: smallest value; −∞ for no clamp.
 
@@ -240,10 +221,8 @@ class RadianceField(nn.Module):
         rows: Int64[Tensor, " v"] | None = None,
         color_degree: int = MAX_DEGREE,
     ) -> Float[Tensor, "v 1"]:
-        """t̂ of Eq. 5: orthogonal extraction (Eq. 7–8), thermal head on PE_p (Eq. 9), heat
-        transformation (Eq. 10–12), output layer.
-
-        The field must have residuals.
+        """t̂ of Eq. 5, of a field with residuals: orthogonal extraction (Eq. 7–8), thermal head on
+        PE_p (Eq. 9), heat transformation (Eq. 10–12), output layer.
 
         Args:
             gaussians: N Gaussians.
@@ -274,11 +253,8 @@ class RadianceField(nn.Module):
     def checked_neighbours(
         self, neighbours: Int64[Tensor, "n k"] | None, count: int
     ) -> Int64[Tensor, "n k"]:
-        """The neighbours of all Gaussians; no columns for a field that exchanges no heat.
-
-        Args:
-            neighbours: as given to ``temperatures``.
-            count: N, the number of Gaussians.
+        """The neighbours of all Gaussians, whose count is given; no columns for a field that
+        exchanges no heat.
 
         Raises:
             ValueError: neighbours are needed, but are None or of another shape.
@@ -290,10 +266,8 @@ class RadianceField(nn.Module):
         if neighbours is None:
             raise ValueError(f"the heat transformation needs the {k} nearest neighbours")
         if neighbours.shape != (count, k):
-            raise ValueError(
-                f"neighbours of {count} Gaussians are needed, not of shape "
-                f"{tuple(neighbours.shape)}"
-            )
+            shape = tuple(neighbours.shape)
+            raise ValueError(f"neighbours of {count} Gaussians are needed, not of shape {shape}")
         _check_indices("neighbours", neighbours, count)
         return neighbours
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from mrgs.system.operation import operation
 
 SEARCHED_TOGETHER = 1_024
-"""Gaussians whose distances to all others are held at once."""
+"""Gaussians whose distances to all others are in memory at once."""
 
 
 def neighbour_distances(
@@ -57,15 +57,8 @@ class FourierHeatTransformation(nn.Module):
                                         with ∇F_i = (F_u − F_i) for u in U, as [C, K]
         Eq. 12 (final_thermal_feature)  F'_i = w_a (F_i + q_i) + w_s · mean_{u in U} F_u
 
-    f_grad is a convolution with a kernel of size K along the neighbours, which stand in the order
-    of their distance; f_q is a convolution of size 1. Without neighbours (K = 0) there is no flux
-    and F' = F.
-
-    Args:
-        width: C, the width of the features.
-        k: K = |U|, the number of neighbours.
-        anchor_weight: w_a.
-        surrounding_weight: w_s.
+    f_grad is a convolution with a kernel of size K = |U| along the neighbours, in the order of
+    their distance; f_q is a convolution of size 1. Without neighbours there is no flux and F' = F.
     """
 
     def __init__(self, width: int, k: int, anchor_weight: float, surrounding_weight: float) -> None:
@@ -94,13 +87,9 @@ class FourierHeatTransformation(nn.Module):
         anchors = features[: len(neighbours)]
         if self.k == 0:
             return anchors
-        surroundings = (
-            features.index_select(0, neighbours.flatten())
-            .unflatten(0, neighbours.shape)
-            .transpose(1, 2)
-        )
+        gathered = features.index_select(0, neighbours.flatten())
+        surroundings = gathered.unflatten(0, neighbours.shape).transpose(1, 2)
         gradient = self.f_grad(surroundings - anchors[:, :, None])
         flux = self.f_q(-opacity[:, None, None] * gradient).squeeze(2)
-        return self.anchor_weight * (anchors + flux) + self.surrounding_weight * surroundings.mean(
-            dim=2
-        )
+        mean = surroundings.mean(dim=2)
+        return self.anchor_weight * (anchors + flux) + self.surrounding_weight * mean

@@ -57,18 +57,8 @@ def shade(
     floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
     """SH2RGB of Eq. 4 (rgb_alphblending): harmonics of the viewing direction + ½, clamped at a
-    floor.
-
-    Args:
-        means: centres in world coordinates.
-        dc: coefficients of degree 0.
-        rest: coefficients of degrees 1 to 3; those it does not hold count as zero (B = 0, 3, 8 or
-            15).
-        camera_position: centre of projection in world coordinates.
-        degree: highest degree that counts, 0 to 3.
-        rows: distinct Gaussians to evaluate; all if None (V = N).
-        floor: smallest value; −∞ for no clamp.
-    """
+    floor; −∞ for no clamp. Of the Gaussians in these distinct rows, all if None (V = N); for the
+    coefficients see ``evaluate_sh``."""
     directions = viewing_directions(take(means, rows), camera_position)
     values = evaluate_sh(take(dc, rows), take(rest, rows), directions, degree) + 0.5
     return values.clamp_min(floor)
@@ -84,8 +74,7 @@ def evaluate_sh(
 
     Args:
         dc: coefficients of degree 0.
-        rest: coefficients of the higher degrees; those it does not hold count as zero (B = 0, 3, 8
-            or 15).
+        rest: coefficients of the higher degrees; missing ones count as zero (B = 0, 3, 8 or 15).
         directions: unit vectors from the camera to the Gaussians; not read when only degree 0
             counts.
         degree: highest degree that counts, 0 to 3.
@@ -94,10 +83,8 @@ def evaluate_sh(
     constant = C0 * dc[:, 0]
     if rest.shape[1] == 0:
         return constant
-    if bands == 0:
-        return constant + rest[:, :0].sum(
-            dim=1
-        )  # the rest has a gradient of 0 then, as from the kernels, and not none
+    if bands == 0:  # the rest then has a gradient of 0, as from the kernels, and not none
+        return constant + rest[:, :0].sum(dim=1)
     basis = torch.stack(_basis(directions, bands), dim=1)
     return constant + torch.einsum("nb,nbc->nc", basis, rest[:, :bands])
 
@@ -107,34 +94,22 @@ def _basis(directions: Float[Tensor, "n 3"], bands: int) -> list[Float[Tensor, "
     x, y, z = directions.unbind(dim=1)
     functions = [-C1 * y, C1 * z, -C1 * x]
     if bands >= 8:
-        functions += _degree_two(x, y, z)
+        functions += [
+            C2 * x * y,
+            -C2 * y * z,
+            C2_ZONAL * (2 * z * z - x * x - y * y),
+            -C2 * x * z,
+            0.5 * C2 * (x * x - y * y),
+        ]
     if bands >= 15:
-        functions += _degree_three(x, y, z)
+        xx, yy, zz = x * x, y * y, z * z
+        functions += [
+            -C3_ORDER3 * y * (3 * xx - yy),
+            C3_ORDER2 * x * y * z,
+            -C3_ORDER1 * y * (4 * zz - xx - yy),
+            C3_ZONAL * z * (2 * zz - 3 * xx - 3 * yy),
+            -C3_ORDER1 * x * (4 * zz - xx - yy),
+            0.5 * C3_ORDER2 * z * (xx - yy),
+            -C3_ORDER3 * x * (xx - 3 * yy),
+        ]
     return functions
-
-
-def _degree_two(
-    x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]
-) -> list[Float[Tensor, " n"]]:
-    return [
-        C2 * x * y,
-        -C2 * y * z,
-        C2_ZONAL * (2 * z * z - x * x - y * y),
-        -C2 * x * z,
-        0.5 * C2 * (x * x - y * y),
-    ]
-
-
-def _degree_three(
-    x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"]
-) -> list[Float[Tensor, " n"]]:
-    xx, yy, zz = x * x, y * y, z * z
-    return [
-        -C3_ORDER3 * y * (3 * xx - yy),
-        C3_ORDER2 * x * y * z,
-        -C3_ORDER1 * y * (4 * zz - xx - yy),
-        C3_ZONAL * z * (2 * zz - 3 * xx - 3 * yy),
-        -C3_ORDER1 * x * (4 * zz - xx - yy),
-        0.5 * C3_ORDER2 * z * (xx - yy),
-        -C3_ORDER3 * x * (xx - 3 * yy),
-    ]

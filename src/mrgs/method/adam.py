@@ -23,12 +23,12 @@ _STATE = ("step", *MOMENTS)
 
 @dataclass
 class ParameterGroup:
-    """Parameters that share a learning rate.
+    """Parameters that share a learning rate: leaves of the graph, of one type on one device.
 
     Attributes:
-        parameters: leaves of the graph, all of one type on one device.
+        parameters: they may be replaced.
         initial_rate: learning rate that a schedule starts from.
-        name: of the group.
+        name: unique, where parameters are found by it.
         rate: learning rate of the next step.
     """
 
@@ -92,12 +92,8 @@ class Adam:
     ``torch.optim.Adam`` imports torch's compiler for its first step: 145 MB of memory, and more
     than a second.
 
-    Args:
-        groups: all parameters.
-        epsilon: added to the root of the mean square.
-
     Attributes:
-        groups: as given; rates and parameters may be changed.
+        groups: all parameters, with their rates.
         state: step count and moments of each parameter that has moved, by the names ``step``,
             ``exp_avg`` and ``exp_avg_sq``.
     """
@@ -118,29 +114,24 @@ class Adam:
 
     @torch.no_grad()
     def step(self, good: Bool[Tensor, ""] | None = None) -> None:
-        """Move the parameters.
-
-        Args:
-            good: whether the step counts; where not, parameters, moments and step counts stay as
-                they are. The device is not asked which of both it was. None if it counts.
-        """
+        """Move the parameters. Where ``good`` is False, parameters, moments and step counts stay as
+        they are; the host does not wait for it."""
         skip = None if good is None else (~good).float()
         moving = [
-            (group, [each for each in group.parameters if each.grad is not None])
+            (group, moved)
             for group in self.groups
+            if (moved := [each for each in group.parameters if each.grad is not None])
         ]
         counts = [self._state_of(each)["step"] for _, moved in moving for each in moved]
         if not counts:
             return
         torch._foreach_add_(counts, 1)
         for group, moved in moving:
-            states = [self._state_of(each) for each in moved]
             gradients = [each.grad for each in moved if each.grad is not None]
             means, squares, own_counts = (
-                [state[name] for state in states] for name in (*MOMENTS, "step")
+                [self.state[each][name] for each in moved] for name in (*MOMENTS, "step")
             )
-            if moved:
-                move(moved, gradients, means, squares, own_counts, group.rate, self._epsilon, skip)
+            move(moved, gradients, means, squares, own_counts, group.rate, self._epsilon, skip)
         if skip is not None:
             torch._foreach_sub_(counts, [skip] * len(counts))
 
@@ -150,12 +141,8 @@ class Adam:
             parameter.grad = None
 
     def moments(self, parameters: Mapping[Any, Tensor]) -> dict[str, Tensor]:
-        """Moments and step counts by name, ``KEY.step``, ``KEY.exp_avg`` and ``KEY.exp_avg_sq``;
-        none of a parameter that has not moved yet.
-
-        Args:
-            parameters: of this optimizer, by their keys.
-        """
+        """Moments and step counts of parameters by their keys: ``KEY.step``, ``KEY.exp_avg`` and
+        ``KEY.exp_avg_sq``, where a parameter has moved."""
         return {
             f"{key}.{name}": value
             for key, parameter in parameters.items()
@@ -163,31 +150,22 @@ class Adam:
         }
 
     def load_moments(self, parameters: Mapping[Any, Tensor], tensors: Mapping[str, Tensor]) -> None:
-        """Take what ``moments`` gave, on the parameters' devices.
+        """Take what ``moments`` gave for these parameters, on their devices.
 
         The kernels trust their sizes, so moments of any other parameter are refused.
-
-        Args:
-            parameters: of this optimizer, by their keys.
-            tensors: moments and step counts.
 
         Raises:
             ValueError: they are not those of the parameters, or the squares or steps are negative.
         """
-        left = set(tensors)
+        if unknown := set(tensors) - {f"{key}.{name}" for key in parameters for name in _STATE}:
+            raise ValueError(f"moments {min(unknown)} of an unknown parameter")
         for key, parameter in parameters.items():
-            state = {
-                name: tensors[f"{key}.{name}"] for name in _STATE if f"{key}.{name}" in tensors
-            }
-            left -= {f"{key}.{name}" for name in state}
-            if not state:
-                continue
-            _require_moments(key, parameter, state)
-            self.state[parameter] = {
-                name: value.to(parameter.device) for name, value in state.items()
-            }
-        if left:
-            raise ValueError(f"moments {min(left)} of an unknown parameter")
+            found = {name: tensors.get(f"{key}.{name}") for name in _STATE}
+            if any(value is not None for value in found.values()):
+                self.state[parameter] = {
+                    name: _checked_moment(f"{key}.{name}", value, parameter)
+                    for name, value in found.items()
+                }
 
     def _state_of(self, parameter: Tensor) -> dict[str, Tensor]:
         if parameter not in self.state:
@@ -198,11 +176,10 @@ class Adam:
         return self.state[parameter]
 
 
-def _require_moments(key: Any, parameter: Float[Tensor, "..."], state: dict[str, Tensor]) -> None:
-    for name in _STATE:
-        shape = torch.Size() if name == "step" else parameter.shape
-        value = state.get(name)
-        if value is None or value.shape != shape or value.dtype != torch.float32:
-            raise ValueError(f"the moments {key}.{name} are not those of the parameter")
-        if name != "exp_avg" and not (value >= 0).all():
-            raise ValueError(f"the moments {key}.{name} are negative")
+def _checked_moment(name: str, value: Tensor | None, parameter: Tensor) -> Tensor:
+    shape = torch.Size() if name.endswith(".step") else parameter.shape
+    if value is None or value.shape != shape or value.dtype != torch.float32:
+        raise ValueError(f"the moments {name} are not those of the parameter")
+    if not name.endswith(".exp_avg") and not (value >= 0).all():
+        raise ValueError(f"the moments {name} are negative")
+    return value.to(parameter.device)

@@ -27,16 +27,6 @@ PRESETS: tuple[Preset, ...] = get_args(Preset)
 DEFAULT_METHOD = "mrgs-plus"
 """Configured and trained where none is named."""
 
-PLUS_IMAGE_MODEL = ImageModelConfig(
-    point_spread=True, thermal_gain=True, thermal_drift=True, poses=True
-)
-"""What ``mrgs-plus`` has and no published method."""
-
-FITTED_RESIDUALS = 300
-TEMPERATURE_SCALE = 1.0
-"""What keeps the thermal branch alive where temperatures start as the photos have them: t̂ is
-fitted to these, and t_i starts as the rest."""
-
 CPU_RATES = {
     "means": 9.6e-4,
     "means_final": 4.8e-6,
@@ -75,17 +65,9 @@ PLUS_LOSS = {
 noise counts by its squares: docs/decisions."""
 
 PLUS_DILATION_PX2 = 0.1
-"""Of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3 a rendering is
-blurrier than what a pixel averages, and training makes up for it by Gaussians that are too thin:
+"""Dilation of ``mrgs-plus``: about the variance of a square pixel, 1/12 px². With 0.3 a rendering
+is blurrier than what a pixel averages, and training makes up for it by Gaussians that are too thin:
 docs/decisions."""
-
-CPU_COARSE = 0.5
-"""Share of the training on coarser photos in the presets for CPUs, where photos are large enough:
-docs/decisions."""
-
-CPU_HIDDEN_WIDTH = 64
-"""Width of the heads' hidden layers in the presets for CPUs: half of that in ``paper``, and as
-good."""
 
 
 @dataclass(frozen=True)
@@ -189,8 +171,8 @@ class TrainConfig:
         return min(MAX_DEGREE, step // self.sh_every)
 
     def temperature_sh_degree_at(self, step: int) -> int:
-        """Highest degree of the temperature's spherical harmonics in use at this step, as far as
-        there are any.
+        """Highest degree of the temperature's spherical harmonics in use at this step, if there are
+        any.
 
         Where their degree follows from the photos, every second step goes without them: what does
         not depend on the view must be a model by itself, because exports have nothing else. A
@@ -218,8 +200,8 @@ def make_config(
         preset: ``default`` (4,000 steps, at most 50,000 Gaussians) and ``fast`` (1,500 and 20,000)
             suit CPUs; ``paper`` is the published schedule of 30,000 steps.
         max_steps: the preset's whole schedule is stretched or shrunk to them.
-        max_gaussians: cap on the Gaussians; None keeps the preset's.
-        resolution: photos wider than this many pixels are reduced to it; None keeps them.
+        max_gaussians: cap on the Gaussians; None for the preset's.
+        resolution: photos wider than this many pixels are reduced to it.
         seed: of every random choice.
         batch: views per step; with several, fewer and larger steps are taken.
 
@@ -230,25 +212,18 @@ def make_config(
         raise ConfigError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
     if preset not in PRESETS:
         raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
-    max_steps, max_gaussians, resolution = (
-        None if value is None else whole_number(value, name)
-        for name, value in (
-            ("max_steps", max_steps),
-            ("max_gaussians", max_gaussians),
-            ("resolution", resolution),
-        )
-    )
+    if resolution is not None:
+        resolution = whole_number(resolution, "resolution")
     seed, batch = whole_number(seed, "seed"), whole_number(batch, "batch")
     config = _with_preset(TrainConfig(method=method, resolution=resolution, seed=seed), preset)
     config = _CHANGES[method](config)
     if batch != 1:
         config = _with_batch(config, batch)
     if max_steps is not None:
-        config = with_steps(config, max_steps)
+        config = with_steps(config, whole_number(max_steps, "max_steps"))
     if max_gaussians is not None:
-        config = replace(
-            config, densification=replace(config.densification, max_gaussians=max_gaussians)
-        )
+        most = whole_number(max_gaussians, "max_gaussians")
+        config = replace(config, densification=replace(config.densification, max_gaussians=most))
     return config
 
 
@@ -265,12 +240,10 @@ def _rgbt_baseline(config: TrainConfig) -> TrainConfig:
 
 
 def _without_heat(config: TrainConfig) -> TrainConfig:
-    """Without the Fourier heat transformation."""
     return replace(config, field=replace(config.field, fourier=False))
 
 
-def _without_radiation(config: TrainConfig) -> TrainConfig:
-    """Without L_boltz."""
+def _without_boltz(config: TrainConfig) -> TrainConfig:
     return replace(config, radiation=None)
 
 
@@ -286,7 +259,9 @@ def _plus(config: TrainConfig) -> TrainConfig:
         field=replace(config.field, residuals=False),
         radiation=None,
         loss=replace(config.loss, **PLUS_LOSS),
-        image_model=PLUS_IMAGE_MODEL,
+        image_model=ImageModelConfig(
+            point_spread=True, thermal_gain=True, thermal_drift=True, poses=True
+        ),
         dilation_px2=PLUS_DILATION_PX2,
         angular_dilation=True,
     )
@@ -294,8 +269,8 @@ def _plus(config: TrainConfig) -> TrainConfig:
 
 _CHANGES: Mapping[str, Callable[[TrainConfig], TrainConfig]] = {
     "mrgs": lambda config: config,
-    "mrgs-base": lambda config: _without_radiation(_without_heat(config)),
-    "mrgs-fourier": _without_radiation,
+    "mrgs-base": lambda config: _without_boltz(_without_heat(config)),
+    "mrgs-fourier": _without_boltz,
     "mrgs-boltz": _without_heat,
     "3dgs-rgbt": _rgbt_baseline,
     "mrgs-plus": _plus,
@@ -306,33 +281,32 @@ METHODS = tuple(_CHANGES)
 
 
 def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
-    """``paper`` is the published schedule; the others are for CPUs, measured in docs/decisions."""
+    """``paper`` is the published schedule; the others are for CPUs, measured in docs/decisions.
+
+    These start with coarser photos, where photos are large enough, and with temperatures as the
+    photos have them; what keeps the thermal branch alive then is that t̂ is fitted to these at full
+    scale, and t_i starts as the rest. Half the published width of the heads is as good.
+    """
     config = replace(config, preset=preset)
     if preset == "paper":
         return config
     steps, max_gaussians = {"fast": (1_500, 20_000), "default": (4_000, 50_000)}[preset]
     config = with_steps(config, steps)
-    densification = replace(config.densification, max_gaussians=max_gaussians)
-    field = replace(
-        config.field, hidden_width=CPU_HIDDEN_WIDTH, temperature_scale=TEMPERATURE_SCALE
-    )
-    loss = replace(config.loss, **SMOOTHNESS)
-    optimizer = replace(config.optimizer, **CPU_RATES)
     return replace(
         config,
-        coarse_until=CPU_COARSE,
+        coarse_until=0.5,
         distant_points=True,
         photo_temperatures=True,
-        fitted_residuals=FITTED_RESIDUALS,
-        densification=densification,
-        field=field,
-        loss=loss,
-        optimizer=optimizer,
+        fitted_residuals=300,
+        densification=replace(config.densification, max_gaussians=max_gaussians),
+        field=replace(config.field, hidden_width=64, temperature_scale=1.0),
+        loss=replace(config.loss, **SMOOTHNESS),
+        optimizer=replace(config.optimizer, **CPU_RATES),
     )
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The same schedule in another number of steps; what goes before it takes no more of them."""
+    """The same schedule in another number of steps; the fit before it takes no more than these."""
     if steps < 1:
         raise ConfigError(f"max_steps must be at least 1, not {steps}")
     factor = steps / config.max_steps
@@ -343,9 +317,8 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
     radiation = config.radiation
     if radiation is not None:
         start = scaled(radiation.decay_from)
-        radiation = replace(
-            radiation, decay_from=start, decay_until=max(scaled(radiation.decay_until), start + 1)
-        )
+        end = max(scaled(radiation.decay_until), start + 1)
+        radiation = replace(radiation, decay_from=start, decay_until=end)
     return replace(
         config,
         max_steps=steps,
@@ -376,9 +349,5 @@ def _with_batch(config: TrainConfig, batch: int) -> TrainConfig:
 
 def from_yaml(text: str, source: str, base: TrainConfig | None = None) -> TrainConfig:
     """The configuration that ``write_yaml`` wrote, or a part of one over another; see
-    ``read_yaml``.
-
-    Raises:
-        ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
-    """
+    ``read_yaml``, which raises ``ConfigError``."""
     return read_yaml(TrainConfig, text, source, base)

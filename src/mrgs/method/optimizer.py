@@ -3,10 +3,9 @@ stay together."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -38,8 +37,7 @@ class OptimizerConfig:
         embedding: of e_m.
         heads: of the field's layers.
         uncertainty: of ψ.
-        slowdown_from: share of the training after which all rates but that of the means fall; 1 for
-            never.
+        slowdown_from: share of the training after which all rates but that of the means fall.
         slowdown_to: the share of the rates that is left at the last step.
     """
 
@@ -71,21 +69,17 @@ class OptimizerConfig:
 
     def faster(self, factor: float) -> OptimizerConfig:
         """All rates times a factor."""
-        return dataclasses.replace(
-            self, **{name: factor * getattr(self, name) for name in self._rates()}
-        )
+        return replace(self, **{name: factor * getattr(self, name) for name in self._rates()})
 
     @classmethod
     def _rates(cls) -> list[str]:
-        """The names of the learning rates."""
-        names = [field.name for field in dataclasses.fields(cls)]
+        names = [field.name for field in fields(cls)]
         return [name for name in names if not name.startswith("slowdown")]
 
     def means_at(self, progress: float) -> float:
         """Learning rate of the means after this share of the training, in scene extents."""
-        return math.exp(
-            (1 - progress) * math.log(self.means) + progress * math.log(self.means_final)
-        )
+        start, end = math.log(self.means), math.log(self.means_final)
+        return math.exp((1 - progress) * start + progress * end)
 
     def slowdown_at(self, progress: float) -> float:
         """Factor on all learning rates but that of the means after this share of the training;
@@ -117,17 +111,15 @@ def are_finite(loss: Float[Tensor, ""], gradients: Sequence[Tensor]) -> Bool[Ten
 
 
 class GaussianOptimizer:
-    """Adam over the parameters of the Gaussians.
+    """Adam over the parameters of the Gaussians; the scene's extent multiplies the learning rate of
+    the means.
 
-    Args:
-        gaussians: the start; its tensors become the parameters.
-        config: learning rates.
-        extent: of the scene; multiplies the learning rate of the means.
+    Attributes:
+        gaussians: their tensors are the parameters.
     """
 
     def __init__(self, gaussians: Gaussians, config: OptimizerConfig, extent: float) -> None:
-        self._config = config
-        self._extent = extent
+        self._config, self._extent = config, extent
         self.gaussians = gaussians.with_tensors(
             {name: t.detach().requires_grad_() for name, t in gaussians.tensors().items()}
         )
@@ -139,12 +131,8 @@ class GaussianOptimizer:
         self._adam = Adam(groups, epsilon=1e-15)
 
     def step(self, progress: float, good: Bool[Tensor, ""] | None = None) -> None:
-        """One Adam step from the gradients, which are then cleared.
-
-        Args:
-            progress: the share of the training done.
-            good: whether the step counts; where not, nothing is moved. None if it does.
-        """
+        """One Adam step from the gradients, which are then cleared; ``progress`` is the share of
+        the training done. Where ``good`` is False, nothing is moved."""
         self._adam.set_rates(self._config.slowdown_at(progress))
         self._group("means").rate = self._config.means_at(progress) * self._extent
         self._adam.step(good)
@@ -162,9 +150,8 @@ class GaussianOptimizer:
 
     def gradients(self) -> list[Tensor]:
         """Gradients of all parameters that have one."""
-        return [
-            tensor.grad for tensor in self.gaussians.tensors().values() if tensor.grad is not None
-        ]
+        tensors = self.gaussians.tensors().values()
+        return [tensor.grad for tensor in tensors if tensor.grad is not None]
 
     def replace_rows(self, keep: Int64[Tensor, " k"], added: Gaussians) -> None:
         """Keep these rows, in this order, and append new ones; the new rows' moments start at 0.
@@ -215,11 +202,10 @@ class GaussianOptimizer:
         return tensors | self._adam.moments(self._parameters())
 
     def load_moments(self, tensors: Mapping[str, Tensor]) -> None:
-        """Take the moments of ``state()``; the parameters are those that the optimizer was made
-        with.
+        """Take the moments of ``state()``.
 
         Raises:
-            ValueError: the moments are not theirs.
+            ValueError: they are not those of the parameters.
         """
         moments = {name: tensor for name, tensor in tensors.items() if name.startswith(_ADAM)}
         self._adam.load_moments(self._parameters(), moments)

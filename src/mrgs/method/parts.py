@@ -35,24 +35,21 @@ class PartSpreads(NamedTuple):
 
     def to_json(self, temperature: TemperatureRange | None) -> dict[str, float | None]:
         """The spreads as ``metrics.json`` and ``log.jsonl`` name them, in °C; None without °C."""
-        span = None if temperature is None else temperature.span_c
+        spread, exchange = (
+            None if temperature is None else value * temperature.span_c
+            for value in (self.temperature_residual, self.heat_exchange)
+        )
         return {
-            "temperature_residual_std_c": None
-            if span is None
-            else self.temperature_residual * span,
-            "heat_exchange_std_c": None if span is None else self.heat_exchange * span,
+            "temperature_residual_std_c": spread,
+            "heat_exchange_std_c": exchange,
             "color_residual_std": self.color_residual,
         }
 
 
 @torch.no_grad()
 def part_spreads(model: Model, camera_position: Float[Tensor, "3"]) -> PartSpreads | None:
-    """The spreads of a model's parts; None for a field without residuals (3DGS_RGB-T).
-
-    Args:
-        model: trained or in training.
-        camera_position: where ĉ is seen from, world coordinates.
-    """
+    """The spreads of a model's parts, with ĉ as seen from a camera; None for a field without
+    residuals (3DGS_RGB-T)."""
     if not model.field.config.residuals or len(model.gaussians) < 2:
         return None
     if model.neighbours is None:
@@ -95,9 +92,11 @@ def knock_outs(model: Model) -> Mapping[str, Model]:
     if not field.config.residuals:
         return {}
     mean = _temperature_residuals(model, field).mean(0, keepdim=True)
+    without_color = deepcopy(field)
+    without_color.color_head.scale = 0.0
     copies = {
         "temperature_residual": _with_residuals(model, mean),
-        "color_residual": _without_color_residual(model),
+        "color_residual": replace(model, field=without_color),
     }
     if field.config.neighbours_k > 0:
         alone = _temperature_residuals(model, without_heat_exchange(field))
@@ -125,9 +124,3 @@ def _with_shuffled_neighbours(model: Model) -> Model:
     generator = torch.Generator().manual_seed(0)
     order = torch.randperm(len(model.neighbours), generator=generator)
     return replace(model, neighbours=model.neighbours[order.to(model.neighbours.device)])
-
-
-def _without_color_residual(model: Model) -> Model:
-    field = deepcopy(model.field)
-    field.color_head.scale = 0.0
-    return replace(model, field=field)

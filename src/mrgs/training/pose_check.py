@@ -110,7 +110,7 @@ class PoseCheck:
             images = self._seen(number)
             halves.append(halves_px(images, *self._frame(number, images)))
         found = torch.stack(halves, dim=1)
-        return agreement(*(self._poses.apart_from_the_whole(half, numbers) for half in found))
+        return agreement(*(self._poses.without_global_motion(half, numbers) for half in found))
 
     def pixel_size(self) -> float:
         """Side of the pixels that are looked at, in pixels of the first photo."""

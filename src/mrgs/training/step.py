@@ -215,8 +215,9 @@ def _move(
     statistics = StepStatistics(state.step, loss, found.terms, error, count, ~finite)
     # Nothing has changed so far, so that a step can be repeated if the memory is full.
     state.move(config, moves)
-    for number, residual in found.residuals.items():
-        state.image_model.learn_drift(number, residual, moves)
+    if (drift := state.image_model.thermal_drift) is not None:
+        for number, residual in found.residuals.items():
+            drift.learn(number, residual, moves)
     return StepResult(statistics, found.observed, finite)
 
 

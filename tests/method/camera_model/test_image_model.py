@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from mrgs.errors import ConfigError
-from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig, PointSpread
+from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
+from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering
 from mrgs.scene.capture import Capture, Viewpoint
 

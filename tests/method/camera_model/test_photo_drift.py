@@ -76,7 +76,7 @@ def test_the_image_model_writes_photos_with_their_drift():
             photo = Pixels(image + true + noise(view)[..., None])
             number = torch.tensor([view])
             residual = model.thermal_residual(number, model(rendering, number), photo)
-            model.learn_drift(view, residual, YES)
+            model.thermal_drift.learn(view, residual, YES)
     written = [model(rendering, torch.tensor([i]))[THERMAL].image for i in range(6)]
     found = torch.stack([(each - image).mean() for each in written])
     assert found == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-3)

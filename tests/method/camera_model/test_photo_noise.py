@@ -4,10 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from mrgs.method.camera_model.photo_noise import PHOTOS, photo_noise
 from mrgs.method.config import make_config
 from mrgs.method.losses.photometric import LossConfig
-from mrgs.method.losses.term import SceneScale
+from mrgs.method.losses.term import NOISE_PHOTOS, SceneScale, photo_noise
 from mrgs.scene import RGB, THERMAL, PointCloud, PosedImage, Scene, View
 from tests.helpers.views import posed_image
 
@@ -63,7 +62,7 @@ def test_some_photos_tell_for_all():
         return PosedImage(image.camera, lambda: read.append(index) or image.load())
 
     photo_noise([noted(index) for index in range(100)])
-    assert len(read) == PHOTOS
+    assert len(read) == NOISE_PHOTOS
     assert (read[0], read[-1]) == (0, 99)
 
 

@@ -18,7 +18,7 @@ from mrgs.method.camera_model.pose_error import (
     halves_px,
     pose_error,
 )
-from mrgs.method.camera_model.view_motion import effect, motion_axes, shift_per_motion
+from mrgs.method.camera_model.pose_refinement import effect, motion_axes, shift_per_motion
 from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, render
 from mrgs.scene import RGB, Camera

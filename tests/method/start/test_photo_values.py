@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from mrgs.method.start.photo_values import PHOTOS, photo_values, with_neighbours_values
+from mrgs.method.start.start_points import READ_PHOTOS, photo_values, with_neighbours_values
 from mrgs.scene import Camera, Pixels, PosedImage
 
 WIDTH, HEIGHT = 12, 8
@@ -102,7 +102,7 @@ def test_of_many_photos_some_are_read_evenly_spread():
         return PosedImage(image.camera, lambda: read.append(index) or image.load())
 
     found = temperatures(torch.tensor([[0.0, 0.0, 1.0]]), [noted(index) for index in range(200)])
-    assert len(read) == PHOTOS
+    assert len(read) == READ_PHOTOS
     assert read[0] == 0
     assert read[-1] == 199
     assert found.item() == pytest.approx(0.1, abs=0.005)

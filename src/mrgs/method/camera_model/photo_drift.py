@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Bool, Float, Int64
-from torch import Tensor, nn
+from torch import Tensor
 
-from mrgs.method.camera_model.photo_gain import only_one_at, photo_rows, viewpoint_distances
+from mrgs.method.camera_model.photo_gain import PhotoEffect, only_one_at, viewpoint_distances
+from mrgs.scene import Pixels
 from mrgs.scene.capture import Viewpoint
 
 PARTS = 4
@@ -25,7 +26,7 @@ MEDIAN_LOSS = 1.5708
 """Variance of the median over that of the mean, of many normal variables (π / 2)."""
 
 
-class PhotoDrift(nn.Module):
+class PhotoDrift(PhotoEffect):
     """An offset per photo, of sum zero: a random effect, as in the analysis of variance.
 
     A photo's residual is the median over its parts of what it shows above the model. How far the
@@ -34,27 +35,21 @@ class PhotoDrift(nn.Module):
     the variance of the drift over the photos, estimated by moments (DerSimonian and Laird, 1986).
     τ² is 0, and so are all offsets, where the residuals differ no more than their variances
     explain.
-
-    Args:
-        viewpoints: of each training view, None where it has no thermal photo; at least one has.
     """
 
     residuals: Float[Tensor, " p"]
     variances: Float[Tensor, " p"]
     visits: Float[Tensor, " p"]
-    rows: Int64[Tensor, " v"]
 
     def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
-        super().__init__()
-        self._viewpoints = [point for point in viewpoints if point is not None]
-        self.register_buffer("rows", photo_rows(viewpoints), persistent=False)
+        super().__init__(viewpoints)
         self._rows = self.rows.tolist()
         for name in ("residuals", "variances", "visits"):
             self.register_buffer(name, torch.zeros(len(self._viewpoints)))
 
     def of(self, view: Int64[Tensor, "1"]) -> Float[Tensor, ""]:
         """The offset of a training view's photo, normalised; the view must have one."""
-        return self.offsets().index_select(0, self.rows.index_select(0, view))[0]
+        return self.offsets().index_select(0, self.row_of(view))[0]
 
     def expected(self, viewpoint: Viewpoint) -> Float[Tensor, ""]:
         """The offset of the photo taken there; 0, which is the mean, for any other place: a drift
@@ -63,7 +58,7 @@ class PhotoDrift(nn.Module):
         return torch.zeros_like(self.residuals[0]) if same is None else self.offsets()[same]
 
     def offsets(self) -> Float[Tensor, " p"]:
-        """Of all photos, normalised."""
+        """The offsets of all photos, normalised."""
         seen = (self.visits > 0).to(self.residuals)
         count = seen.sum().clamp_min(1)
         centred = seen * (self.residuals - (seen * self.residuals).sum() / count)
@@ -72,15 +67,20 @@ class PhotoDrift(nn.Module):
         shrunk = centred * drift / (drift + self.variances).clamp_min(torch.finfo().tiny)
         return seen * (shrunk - shrunk.sum() / count)
 
+    def residual(
+        self, view: Int64[Tensor, "1"], recorded: Float[Tensor, "h w 1"], photo: Pixels
+    ) -> Float[Tensor, "2"]:
+        """What a training view's photo shows above its rendering, without the photo's offset, which
+        the rendering has; see ``residual_of``."""
+        difference = (photo.values - recorded + self.of(view))[:, :, 0]
+        if photo.valid is not None:
+            difference = torch.where(photo.valid, difference, torch.nan)
+        return residual_of(difference)
+
     @torch.no_grad()
     def learn(self, view: int, residual: Float[Tensor, "2"], finite: Bool[Tensor, ""]) -> None:
-        """Take in what a photo shows above the model without the photo's offset.
-
-        Args:
-            view: a training view with a photo.
-            residual: of the photo, see ``residual_of``.
-            finite: nothing is learned where it is False.
-        """
+        """Take in the residual of a training view's photo; nothing is learned where ``finite`` is
+        False."""
         row = self._rows[view]
         middle, variance = residual
         usable = finite & middle.isfinite()
@@ -92,12 +92,8 @@ class PhotoDrift(nn.Module):
 
 @torch.no_grad()
 def residual_of(difference: Float[Tensor, "h w"]) -> Float[Tensor, "2"]:
-    """The residual of a photo and its variance; NaN where all of it is masked.
-
-    Args:
-        difference: what the photo shows above the model without the photo's offset, normalised;
-            NaN where the photo is masked.
-    """
+    """The residual of a photo and its variance, from what it shows above the model, normalised; NaN
+    where all of it is masked, which is NaN in the difference."""
     parts = _part_medians(difference)
     quartiles = torch.linspace(0.25, 0.75, 3, device=parts.device)
     low, middle, high = parts.nanquantile(quartiles)

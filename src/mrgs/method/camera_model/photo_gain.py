@@ -18,26 +18,8 @@ SAME_PLACE = 1e-6
 """Viewpoints closer than this are the same."""
 
 
-class Gain(NamedTuple):
-    """What automatic gain did to a photo: gain · image + offset.
-
-    Attributes:
-        gain: [1].
-        offset: in normalised temperature, [1].
-    """
-
-    gain: Float[Tensor, "1"]
-    offset: Float[Tensor, "1"]
-
-    def apply(self, image: Float[Tensor, "h w 1"]) -> Float[Tensor, "h w 1"]:
-        """The image as the camera wrote it."""
-        return self.gain * image + self.offset
-
-
-class PhotoGain(nn.Module):
-    """A learned gain and offset per photo.
-
-    Over all photos the logarithms of the gains and the offsets average to 0.
+class PhotoEffect(nn.Module):
+    """What a camera did to each thermal photo.
 
     Args:
         viewpoints: of each training view, None where it has no thermal photo; at least one has.
@@ -48,13 +30,40 @@ class PhotoGain(nn.Module):
     def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
         super().__init__()
         self._viewpoints = [point for point in viewpoints if point is not None]
-        self.register_buffer("rows", photo_rows(viewpoints), persistent=False)
+        have_one = torch.tensor([point is not None for point in viewpoints])
+        self.register_buffer("rows", have_one.cumsum(dim=0) - 1, persistent=False)
+
+    def row_of(self, view: Int64[Tensor, "1"]) -> Int64[Tensor, "1"]:
+        """The place of a training view's photo among all photos; the view must have one."""
+        return self.rows.index_select(0, view)
+
+
+class Gain(NamedTuple):
+    """What automatic gain did to a photo: gain · image + offset, the offset in normalised
+    temperature."""
+
+    gain: Float[Tensor, "1"]
+    offset: Float[Tensor, "1"]
+
+    def apply(self, image: Float[Tensor, "h w 1"]) -> Float[Tensor, "h w 1"]:
+        """The image as the camera recorded it."""
+        return self.gain * image + self.offset
+
+
+class PhotoGain(PhotoEffect):
+    """A learned gain and offset per photo.
+
+    Over all photos the logarithms of the gains and the offsets average to 0.
+    """
+
+    def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
+        super().__init__(viewpoints)
         self.log_gains = nn.Parameter(torch.zeros(len(self._viewpoints), 1))
         self.offsets = nn.Parameter(torch.zeros(len(self._viewpoints), 1))
 
     def of(self, view: Int64[Tensor, "1"]) -> Gain:
         """The gain of a training view's photo; the view must have one."""
-        row = self.rows.index_select(0, view)
+        row = self.row_of(view)
         log_gain, offset = (
             each.index_select(0, row)[0] - each.mean(dim=0)
             for each in (self.log_gains, self.offsets)
@@ -64,17 +73,9 @@ class PhotoGain(nn.Module):
     def expected(self, viewpoint: Viewpoint) -> Gain:
         """The gain predicted for a photo outside the training set; see ``expected_gains``."""
         gains = torch.cat([self.log_gains, self.offsets], dim=1).detach().double()
-        gains = gains - gains.mean(dim=0)
-        log_gain, offset = (
-            expected_gains(gains, self._viewpoints, viewpoint).to(self.offsets).chunk(2)
-        )
+        found = expected_gains(gains - gains.mean(dim=0), self._viewpoints, viewpoint)
+        log_gain, offset = found.to(self.offsets).chunk(2)
         return Gain(log_gain.exp(), offset)
-
-
-def photo_rows(viewpoints: Sequence[Viewpoint | None]) -> Int64[Tensor, " v"]:
-    """The place of each training view among those that have a photo."""
-    have_one = torch.tensor([point is not None for point in viewpoints])
-    return have_one.cumsum(dim=0) - 1
 
 
 def expected_gains(
@@ -117,9 +118,8 @@ def _nearest_means(
     """Mean gain of the nearest photos, weighted by inverse distance."""
     near = distances.topk(NEAREST, dim=1, largest=False)
     weights = 1 / near.values.clamp_min(SAME_PLACE)
-    return ((weights / weights.sum(dim=1, keepdim=True))[:, :, None] * gains[near.indices]).sum(
-        dim=1
-    )
+    weights = weights / weights.sum(dim=1, keepdim=True)
+    return (weights[:, :, None] * gains[near.indices]).sum(dim=1)
 
 
 def viewpoint_distances(
@@ -136,7 +136,5 @@ def viewpoint_distances(
 def _columns(
     viewpoints: Sequence[Viewpoint],
 ) -> tuple[Float64[Tensor, "n 3"], Float64[Tensor, "n 3"]]:
-    positions, directions = zip(*viewpoints, strict=True)
-    return torch.tensor(positions, dtype=torch.float64), torch.tensor(
-        directions, dtype=torch.float64
-    )
+    positions, directions = torch.tensor(viewpoints, dtype=torch.float64).unbind(1)
+    return positions, directions

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from mrgs.method.camera_model.point_spread import blur
-from mrgs.method.camera_model.view_motion import shift_per_motion
+from mrgs.method.camera_model.pose_refinement import shift_per_motion
 from mrgs.scene import Camera, Modality, Pixels, Rendering
 
 COARSEST = 1 / 80
@@ -30,8 +30,8 @@ LEAST_DEVIATION = 2e-3
 """Standard deviation of what differs where the images are even, as a share of their range."""
 
 MOST_PIXELS = 10_000
-"""Of one image; of a larger one every second, third, ... pixel is taken in each direction."""
-
+"""Largest number of pixels of an image that are used; of more every second, third, ... row and
+column."""
 
 WRONG_PX = 0.3
 """Poses are wrong if photos are typically off by clearly more."""
@@ -72,14 +72,8 @@ def alignables(
     rendering: Rendering,
     observed: Rendering,
 ) -> list[Alignable]:
-    """The photos of a view that can be aligned: those whose rendering has a depth.
-
-    Args:
-        cameras: of the view.
-        photos: of the same modalities.
-        rendering: from these cameras.
-        observed: the rendering as the cameras would have recorded it.
-    """
+    """The photos of a view whose rendering has a depth; ``observed`` is the rendering as the
+    cameras would have recorded it."""
     return [
         Alignable(
             camera,
@@ -114,7 +108,7 @@ def pose_error(
 
     Returns:
         m, along the axes, in pixels: its norm is about the root mean square of the shifts; 0 where
-        it cannot be told.
+        it cannot be found.
     """
     motion = axes_px.new_zeros(6)
     places = [_places(image, centre, axes_px) for image in images]
@@ -135,16 +129,11 @@ def halves_px(
     centre: Float64[Tensor, "3"],
     axes_px: Float64[Tensor, "6 6"],
 ) -> Float64[Tensor, "2 6"]:
-    """``pose_error`` as either half of the images tells, the squares of a chessboard, by
-    themselves."""
-    return torch.stack(
-        [
-            pose_error(
-                [each._replace(depth=_half(each.depth, which)) for each in images], centre, axes_px
-            )
-            for which in (0, 1)
-        ]
-    )
+    """``pose_error`` by either half of the images alone: the squares of a chessboard."""
+    halves = [
+        [each._replace(depth=_half(each.depth, which)) for each in images] for which in (0, 1)
+    ]
+    return torch.stack([pose_error(half, centre, axes_px) for half in halves])
 
 
 class PoseAgreement(NamedTuple):
@@ -172,25 +161,21 @@ class PoseAgreement(NamedTuple):
 
 
 def agreement(first: Float64[Tensor, "v 6"], second: Float64[Tensor, "v 6"]) -> PoseAgreement:
-    """Of the halves of some views.
-
-    Args:
-        first, second: ``halves_px`` of the views, along axes in the order in which the views tell
-            least to most of a motion.
-    """
+    """The agreement of the halves of some views, from their ``halves_px`` along axes in the order
+    in which the views show least to most of a motion."""
     one, other = first[:, -WELL_SEEN:], second[:, -WELL_SEEN:]
     agreed = (one * other).sum(dim=1).median().item()
     return PoseAgreement(math.sqrt(max(0.0, agreed)), (one - other).norm(dim=1).median().item())
 
 
 class _Places(NamedTuple):
-    """Pixels of an image that show a surface and that the photo knows.
+    """Pixels of an image that show a surface and count in the photo.
 
     Attributes:
         row, column: of the pixels.
         centres: of the pixels, in the image.
         shifts: J, in pixels along the axes of the motion.
-        step: from one pixel to the next that is taken, in each direction.
+        step: from one pixel to the next, in each direction.
     """
 
     row: Int64[Tensor, " k"]

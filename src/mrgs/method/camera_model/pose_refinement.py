@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor, nn
 
-from mrgs.method.camera_model.view_motion import as_matrix, effect, motion_axes
+from mrgs.rasterizer.reference import rotation_matrices
 from mrgs.scene import Camera, Modality
 from mrgs.scene.rotations import cross_matrix
 
@@ -18,7 +18,11 @@ FEWEST_POINTS = 16
 the image."""
 
 MOST_POINTS = 1000
-"""Of those that lie in a photo; of the scene, twenty times as many are looked through."""
+"""Largest number of points in a photo that are used, of twenty times as many in the scene."""
+
+LEAST_EFFECT = 0.03
+"""Motions that shift what a view shows by less than this share of what the most effective one does
+count as if they did so much: the photo hardly shows how long they are."""
 
 NO_FREEDOM = 1e-6
 """A motion of which the others leave less than this share is none of its own: with one camera, or
@@ -30,13 +34,10 @@ class PoseRefinement(nn.Module):
 
     Motions are measured by what they do to the image, so that turning and moving are learned alike:
     1 is a root mean square shift by the focal length. What would move, turn or scale the scene as a
-    whole is taken out, so that poses that are not refined, those of held-out views for instance,
-    stay right as far as the given poses are right on average.
+    whole is taken out, so that poses that are not refined, for instance of held-out views, stay
+    right as far as the given poses are right on average.
 
     Nothing is moved before ``begin``: poses that are right would get worse.
-
-    Args:
-        views: number of training views.
     """
 
     centres: Float64[Tensor, "v 3"]
@@ -72,11 +73,7 @@ class PoseRefinement(nn.Module):
 
     @torch.no_grad()
     def begin(self, motions: Float64[Tensor, "v 6"]) -> None:
-        """Refine the poses from here on.
-
-        Args:
-            motions: of the views, to begin with, along ``axes``.
-        """
+        """Refine the poses from here on, beginning with these motions along ``axes``."""
         self.motions.copy_(motions)
         self.begun.fill_(True)
         self._moves = True
@@ -86,12 +83,8 @@ class PoseRefinement(nn.Module):
         self._is_checked, self._moves = bool(self.checked), bool(self.begun)
 
     def set_frame(self, cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> None:
-        """Find what motions do to the images; before the training.
-
-        Args:
-            cameras: the first one of each training view.
-            points: of the scene, in scene units.
-        """
+        """Find what motions do to the images, before the training, from the first camera of each
+        training view and the scene's points."""
         positions = points[:: -(-len(points) // (20 * MOST_POINTS)) or 1].double()
         centres = torch.stack([camera.position for camera in cameras])
         effects = [effect(camera, _seen(camera, positions)) for camera in cameras]
@@ -104,12 +97,8 @@ class PoseRefinement(nn.Module):
     def refined(
         self, cameras: Mapping[Modality, Camera], view: Int64[Tensor, "1"]
     ) -> dict[Modality, Camera]:
-        """The cameras of a training view at its refined pose, which carries the gradient.
-
-        Args:
-            cameras: of the view.
-            view: its place among the training views, on the device of the motions.
-        """
+        """The cameras of a training view at its refined pose, which carries the gradient; ``view``
+        is its place among the training views, on the device of the motions."""
         motion = self.motion(view)
         return {modality: camera.moved(motion) for modality, camera in cameras.items()}
 
@@ -118,15 +107,11 @@ class PoseRefinement(nn.Module):
         own = self.axes.index_select(0, view)[0] @ self._free().index_select(0, view)[0]
         return as_matrix(own, self.centres.index_select(0, view)[0])
 
-    def apart_from_the_whole(
+    def without_global_motion(
         self, motions: Float64[Tensor, "k 6"], views: Sequence[int]
     ) -> Float64[Tensor, "k 6"]:
-        """Motions of some views, without what is a motion of the scene as a whole.
-
-        Args:
-            motions: along ``axes``.
-            views: whose they are.
-        """
+        """Motions of some views along ``axes``, without what is a motion of the scene as a
+        whole."""
         basis = _basis(self.whole.unflatten(0, (-1, 6))[list(views)].flatten(0, 1))
         flat = motions.flatten()
         return (flat - basis @ (basis.T @ flat)).view(-1, 6)
@@ -154,9 +139,8 @@ def _seen(camera: Camera, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, "k 
 
 
 def _basis(columns: Float64[Tensor, "n k"]) -> Float64[Tensor, "n k"]:
-    """Unit vectors that are normal to each other and span what the columns span, by Gram–Schmidt;
-    zeros in the place of those that are missing. Unlike LAPACK's, its bits are the same with any
-    number of threads."""
+    """An orthonormal basis of what the columns span, by Gram–Schmidt, with zeros for dependent
+    columns. Unlike LAPACK's, its bits are the same with any number of threads."""
     found = torch.zeros_like(columns)
     for place, column in enumerate(columns.unbind(1)):
         rest = column
@@ -169,8 +153,8 @@ def _basis(columns: Float64[Tensor, "n k"]) -> Float64[Tensor, "n k"]:
 
 
 def _motions_of_the_whole(centres: Float64[Tensor, "v 3"]) -> Float64[Tensor, "v 6 7"]:
-    """Motions of all views together that change no image, in columns: those of a scene that is
-    moved, turned or scaled as a whole."""
+    """Motions of all views together that change no image, in columns: of a scene that is moved,
+    turned or scaled as a whole."""
     places = centres - centres.mean(dim=0)
     count = len(places)
     each = torch.eye(3, dtype=torch.float64).expand(count, 3, 3)
@@ -178,3 +162,44 @@ def _motions_of_the_whole(centres: Float64[Tensor, "v 3"]) -> Float64[Tensor, "v
     turned = torch.cat([each, -cross_matrix(places)], dim=1)
     scaled = torch.cat([torch.zeros_like(places), places], dim=1)[:, :, None]
     return torch.cat([moved, turned, scaled], dim=2)
+
+
+def shift_per_motion(
+    camera: Camera, points: Float64[Tensor, "k 3"], centre: Float64[Tensor, "3"]
+) -> Float64[Tensor, "k 2 6"]:
+    """J: how points move in the image, in focal lengths, with a small motion of the world: the
+    derivatives of (x/z, y/z) with respect to a rotation vector about the centre and a
+    translation."""
+    viewmat = camera.viewmat.to(points)
+    rotation = viewmat[:3, :3]
+    turned = -rotation @ cross_matrix(points - centre)
+    moved = torch.cat([turned, rotation.expand(len(points), 3, 3)], dim=2)
+    x, y, z = (points @ rotation.T + viewmat[:3, 3]).unbind(-1)
+    zero = torch.zeros_like(z)
+    project = torch.stack([1 / z, zero, -x / z**2, zero, 1 / z, -y / z**2], dim=-1)
+    return project.unflatten(-1, (2, 3)) @ moved
+
+
+def motion_axes(effects: Float64[Tensor, "*views 6 6"]) -> Float64[Tensor, "*views 6 6"]:
+    """Directions in which views show least to most of a motion, in columns, from their ``effect``:
+    a coordinate of 1 shifts what a view shows by a root mean square of a focal length."""
+    squares, directions = torch.linalg.eigh(effects)
+    least = LEAST_EFFECT**2 * squares[..., -1:]
+    return directions / squares.clamp_min(least).sqrt()[..., None, :]
+
+
+def effect(camera: Camera, points: Float64[Tensor, "k 3"]) -> Float64[Tensor, "6 6"]:
+    """M, where mᵀ M m is the mean square of the shifts of points in the image, in focal lengths, by
+    a small motion m of the world about the camera's centre: a rotation vector and a translation."""
+    shifts = shift_per_motion(camera, points, camera.position).flatten(0, 1)
+    return shifts.T @ shifts / len(points)
+
+
+def as_matrix(motion: Float64[Tensor, "6"], centre: Float64[Tensor, "3"]) -> Float64[Tensor, "4 4"]:
+    """The small motion of the world about a centre, a rotation vector and a translation, as the
+    matrix that a camera's ``viewmat`` is multiplied with."""
+    turn, shift = motion.split(3)
+    # About the vector, for small ones; a quaternion has no branch at 0, and never fails.
+    rotation = rotation_matrices(torch.cat([turn.new_ones(1), turn / 2])[None])[0]
+    moved = torch.cat([rotation, (centre + shift - rotation @ centre)[:, None]], dim=1)
+    return torch.cat([moved, torch.eye(4, dtype=moved.dtype, device=moved.device)[3:]])

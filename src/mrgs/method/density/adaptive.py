@@ -103,17 +103,11 @@ class AdaptiveDensityControl(Strategy):
         densifies, resets = self.densifies_at(step.number), self.resets_at(step.number)
         if not (densifies or resets) or step.skipped:
             return DensityUpdate(state)
-        counts = None
+        counts, gaussians = None, optimizer.gaussians
         if densifies:
+            gradients = mean_gradients(state)
             prunes_large = step.number > self.reset_every and not step.has_sky
-            change = densify(
-                optimizer.gaussians,
-                mean_gradients(state),
-                self,
-                step.extent,
-                prunes_large,
-                step.generator,
-            )
+            change = densify(gaussians, gradients, self, step.extent, prunes_large, step.generator)
             state = _no_views(len(change.keep) + len(change.added), change.keep.device)
             optimizer.replace_rows(change.keep, change.added)
             counts = change.counts._asdict()
@@ -179,7 +173,7 @@ def densify(
     transparent ones.
 
     Args:
-        gaussians: which are left as they are.
+        gaussians: not changed.
         gradients: mean norm of each Gaussian's screen-space gradient.
         config: thresholds and the cap.
         extent: of the scene.
@@ -228,26 +222,17 @@ def _is_superfluous(
 
 def _split(gaussians: Gaussians, generator: torch.Generator) -> Gaussians:
     """Two smaller Gaussians for each, at places drawn from it."""
+    tensors = gaussians.tensors().items()
     halves = gaussians.with_tensors(
-        {
-            name: tensor.repeat_interleave(SPLIT_INTO, 0)
-            for name, tensor in gaussians.tensors().items()
-        }
+        {name: tensor.repeat_interleave(SPLIT_INTO, 0) for name, tensor in tensors}
     )
-    noise = _draw_normal(halves.means, generator) * halves.scales
-    halves.means = halves.means + _rotate(halves.quats, noise)
+    means = halves.means
+    # Drawn on the host, so that they do not depend on the device, and copied without waiting.
+    normal = torch.randn(means.shape, generator=generator, pin_memory=means.is_cuda)
+    noise = normal.to(means.device, non_blocking=True) * halves.scales
+    halves.means = means + _rotate(halves.quats, noise)
     halves.log_scales = halves.log_scales - torch.tensor(SPLIT_SHRINK).log()
     return halves
-
-
-def _draw_normal(like: Float[Tensor, "*k"], generator: torch.Generator) -> Float[Tensor, "*k"]:
-    """Standard normal numbers of a tensor's shape, on its device.
-
-    They are drawn on the host, so that they do not depend on the device, and copied without waiting
-    for it.
-    """
-    numbers = torch.randn(like.shape, generator=generator, pin_memory=like.is_cuda)
-    return numbers.to(like.device, non_blocking=True)
 
 
 def _rotate(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

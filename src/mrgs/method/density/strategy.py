@@ -86,9 +86,8 @@ class Strategy(ABC):
             )
 
     def settings(self) -> Mapping[str, object]:
-        """What a resumed run must have as it began, by name: all fields. They are compared by
-        their ``repr``; one that holds an address (``at 0x...``) is not compared, nor a name that
-        only one of both has."""
+        """What a resumed run must have as it began, by name: all fields. They are compared by their
+        ``repr``, unless it contains an address (``at 0x...``)."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:
@@ -104,14 +103,11 @@ class Strategy(ABC):
         return None
 
     def observe(self, passes: Sequence[ScreenPoints]) -> Mapping[str, Float[Tensor, " n"]]:
-        """What the strategy wants to know of a view, for each Gaussian; nothing by default.
+        """What the strategy records of a view, for each Gaussian; nothing by default.
 
         A step may have several views; ``after_step`` gets the sum over them. The names are the
-        same for all views.
-
-        Args:
-            passes: projected centres of the view's passes; their ``offset.grad``, if there is one,
-                is the gradient of the view's loss.
+        same for all views. Of the projected centres of the view's passes, ``offset.grad``, if there
+        is one, is the gradient of the view's loss.
         """
         return {}
 
@@ -127,7 +123,7 @@ class Strategy(ABC):
 
         Args:
             state: what the last call returned.
-            optimizer: holds the Gaussians.
+            optimizer: has the Gaussians.
             step: the step that was just done.
         """
 

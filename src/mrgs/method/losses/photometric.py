@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Bool, Float
@@ -44,8 +44,8 @@ class LossConfig:
         smooth_noise: standard deviation of the thermal photos' noise, normalised temperature, above
             which ``smooth_thermal`` grows with it. Both weights of temperatures also grow with the
             root of the number of RGB photos per thermal photo. None in the paper: neither matters.
-        huber_noise: temperatures are compared by a Huber loss of so many standard deviations of the
-            thermal photos' noise, quadratic below and linear above; 0 in the paper: L1.
+        huber_noise: width of a Huber loss of temperatures, quadratic below and linear above, in
+            standard deviations of the thermal photos' noise; 0 in the paper: L1.
         opaque: weight of L_opaque; 0 in the paper.
         distortion: weight of L_dist; 0 in the paper.
     """
@@ -81,22 +81,14 @@ class LossConfig:
         return growth * everywhere, growth * alike
 
     def huber_width(self, modality: Modality, thermal_noise: float) -> float:
-        """Below which difference a modality's values are compared by their squares."""
+        """Difference below which a modality's values are compared by their squares."""
         return self.huber_noise * thermal_noise if modality == THERMAL else 0.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:
             raise ConfigError(f"dssim must lie between 0 and 1, not {self.dssim}")
-        weights = (
-            "smooth",
-            "smooth_rgb",
-            "smooth_thermal",
-            "smooth_alike",
-            "smooth_depth",
-            "opaque",
-            "distortion",
-        )
-        require_within(self, (*weights, "huber_noise"), 0, MOST_WEIGHT)
+        others = {field.name for field in fields(self)} - {"dssim", "smooth_noise"}
+        require_within(self, sorted(others), 0, MOST_WEIGHT)
         if self.smooth_noise is not None:
             require_within(self, ["smooth_noise"], 1e-6, 1)
 
@@ -125,19 +117,14 @@ def photometric_loss(
     """
     if valid is not None:
         render, target = (torch.where(valid[:, :, None], image, 0) for image in (render, target))
-    x, y = _planes(render), _planes(target)
-    error = (1 - dssim) * _huber(x - y, huber_width)
+    x, y = (image.permute(2, 0, 1).contiguous() for image in (render, target))
+    size = (x - y).abs()
+    if (width := huber_width) > 0:
+        size = torch.where(size < width, (x - y).square() / (2 * width), size - width / 2)
+    error = (1 - dssim) * size
     if dssim > 0:
         error = error + dssim * (1 - ssim_map(x, y))
     return masked_mean(error, valid)
-
-
-def _huber(difference: Float[Tensor, "c h w"], width: float) -> Float[Tensor, "c h w"]:
-    """|d| − δ/2, and d² / 2δ where |d| < δ."""
-    size = difference.abs()
-    if width == 0:
-        return size
-    return torch.where(size < width, difference.square() / (2 * width), size - width / 2)
 
 
 def opaqueness_loss(
@@ -153,13 +140,7 @@ def opaqueness_loss(
     nor look behind what they show. Without it a surface whose temperature is that of what lies
     behind it, or of the background, may as well be transparent. What the thermal image shows before
     the colours' surface costs less: it may be glass, which lets light pass alone. α_c and d_c carry
-    no gradient.
-
-    Args:
-        alpha_thermal: accumulated alpha of the thermal blend.
-        alpha_rgb: of the RGB blend, by the same camera.
-        depth_thermal: D_t, blended depth in scene units.
-        depth_rgb: D_c.
+    no gradient. All are of blends by one camera, D in scene units.
     """
     alpha_rgb = alpha_rgb.detach()
     surface_rgb = depth_rgb.detach() / alpha_rgb.clamp_min(HALF_COVERED)
@@ -174,11 +155,8 @@ def total_loss(
     terms: Mapping[str, Float[Tensor, ""]],
     weights: Mapping[str, float | Float[Tensor, ""]],
 ) -> Float[Tensor, ""]:
-    """Eq. 20 (final_loss), Sec. Total Loss: L_c + L_t + λ_smooth L_smooth + λ_boltz L_boltz.
-
-    Args:
-        terms: any of those that have a weight; what a view or a method lacks is left out.
-        weights: by the names of the terms.
+    """Eq. 20 (final_loss), Sec. Total Loss: L_c + L_t + λ_smooth L_smooth + λ_boltz L_boltz, of the
+    terms that a view and a method have.
 
     Raises:
         KeyError: a term without a weight.
@@ -196,7 +174,3 @@ def masked_mean(
     if valid is None:
         return planes.mean()
     return torch.where(valid, planes, 0).sum() / (valid.sum() * len(planes)).clamp_min(1)
-
-
-def _planes(image: Float[Tensor, "h w c"]) -> Float[Tensor, "c h w"]:
-    return image.permute(2, 0, 1).contiguous()

@@ -27,7 +27,7 @@ QUANTILES = (0.01, 0.99)
 """Quantiles of E_r that become 0 and 1."""
 
 SAMPLED_PIXELS = 5_000
-"""About how many pixels the quantiles are read from."""
+"""Approximate number of pixels that the quantiles are read from."""
 
 
 @dataclass(frozen=True)
@@ -95,14 +95,13 @@ def thermal_radiation(
 def normalise_radiation(
     radiation: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"] | None = None
 ) -> Float[Tensor, "h w"]:
-    """E_r brought to [0, 1] by its quantiles of 1 % and 99 %, as S-SSIM needs it to have the scale
-    of I_t; what lies beyond them is clipped.
+    """E_r brought to [0, 1] by the quantiles of 1 % and 99 % of its valid pixels, as S-SSIM needs
+    it to have the scale of I_t; what is beyond them is clipped.
 
-    The least and largest value would be those of a single floater near the camera, beside which
-    everything else is flat. The quantiles are those of the valid pixels. They carry gradient, so
-    that L_boltz gains nothing by multiplying all depths above their floor: with a scale held fixed
-    it would, because E_r becomes the flatter the farther everything is, and what is flat
-    contradicts no image. A flat map becomes 0.
+    The least and largest value could be of a single floater near the camera, beside which
+    everything else is flat. The quantiles carry gradient, so that L_boltz gains nothing by
+    multiplying all depths above their floor: with a fixed scale it would, because E_r becomes the
+    flatter the farther everything is, and what is flat contradicts no image. A flat map becomes 0.
     """
     every = max(1, math.isqrt(radiation.numel() // SAMPLED_PIXELS))
     sampled = radiation[::every, ::every].flatten()

@@ -14,12 +14,9 @@ from mrgs.system.operation import operation
 CONTRAST = 0.02
 """Difference of colours, of which 1 is the whole range, that is an edge: docs/decisions."""
 
-Similarity: TypeAlias = tuple[
-    Float[Tensor, "h1 w"] | None,
-    Float[Tensor, "h w1"] | None,
-]
-"""Of the pixels of neighbouring rows, [H − 1, W], and of neighbouring columns, [H, W − 1]; None for
-1."""
+Similarity: TypeAlias = tuple[Float[Tensor, "h1 w"] | None, Float[Tensor, "h w1"] | None]
+"""Similarity of the pixels of neighbouring rows, [H − 1, W], and of neighbouring columns,
+[H, W − 1]; None for 1."""
 
 
 def smoothness_loss(
@@ -41,8 +38,8 @@ def smoothness_loss(
         depth: rendered depth in scene units.
         valid: pixels that count, all if None.
         extent: the scene's extent in scene units.
-        image_weight: of the image's part.
-        config: has the weight of the depth's part.
+        image_weight: of the image's part; the configuration has that of the depth's part.
+        config: of the losses.
         similarity: of neighbouring pixels, which weighs the differences of the image.
     """
     loss = image.new_zeros(())
@@ -55,14 +52,9 @@ def smoothness_loss(
 
 @torch.no_grad()
 def similarity_of(guide: Float[Tensor, "h w c"], least: float = 0.0) -> Similarity:
-    """How alike neighbouring pixels are in another image: from 1 for the same colour down to
-    ``least``, by exp(−d / 0.02) with d the mean over the channels of their absolute difference. Not
-    in the paper.
-
-    Args:
-        guide: the other image, of the same pixels, in [0, 1].
-        least: of pixels that have nothing in common.
-    """
+    """How alike neighbouring pixels are in another image of the same pixels, in [0, 1]: from 1 for
+    the same colour down to ``least``, by exp(−d / 0.02) with d the mean over the channels of their
+    absolute difference. Not in the paper."""
     rows, columns = (
         guide.diff(dim=axis).abs().mean(dim=2).div(-CONTRAST).exp().mul(1 - least).add(least)
         for axis in (0, 1)
@@ -79,14 +71,8 @@ def total_variation(
 ) -> Float[Tensor, ""]:
     """Mean absolute first difference between rows, plus the same between columns.
 
-    Each mean is 0 where no two pixels next to each other are valid.
-
-    Args:
-        image: colours, temperatures, or depths.
-        valid: pixels that count, all if None.
-        row_weights: of the differences between neighbouring rows, [H − 1, W]; 1 if None. The mean
-            is over the number of pairs, not over the weights.
-        column_weights: of those between neighbouring columns, [H, W − 1].
+    Each mean is over the pairs of valid pixels (all are, if ``valid`` is None), 0 where there is
+    none. The weights of the differences, 1 if None, multiply them and do not change their number.
     """
     total = image.new_zeros(())
     for axis, weights in enumerate((row_weights, column_weights)):

@@ -55,9 +55,8 @@ class LocalStatistics(NamedTuple):
 def local_statistics(x: Float[Tensor, "c h w"], y: Float[Tensor, "c h w"]) -> LocalStatistics:
     """Means, variances and covariance of both images under the window."""
     mean_x, square_x, product = window_mean(torch.cat([x, x * x, x * y])).chunk(3)
-    mean_y, square_y = window_mean(torch.cat([y, y * y])).chunk(
-        2
-    )  # apart: a target asks for no backward pass
+    # Apart, because a target asks for no backward pass.
+    mean_y, square_y = window_mean(torch.cat([y, y * y])).chunk(2)
     return LocalStatistics(
         mean_x=mean_x,
         mean_y=mean_y,
@@ -78,11 +77,8 @@ def ssim_map(
     ``RADIUS_PX`` pixels away from the border, where both maps agree; later releases take the whole
     map, but reflect the images beyond the border.
 
-    Args:
-        x: an image; put the one that carries gradients first.
-        y: the image to compare with.
-        data_range: the width of the range of values; 1 in the 3DGS family, by default that of the
-            two images in torchmetrics.
+    The image that carries gradients is put first. ``data_range`` is the width of the range of
+    values: 1 in the 3DGS family, by default that of the two images in torchmetrics.
     """
     c1, c2 = (K1 * data_range) ** 2, (K2 * data_range) ** 2
     local = local_statistics(x, y)
@@ -99,7 +95,5 @@ def structural_similarity(
     Eq. 14 (S-SSIM), Sec. Uncertainty-aware S-SSIM: 2 C_xy / (C_x + C_y). 9e-4 is added to numerator
     and denominator, so that two flat windows are alike.
     """
-    local = local_statistics(x, y)
-    return (2 * local.covariance + STRUCTURE_C2) / (
-        local.variance_x + local.variance_y + STRUCTURE_C2
-    )
+    local, c2 = local_statistics(x, y), STRUCTURE_C2
+    return (2 * local.covariance + c2) / (local.variance_x + local.variance_y + c2)

@@ -14,7 +14,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from mrgs.method.camera_model.photo_noise import photo_noise
 from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import (
     RGB,
@@ -28,11 +27,18 @@ from mrgs.scene import (
     Rendering,
     Scene,
     TemperatureRange,
+    evenly_spaced,
 )
 from mrgs.scene.view import share_camera
 
 INTERPOLATED_PX = 3
 """Pixels of a thermal photo this far apart come from detector pixels of their own."""
+
+NOISE_PHOTOS = 16
+"""Largest number of photos from which the noise is read, evenly spread."""
+
+MEDIAN_OF_NORMAL = 0.6745
+"""The median of the absolute value of a standard normal variable."""
 
 
 class SceneScale(NamedTuple):
@@ -64,6 +70,39 @@ class SceneScale(NamedTuple):
         return cls(scene.extent, scene.temperature, noise, len(rgb) / len(thermal))
 
 
+def photo_noise(photos: Sequence[PosedImage], distance_px: int = 1) -> float:
+    """Standard deviation of the noise of a pixel, in units of the photos' values; 0 without photos.
+
+    A second difference along the rows and then along the columns removes whatever is locally a
+    plane, and has 6 times the standard deviation of independent noise (J. Immerkær, Fast Noise
+    Variance Estimation, 1996, where it is between neighbours). Its median over all pixels
+    hardly sees edges, which are few. Values in steps, of 8 bits for instance, count as noise of
+    about a quarter of a step or more.
+
+    The difference is between pixels at ``distance_px``: cameras with few detector pixels write more
+    by interpolation, and neighbours then share the noise of one detector pixel.
+    """
+    chosen = [photos[index].load() for index in evenly_spaced(len(photos), NOISE_PHOTOS)]
+    responses = [_second_differences(photo, distance_px).abs() for photo in chosen]
+    found = torch.cat([torch.empty(0), *(each[each.isfinite()] for each in responses)])
+    return found.median().item() / MEDIAN_OF_NORMAL / 6 if len(found) > 0 else 0.0
+
+
+def _second_differences(photo: Pixels, distance_px: int) -> Float[Tensor, " n"]:
+    """Differences at all pixels whose neighbours at that distance are in the photo; NaN where one
+    of these is not valid."""
+    values = photo.values
+    if photo.valid is not None:
+        values = torch.where(photo.valid[:, :, None], values, torch.nan)
+    for axis in (0, 1):
+        steps = max(values.shape[axis] - 2 * distance_px, 0)
+        before, here, behind = (
+            values.narrow(axis, k * distance_px if steps else 0, steps) for k in range(3)
+        )
+        values = before - 2 * here + behind
+    return values.flatten()
+
+
 def _pixel_density(photos: Sequence[PosedImage]) -> float:
     """Pixels per solid angle about the optical axis, mean over the photos."""
     return fmean((photo.camera.K[0, 0] * photo.camera.K[1, 1]).item() for photo in photos)
@@ -78,12 +117,11 @@ class LossContext:
         observed: the rendering as the cameras would have recorded it: what photos are compared
             with.
         photos: of the view, by modality.
-        cameras: of the photos: where two coincide, a pixel of the one image is the same pixel of
-            the other.
-        gaussians: of the model.
+        cameras: where two coincide, a pixel of the one image is the same pixel of the other.
+        gaussians: all Gaussians of the model.
         dilation: of their projected covariances.
         scale: of the scene.
-        render: the model from other cameras than the view's, with gradients; costs a pass each.
+        render: renders the model from other cameras, with gradients; costs a pass each.
     """
 
     rendering: Rendering
@@ -121,9 +159,8 @@ class Term(ABC):
     is logged as ``loss_NAME``, unweighted.
 
     Attributes:
-        name: of the term, unique in a training.
-        learned: parameters of the term's own, which are trained and saved with the model; None if
-            it has none.
+        name: unique in a training.
+        learned: the term's own parameters, which are trained and saved with the model.
         learning_rate: of these parameters.
         replayable: whether ``value`` depends on nothing but the tensors of its context and
             ``learned``. On a GPU it is then recorded with the rest of a step and not called for
@@ -146,4 +183,4 @@ class Term(ABC):
 
     @abstractmethod
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:
-        """The unweighted loss of a view; None where the view has not what it compares."""
+        """The unweighted loss of a view; None where the view lacks what it compares."""

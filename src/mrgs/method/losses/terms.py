@@ -34,13 +34,8 @@ def configured_terms(
     extra: Sequence[Term] = (),
     modalities: Sequence[Modality] = (RGB, THERMAL),
 ) -> tuple[Term, ...]:
-    """The terms of a training.
-
-    Args:
-        config: selects the terms.
-        extra: more terms; one with the name of a configured term takes its place.
-        modalities: each has a photometric term of its own.
-    """
+    """The terms of a training: those of its configuration, with a photometric term of each
+    modality, and ``extra``, where one with the name of a configured term takes its place."""
     loss, radiation = config.loss, config.radiation
     terms: list[Term] = [Photometric(modality, loss) for modality in modalities]
     if loss.smooth > 0:
@@ -62,17 +57,11 @@ def term_values(terms: Sequence[Term], context: LossContext) -> dict[str, Float[
 
 
 class Photometric(Term):
-    """L_c, L_t, or the same of another modality: Eq. 17 (L_m).
-
-    Args:
-        modality: which; also the term's name.
-        config: λ of Eq. 17, and the width of a Huber loss.
-    """
+    """L_c, L_t, or the same of another modality: Eq. 17 (L_m), with the modality's name."""
 
     def __init__(self, modality: Modality, config: LossConfig) -> None:
         self.name = modality.name
-        self._modality = modality
-        self._config = config
+        self._modality, self._config = modality, config
 
     def value(self, context: LossContext) -> Float[Tensor, ""] | None:  # noqa: D102
         photo = context.photos.get(self._modality)
@@ -84,11 +73,7 @@ class Photometric(Term):
 
 
 class Smoothness(Term):
-    """L_smooth, Eq. 18, summed over the modalities.
-
-    Args:
-        config: its weight, and those of its parts.
-    """
+    """L_smooth, Eq. 18, summed over the modalities."""
 
     name = "smooth"
 
@@ -123,11 +108,7 @@ class Smoothness(Term):
 
 
 class Opaqueness(Term):
-    """L_opaque, not in the paper; for views that have a thermal photo, where o_t is not o_c.
-
-    Args:
-        weight: λ.
-    """
+    """L_opaque, not in the paper; for views that have a thermal photo, where o_t is not o_c."""
 
     name = "opaque"
 
@@ -146,19 +127,13 @@ class Opaqueness(Term):
 
 
 class Distortion(Term):
-    """L_dist, not in the paper, by the camera of the view that has the finest pixels; seldom and in
-    coarser ones, which costs less and does as much.
-
-    Args:
-        weight: λ.
-        begins: the first step that it counts at.
-    """
+    """L_dist, not in the paper, by the camera of the view that has the finest pixels, from the step
+    ``begins`` on; seldom and in coarser pixels, which costs less and does as much."""
 
     name = "distortion"
 
     def __init__(self, weight: float, begins: int) -> None:
-        self._weight = weight
-        self._begins = begins
+        self._weight, self._begins = weight, begins
 
     def is_due(self, step: int) -> bool:  # noqa: D102
         return step >= self._begins and step % EVERY == 0
@@ -174,33 +149,20 @@ class Distortion(Term):
         coarse = camera.resized(width, height)
         K, viewmat, _ = coarse.tensors(gaussians.means.device)
         depths = inverse_depths(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            gaussians.opacity(modality),
-            viewmat.detach(),
-            K,
-            width,
-            height,
-            context.dilation.of(coarse),
-        )
+            gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(modality),
+            viewmat.detach(), K, width, height, context.dilation.of(coarse),
+        )  # fmt: skip
         return distortion_loss(depths)
 
 
 class Boltzmann(Term):
-    """L_boltz, Eq. 13–16, from the photo's temperatures and the rendered depth; learns ψ.
-
-    Args:
-        config: its weight λ_boltz over the steps.
-        learning_rate: of ψ.
-    """
+    """L_boltz, Eq. 13–16, from the photo's temperatures and the rendered depth; learns ψ."""
 
     name = "boltzmann"
 
     def __init__(self, config: RadiationConfig, learning_rate: float) -> None:
         self._config = config
-        self._uncertainty = DepthUncertainty()
-        self.learned = self._uncertainty
+        self.learned = self._uncertainty = DepthUncertainty()
         self.learning_rate = learning_rate
 
     def weight(self, step: int) -> float:  # noqa: D102
@@ -257,9 +219,6 @@ def distortion_loss(depths: InverseDepths) -> Float[Tensor, ""]:
     discs. A plane costs nothing, whatever the angle at which it is seen; a wall that is a slab of
     half-transparent Gaussians does, and so does what floats before it. A pixel that rightly sees
     two objects counts little.
-
-    Args:
-        depths: of one layer, by one camera.
     """
     variance = (depths.weight * depths.squares - depths.sum**2).clamp_min(0)
     mean = (depths.sum / depths.weight.clamp_min(LEAST_WEIGHT)).detach()

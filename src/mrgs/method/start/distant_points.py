@@ -8,6 +8,7 @@ which grow towards the cameras and are seen hanging in the air from everywhere e
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -29,14 +30,13 @@ SPACING_RAD = 0.1
 """Directions closer than about this become one point."""
 
 AGREEMENT = 0.5
-"""A distant point stays if so large a share of the photos that have it in their frame show nothing
-there: of what lies behind a hole in a surface, others see that the surface goes on before it."""
-
+"""A distant point stays if at least this share of the photos that have it in their frame show
+nothing there: behind a hole in a surface, other photos show that the surface goes on before it."""
 
 BELOW_GROUND = 0.1
-"""Where z points up, a distant point stays if it lies no deeper below the lowest start points than
+"""Where z points up, a distant point stays if it is no deeper below the lowest start points than
 this share of its distance: photos that look down from a drone see nothing but ground, however few
-start points lie on it."""
+start points are on it."""
 
 LOWEST_SHARE = 0.01
 """Start points below this share of them may be strays."""
@@ -57,13 +57,8 @@ class DistantPoints(NamedTuple):
 def distant_points(
     points: Float[Tensor, "n 3"], cameras: Sequence[Camera], z_up: bool = False
 ) -> DistantPoints:
-    """Points behind the start points; none where every cell of every photo shows one of those.
-
-    Args:
-        points: start points in world coordinates.
-        cameras: of the training photos.
-        z_up: whether the world's z axis is known to point up.
-    """
+    """Points behind the start points, in cells of the photos that show none of these; ``z_up``
+    where the world's z axis is known to point up."""
     if not cameras or len(points) == 0:
         return DistantPoints(points[:0], 0.0)
     ball = SceneBounds.of(points, cameras)
@@ -109,8 +104,10 @@ def _empty_cells(
         return None
     occupied = torch.zeros(rows, CELLS_ACROSS)
     occupied[_cells_at(seen, camera, rows)] = 1
-    middles = _grown(occupied[None]) == 0
-    return _grown(middles.float())[0] > 0
+    # Cells are 1 where they or one of those around them were.
+    grown = partial(torch.nn.functional.max_pool2d, kernel_size=3, stride=1, padding=1)
+    middles = grown(occupied[None]) == 0
+    return grown(middles.float())[0] > 0
 
 
 def _cells_at(
@@ -120,11 +117,6 @@ def _cells_at(
     size = pixels.new_tensor([camera.width, camera.height])
     column, row = (pixels / size * pixels.new_tensor([CELLS_ACROSS, rows])).long().T
     return row.clamp_max(rows - 1), column.clamp_max(CELLS_ACROSS - 1)
-
-
-def _grown(cells: Float[Tensor, "1 rows columns"]) -> Float[Tensor, "1 rows columns"]:
-    """1 where a cell or one of those around it is 1."""
-    return torch.nn.functional.max_pool2d(cells, 3, stride=1, padding=1)
 
 
 def _on_sphere(
@@ -137,16 +129,13 @@ def _on_sphere(
     pixels = torch.stack(
         [(column + 0.5) / columns * camera.width, (row + 0.5) / rows * camera.height], dim=1
     )
-    rays = (
-        camera.unproject(pixels.double(), torch.ones(len(pixels), dtype=torch.float64))
-        - camera.position
-    )
+    ones = torch.ones(len(pixels), dtype=torch.float64)
+    rays = camera.unproject(pixels.double(), ones) - camera.position
     rays = torch.nn.functional.normalize(rays, dim=1)
     start = camera.position - ball.centre
     along = rays @ start
-    length = (along.square() - start.square().sum() + ball.background_distance**2).clamp_min(
-        0
-    ).sqrt() - along
+    squared = along.square() - start.square().sum() + ball.background_distance**2
+    length = squared.clamp_min(0).sqrt() - along
     return torch.nn.functional.normalize(start + length[:, None] * rays, dim=1)
 
 

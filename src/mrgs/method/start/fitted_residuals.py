@@ -21,7 +21,7 @@ from mrgs.scene import THERMAL, Gaussians
 from mrgs.system.operation import checking
 
 ROWS = 2_000
-"""Gaussians that a step of the fit looks at."""
+"""Number of Gaussians in a step of the fit."""
 
 RATE = 5e-3
 
@@ -33,26 +33,17 @@ def fit_residuals(
     steps: int,
     generator: torch.Generator,
 ) -> None:
-    """Fit t̂ to the Gaussians' temperatures, and leave in t_i what remains.
+    """Fit t̂ of a field with residuals to the Gaussians' normalised temperatures by steps of Adam,
+    and leave in t_i what remains.
 
-    Args:
-        field: changed in place; without residuals nothing is done.
-        gaussians: their temperature coefficients of degree 0 are changed in place.
-        temperatures: of the Gaussians, normalised, [N, 1]; NaN where no photo tells. Such a
-            Gaussian does not count, and gets t_i = 0: its neighbours speak for it.
-        steps: of Adam.
-        generator: of the Gaussians that a step looks at.
+    A Gaussian whose temperature no photo shows, NaN, does not count, and gets t_i = 0: its
+    neighbours speak for it. Field and temperature coefficients are changed in place.
     """
     target = temperatures - 0.5
     known = target[:, 0].isfinite().nonzero()[:, 0]
     if not field.config.residuals or steps == 0 or len(known) == 0:
         return
     neighbours = field.neighbours_of(gaussians.means)
-
-    def residuals_of(rows: Int64[Tensor, " v"] | None) -> Float[Tensor, "v 1"]:
-        found: Tensor = field.temperature_residuals(gaussians, neighbours, rows, 0)
-        return found
-
     with torch.no_grad():
         field.temperature_output.bias.fill_(target[known].mean() / field.config.temperature_scale)
     _check_kernel(field, gaussians.rows(known[:ROWS]))
@@ -61,7 +52,8 @@ def fit_residuals(
     for step in range(steps):
         layers.rate = RATE * (1 - step / steps)
         chosen = known[torch.randperm(len(known), generator=generator)[:ROWS]]
-        (residuals_of(chosen) - target[chosen]).abs().mean().backward()
+        found = field.temperature_residuals(gaussians, neighbours, chosen, 0)
+        (found - target[chosen]).abs().mean().backward()
         adam.step()
         adam.zero_grad()
     leave_the_rest(field, gaussians, temperatures, neighbours)
@@ -74,14 +66,8 @@ def leave_the_rest(
     temperatures: Float[Tensor, "n 1"],
     neighbours: Int64[Tensor, "n k"] | None,
 ) -> None:
-    """Leave in t_i what t̂ does not say of the Gaussians' temperatures; see ``fit_residuals``.
-
-    Args:
-        field: without residuals nothing is done.
-        gaussians: their temperature coefficients of degree 0 are changed in place.
-        temperatures: of the Gaussians, as for ``fit_residuals``.
-        neighbours: of the Gaussians, from ``field.neighbours_of``.
-    """
+    """Set t_i to what t̂ of a field with residuals lacks to the Gaussians' temperatures; see
+    ``fit_residuals``. The neighbours are from ``field.neighbours_of``."""
     if not field.config.residuals:
         return
     residuals = field.temperature_residuals(gaussians, neighbours, None, 0)

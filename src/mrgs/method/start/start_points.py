@@ -11,29 +11,42 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Float64
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from mrgs.field import RadianceField, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
 from mrgs.method.config import TrainConfig
 from mrgs.method.start.distant_points import distant_points
-from mrgs.method.start.photo_values import photo_values, with_neighbours_values
-from mrgs.scene import RGB, THERMAL, Gaussians, Modality, PointCloud, Scene, in_order
+from mrgs.scene import (
+    RGB,
+    THERMAL,
+    Camera,
+    Gaussians,
+    Modality,
+    PointCloud,
+    PosedImage,
+    Scene,
+    evenly_spaced,
+    in_order,
+)
 from mrgs.scene.capture import model_modalities
+from mrgs.scene.point_cloud import coincident_points, spare_points
 
 OPACITY = 0.1
 """3DGS's."""
 
 THERMAL_OPACITY = 0.5
-"""o_t of a point whose temperature the photos tell. Started with 3DGS's, a surface that is as cold
-everywhere as what lies behind it would stay half transparent: nothing in a thermal photo asks it to
+"""o_t of a point whose temperature the photos show. Started with 3DGS's, a surface that is as cold
+everywhere as what is behind it would stay half transparent: nothing in a thermal photo asks it to
 become opaque."""
 
 DISTANT_OPACITY = 0.9
-"""Nothing lies behind a distant point; and were it not opaque, the nearer surfaces would grow to
-fill the sky."""
+"""Nothing is behind a distant point; and were it not opaque, the nearer surfaces would grow to fill
+the sky."""
 
 DISTANT_SIZE = 2.0
 """Largest standard deviation of a distant point at the start, in spacings: one or two of them
@@ -96,15 +109,11 @@ def start_points(scene: Scene, config: TrainConfig) -> StartPoints:
 
 
 def blended_apart(captured: Iterable[Modality], shares_opacity: bool) -> tuple[Modality, ...]:
-    """The modalities of a model that have an opacity of their own; the others share the first
-    one's.
+    """The modalities of a model that have an opacity of their own, by those of its scene; the
+    others share the first one's, and all do where the method blends all with o_c.
 
     Without photos a modality's opacities would never move, and their maximum over the modalities
     would keep every Gaussian from being pruned.
-
-    Args:
-        captured: the scene's modalities.
-        shares_opacity: whether the method blends all with o_c.
     """
     own = in_order(captured)
     return own if len(own) > 1 and not shares_opacity else model_modalities(own)[:1]
@@ -156,6 +165,100 @@ def _unknown(modalities: tuple[Modality, ...], count: int) -> dict[Modality, Ten
     return {each: torch.full((count, each.channels), torch.nan) for each in modalities}
 
 
+READ_PHOTOS = 64
+"""Largest number of photos that are read, evenly spread."""
+
+LOOKED_AT_PX = 600
+"""A large photo may be read at a fraction of its size that is at least so wide."""
+
+CELLS_ACROSS = 48
+"""Number of cells across a photo, which are about square. A point is hidden where
+another in its cell, or in one of those around it, is much nearer."""
+
+MUCH_NEARER = 1.5
+"""Ratio of distances above which a farther point is hidden."""
+
+VALUE_NEIGHBOURS = 8
+"""Number of points whose values a point takes that no photo shows."""
+
+SMALLEST_VALUE_DISTANCE = 1e-9
+"""That divides; scene units."""
+
+
+def photo_values(
+    positions: Float[Tensor, "n 3"], photos: Sequence[PosedImage], channels: int
+) -> Float[Tensor, "n {channels}"]:
+    """The median over the photos of one modality that show a point of the value they have there,
+    channel by channel; the points hide each other.
+
+    A point that is hidden in every photo takes the median over all that have it in their frame; one
+    that no photo has there is NaN.
+    """
+    if not photos:
+        return positions.new_full((len(positions), channels), torch.nan)
+    chosen = [photos[index] for index in evenly_spaced(len(photos), READ_PHOTOS)]
+    shown = [_shown(positions.double(), photo) for photo in chosen]
+    in_frame, unhidden = (
+        torch.stack(values).nanmedian(dim=0).values for values in zip(*shown, strict=True)
+    )
+    return torch.where(unhidden.isnan(), in_frame, unhidden).to(positions)
+
+
+def with_neighbours_values(
+    positions: Float[Tensor, "n 3"], values: Float[Tensor, "n c"]
+) -> Float[Tensor, "n c"]:
+    """Values in which a point without one, NaN, takes those of its nearest points that have one,
+    weighted by the inverse square of their distance; where no point has any, all stay NaN."""
+    unknown = values.isnan().any(dim=1)
+    if unknown.all():
+        return values
+    known, places = values[~unknown].double().numpy(), positions[~unknown].double().numpy()
+    spare = spare_points(coincident_points(places, VALUE_NEIGHBOURS), VALUE_NEIGHBOURS)
+    known, places = np.delete(known, spare, axis=0), np.delete(places, spare, axis=0)
+    tree = cKDTree(places)
+    nearest = range(1, min(VALUE_NEIGHBOURS, len(known)) + 1)
+    distance, index = tree.query(positions[unknown].double().numpy(), k=list(nearest), workers=-1)
+    weight = 1 / np.square(distance.clip(SMALLEST_VALUE_DISTANCE))
+    mean = (weight[:, :, None] * known[index]).sum(1) / weight.sum(1, keepdims=True)
+    return values.masked_scatter(unknown[:, None], torch.from_numpy(mean).to(values))
+
+
+def _shown(
+    positions: Float64[Tensor, "n 3"], photo: PosedImage
+) -> tuple[Float[Tensor, "n c"], Float[Tensor, "n c"]]:
+    """What a photo has where the points in its frame are, and where the unhidden ones of them are;
+    NaN for the others."""
+    pixels, depth = photo.camera.project(positions)
+    in_frame = photo.camera.contains(pixels)
+    pixels = torch.where(in_frame[:, None], pixels, 0)
+    hidden = _hidden(photo.camera, pixels, torch.where(in_frame, depth, torch.inf))
+    image = photo.look(LOOKED_AT_PX)
+    height, width, _ = image.values.shape
+    per_pixel = pixels.new_tensor([width / photo.camera.width, height / photo.camera.height])
+    column, row = (pixels * per_pixel).long().T
+    if image.valid is not None:
+        in_frame = in_frame & image.valid[row, column]
+    values = torch.where(in_frame[:, None], image.values[row, column], torch.nan)
+    return values, torch.where(hidden[:, None], torch.nan, values)
+
+
+def _hidden(
+    camera: Camera, pixels: Float64[Tensor, "n 2"], depth: Float64[Tensor, " n"]
+) -> Bool[Tensor, " n"]:
+    """Which points are behind others in their cells; points at infinity hide none."""
+    rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
+    cells_per_px = pixels.new_tensor([CELLS_ACROSS / camera.width, rows / camera.height])
+    column, row = (pixels * cells_per_px).long().T
+    cell = row * CELLS_ACROSS + column
+    nearest = depth.new_full((rows * CELLS_ACROSS,), torch.inf).scatter_reduce(
+        0, cell, depth, "amin"
+    )
+    around = -torch.nn.functional.max_pool2d(
+        -nearest.view(1, rows, CELLS_ACROSS), 3, stride=1, padding=1
+    )
+    return depth > MUCH_NEARER * around.flatten()[cell]
+
+
 INITIAL_SCALE_NEIGHBOURS = 3
 UNSEEN = 0.5
 """Colour and temperature of a point that no photo shows."""
@@ -171,10 +274,8 @@ def initial_gaussians(
     temperature_sh_degree: int,
 ) -> Gaussians:
     """One isotropic Gaussian per start point, as large as the RMS distance to its three nearest
-    points (3DGS).
-
-    No larger than ``max_scales``, though: a distant point may have the scene's own points as
-    neighbours.
+    points (3DGS), but no larger than ``max_scales``: a distant point may have the scene's own
+    points as neighbours.
 
     Args:
         points: start points.
@@ -185,11 +286,14 @@ def initial_gaussians(
     count = len(points.positions)
     values = {each: known.nan_to_num(nan=UNSEEN) for each, known in points.values.items()}
     means = points.positions.clone()
+    neighbours = nearest_neighbours(means, INITIAL_SCALE_NEIGHBOURS)
+    squared = (means[neighbours] - means[:, None]).square().sum(dim=2).mean(dim=1)
+    spacing = squared.sqrt().clamp_min(SMALLEST_DISTANCE)
     degrees = dict.fromkeys(points.values, MAX_DEGREE) | {THERMAL: temperature_sh_degree}
     return Gaussians(
         means=means,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
-        log_scales=torch.minimum(_spacing(means), points.max_scales).log()[:, None].repeat(1, 3),
+        log_scales=torch.minimum(spacing, points.max_scales).log()[:, None].repeat(1, 3),
         opacity_logits={each: points.opacities[each].logit()[:, None] for each in apart},
         sh_dc={each: ((value - 0.5) / C0)[:, None] for each, value in values.items()},
         sh_rest={
@@ -198,10 +302,3 @@ def initial_gaussians(
         },
         embedding=field.initial_embedding(means),
     )
-
-
-def _spacing(means: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-    """Root mean square distance to the nearest points."""
-    neighbours = nearest_neighbours(means, INITIAL_SCALE_NEIGHBOURS)
-    squared = (means[neighbours] - means[:, None]).square().sum(dim=2).mean(dim=1)
-    return squared.sqrt().clamp_min(SMALLEST_DISTANCE)
