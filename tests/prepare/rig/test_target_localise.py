@@ -6,9 +6,8 @@ import torch
 
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.adjust import rigid_motion
-from mrgs.prepare.rig.target.detect import Corners
-from mrgs.prepare.rig.target.localise import localise
-from mrgs.prepare.rig.target.sightings import Sighting
+from mrgs.prepare.rig.chessboard import Corners
+from mrgs.prepare.rig.target import Sighting, localise
 from mrgs.scene import Camera
 from tests.helpers.rig_room import make_board
 

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrgs.prepare.rig.adjust import rigid_motion
-from mrgs.prepare.rig.target.plane import homography, plane_pose, transformed
+from mrgs.prepare.rig.chessboard import homography, transformed
+from mrgs.prepare.rig.target import plane_pose
 
 PLANE = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
 small = st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=3)

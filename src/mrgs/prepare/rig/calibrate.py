@@ -31,7 +31,7 @@ from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair, RigVi
 from mrgs.prepare.rig.images import ReducedPair, reduced_pair, too_few_points
 from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
-from mrgs.prepare.rig.target.observed import ObservedTarget, observe_target
+from mrgs.prepare.rig.target import LocatedTarget, find_target
 from mrgs.scene import PointCloud
 from mrgs.scene.camera import field_of_view
 from mrgs.scene.rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -86,7 +86,7 @@ def calibrate_rig(
     target = (
         None
         if options.target is None
-        else observe_target(pairs, options.target, options.metres_per_unit, report)
+        else find_target(pairs, options.target, options.metres_per_unit, report)
     )
     reduced, size = _reduced(pairs, points, target, report)
     guess = _guess(reduced, size, target, options, report)
@@ -96,14 +96,16 @@ def calibrate_rig(
         corners = target.observations([pair.name for pair in reduced])
         start = adjust(corners, prior, aimed(start, corners)).cameras
     adjusted, observations = refine(reduced, size, start, prior, report, corners)
-    fit = None if target is None else target.fit(adjusted, observations)
+    fit = None
+    if target is not None and options.target is not None:
+        fit = target.fit(adjusted, observations, options.target.square_m)
     return _result(pairs, reduced, size, adjusted, observations, options, fit)
 
 
 def _reduced(
     pairs: Sequence[RigPair],
     points: PointCloud,
-    target: ObservedTarget | None,
+    target: LocatedTarget | None,
     report: Callable[[str, int, int], None],
 ) -> tuple[list[ReducedPair], tuple[int, int]]:
     """The usable pairs at working size, and the thermal images' width and height."""
@@ -132,7 +134,7 @@ def _reduced(
 def _guess(
     pairs: Sequence[ReducedPair],
     size: tuple[int, int],
-    target: ObservedTarget | None,
+    target: LocatedTarget | None,
     options: RigOptions,
     report: Callable[[str, int, int], None],
 ) -> Guess | None:

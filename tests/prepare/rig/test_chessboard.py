@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from mrgs.data.lens import Lens
-from mrgs.prepare.rig.target.detect import Corners, detect_chessboard
+from mrgs.prepare.rig.chessboard import Corners, detect_chessboard
 from tests.helpers.rig_room import draw_board, make_board
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"

@@ -1,1 +1,0 @@
-"""A chessboard that both cameras see: detected, located in space, and used in the calibration."""
