@@ -46,7 +46,7 @@ def test_a_usable_scene_is_described_and_drawn(make_scene):
 def test_a_scale_and_north_that_are_known_are_shown(make_scene):
     folder = make_scene()
     unknown = check_scene(folder)
-    assert "scale not known</text>" in unknown.page.read_text(encoding="utf-8")
+    assert '"metric": false' in unknown.page.read_text(encoding="utf-8")
     assert any(line.endswith(" scene units.") for line in unknown.lines)
     file = folder / "transforms.json"
     content = json.loads(file.read_text(encoding="utf-8"))
@@ -54,7 +54,7 @@ def test_a_scale_and_north_that_are_known_are_shown(make_scene):
     file.write_text(json.dumps(content), encoding="utf-8")
     check = check_scene(folder)
     page = check.page.read_text(encoding="utf-8")
-    assert "scale not known</text>" not in page
+    assert '"metric": true' in page
     assert "north is up" in page
     assert "direction is estimated" not in page
     assert any(line.endswith(" m.") for line in check.lines)

@@ -61,7 +61,7 @@ def test_the_page_tells_what_was_understood_and_what_to_do_next(page):
         "out", "mrgs train '", "table & chairs'",
         "1 warning:", "One photo was taken a day later.",
         "pairs", "6 pairs.", "5 min 12 s", "from before",
-        "From above, north is up", "0.5 m",
+        "From above, north is up",
         "view 0", "held out", "view 1", "training", "not in the scene: too few features",
         "6 with °C", "FLIR E60 (6 photos)", "−1 to 83 °C", "Emissivity 0.95, as the file says. (6 "
                                                            "photos)",

@@ -22,7 +22,7 @@ from mrgs.prepare.page.cameras import lens_rows
 from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlay, thumbnail_width
 from mrgs.prepare.page.previews import Preview, preview_of_pixels
 from mrgs.prepare.page.temperatures import setting_rows, temperatures
-from mrgs.prepare.page.world import World, world_of
+from mrgs.prepare.page.world import World
 from mrgs.prepare.page.write import write_scene_page
 from mrgs.scene import Modality, Pixels, Scene
 from mrgs.scene.view import evenly_spaced
@@ -145,24 +145,21 @@ def _write(
     previews: Sequence[Preview] = (),
 ) -> Path:
     """Write the page; the scene is None if it cannot be read."""
+    world = None
+    if scene is not None:
+        cameras = {view.name: view.camera for view in scene.views}
+        held_out = {view.name for view in scene.eval}
+        world = World(cameras, held_out, scene.points, scene.world.metric, scene.world.north)
     return write_scene_page(
         page,
         "prepare/page/check.html",
         f"Scene check: {folder.resolve().name}",
-        None if scene is None else _world(scene),
+        world,
         problems=problems,
         errors=sum(problem.severity == "error" for problem in problems),
         lines=lines,
-        north=scene is not None and scene.world.north,
         shown=None if scene is None else _shown(scene, previews),
     )
-
-
-def _world(scene: Scene) -> World:
-    """Cameras and points."""
-    cameras = {view.name: view.camera for view in scene.views}
-    held_out = frozenset(view.name for view in scene.eval)
-    return world_of(cameras, held_out, scene.points, scene.world.metric, scene.world.north)
 
 
 def _shown(scene: Scene, previews: Sequence[Preview]) -> dict[str, Any]:

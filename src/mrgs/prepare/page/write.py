@@ -17,6 +17,7 @@ from mrgs.check.agreement import Agreement, agreements, jump
 from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
+from mrgs.pictures.page_data import BASE64_SCRIPT
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import (
     ConvertedPhotos,
@@ -35,13 +36,15 @@ from mrgs.prepare.page.previews import (
     preview_of_view,
 )
 from mrgs.prepare.page.temperatures import Temperatures, setting_rows, temperatures
-from mrgs.prepare.page.world import World, orbit_facts, plans, world_of
+from mrgs.prepare.page.world import World, orbit_facts
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.scene.view import evenly_spaced
 
 PAGE = "prepare.html"
 SCRIPTS = (
+    BASE64_SCRIPT,
+    "pictures/web/navigation.js",
     "pictures/web/numbers.js",
     "prepare/page/orbit.js",
     "prepare/page/pairs.js",
@@ -84,7 +87,6 @@ def write_page(
         trains=work.trains,
         warnings=list(dict.fromkeys((*warnings, *work.found_by_page))),
         stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
-        north=world is not None and world.north,
         pairs=pairs(content.previews, _overlays(content, work), content.unit, content.total),
         temperatures=_temperatures(content, work.images),
         lenses=_lenses(posed, work.georeference),
@@ -119,7 +121,7 @@ def write_scene_page(
         styles=[PAGE_STYLE, "prepare/page/scene.css"],
         scripts=list(SCRIPTS),
         facts=script_json({"orbit": None if world is None else orbit_facts(world)}),
-        plans=[] if world is None else plans(world),
+        world=world,
         **values,
     )
 
@@ -202,9 +204,9 @@ def _world(content: _Content, work: Work) -> World | None:
     cameras = {
         view.name: views[view.name][0].camera for view in work.images.views if view.name in views
     }
-    held_out = frozenset(view.name for view in content.scene.eval)
+    held_out = {view.name for view in content.scene.eval}
     north = work.georeference is not None and work.georeference.north
-    return world_of(cameras, held_out, content.scene.points, work.metric, north)
+    return World(cameras, held_out, content.scene.points, work.metric, north)
 
 
 def _overlays(content: _Content, work: Work) -> dict[str, Float32[np.ndarray, "h w"]]:
