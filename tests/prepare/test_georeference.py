@@ -15,8 +15,7 @@ from mrgs.data.lens import Lens
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Georeference, Reconstruction
-from mrgs.prepare.georeference import apply, georeference
-from mrgs.prepare.gps import centres, up_of_cameras
+from mrgs.prepare.georeference import apply, centres, georeference, up_of_cameras
 from mrgs.prepare.known_distance import KnownDistance
 from mrgs.scene import EarthPosition, PointCloud, WorldFrame
 

@@ -4,17 +4,20 @@ the cameras were held."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float64
+from scipy.spatial.transform import Rotation
+from scipy.special import gammaincinv
 
+from mrgs.data.earth import ecef, enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.prepare.contract import Georeference, Reconstruction
-from mrgs.prepare.gps import UnusableGpsError, levelled, place_by_gps
 from mrgs.prepare.known_distance import KnownDistance, length_of
-from mrgs.prepare.similarity import Similarity
+from mrgs.prepare.similarity import RobustFit, Similarity, fit_robustly
 from mrgs.scene import PointCloud, WorldFrame
 
 ARBITRARY = "The scale is arbitrary."
@@ -22,6 +25,39 @@ KNOWN = "The scale is that of the known distance."
 
 _UPRIGHT = math.cos(math.radians(10))
 """Given poses whose z axis is so near to up, as the cameras were held, are upright."""
+
+MIN_POSITIONS = 4
+"""Any three positions fit a similarity rather well; a fourth shows whether they are reliable."""
+
+MAX_SCALE_ERROR = 0.05
+MAX_TURN_DEG = 5.0
+"""GPS is not used if it leaves a larger uncertainty (one standard deviation, a conservative
+estimate)."""
+
+LEAST_NOISE_M = 0.03
+"""Least noise of positions in EXIF, even where their residuals are smaller: some phones repeat
+their last one."""
+
+LARGEST_NOISE_M = 5.0
+"""Positions that are off by more (median) contradict the poses."""
+
+CONTRADICTION = (
+    "GPS rarely errs by so much: parts of the scene that look alike may lie on each other in it; "
+    "look at the cameras' path on the page"
+)
+
+DISAGREEMENT = 0.1
+"""Log ratio of the scale by GPS and that by a known distance above which the user is warned."""
+
+AGREEMENT = 3.0
+"""Given poses whose scale and axes differ by fewer standard deviations from those by GPS stay: they
+are surer than it."""
+
+_MEAN_WEIGHT = 0.05
+
+
+class UnusableGpsError(Exception):
+    """Why the positions cannot be used for this reconstruction; half a sentence."""
 
 
 def georeference(
@@ -53,7 +89,7 @@ def georeference(
     warnings: tuple[str, ...] = ()
     if positions:
         try:
-            return place_by_gps(reconstruction, positions, level, scale, as_given=as_given)
+            return _by_gps(reconstruction, positions, level, scale, as_given=as_given)
         except UnusableGpsError as reason:
             warnings = (f"The GPS positions are not used: {reason}.",)
     if as_given:
@@ -115,3 +151,233 @@ def _as_given(
         warnings=warnings,
         scale_error=world.scale_error if scale is None else None,
     )
+
+
+def _by_gps(
+    reconstruction: Reconstruction,
+    gps: Mapping[str, GpsPosition],
+    level: Similarity,
+    scale: float | None,
+    *,
+    as_given: bool,
+) -> Georeference:
+    """The similarity to metres east, north and up of the middle one of the positions.
+
+    Without heights, and where the cameras stand on a line about which the positions leave the
+    rotation open, ``level`` gives the vertical, and the positions the rest.
+
+    Args:
+        as_given: where the poses are in metres and have these axes, as far as GPS knows, only their
+            origin moves.
+
+    Raises:
+        UnusableGpsError: too few positions, or too much noise for how far the cameras are apart.
+    """
+    if len(gps) < MIN_POSITIONS:
+        raise UnusableGpsError(
+            f"{len(gps)} of the photos with a pose have one, and {MIN_POSITIONS} are needed"
+        )
+    with_height = {name: place for name, place in gps.items() if place.altitude_m is not None}
+    used, warnings = with_height, ()
+    reason = "the GPS positions have no heights"
+    solution = None
+    if len(with_height) >= max(MIN_POSITIONS, len(gps) / 2):
+        solution = _solution(reconstruction, with_height, None, scale is None)
+        reason = "the cameras stand on a line, about which GPS leaves the rotation open"
+    if solution is None or solution.turn_deg > MAX_TURN_DEG:
+        used = dict(gps)
+        warnings = (f"The vertical is guessed from how the cameras were held: {reason}.",)
+        solution = _solution(reconstruction, gps, level, scale is None)
+        if solution.turn_deg > MAX_TURN_DEG:
+            raise UnusableGpsError(_too_close(solution))
+    found = _placed(solution, scale, warnings)
+    if not as_given:
+        return found
+    if not _agrees(solution):
+        return replace(found, text=f"{found.text} The given poses are turned and scaled to them.")
+    places = torch.from_numpy(centres(reconstruction, used)[solution.inliers])
+    middle, kept = places.mean(dim=0), 1.0 if scale is None else scale
+    moved = found.scale * found.rotation @ middle + found.translation
+    return replace(
+        found,
+        scale=kept,
+        rotation=torch.eye(3, dtype=torch.float64),
+        translation=moved - kept * middle,
+        text=f"{found.text} The given poses have these already, and stay as they are.",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """A similarity by GPS, and what it leaves open: one standard deviation of the scale (a share of
+    it) and of the rotation."""
+
+    similarity: Similarity
+    inliers: Bool[np.ndarray, " n"]
+    origin: GpsPosition
+    residual_m: float
+    spread_m: float
+    scale_error: float
+    turn_deg: float
+
+
+def _solution(
+    reconstruction: Reconstruction,
+    gps: Mapping[str, GpsPosition],
+    level: Similarity | None,
+    scale_matters: bool,
+) -> _Solution:
+    """The similarity that fits the cameras to their positions.
+
+    Its errors follow from the cameras' spread about their mean and about their line. The noise is
+    the one which nine of ten samples with these residuals do not exceed.
+
+    Args:
+        level: gives the vertical instead of the heights of the positions; the cameras' own heights
+            are then counted from their middle one.
+
+    Raises:
+        UnusableGpsError: the scale is left open.
+    """
+    origin = _middle(list(gps.values()))
+    source, target = centres(reconstruction, gps), enu(list(gps.values()), origin)
+    if level is None:
+        fit = fit_robustly(source, target)
+        whole = fit.similarity
+    else:
+        upright = level(source)
+        source, target = upright[:, :2], target[:, :2]
+        fit = fit_robustly(source, target)
+        whole = _with_vertical(fit, level, float(np.median(upright[:, 2])))
+    noise_m = max(
+        fit.sigma * math.sqrt(fit.freedom / (2 * gammaincinv(fit.freedom / 2, 0.1))), LEAST_NOISE_M
+    )
+    moved = fit.similarity(source)
+    placed = moved[fit.inliers]
+    squares = np.linalg.svd(placed - placed.mean(axis=0), compute_uv=False) ** 2
+    around = squares.sum() if level is not None else squares[1:].sum()
+    solution = _Solution(
+        whole,
+        fit.inliers,
+        origin,
+        residual_m=float(np.median(np.linalg.norm(moved - target, axis=1))),
+        spread_m=math.sqrt(squares.sum() / len(placed)),
+        scale_error=noise_m / math.sqrt(max(squares.sum(), 1e-12)),
+        turn_deg=math.degrees(noise_m / math.sqrt(max(around, 1e-12))),
+    )
+    if scale_matters and solution.scale_error > MAX_SCALE_ERROR:
+        raise UnusableGpsError(_too_close(solution))
+    return solution
+
+
+def _middle(positions: Sequence[GpsPosition]) -> GpsPosition:
+    """The position with the least sum of distances to the others."""
+    places = np.array([ecef(position) for position in positions])
+    sums = [np.linalg.norm(places - place, axis=1).sum() for place in places]
+    return positions[int(np.argmin(sums))]
+
+
+def _with_vertical(fit: RobustFit, level: Similarity, height: float) -> Similarity:
+    """``level``, then the fit in the plane; ``height`` becomes 0."""
+    flat, turn = fit.similarity, np.eye(3)
+    turn[:2, :2] = flat.rotation
+    translation = np.append(flat.translation, -flat.scale * height)
+    translation += flat.scale * np.einsum("ij,j->i", turn, level.translation)
+    return Similarity(flat.scale * level.scale, turn @ level.rotation, translation)
+
+
+def _too_close(solution: _Solution) -> str:
+    off = f"they are {solution.residual_m:.2g} m (median) off the cameras"
+    if solution.residual_m > LARGEST_NOISE_M:
+        return f"{off}. {CONTRADICTION}"
+    return (
+        f"{off}, which are too close together for "
+        f"that ({solution.spread_m:.2g} m about their middle)"
+    )
+
+
+def _placed(solution: _Solution, scale: float | None, warnings: tuple[str, ...]) -> Georeference:
+    """The solution, with the scale of a known distance if there is one."""
+    inliers, similarity, residual_m = solution.inliers, solution.similarity, solution.residual_m
+    if not inliers.all():
+        warnings += (
+            f"{(~inliers).sum()} of {len(inliers)} GPS positions disagree with the others and are "
+            f"left out.",
+        )
+    ratio = 1.0 if scale is None else scale / similarity.scale
+    if abs(math.log(ratio)) > DISAGREEMENT:
+        warnings += (
+            f"The known distance makes the scene {ratio:.2g} times as large as GPS does; check it.",
+        )
+    if residual_m > LARGEST_NOISE_M:
+        warnings += (f"The cameras are {residual_m:.2g} m off GPS (median). {CONTRADICTION}.",)
+    what = "metres and the axes east, north, up" if scale is None else "the axes east, north, up"
+    text = (
+        f"The GPS positions of {inliers.sum()} photos give {what}; the cameras are "
+        f"{residual_m:.2g} m off them (median)."
+    )
+    return Georeference(
+        scale=ratio * similarity.scale,
+        rotation=torch.from_numpy(similarity.rotation),
+        translation=torch.from_numpy(ratio * similarity.translation),
+        metric=True,
+        north=True,
+        origin=solution.origin,
+        residual_m=residual_m,
+        text=text if scale is None else f"{KNOWN} {text}",
+        warnings=warnings,
+        scale_error=solution.scale_error if scale is None else None,
+    )
+
+
+def _agrees(solution: _Solution) -> bool:
+    """Whether the poses had this scale and these axes before, as far as GPS knows."""
+    similarity = solution.similarity
+    turn_deg = math.degrees(np.linalg.norm(Rotation.from_matrix(similarity.rotation).as_rotvec()))
+    return (
+        abs(math.log(similarity.scale)) <= AGREEMENT * solution.scale_error
+        and turn_deg <= AGREEMENT * solution.turn_deg
+    )
+
+
+def centres(reconstruction: Reconstruction, names: Iterable[str]) -> Float64[np.ndarray, "n 3"]:
+    """Camera centres of views [N, 3], in the world of the reconstruction."""
+    viewmats = np.stack([reconstruction.viewmats[name].numpy() for name in names])
+    return -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3])
+
+
+def levelled(reconstruction: Reconstruction) -> Similarity:
+    """The similarity to a world with z up, y along the mean viewing direction, and the origin at
+    the median of the points; the scale is kept."""
+    up = up_of_cameras(reconstruction)
+    forward = _axes(reconstruction)[:, 2].mean(axis=0)
+    ahead = forward - (forward * up).sum() * up
+    if np.linalg.norm(ahead) < 1e-3:  # all look straight down, or around in a circle
+        ahead = np.eye(3)[np.abs(up).argmin()]
+        ahead = ahead - (ahead * up).sum() * up
+    ahead = ahead / np.linalg.norm(ahead)
+    rotation = np.stack([np.cross(ahead, up), ahead, up])
+    points = reconstruction.points.positions.double().numpy()
+    amid = points if len(points) else centres(reconstruction, reconstruction.viewmats)
+    return Similarity(1.0, rotation, -np.einsum("ij,j->i", rotation, np.median(amid, axis=0)))
+
+
+def up_of_cameras(reconstruction: Reconstruction) -> Float64[np.ndarray, "3"]:
+    """The unit vector that is perpendicular to the rows of all photos and up in most of them.
+
+    It minimises Σ (u · right_i)² + w Σ |u − up_i|². Cameras that look straight down with changing
+    headings have no common up: it is then opposite to their viewing direction.
+    """
+    axes = _axes(reconstruction)
+    right, up, forward = axes[:, 0], -axes[:, 1].mean(axis=0), axes[:, 2].mean(axis=0)
+    if np.linalg.norm(forward) > 0.9 and np.linalg.norm(up) < 0.5:
+        up = -forward
+    normal = np.einsum("ni,nj->ij", right, right) / len(right) + _MEAN_WEIGHT * np.eye(3)
+    solution = np.linalg.solve(normal, up)
+    length = np.linalg.norm(solution)
+    return solution / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
+
+
+def _axes(reconstruction: Reconstruction) -> Float64[np.ndarray, "n 3 3"]:
+    """The cameras' axes (right, down, forward) as rows, in world coordinates."""
+    return torch.stack(list(reconstruction.viewmats.values()))[:, :3, :3].numpy()

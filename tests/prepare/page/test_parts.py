@@ -13,7 +13,6 @@ import torch
 from mrgs.check.problem import views_text
 from mrgs.data.lens import Lens
 from mrgs.pictures.palette import round_down
-from mrgs.prepare.page.cameras import lens_text
 from mrgs.prepare.page.pairs import (
     EDGE_COLOR,
     MOST_SHOWN,
@@ -23,8 +22,9 @@ from mrgs.prepare.page.pairs import (
     thumbnail_width,
 )
 from mrgs.prepare.page.previews import Preview, PreviewImage
-from mrgs.prepare.page.temperatures import histogram, spread_chart, temperature_spread
+from mrgs.prepare.page.temperatures import histogram, spread_chart, temperatures
 from mrgs.prepare.page.world import World, frustum_size, orbit_facts
+from mrgs.prepare.page.write import lens_text
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
 
 
@@ -138,15 +138,14 @@ def test_a_camera_alone_can_be_drawn():
 
 def test_spreads_are_those_of_the_valid_pixels():
     values = np.array([[np.nan, 10.0], [20.0, 30.0]])
-    spread = temperature_spread("a", values)
-    assert (spread.lowest, spread.median, spread.highest) == (10, 20, 30)
-    assert temperature_spread("a", np.full((2, 2), np.nan)) is None
+    found = temperatures([preview_of(values, None, None)], "°C", [], {}, 1)
+    assert "view: 10.0 to 30.0 °C" in found.spreads
+    nothing = preview_of(np.full((2, 2), np.nan), None, None)
+    assert temperatures([nothing], "°C", [], {}, 1) is None
 
 
 def test_charts_have_axes_with_units_and_escaped_names():
-    spreads = [
-        temperature_spread(name, np.array([[15.0, 22.0], [30.0, 41.0]])) for name in ("<x>", "b")
-    ]
+    spreads = dict.fromkeys(("<x>", "b"), np.array([15.0, 16, 26, 40, 41]))
     chart = spread_chart(spreads, 10.0, 50.0, "°C")
     assert "50 °C" in chart
     assert "&lt;x&gt;: 15.0 to 41.0 °C" in chart

@@ -18,12 +18,11 @@ from mrgs.data.transforms import pinhole_lens
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import Progress
-from mrgs.prepare.page.cameras import lens_rows
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlay, thumbnail_width
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlays, thumbnail_width
 from mrgs.prepare.page.previews import Preview, preview_of_pixels
 from mrgs.prepare.page.temperatures import setting_rows, temperatures
 from mrgs.prepare.page.world import World
-from mrgs.prepare.page.write import write_scene_page
+from mrgs.prepare.page.write import lens_rows, write_scene_page
 from mrgs.scene import Modality, Pixels, Scene
 from mrgs.scene.view import evenly_spaced
 
@@ -165,8 +164,7 @@ def _write(
 def _shown(scene: Scene, previews: Sequence[Preview]) -> dict[str, Any]:
     """Views, temperatures and lenses."""
     shown = [previews[index] for index in evenly_spaced(len(previews), MOST_SHOWN)]
-    warped = {view.name: thermal_overlay(view, scene.points) for view in shown}
-    overlays = {name: image for name, image in warped.items() if image is not None}
+    overlays = thermal_overlays(shown, scene.points)
     unit = "" if scene.temperature is None else "°C"
     records = [] if scene.temperature is None else scene.records
     return {

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64, UInt8
+from jaxtyping import Float, Float32, Int64
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
@@ -16,6 +16,7 @@ from mrgs.data.undistort import sampled
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import colorize, display_range
+from mrgs.prepare.contract import Progress
 from mrgs.prepare.page.previews import Preview
 from mrgs.prepare.rig.images import STEP_PX, inverse_depth
 from mrgs.scene import THERMAL, Camera, Modality, PointCloud
@@ -61,6 +62,20 @@ def thermal_overlay(
     return np.where(inside, values, np.nan).astype(np.float32)
 
 
+def thermal_overlays(
+    previews: Sequence[Preview],
+    points: PointCloud,
+    visible: Mapping[str, Int64[Tensor, " _"]] | None = None,
+    report: Progress = lambda step, done, total: None,
+) -> dict[str, Float32[np.ndarray, "h w"]]:
+    """``thermal_overlay`` of each view, by its name; without those that have none."""
+    found = {}
+    for done, view in enumerate(previews):
+        report("drawing", done, len(previews))
+        found[view.name] = thermal_overlay(view, points, (visible or {}).get(view.name))
+    return {name: image for name, image in found.items() if image is not None}
+
+
 def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
     """The steepest edges of an image as thin lines on a transparent palette image."""
     known = np.isfinite(values)
@@ -73,18 +88,12 @@ def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
     limit = np.quantile(strength, 1 - _EDGE_SHARE)
     top = max(float(strength.max()), 1e-12)
     opacity = np.where(ridge & (strength > limit), 0.35 + 0.65 * np.sqrt(strength / top), 0.0)
-    if strength.max() <= 0:
-        opacity[:] = 0
-    layer = Image.fromarray(_levels(opacity))
+    layer = Image.fromarray(np.rint(opacity * (_EDGE_LEVELS - 1)).astype(np.uint8))
     layer.putpalette(bytes(EDGE_COLOR) * _EDGE_LEVELS)
     layer.info["transparency"] = bytes(
         round(255 * level / (_EDGE_LEVELS - 1)) for level in range(_EDGE_LEVELS)
     )
     return layer
-
-
-def _levels(opacity: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    return np.rint(opacity.clip(0, 1) * (_EDGE_LEVELS - 1)).astype(np.uint8)
 
 
 def _on_ridge(

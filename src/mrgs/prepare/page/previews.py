@@ -55,18 +55,6 @@ class Preview:
     images: Mapping[Modality, PreviewImage]
 
 
-def preview_of_view(
-    view: View, status: str, temperature: TemperatureRange | None, width: int
-) -> Preview:
-    """Preview of a view with a pose, at most ``width`` pixels wide.
-
-    Raises:
-        SceneError: an image cannot be read.
-    """
-    pixels = {modality: image.load() for modality, image in view.images.items()}
-    return preview_of_pixels(view, status, temperature, width, pixels)
-
-
 def preview_of_pixels(
     view: View,
     status: str,
@@ -74,11 +62,12 @@ def preview_of_pixels(
     width: int,
     pixels: Mapping[Modality, Pixels],
 ) -> Preview:
-    """Preview of a view whose images have been read; missing ones are left out."""
+    """Preview of a view with a pose, at most ``width`` pixels wide, from the images that were
+    read."""
     images = {
         modality: PreviewImage(
             _shown(modality, found.values, found.valid, temperature, width),
-            _camera(view.images[modality].camera, width),
+            _no_wider(view.images[modality].camera, width),
         )
         for modality, found in pixels.items()
     }
@@ -101,7 +90,7 @@ def preview_of_files(
     return Preview(view.name, status, False, images)
 
 
-def _camera(camera: Camera, width: int) -> Camera:
+def _no_wider(camera: Camera, width: int) -> Camera:
     return camera.with_width(width) if camera.width > width else camera
 
 

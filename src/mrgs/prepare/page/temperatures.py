@@ -22,37 +22,19 @@ from mrgs.system.wording import counted
 _BINS = 90
 _TEMPLATE = "prepare/page/chart.svg"
 _WIDTH, _HEIGHT = 900, 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 10, 34
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, _WIDTH - 12, 10, _HEIGHT - 34
+"""Borders of the plot in the drawing."""
+
 _FRAME = {
     "width": _WIDTH,
     "height": _HEIGHT,
     "left": _LEFT,
-    "right": _WIDTH - _RIGHT,
-    "bottom": _HEIGHT - _BOTTOM,
+    "right": _RIGHT,
+    "bottom": _BOTTOM,
     "label_y": _HEIGHT - 10,
 }
 _LABEL_MARGIN = 60
 """Labels nearer than this to the right border end at their tick, px."""
-
-
-class TemperatureSpread(NamedTuple):
-    """Distribution of the temperatures in one photo, in °C or relative.
-
-    Attributes:
-        name: of the view.
-        lowest: minimum.
-        low: 5th percentile.
-        median: 50th percentile.
-        high: 95th percentile.
-        highest: maximum.
-    """
-
-    name: str
-    lowest: float
-    low: float
-    median: float
-    high: float
-    highest: float
 
 
 class Temperatures(NamedTuple):
@@ -91,14 +73,15 @@ def temperatures(
         total: number of views, of which ``previews`` may be a part.
     """
     images = {view.name: view.images[THERMAL].pixels for view in previews if THERMAL in view.images}
-    found = [temperature_spread(name, image) for name, image in images.items()]
-    spreads = [spread for spread in found if spread is not None]
-    if not spreads:
+    known = {name: image[np.isfinite(image)] for name, image in images.items()}
+    known = {name: values for name, values in known.items() if values.size}
+    if not known:
         return None
-    low, high = min(item.lowest for item in spreads), max(item.highest for item in spreads)
+    values = np.concatenate([*known.values()])
+    low, high = float(values.min()), float(values.max())
     low, high = (low, high) if high > low else display_range(np.array([low, high]))
-    values = np.concatenate([image[np.isfinite(image)] for image in images.values()])
     counts, _ = np.histogram(values, bins=_BINS, range=(low, high))
+    spreads = {name: np.percentile(own, [0, 5, 50, 95, 100]) for name, own in known.items()}
     return Temperatures(
         bool(unit),
         facts,
@@ -110,7 +93,7 @@ def temperatures(
 
 
 SETTINGS_THAT_COUNT = ("emissivity", "reflected_c", "distance_m")
-"""Without these nobody can judge the temperatures: the page says where they are missing."""
+"""Without these nobody can judge the temperatures: the page reports where they are missing."""
 
 
 def setting_rows(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
@@ -130,36 +113,24 @@ def setting_rows(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
     return rows
 
 
-def temperature_spread(name: str, values: Float[np.ndarray, "h w"]) -> TemperatureSpread | None:
-    """Minimum, percentiles and maximum of a thermal image (NaN where not valid); None if no pixel
-    is valid."""
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return None
-    low, median, high = (float(value) for value in np.percentile(known, [5, 50, 95]))
-    return TemperatureSpread(name, float(known.min()), low, median, high, float(known.max()))
-
-
 def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: str) -> Markup:
-    """SVG of the number of pixels by temperature; empty if there are none.
+    """SVG of the number of pixels by temperature.
 
     Args:
-        counts: one per equal step from ``low`` to ``high``.
+        counts: one per equal step from ``low`` to ``high``; not all 0.
     """
-    if not counts.sum():
-        return Markup()
-    width = (_WIDTH - _LEFT - _RIGHT) / len(counts)
-    heights = (_HEIGHT - _TOP - _BOTTOM) * counts / counts.max()
+    width = (_RIGHT - _LEFT) / len(counts)
+    heights = (_BOTTOM - _TOP) * counts / counts.max()
     colors = palette_table("inferno")[np.linspace(20, 235, len(counts)).astype(int)]
     bars = [
-        (_LEFT + index * width, _HEIGHT - _BOTTOM - height, height, "#" + bytes(color).hex())
+        (_LEFT + index * width, _BOTTOM - height, height, "#" + bytes(color).hex())
         for index, (height, color) in enumerate(zip(heights, colors, strict=True))
         if height > 0
     ]
     ticks = [
         (x, label, "end" if x > _WIDTH - _LABEL_MARGIN else "middle")
         for share, label in _ticks(low, high, 8, unit)
-        for x in [_LEFT + (_WIDTH - _LEFT - _RIGHT) * share]
+        for x in [_LEFT + (_RIGHT - _LEFT) * share]
     ]
     return render(
         _TEMPLATE, text="histogram of the temperatures", kind="histogram",
@@ -168,37 +139,29 @@ def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: st
 
 
 def spread_chart(
-    spreads: Sequence[TemperatureSpread], low: float, high: float, unit: str
+    spreads: Mapping[str, Float[np.ndarray, "5"]], low: float, high: float, unit: str
 ) -> Markup:
     """SVG with a column per photo: a line from minimum to maximum, a bar over 90 % of the pixels.
 
     Args:
-        spreads: one per photo; the chart is empty without any.
+        spreads: by the view's name minimum, 5 %, median, 95 % and maximum; at least one.
     """
-    if not spreads:
-        return Markup()
-    step = (_WIDTH - _LEFT - _RIGHT) / len(spreads)
-
-    def y(value: float) -> float:
-        share = (min(max(value, low), high) - low) / (high - low)
-        return _HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * share
-
+    step = (_RIGHT - _LEFT) / len(spreads)
     columns = [
         (
-            f"{item.name}: {number_text(item.lowest, 1)} to {number_text(item.highest, 1)} {unit}",
+            f"{name}: {number_text(values[0], 1)} to {number_text(values[-1], 1)} {unit}",
             _LEFT + (index + 0.5) * step,
-            TemperatureSpread(item.name, *(y(value) for value in item[1:])),
+            (_BOTTOM - (_BOTTOM - _TOP) * (values - low) / (high - low)).tolist(),
         )
-        for index, item in enumerate(spreads)
+        for index, (name, values) in enumerate(spreads.items())
     ]
     ticks = [
-        (_HEIGHT - _BOTTOM - (_HEIGHT - _TOP - _BOTTOM) * share, label)
-        for share, label in _ticks(low, high, 5, unit)
+        (_BOTTOM - (_BOTTOM - _TOP) * share, label) for share, label in _ticks(low, high, 5, unit)
     ]
-    ends = (spreads[0].name, spreads[-1].name if len(spreads) > 1 else "")
+    names = list(spreads)
     return render(
-        _TEMPLATE, text="temperatures of each photo", kind="spread",
-        frame=_FRAME, columns=columns, bar_width=min(0.7 * step, 14), ticks=ticks, ends=ends,
+        _TEMPLATE, text="temperatures of each photo", kind="spread", frame=_FRAME, columns=columns,
+        bar_width=min(0.7 * step, 14), ticks=ticks, ends=(names[0], names[-1] if names[1:] else ""),
     )  # fmt: skip
 
 

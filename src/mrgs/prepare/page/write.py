@@ -2,44 +2,41 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float32
+import torch
+from jaxtyping import Float64
+from torch import Tensor
 
-from mrgs.check.agreement import Agreement, agreements, jump
+from mrgs.check.agreement import agreements, jump
 from mrgs.data import load_scene
+from mrgs.data.lens import Lens
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.pictures.page_data import BASE64_SCRIPT
 from mrgs.pictures.values import capitalised
-from mrgs.prepare.contract import (
-    ConvertedPhotos,
-    Georeference,
-    Reconstruction,
-    Skipped,
-    StageReport,
-)
-from mrgs.prepare.page.cameras import lens_rows, rig_facts
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlay, thumbnail_width
+from mrgs.prepare.contract import Georeference, Reconstruction, Skipped, StageReport
+from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlays, thumbnail_width
 from mrgs.prepare.page.previews import (
-    MeasuredPhoto,
     Preview,
     measured_photos,
     preview_of_files,
-    preview_of_view,
+    preview_of_pixels,
 )
 from mrgs.prepare.page.temperatures import Temperatures, setting_rows, temperatures
 from mrgs.prepare.page.world import World, orbit_facts
+from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Scene, View
+from mrgs.scene.camera import field_of_view
 from mrgs.scene.view import evenly_spaced
+from mrgs.system.wording import counted
 
 PAGE = "prepare.html"
 SCRIPTS = (
@@ -71,32 +68,50 @@ def write_page(
         SceneError: the scene or an image in it cannot be read.
         RunError: the page cannot be written.
     """
-    content = _content(work, most_shown)
-    world = _world(content, work)
-    posed = content.posed
-    work.found_by_page = _disagreements(content, work)
+    posed = None if work.poses is None else work.posed
+    shown = evenly_spaced(len(work.images.views), most_shown)
+    width = thumbnail_width(len(shown))
+    written = posed is not None and (work.scene / TRANSFORMS).is_file()
+    scene = load_scene(work.scene, resolution=width) if written else None
+    previews = _previews(work, scene, posed, shown, width)
+    has_celsius = any(view.range_c is not None for view in work.images.views)
+    has_celsius |= scene is not None and scene.temperature is not None
+    unit = "°C" if has_celsius else ""
+    overlays = {}
+    if scene is not None and posed is not None:
+        work.found_by_page = _disagreements(work, previews, posed)
+        overlays = thermal_overlays(previews, posed.points, posed.visible, work.progress)
     warnings = [text for stage in work.reports for text in stage.warnings]
+    skipped = [(item.name, item.reason) for item in (*work.skipped, *without_pose)]
     return write_scene_page(
         work.scene / PAGE,
         "prepare/page/prepare.html",
         f"Prepared scene: {work.scene.resolve().name}",
-        world,
-        views=content.counts,
-        has_celsius=bool(content.unit),
+        _world(work, scene),
+        views=None
+        if scene is None
+        else {
+            "training": len(scene.train),
+            "held_out": len(scene.eval),
+            "total": len(work.images.views),
+        },
+        has_celsius=has_celsius,
         folder=shlex.quote(str(work.scene)),
         trains=work.trains,
         warnings=list(dict.fromkeys((*warnings, *work.found_by_page))),
         stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
-        pairs=pairs(content.previews, _overlays(content, work), content.unit, content.total),
-        temperatures=_temperatures(content, work.images),
-        lenses=_lenses(posed, work.georeference),
-        rig=None if work.rig is None else rig_facts(work.rig, work.georeference),
-        one_camera=content.scene is not None and posed is not None and posed.images != THERMAL,
-        photos=_measured(work, posed),
-        metric=work.metric,
-        skipped=list(
-            dict.fromkeys((item.name, item.reason) for item in (*work.skipped, *without_pose))
+        pairs=pairs(previews, overlays, unit, len(work.images.views)),
+        temperatures=_temperatures(work, previews, scene, unit),
+        lenses=[] if posed is None else _pose_rows(posed, work.georeference),
+        rig=None if work.rig is None else _rig_facts(work.rig, work.metric),
+        one_camera=scene is not None and posed is not None and posed.images != THERMAL,
+        photos=[]
+        if posed is None or posed.images != RGB
+        else measured_photos(
+            work.scene, [view for view in work.images.views if view.name in posed.viewmats]
         ),
+        metric=work.metric,
+        skipped=list(dict.fromkeys(skipped)),
     )
 
 
@@ -126,110 +141,72 @@ def write_scene_page(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Content:
-    """Content that several sections share.
-
-    Attributes:
-        total: number of converted views.
-        posed: poses in the scene's world; None if there are none.
-        scene: as it will be read; None without poses.
-        previews: the views that are shown.
-        agreements: how each preview's thermal image agrees with the others.
-        unit: of the thermal values; empty where they are relative.
-    """
-
-    total: int
-    posed: Reconstruction | None
-    scene: Scene | None
-    previews: list[Preview]
-    agreements: list[Agreement | None]
-    unit: str
-
-    @property
-    def counts(self) -> Mapping[str, int] | None:
-        """Numbers of views for the template; None without poses."""
-        if self.scene is None:
-            return None
-        training, held_out = len(self.scene.train), len(self.scene.eval)
-        return {"training": training, "held_out": held_out, "total": self.total}
-
-
-def _content(work: Work, most_shown: int) -> _Content:
-    scene, photos = work.scene, work.images
-    posed = None if work.poses is None else work.posed
-    shown = [photos.views[index] for index in evenly_spaced(len(photos.views), most_shown)]
-    width = thumbnail_width(len(shown))
-    written = posed is not None and (scene / TRANSFORMS).is_file()
-    loaded = load_scene(scene, resolution=width) if written else None
-    temperature = None if loaded is None else loaded.temperature
-    views = {} if loaded is None else _with_status(loaded)
-    failed = {} if posed is None else {item.name: item.reason for item in posed.failed}
-    previews = []
-    for done, view in enumerate(shown):
-        work.progress("reading images", done, len(shown))
-        if view.name in views:
-            previews.append(preview_of_view(*views[view.name], temperature, width))
-        else:
-            reason = (
-                f"not in the scene: {failed[view.name]}"
-                if view.name in failed
-                else "in no scene yet"
-            )
-            previews.append(preview_of_files(scene, view, reason, temperature, width))
-    found: list[Agreement | None] = [None] * len(previews)
-    if posed is not None and written:
-        images = [view.images.get(THERMAL) if view.registered else None for view in previews]
-        found = agreements(
-            [None if image is None else image.pixels for image in images],
-            [None if image is None else image.camera for image in images],
-            posed.points,
-        )
-    known = temperature is not None or any(view.range_c is not None for view in photos.views)
-    unit = "°C" if known else ""
-    return _Content(len(photos.views), posed, loaded, previews, found, unit)
-
-
 def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
     """The views by name, with their status."""
     views = {view.name: (view, "training") for view in scene.train}
     return views | {view.name: (view, "held out") for view in scene.eval}
 
 
-def _world(content: _Content, work: Work) -> World | None:
-    """Cameras in the order of the views, and points."""
-    if content.scene is None:
-        return None
-    views = _with_status(content.scene)
-    cameras = {
-        view.name: views[view.name][0].camera for view in work.images.views if view.name in views
-    }
-    held_out = {view.name for view in content.scene.eval}
-    north = work.georeference is not None and work.georeference.north
-    return World(cameras, held_out, content.scene.points, work.metric, north)
+def _previews(
+    work: Work,
+    scene: Scene | None,
+    posed: Reconstruction | None,
+    shown: Sequence[int],
+    width: int,
+) -> list[Preview]:
+    """The views that are shown: as the scene has them, else from their files."""
+    temperature = None if scene is None else scene.temperature
+    views = {} if scene is None else _with_status(scene)
+    failed = {} if posed is None else {item.name: item.reason for item in posed.failed}
+    previews = []
+    for done, index in enumerate(shown):
+        work.progress("reading images", done, len(shown))
+        own = work.images.views[index]
+        if own.name in views:
+            view, status = views[own.name]
+            pixels = {modality: image.load() for modality, image in view.images.items()}
+            previews.append(preview_of_pixels(view, status, temperature, width, pixels))
+            continue
+        reason = "in no scene yet"
+        if own.name in failed:
+            reason = f"not in the scene: {failed[own.name]}"
+        previews.append(preview_of_files(work.scene, own, reason, temperature, width))
+    return previews
 
 
-def _overlays(content: _Content, work: Work) -> dict[str, Float32[np.ndarray, "h w"]]:
-    """By the view's name, the thermal image warped onto the photo."""
-    if content.posed is None or content.scene is None:
-        return {}
-    visible = content.posed.visible or {}
-    found = {}
-    for done, view in enumerate(content.previews):
-        work.progress("drawing", done, len(content.previews))
-        found[view.name] = thermal_overlay(view, content.posed.points, visible.get(view.name))
-    return {name: image for name, image in found.items() if image is not None}
-
-
-def _disagreements(content: _Content, work: Work) -> tuple[str, ...]:
-    """A warning about thermal images that do not agree; none if they do."""
-    pairs = zip(content.previews, content.agreements, strict=True)
+def _disagreements(
+    work: Work, previews: Sequence[Preview], posed: Reconstruction
+) -> tuple[str, ...]:
+    """A warning about thermal images that do not agree at the points that they show; none if they
+    do."""
+    images = [view.images.get(THERMAL) if view.registered else None for view in previews]
+    found = agreements(
+        [None if image is None else image.pixels for image in images],
+        [None if image is None else image.camera for image in images],
+        posed.points,
+    )
+    pairs = zip(previews, found, strict=True)
     names = [view.name for view, agreement in pairs if agreement is not None and agreement.jumps]
     if not names:
         return ()
     radiometric = any(view.facts.record.is_radiometric for view in work.images.views)
     problem = jump(THERMAL, names, radiometric)
     return (f"{problem.text} {problem.remedy}",)
+
+
+def _world(work: Work, scene: Scene | None) -> World | None:
+    """Cameras in the order of the views, and points."""
+    if scene is None:
+        return None
+    views = {view.name: view for view in scene.views}
+    names = [view.name for view in work.images.views if view.name in views]
+    return World(
+        {name: views[name].camera for name in names},
+        {view.name for view in scene.eval},
+        scene.points,
+        work.metric,
+        work.georeference is not None and work.georeference.north,
+    )
 
 
 def _time(stage: StageReport) -> str:
@@ -240,34 +217,33 @@ def _time(stage: StageReport) -> str:
     return text.replace(" ", "\N{NO-BREAK SPACE}")
 
 
-def _temperatures(content: _Content, photos: ConvertedPhotos) -> Temperatures | None:
-    ranges = sum(view.range_c is not None for view in photos.views)
-    without = len(photos.views) - ranges
-    facts = [("Photos", f"{ranges} with °C" + (f", {without} without" if without else ""))]
-    cameras = Counter(view.facts.camera for view in photos.views if view.facts.camera)
+def _temperatures(
+    work: Work, previews: Sequence[Preview], scene: Scene | None, unit: str
+) -> Temperatures | None:
+    views = work.images.views
+    ranges = sum(view.range_c is not None for view in views)
+    without = f", {len(views) - ranges} without" if ranges < len(views) else ""
+    facts = [("Photos", f"{ranges} with °C{without}")]
+    cameras = Counter(view.facts.camera for view in views if view.facts.camera)
     if cameras:
         names = ", ".join(f"{name} ({count} photos)" for name, count in cameras.items())
         facts.append(("Thermal camera", names))
-    if content.scene is not None and content.scene.temperature is not None:
-        facts.append(("Range of the scene", str(content.scene.temperature)))
+    if scene is not None and scene.temperature is not None:
+        facts.append(("Range of the scene", str(scene.temperature)))
     if ranges:
-        facts += setting_rows([view.facts.record for view in photos.views])
-    notes = Counter(note for view in photos.views for note in view.facts.notes)
-    return temperatures(content.previews, content.unit, facts, notes, content.total)
+        facts += setting_rows([view.facts.record for view in views])
+    notes = Counter(note for view in views for note in view.facts.notes)
+    return temperatures(previews, unit, facts, notes, len(views))
 
 
-def _lenses(
-    reconstruction: Reconstruction | None, georeference: Georeference | None
-) -> list[tuple[str, str]]:
-    """Facts about poses, lenses and scale; none without poses."""
-    if reconstruction is None:
-        return []
-    rows = [("Poses", reconstruction.source)]
-    if reconstruction.reprojection_px is not None:
-        rows.append(("Reprojection error", f"{reconstruction.reprojection_px:.2f} px (mean)"))
-    rows.append(("Points", f"{len(reconstruction.points.positions):,}"))
-    lenses = {name: reconstruction.lenses[name] for name in reconstruction.viewmats}
-    rows += lens_rows(lenses, f"{capitalised(reconstruction.images.title)} lens")
+def _pose_rows(posed: Reconstruction, georeference: Georeference | None) -> list[tuple[str, str]]:
+    """Facts about poses, lenses and scale."""
+    rows = [("Poses", posed.source)]
+    if posed.reprojection_px is not None:
+        rows.append(("Reprojection error", f"{posed.reprojection_px:.2f} px (mean)"))
+    rows.append(("Points", f"{len(posed.points.positions):,}"))
+    lenses = {name: posed.lenses[name] for name in posed.viewmats}
+    rows += lens_rows(lenses, f"{capitalised(posed.images.title)} lens")
     if georeference is not None:
         rows.append(("Scale and north", georeference.text))
         if georeference.residual_m is not None:
@@ -276,10 +252,76 @@ def _lenses(
     return rows
 
 
-def _measured(work: Work, posed: Reconstruction | None) -> list[MeasuredPhoto]:
-    """RGB photos with a pose, to measure a known distance in."""
-    if posed is None or posed.images != RGB:
-        return []
-    return measured_photos(
-        work.scene, [view for view in work.images.views if view.name in posed.viewmats]
+def lens_rows(lenses: Mapping[str, Lens], what: str) -> list[tuple[str, str]]:
+    """A row for each distinct lens, with the number of its views."""
+    return [
+        (f"{what}, {counted(count, 'view')}", lens_text(lens))
+        for lens, count in Counter(lenses.values()).items()
+    ]
+
+
+def lens_text(lens: Lens) -> str:
+    """Size, field of view, focal length, principal point and distortion, in a sentence."""
+    wide, high = (
+        math.degrees(field_of_view(pixels, focal))
+        for pixels, focal in ((lens.width, lens.fx), (lens.height, lens.fy))
     )
+    coefficients = zip(
+        ("k1", "k2", "k3", "k4", "p1", "p2"), (*lens.radial, *lens.tangential), strict=True
+    )
+    bent = ", ".join(f"{name} {value:.4g}" for name, value in coefficients if value)
+    model = "fisheye " if lens.fisheye else ""
+    return (
+        f"{lens.width} × {lens.height} px, {wide:.1f}° × {high:.1f}°, focal length {lens.fx:.1f} "
+        f"× {lens.fy:.1f} px, centre {lens.cx:.1f}, {lens.cy:.1f} px, "
+        + (f"{model}distortion {bent}" if bent else f"{model or 'no '}distortion")
+    )
+
+
+def _rig_facts(rig: RigCalibration, metric: bool) -> dict[str, Any]:
+    """The calibrated thermal camera: rows of facts, and a row for each view with its matches,
+    residual and uncertainty, the least certain first."""
+    median, most = rig.residual_px
+    angle_deg = math.degrees(torch.acos(rig.extrinsics[2, 2].clamp(-1, 1)).item())
+    rows = [
+        ("Thermal lens", lens_text(rig.lens)),
+        ("Distance between the lenses", _offset(rig.extrinsics, metric)),
+        ("Angle between the axes", f"{angle_deg:.2f}°"),
+        (
+            "Residual",
+            f"{median:.2f} px (median), {most:.2f} px (90th percentile), in thermal pixels",
+        ),
+        ("Uncertainty", f"{rig.uncertainty_px:.2f} px (one standard deviation)"),
+        ("Motion between pairs", f"{rig.motion_px:.2f} px (median)"),
+    ]
+    if rig.target is not None:
+        seen, fit = rig.target.pairs, rig.target.residual_px[0]
+        text = f"seen by both cameras in {seen} pairs; median residual {fit:.2f} px"
+        rows.append(("Chessboard", text))
+    views = sorted(rig.views, key=lambda view: (-min(view.uncertainty_px, 1e9), view.name))
+    return {
+        "rows": rows,
+        "views": [
+            (each.name, str(each.matches), _number(each.residual_px), _number(each.uncertainty_px))
+            for each in views
+        ],
+    }
+
+
+def _offset(extrinsics: Float64[Tensor, "4 4"], metric: bool) -> str:
+    """Distance and direction of the thermal camera from the photos' camera."""
+    position = -extrinsics[:3, :3].T @ extrinsics[:3, 3]
+    factor, unit, digits = (100.0, "cm", 1) if metric else (1.0, "scene units", 4)
+    words = (("right", "left"), ("below", "above"), ("ahead", "behind"))
+    parts = [
+        f"{abs(value) * factor:.{digits}f} {plus if value >= 0 else minus}"
+        for value, (plus, minus) in zip(position.tolist(), words, strict=True)
+    ]
+    return (
+        f"{position.norm().item() * factor:.{digits}f} {unit}: the thermal camera is "
+        f"{', '.join(parts)}"
+    )
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "not known"

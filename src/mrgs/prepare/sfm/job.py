@@ -1,12 +1,13 @@
-"""The job: images to be reconstructed."""
+"""The files between ``prepare`` and the process that finds the poses: images to be reconstructed,
+and a report on each."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from jaxtyping import Float64
 
@@ -19,6 +20,47 @@ MODEL_FOLDER = "model"
 POINTS_FILE = "points.npz"
 REPORT_FILE = "report.json"
 
+FORMAT = 3
+"""Raise it when features or matches are found in another way: older ones are then discarded."""
+
+
+class JobImage(msgspec.Struct, frozen=True):
+    """An image: its file in ``IMAGE_FOLDER``, without spaces; the view's name; and the digest of
+    the original."""
+
+    file: str
+    name: str
+    sha256: str = ""
+
+
+class JobFile(msgspec.Struct, frozen=True):
+    """Content of ``JOB_FILE``; ``positions`` are metres east, north and up."""
+
+    images: tuple[JobImage, ...]
+    stretch: bool = False
+    positions: tuple[tuple[float, float, float], ...] | None = None
+    format: int = FORMAT
+
+
+class ImageReport(msgspec.Struct, frozen=True):
+    """Number of features (None if the image cannot be read), most matches with another image, and
+    which of the models the image is in."""
+
+    features: int | None
+    matches: int
+    other: str | None = msgspec.field(name="with")
+    group: int | None
+
+
+class ModelReport(msgspec.Struct, frozen=True):
+    """Content of ``REPORT_FILE``: the images in the job's order, the number of images of each
+    model, largest first, and whether only images taken near each other are matched."""
+
+    images: tuple[ImageReport, ...]
+    groups: tuple[int, ...]
+    reprojection_px: float | None
+    nearby: bool
+
 
 @dataclass(frozen=True)
 class ReconstructionJob:
@@ -26,10 +68,9 @@ class ReconstructionJob:
 
     Attributes:
         folder: of the job and its results.
-        files: the images' names in the folder's ``IMAGE_FOLDER``, without spaces.
+        files: names of the images in ``root``.
         faint: whether features are few and weak, as in thermal images.
-        positions: where they were taken, metres east, north and up; None where it is not known of
-            all.
+        positions: where they were taken, metres east, north and up; None if not known for all.
     """
 
     folder: Path
@@ -49,10 +90,9 @@ class ReconstructionJob:
 
 
 def read_job(folder: Path) -> ReconstructionJob:
-    """The job that ``mrgs.prepare.sfm`` wrote into a folder."""
-    content = json.loads((folder / JOB_FILE).read_text(encoding="utf-8"))
-    files = tuple(image["file"] for image in content["images"])
-    positions = content["positions"]
+    """The job in a working folder."""
+    job = msgspec.json.decode((folder / JOB_FILE).read_bytes(), type=JobFile)
+    positions = None if job.positions is None else np.array(job.positions)
     return ReconstructionJob(
-        folder, files, content["stretch"], None if positions is None else np.array(positions)
+        folder, tuple(image.file for image in job.images), job.stretch, positions
     )

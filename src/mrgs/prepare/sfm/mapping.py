@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 import pycolmap
 
@@ -18,6 +17,8 @@ from mrgs.prepare.sfm.job import (
     MODEL_FOLDER,
     POINTS_FILE,
     REPORT_FILE,
+    ImageReport,
+    ModelReport,
     ReconstructionJob,
     Report,
 )
@@ -55,8 +56,7 @@ def map_images(
         _drop_noise(models[0], len(job.files))
         models[0].write_binary(fresh)
         _save_points(models[0], job.files, fresh / POINTS_FILE)
-    content = json.dumps({**_report(job, models), "nearby": nearby}, indent=1)
-    (fresh / REPORT_FILE).write_text(content, encoding="utf-8")
+    (fresh / REPORT_FILE).write_bytes(msgspec.json.encode(_report(job, models, nearby)))
     os.replace(fresh, job.folder / MODEL_FOLDER)
 
 
@@ -115,17 +115,12 @@ def _models(
     """All models, largest first; they share images at their borders only."""
     total, registered = len(job.files), 0
 
-    def start() -> None:
+    def progress(images: int) -> None:
         nonlocal registered
-        registered = 2
+        registered = min(images, total)
         report("mapping", registered, total)
 
-    def another() -> None:
-        nonlocal registered
-        registered = min(registered + 1, total)
-        report("mapping", registered, total)
-
-    report("mapping", 0, total)
+    progress(0)
     folder = job.folder / "models"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -141,8 +136,8 @@ def _models(
         job.root,
         folder,
         options,
-        initial_image_pair_callback=start,
-        next_image_callback=another,
+        initial_image_pair_callback=lambda: progress(2),
+        next_image_callback=lambda: progress(registered + 1),
     )
     shutil.rmtree(folder)
     return sorted(models.values(), key=lambda model: model.num_reg_images(), reverse=True)
@@ -178,8 +173,9 @@ def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Pat
     )
 
 
-def _report(job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction]) -> dict[str, Any]:
-    """Features, matches and group of each image."""
+def _report(
+    job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction], nearby: bool
+) -> ModelReport:
     with pycolmap.Database.open(job.database) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
         features = {
@@ -198,16 +194,6 @@ def _report(job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction]) -
     for file in job.files:
         matches, other = best.get(ids.get(file, 0), (0, 0))
         group = next((index for index, members in enumerate(groups) if file in members), None)
-        images.append(
-            {
-                "features": features[file],
-                "matches": matches,
-                "with": names.get(other),
-                "group": group,
-            }
-        )
-    return {
-        "images": images,
-        "groups": [len(members) for members in groups],
-        "reprojection_px": models[0].compute_mean_reprojection_error() if models else None,
-    }
+        images.append(ImageReport(features[file], matches, names.get(other), group))
+    error_px = models[0].compute_mean_reprojection_error() if models else None
+    return ModelReport(tuple(images), tuple(map(len, groups)), error_px, nearby)

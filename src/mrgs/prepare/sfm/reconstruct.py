@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float64
@@ -18,7 +17,15 @@ from mrgs.data.earth import enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction, Skipped, TooFewPosesError
-from mrgs.prepare.sfm.job import JOB_FILE, MODEL_FOLDER, POINTS_FILE, REPORT_FILE
+from mrgs.prepare.sfm.job import (
+    JOB_FILE,
+    MODEL_FOLDER,
+    POINTS_FILE,
+    REPORT_FILE,
+    ImageReport,
+    JobFile,
+    ModelReport,
+)
 from mrgs.prepare.sfm.working_folder import set_up
 from mrgs.scene import THERMAL, Modality, PointCloud
 from mrgs.system.atomic import write_error
@@ -159,11 +166,15 @@ def read_result(folder: Path, images: Modality) -> Reconstruction:
     Raises:
         TooFewPosesError: fewer than ``MIN_VIEWS`` images have a pose.
     """
-    listed = _read(folder / JOB_FILE)["images"]
-    names = {image["file"]: image["name"] for image in listed}
+    job = msgspec.json.decode((folder / JOB_FILE).read_bytes(), type=JobFile)
+    names = {image.file: image.name for image in job.images}
     model = folder / MODEL_FOLDER
-    report = _read(model / REPORT_FILE)
-    failed = _failed(names, report)
+    report = msgspec.json.decode((model / REPORT_FILE).read_bytes(), type=ModelReport)
+    failed = tuple(
+        Skipped(name, _reason(image, report.groups, names))
+        for name, image in zip(names.values(), report.images, strict=True)
+        if image.group != 0
+    )
     if len(names) - len(failed) < MIN_VIEWS:
         raise TooFewPosesError(_too_few(len(names), failed), failed)
     registered = read_images(ColmapModel(model, ".bin"))
@@ -179,47 +190,27 @@ def read_result(folder: Path, images: Modality) -> Reconstruction:
             names[image.name]: torch.from_numpy(seen[rows[image.name], 1]) for image in registered
         },
         failed=failed,
-        reprojection_px=report["reprojection_px"],
+        reprojection_px=report.reprojection_px,
         source=f"Structure from motion with COLMAP: {len(registered)} of {len(names)} photos, "
         f"{len(positions)} points."
-        f"{' Only photos taken near each other, by GPS, are matched.' if report['nearby'] else ''}",
+        f"{' Only photos taken near each other, by GPS, are matched.' if report.nearby else ''}",
         images=images,
-        warnings=_warnings(report["groups"], report["reprojection_px"]),
+        warnings=_warnings(report.groups, report.reprojection_px or 0.0),
     )
 
 
-def _read(file: Path) -> dict[str, Any]:
-    return json.loads(file.read_text(encoding="utf-8"))
-
-
-def _failed(names: Mapping[str, str], report: dict[str, Any]) -> tuple[Skipped, ...]:
-    """The images outside of the largest model, in order."""
-    pairs = zip(names.values(), report["images"], strict=True)
-    return tuple(
-        Skipped(name, _reason(image, report["groups"], names))
-        for name, image in pairs
-        if image["group"] != 0
-    )
-
-
-def _reason(image: dict[str, Any], groups: Sequence[int], names: Mapping[str, str]) -> str:
+def _reason(image: ImageReport, groups: Sequence[int], names: Mapping[str, str]) -> str:
     """Why an image has no pose."""
-    features, matches = image["features"], image["matches"]
-    if features is None:
+    if image.features is None:
         return "the image could not be read"
-    if features < FEW_FEATURES:
-        return f"too little texture, or blurred ({features} features)"
-    if image["group"] is not None:
-        return (
-            f"connected only to a group of {groups[image['group']]} photos, apart from the largest"
-        )
-    if matches < FEW_MATCHES:
-        other = f", with {names[image['with']]}" if matches else ""
-        return f"little in common with any other photo ({matches} matches at most{other})"
-    return (
-        f"no place among the others fits its matches ({matches} at most, with "
-        f"{names[image['with']]})"
-    )
+    if image.features < FEW_FEATURES:
+        return f"too little texture, or blurred ({image.features} features)"
+    if image.group is not None:
+        return f"connected only to a group of {groups[image.group]} photos, apart from the largest"
+    other = "" if image.other is None else f", with {names[image.other]}"
+    if image.matches < FEW_MATCHES:
+        return f"little in common with any other photo ({image.matches} matches at most{other})"
+    return f"no place among the others fits its matches ({image.matches} at most{other})"
 
 
 def _too_few(count: int, failed: Sequence[Skipped]) -> str:

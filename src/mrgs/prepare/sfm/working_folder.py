@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from PIL import Image
@@ -17,11 +17,8 @@ from mrgs.data.images import decode
 from mrgs.data.kept import digest
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Progress
-from mrgs.prepare.sfm.job import IMAGE_FOLDER, JOB_FILE
+from mrgs.prepare.sfm.job import IMAGE_FOLDER, JOB_FILE, JobFile, JobImage
 from mrgs.system.atomic import replacing, write_error
-
-FORMAT = 3
-"""Raise it when features or matches are found in another way: older ones are then discarded."""
 
 
 def set_up(
@@ -45,45 +42,45 @@ def set_up(
         SceneError: an image cannot be read.
         RunError: the folder cannot be written.
     """
-    content = json.dumps(_job(images, stretch, positions), indent=1).encode()
-    file = folder / JOB_FILE
+    job, file = _job(images, stretch, positions), folder / JOB_FILE
     try:
-        if file.is_file() and file.read_bytes() == content:
+        if file.is_file() and _holds(file, job):
             return
         shutil.rmtree(folder, ignore_errors=True)
         (folder / IMAGE_FOLDER).mkdir(parents=True)
         span = span_of(images.values()) if stretch else None
-        for number, (name, source) in enumerate(
-            zip(_files(images, stretch), images.values(), strict=True), 1
-        ):
-            target = folder / IMAGE_FOLDER / name
+        for number, (image, source) in enumerate(zip(job.images, images.values(), strict=True), 1):
+            target = folder / IMAGE_FOLDER / image.file
             if span is None:
                 _link(source, target)
             else:
                 Image.fromarray(stretched(source, span)).save(target)
                 progress("contrast", number, len(images))
-        with replacing(file) as temporary:  # last: it says that the rest is there
-            temporary.write_bytes(content)
+        with replacing(file) as temporary:  # last: the rest is then complete
+            temporary.write_bytes(msgspec.json.encode(job))
     except OSError as error:
         raise write_error(folder, error) from None
 
 
 def _job(
     images: Mapping[str, Path], stretch: bool, positions: Float64[np.ndarray, "n 3"] | None
-) -> dict[str, object]:
-    """The content of the job file, which is equal for equal jobs."""
-    listed = [
-        {"file": file, "name": name, "sha256": digest(source)}
-        for file, (name, source) in zip(_files(images, stretch), images.items(), strict=True)
-    ]
-    rounded = None if positions is None else positions.round(3).tolist()
-    return {"format": FORMAT, "stretch": stretch, "positions": rounded, "images": listed}
+) -> JobFile:
+    named = tuple(
+        JobImage(
+            f"{number:06d}{'.png' if stretch else source.suffix.lower()}", name, digest(source)
+        )
+        for number, (name, source) in enumerate(images.items(), 1)
+    )
+    rounded = None if positions is None else tuple(map(tuple, positions.round(3).tolist()))
+    return JobFile(named, stretch, rounded)
 
 
-def _files(images: Mapping[str, Path], stretch: bool) -> list[str]:
-    """The images' names in the folder."""
-    suffixes = [".png" if stretch else source.suffix.lower() for source in images.values()]
-    return [f"{number:06d}{suffix}" for number, suffix in enumerate(suffixes, 1)]
+def _holds(file: Path, job: JobFile) -> bool:
+    """Whether a file has this job."""
+    try:
+        return msgspec.json.decode(file.read_bytes(), type=JobFile) == job
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return False
 
 
 def _link(source: Path, target: Path) -> None:
@@ -149,21 +146,12 @@ def local_contrast(shares: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h
     side = max(height, width) / TILES
     rows, columns = max(round(height / side), 1), max(round(width / side), 1)
     bins = np.minimum((shares * BINS).astype(np.int64), BINS - 1)
-    ranks = np.stack(
-        [
-            np.stack([_ranks(tile) for tile in np.array_split(band, columns, axis=1)])
-            for band in np.array_split(bins, rows, axis=0)
-        ]
-    )
-    above, below, down = _neighbours(height, rows)
+    bands = (np.array_split(band, columns, axis=1) for band in np.array_split(bins, rows))
+    ranks = np.stack([np.stack([_ranks(tile) for tile in band]) for band in bands])
+    above, below, down = (values[:, None] for values in _neighbours(height, rows))
     left, right, across = _neighbours(width, columns)
-    down, across = down[:, None], across[None]
-    upper = (1 - across) * ranks[above[:, None], left, bins] + across * ranks[
-        above[:, None], right, bins
-    ]
-    lower = (1 - across) * ranks[below[:, None], left, bins] + across * ranks[
-        below[:, None], right, bins
-    ]
+    upper = (1 - across) * ranks[above, left, bins] + across * ranks[above, right, bins]
+    lower = (1 - across) * ranks[below, left, bins] + across * ranks[below, right, bins]
     return ((1 - down) * upper + down * lower).astype(np.float32)
 
 
