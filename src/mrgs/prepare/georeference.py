@@ -178,7 +178,7 @@ def _by_gps(
             f"{len(gps)} of the photos with a pose have one, and {MIN_POSITIONS} are needed"
         )
     with_height = {name: place for name, place in gps.items() if place.altitude_m is not None}
-    used, warnings = with_height, ()
+    used, warnings = with_height, tuple[str, ...]()
     reason = "the GPS positions have no heights"
     solution = None
     if len(with_height) >= max(MIN_POSITIONS, len(gps) / 2):

@@ -238,13 +238,13 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Loca
         )
     located, points = [], []
     for index, orderings in enumerate(views):
-        sighting, motion = stationary.get(index, orderings[0])
+        pose = stationary.get(index, orderings[0])
         if board is not None and index in stationary:
-            depth = sighting.camera.project(board.corners(plane))[1].numpy()
+            depth = pose.sighting.camera.project(board.corners(plane))[1].numpy()
         else:
-            depth = width * (np.einsum("j,nj->n", motion[2, :2], plane) + motion[2, 3])
-        located.append(sighting)
-        points.append(np.column_stack([sighting.rays, np.ones(len(plane))]) * depth[:, None])
+            depth = width * (np.einsum("j,nj->n", pose.motion[2, :2], plane) + pose.motion[2, 3])
+        located.append(pose.sighting)
+        points.append(np.column_stack([pose.sighting.rays, np.ones(len(plane))]) * depth[:, None])
     return LocatedTarget(tuple(located), tuple(points), width, len(stationary))
 
 
