@@ -303,9 +303,13 @@ def _exhibit(
         ):
             continue
         try:
-            rendering = _render(each, loaded, view, planned, renders)
+            # A rendering keeps its run in memory: it must not outlive the call.
             shown[each.method] = ViewImages.of(
-                view, rendering, loaded.temperature, loaded.reach, THERMAL
+                view,
+                _render(each, loaded, view, planned, renders),
+                loaded.temperature,
+                loaded.reach,
+                THERMAL,
             )
         except MrgsError:  # scored, but its checkpoints or images were removed since
             continue
