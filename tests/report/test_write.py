@@ -279,7 +279,7 @@ def test_the_limits_say_what_the_temperatures_were_computed_with(
 @pytest.mark.usefixtures("without_spots")
 def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, plain, tmp_path):
     scene = replace(run.load_scene(), temperature=None)
-    capture = run.facts.capture._replace(has_celsius=False)
+    capture = replace(run.facts.capture, has_celsius=False)
     unknown = replace(
         run,
         facts=run.facts._replace(temperature=None, capture=capture),

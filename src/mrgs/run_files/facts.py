@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -75,7 +76,7 @@ class CheckpointFacts(NamedTuple):
         temperature = self.temperature
         return {
             **self._asdict(),
-            "capture": self.capture._asdict(),
+            "capture": asdict(self.capture),
             "modalities": [modality.to_json() for modality in self.modalities],
             "temperature": None if temperature is None else [temperature.min_c, temperature.max_c],
         }

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import statistics
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple, TypeAlias
+
+import msgspec
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.scene import Scene
+from mrgs.system.typed_json import Finite, from_json
+
+Length: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=sys.float_info.max)]
 
 
 class Viewpoint(NamedTuple):
@@ -20,29 +26,17 @@ class Viewpoint(NamedTuple):
         forward: viewing direction, unit length.
     """
 
-    position: tuple[float, float, float]
-    forward: tuple[float, float, float]
+    position: tuple[Finite, Finite, Finite]
+    forward: tuple[Finite, Finite, Finite]
 
     @classmethod
     def of(cls, camera: Camera, extent: float) -> Viewpoint:
         """The viewpoint of a camera in a scene of this extent."""
-        return cls(_triple((camera.position / extent).tolist()), _triple(camera.forward.tolist()))
-
-    @classmethod
-    def from_json(cls, values: Any) -> Viewpoint:
-        """A viewpoint from its JSON form.
-
-        Raises:
-            TypeError, ValueError: the values are no viewpoint.
-        """
-        position, forward = values
-        viewpoint = cls(_triple(position), _triple(forward))
-        if not all(map(math.isfinite, (*viewpoint.position, *viewpoint.forward))):
-            raise ValueError("a viewpoint must be finite")
-        return viewpoint
+        return cls(tuple((camera.position / extent).tolist()), tuple(camera.forward.tolist()))
 
 
-class Capture(NamedTuple):
+@dataclass(frozen=True)
+class Capture:
     """What a model needs to know of a scene's training views.
 
     Attributes:
@@ -54,9 +48,9 @@ class Capture(NamedTuple):
     """
 
     thermal_viewpoints: tuple[Viewpoint | None, ...]
-    extent: float
+    extent: Length
     has_celsius: bool
-    finest_focal_px: float | None = None
+    finest_focal_px: Length | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> Capture:
@@ -88,24 +82,13 @@ class Capture(NamedTuple):
         return len(self.thermal_viewpoints)
 
     @classmethod
-    def from_json(cls, values: dict[str, Any]) -> Capture:
-        """A capture from the JSON form of ``_asdict``.
+    def from_json(cls, values: Any) -> Capture:
+        """A capture from the JSON form of ``asdict``.
 
         Raises:
-            KeyError, TypeError, ValueError: the values are no capture.
+            ValueError: the values are no capture.
         """
-        viewpoints = tuple(
-            None if point is None else Viewpoint.from_json(point)
-            for point in values["thermal_viewpoints"]
-        )
-        extent = float(values["extent"])
-        if not 0 < extent < math.inf:
-            raise ValueError("the extent is a length")
-        finest = values.get("finest_focal_px")
-        finest = None if finest is None else float(finest)
-        if finest is not None and not 0 < finest < math.inf:
-            raise ValueError("the focal length is a number of pixels")
-        return cls(viewpoints, extent, bool(values["has_celsius"]), finest)
+        return from_json(cls, values)
 
 
 def _finest_focal_px(scene: Scene) -> float:
@@ -121,8 +104,3 @@ def model_modalities(captured: Iterable[Modality]) -> tuple[Modality, ...]:
         captured: the scene's modalities.
     """
     return in_order((RGB, THERMAL, *captured))
-
-
-def _triple(values: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = map(float, values)
-    return x, y, z

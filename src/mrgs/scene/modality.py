@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
+
+from mrgs.system.typed_json import from_json
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 LONGEST_TEXT = 40
@@ -70,12 +72,7 @@ class Modality:
 
     def to_json(self) -> dict[str, Any]:
         """Name, channels, unit and title as a JSON object; ``from_json`` reads it."""
-        return {
-            "name": self.name,
-            "channels": self.channels,
-            "unit": self.unit,
-            "title": self.title,
-        }
+        return asdict(self)
 
     @classmethod
     def from_json(cls, value: object) -> Modality:
@@ -85,17 +82,10 @@ class Modality:
         Raises:
             ValueError: the value is none.
         """
-        if not isinstance(value, dict):
-            raise ValueError("a modality is an object with a name and a number of channels")
-        name, channels = value.get("name"), value.get("channels")
-        unit, title = value.get("unit"), value.get("title", "")
-        if not isinstance(name, str) or not isinstance(title, str):
-            raise ValueError("a modality's name and title must be texts")
-        if unit is not None and not isinstance(unit, str):
-            raise ValueError(f"the unit of modality {name!r:.60} must be a text")
-        if isinstance(channels, bool) or not isinstance(channels, int):
-            raise ValueError(f"the channels of modality {name!r:.60} must be a whole number")
-        return cls(name, channels, unit, title)
+        try:
+            return from_json(cls, value)
+        except ValueError as error:
+            raise ValueError(f"this is no modality: {error}") from None
 
 
 RGB = Modality("rgb", 3, title="RGB")

@@ -5,13 +5,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, astuple, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, replace
 from datetime import datetime
 from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
 from torch import Tensor
+
+from mrgs.system.typed_json import from_json
 
 ZERO_CELSIUS_K = 273.15
 
@@ -200,6 +202,16 @@ class PhotoRecord:
     planck: Planck | None = None
     given: Mapping[str, float] = field(default_factory=dict, hash=False)
 
+    def __post_init__(self) -> None:
+        for name in ("source", "camera", "serial"):
+            text = getattr(self, name)
+            if len(text) > LONGEST_TEXT or not text.isprintable():
+                raise ValueError(f"{name} is not a short text")
+        for name, value in self.given.items():
+            low, high, _ = PARAMETER_LIMITS.get(name, (math.nan, math.nan, ""))
+            if not low <= value <= high:
+                raise ValueError(f"the given {name[:LONGEST_TEXT]!r} cannot be true")
+
     def setting(self, name: str) -> float | None:
         """A parameter of the measurement; None if not known."""
         if self.parameters is None:
@@ -225,51 +237,9 @@ class PhotoRecord:
         Raises:
             ValueError: the value is none; one sentence.
         """
-        if not isinstance(value, Mapping):
-            raise ValueError("it is not an object")
-        texts = {name: value.get(name, "") for name in ("source", "camera", "serial")}
-        for name, text in texts.items():
-            if not isinstance(text, str) or len(text) > LONGEST_TEXT or not text.isprintable():
-                raise ValueError(f"its {name} is not a short text")
-        taken = value.get("taken")
-        if taken is not None and not isinstance(taken, str):
-            raise ValueError("its time is not a text")
-        parameters = _numbers(ObjectParameters, value.get("parameters"), "parameters")
-        planck = _numbers(Planck, value.get("planck"), "Planck constants")
-        for found in (parameters, planck):
+        record = from_json(cls, value)
+        for found in (record.parameters, record.planck):
             if found is not None and (problem := found.problem()):
                 raise ValueError(f"it cannot be true ({problem})")
-        when = None if taken is None else datetime.fromisoformat(taken).replace(tzinfo=None)
-        return cls(
-            **texts,
-            taken=when,
-            parameters=parameters,
-            planck=planck,
-            given=_given(value.get("given", {})),
-        )
-
-
-def _given(value: Any) -> dict[str, float]:
-    """Parameters that the user gave, from a JSON object."""
-    if not isinstance(value, Mapping) or not PARAMETER_LIMITS.keys() >= set(value):
-        raise ValueError("its given parameters are not those that are known")
-    for name, each in value.items():
-        low, high, _ = PARAMETER_LIMITS[name]
-        if not isinstance(each, int | float) or not low <= each <= high:
-            raise ValueError(f"its given {name} cannot be true")
-    return {name: float(each) for name, each in value.items()}
-
-
-def _numbers(kind: Any, value: Any, what: str) -> Any:
-    """A dataclass of numbers from a JSON object; None for None."""
-    if value is None:
-        return None
-    names = {field.name for field in fields(kind)}
-    if not isinstance(value, Mapping) or not names >= set(value):
-        raise ValueError(f"its {what} are not those that are known")
-    if not all(isinstance(each, int | float) for each in value.values()):
-        raise ValueError(f"its {what} are not numbers")
-    try:
-        return kind(**{name: float(each) for name, each in value.items()})
-    except (TypeError, OverflowError):
-        raise ValueError(f"its {what} are not complete") from None
+        when = None if record.taken is None else record.taken.replace(tzinfo=None)
+        return replace(record, taken=when)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict, replace
 
 import pytest
 import torch
@@ -21,7 +22,7 @@ CAPTURE = Capture((*along_a_line(2), None), extent=2.0, has_celsius=False, fines
 ALL = ImageModelConfig(point_spread=True, thermal_gain=True)
 
 
-JSON = json.loads(json.dumps(CAPTURE._asdict()))
+JSON = json.loads(json.dumps(asdict(CAPTURE)))
 
 
 def camera_at(x: float) -> Camera:
@@ -89,7 +90,7 @@ def test_at_the_start_only_the_spread_changes_anything():
 
 
 def test_a_photo_that_was_not_learned_from_is_expected_to_have_its_neighbours_gain():
-    model = ImageModel(ALL, CAPTURE._replace(thermal_viewpoints=along_a_line(20)))
+    model = ImageModel(ALL, replace(CAPTURE, thermal_viewpoints=along_a_line(20)))
     seen = rendering()
     model.thermal_gain.offsets.data[10:] = 0.2
     written = model.expected(seen, camera_at(2 * 15.4))
@@ -102,11 +103,11 @@ def test_a_photo_that_was_not_learned_from_is_expected_to_have_its_neighbours_ga
 
 def test_thermal_photos_in_celsius_have_no_gain():
     assert ImageModel(ALL, CAPTURE).thermal_gain is not None
-    assert ImageModel(ALL, CAPTURE._replace(has_celsius=True)).thermal_gain is None
+    assert ImageModel(ALL, replace(CAPTURE, has_celsius=True)).thermal_gain is None
 
 
 def test_without_thermal_photos_there_is_no_gain():
-    model = ImageModel(ALL, CAPTURE._replace(thermal_viewpoints=(None,) * 3))
+    model = ImageModel(ALL, replace(CAPTURE, thermal_viewpoints=(None,) * 3))
     assert model.thermal_gain is None
     assert model.expected(rendering(), camera_at(0.3))[THERMAL].image.isfinite().all()
 
@@ -152,4 +153,4 @@ def test_a_capture_comes_back_from_json():
 
 def test_a_capture_of_an_older_version_knows_no_focal_length():
     del (older := dict(JSON))["finest_focal_px"]
-    assert Capture.from_json(older) == CAPTURE._replace(finest_focal_px=None)
+    assert Capture.from_json(older) == replace(CAPTURE, finest_focal_px=None)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -67,7 +69,7 @@ def test_the_image_model_writes_photos_with_their_drift():
     config = ImageModelConfig(thermal_drift=True)
     capture = Capture(POINTS, 1.0, has_celsius=True)
     model = ImageModel(config, capture)
-    assert ImageModel(config, capture._replace(has_celsius=False)).thermal_drift is None
+    assert ImageModel(config, replace(capture, has_celsius=False)).thermal_drift is None
     image = torch.rand(12, 16, 1, generator=torch.Generator().manual_seed(3))
     ones = torch.ones(12, 16)
     rendering = Rendering({THERMAL: Blend(image, ones, ones)})

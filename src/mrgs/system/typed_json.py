@@ -1,0 +1,27 @@
+"""Records from JSON, each value checked against its field's type."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, TypeAlias, TypeVar
+
+import msgspec
+
+Record = TypeVar("Record")
+
+Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+"""A number that is neither NaN nor infinite."""
+
+
+def from_json(kind: type[Record], value: object) -> Record:
+    """A dataclass or a named tuple from parsed JSON; entries that it has no field for are ignored.
+
+    Raises:
+        ValueError: a field is missing or of another type; the message begins with its path.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        problem, _, path = str(error).partition(" - at `$")
+        where = path.strip("`").removeprefix(".")
+        raise ValueError(f"{where}: {problem}" if where else problem) from None
