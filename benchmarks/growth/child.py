@@ -18,7 +18,7 @@ from benchmarks.memory import peak_bytes, reset_peak
 from mrgs.kernels.cache import are_compiled
 from mrgs.scene import Scene
 from mrgs.system.child import read_request, send, when_asked_to_stop
-from mrgs.training import TrainConfig, estimate_bytes, train
+from mrgs.training import Hooks, TrainConfig, estimate_bytes, train
 
 UNTIMED = 3
 """Steps at the beginning that are not timed: they import and compile."""

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import mrgs
-from mrgs.app import commands, options
+from mrgs.app import commands
 from mrgs.app.cli import main
 from mrgs.app.terminal import styled
 from mrgs.export.formats import FORMATS
@@ -77,7 +77,7 @@ def test_help_explains_every_option(name, capsys):
     fields = [*dataclasses.fields(commands.COMMANDS[name])]
     if any(field.name == "photo" for field in fields):
         fields = [field for field in fields if field.name != "photo"]
-        fields += dataclasses.fields(options.PhotoOptions)
+        fields += dataclasses.fields(commands.PhotoOptions)
     for field in fields:
         positional = field.default is dataclasses.MISSING
         option = "positional arguments" if positional else f"--{field.name.replace('_', '-')} "
@@ -85,7 +85,7 @@ def test_help_explains_every_option(name, capsys):
     assert "None" not in text
 
 
-@pytest.mark.parametrize("kind", [*commands.COMMANDS.values(), options.PhotoOptions])
+@pytest.mark.parametrize("kind", [*commands.COMMANDS.values(), commands.PhotoOptions])
 def test_help_of_an_option_is_one_line_in_the_code(kind):
     """tyro would keep the line break and the indentation."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body[1:]

@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 import pytest
 
-from mrgs.comparison.methods import Variant, configure, from_text
+from mrgs.comparison.plan import Variant, configure, from_text
 from mrgs.errors import ConfigError
 from mrgs.system.strict_yaml import flat, write_yaml
 from tests.helpers.comparison import tiny_options

@@ -7,8 +7,7 @@ import shutil
 import pytest
 from PIL import Image
 
-from mrgs.comparison.methods import Variant
-from mrgs.comparison.plan import neighbour_methods, plan
+from mrgs.comparison.plan import Variant, neighbour_methods, plan
 from mrgs.errors import ConfigError, MrgsWarning, SceneError
 from mrgs.training import train
 from tests.helpers.comparison import tiny_options

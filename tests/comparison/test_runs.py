@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from PIL import Image, ImageOps
 
-from mrgs.comparison.methods import Variant, configure
+from mrgs.comparison.plan import Variant, configure
 from mrgs.comparison.runs import (
     SceneData,
     are_stale,

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from mrgs.data.images import probe
+from mrgs.data.load import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.data.sources import ReadingNotes
-from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
 from mrgs.errors import SceneError
 from mrgs.scene import TemperatureRange
 
@@ -87,23 +87,23 @@ def test_float_images_that_are_not_celsius(tmp_path):
 
 def test_celsius_are_mapped_and_not_clamped(tmp_path):
     values, valid = decode_thermal(
-        celsius(tmp_path / "a.tiff", 10.0, 15.0, 35.0), TemperatureRange(10.0, 30.0)
+        celsius(tmp_path / "a.tiff", 10.0, 15.0, 35.0), None, TemperatureRange(10.0, 30.0)
     )
     assert values[..., 0].tolist() == [[0.0, 0.25, 1.25]]
     assert valid is None
     with pytest.raises(SceneError, match="not known"):
-        decode_thermal(tmp_path / "a.tiff", None)
+        decode_thermal(tmp_path / "a.tiff", None, None)
 
 
 def test_integers_are_spread_over_the_range_already(tmp_path):
     Image.fromarray(np.array([[0, 13107, 65535]], dtype=np.uint16)).save(tmp_path / "a.png")
-    values, _ = decode_thermal(tmp_path / "a.png", TemperatureRange(10.0, 30.0))
+    values, _ = decode_thermal(tmp_path / "a.png", None, TemperatureRange(10.0, 30.0))
     np.testing.assert_allclose(values[..., 0], [[0.0, 0.2, 1.0]], atol=1e-7)
 
 
 def test_the_luminance_of_a_grey_image_in_colour_is_its_grey(tmp_path):
     Image.fromarray(np.full((2, 2, 3), 77, dtype=np.uint8)).save(tmp_path / "a.png")
-    values, _ = decode_thermal(tmp_path / "a.png", None)
+    values, _ = decode_thermal(tmp_path / "a.png", None, None)
     np.testing.assert_allclose(values, 77 / 255, atol=1e-7)
     assert values.shape == (2, 2, 1)
 

@@ -12,8 +12,8 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, MrgsWarning, SceneError
 from mrgs.evaluation import evaluate_run, render_run, score_run
+from mrgs.evaluation.report import ScoredData
 from mrgs.evaluation.score_run import facts_of, score_views
-from mrgs.evaluation.scored_data import ScoredData
 from mrgs.pictures.files import to_rgb8
 from mrgs.render import render, render_view
 from mrgs.run_files.facts import CheckpointFacts

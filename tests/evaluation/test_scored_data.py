@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from mrgs.data import load_scene
-from mrgs.evaluation.scored_data import ScoredData
+from mrgs.evaluation.report import ScoredData
 from mrgs.run_files.fingerprint import fingerprints
 from mrgs.scene import Scene, TemperatureRange
 

@@ -11,7 +11,7 @@ import pytest
 
 from mrgs.app.arguments import flag_of
 from mrgs.app.cli import main
-from mrgs.app.options import PhotoOptions
+from mrgs.app.commands import PhotoOptions
 from mrgs.app.progress import PrepareProgress
 from mrgs.check import Problem
 from mrgs.data.radiometric import Overrides

@@ -25,11 +25,10 @@ from PIL import Image
 from torch import Tensor
 
 from mrgs.data.lens import Lens
-from mrgs.data.load import assign_splits
+from mrgs.data.load import assign_splits, read_bounds
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.ply import write_points
 from mrgs.data.sources import ImageSource, SceneSource, ViewSource
-from mrgs.data.thermal import read_bounds
 from mrgs.data.transforms import (
     BOUNDS,
     POINTS,

@@ -9,17 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
-from rich.table import Column
-
 from mrgs.app.interrupts import CTRL_C, Interruption, interrupts
 from mrgs.app.terminal import print_note
 from mrgs.errors import warn_user
@@ -52,18 +41,30 @@ Clock = Callable[[], float]
 
 
 class _Line:
-    """A line with a bar or a spinner that changes in place; where the output is not a terminal, a
-    line now and then.
+    """A line that changes in place; where the output is not a terminal, a line now and then.
+
+    Args:
+        columns: among "text", "bar", "spinner" and "time", which counts up.
     """
 
-    def __init__(self, *columns: ProgressColumn | str, clock: Clock, **options: Any) -> None:
-        text = TextColumn(
-            "{task.description}",
-            markup=False,
-            table_column=Column(no_wrap=True, overflow="ellipsis"),
-        )
-        self.bar = Progress(
-            *(text if column == "text" else column for column in columns),
+    def __init__(self, *columns: str, clock: Clock, **options: Any) -> None:
+        # Imported here, so that a help text comes at once.
+        from rich import progress as bars
+        from rich.console import Console
+        from rich.table import Column
+
+        kinds = {
+            "text": bars.TextColumn(
+                "{task.description}",
+                markup=False,
+                table_column=Column(no_wrap=True, overflow="ellipsis"),
+            ),
+            "bar": bars.BarColumn(BAR_WIDTH),
+            "spinner": bars.SpinnerColumn(),
+            "time": bars.TimeElapsedColumn(),
+        }
+        self.bar = bars.Progress(
+            *(kinds[column] for column in columns),
             console=Console(highlight=False),
             redirect_stderr=sys.stderr.isatty(),
             disable=not sys.stdout.isatty(),
@@ -72,7 +73,7 @@ class _Line:
         self.clock, self.last = clock, clock()
 
     def is_due(self, every_s: float = PLAIN_LINE_EVERY_S) -> bool:
-        """Whether the last line was shown at least so many seconds ago."""
+        """Whether the last line was shown this long ago."""
         return self.clock() - self.last >= every_s
 
     def show(self, text: str, done: int, total: int | None) -> None:
@@ -104,10 +105,9 @@ def counter(
 
     Args:
         verb: what is being done.
-        forecast: tells the time left of named parts; without it, all parts count the same.
-        clock: seconds, monotonic.
+        forecast: the time left of named parts; without it, all parts count the same.
     """
-    line, started = _Line(SpinnerColumn(), "text", BarColumn(BAR_WIDTH), clock=clock), clock()
+    line, started = _Line("spinner", "text", "bar", clock=clock), clock()
 
     def show(done: int, total: int, name: str = "", left_s: float | None = None) -> None:
         finished = done - 1 if name and done else done
@@ -134,10 +134,8 @@ def counter(
 
 
 class TrainingProgress:
-    """Progress of a training: step, time left, loss, thermal error, Gaussians, speed.
-
-    Once the training has begun, an interruption ends it after the current step, and a second Ctrl-C
-    at once.
+    """Progress of a training. Once it has begun, an interruption ends it after the current step;
+    a second Ctrl-C at once.
 
     Attributes:
         unfinished: whether it was interrupted before its last step.
@@ -153,14 +151,13 @@ class TrainingProgress:
         self._started = clock()
         self._smoothed: dict[str, float] = {}
         self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
-        self._line = _Line(BarColumn(BAR_WIDTH), "text", clock=clock, auto_refresh=False)
-        self._postponed, self._starting = ExitStack(), ExitStack()
+        self._line = _Line("bar", "text", clock=clock, auto_refresh=False)
+        self._postponed = ExitStack()
 
     def __enter__(self) -> None:
         self._postponed.__enter__()
 
     def __exit__(self, *_: object) -> None:
-        self._starting.close()
         self._postponed.close()
         self._line.bar.stop()
 
@@ -199,15 +196,13 @@ class TrainingProgress:
         if (hint := _hint_at_resolution(scene, config)) is not None:
             print_note(hint)
         sys.stdout.flush()
-        if self._line.bar.console.is_terminal:
-            status = self._line.bar.console.status("reading photos, compiling kernels")
-            self._starting.enter_context(status)
+        if not self._line.bar.disable:
+            self._line.show("reading photos, compiling kernels", 0, None)
 
     def step(self, statistics: Statistics) -> bool:
         """Show a step; returns True to stop the training."""
         if self._first_step is None:
             # Not counted in the speed: the first step compiles kernels and reads photos.
-            self._starting.close()
             self._first_step, self._started = statistics.step, self._line.clock()
         self._unread.append(statistics)
         is_last = statistics.step == self.max_steps
@@ -256,9 +251,6 @@ class TrainingProgress:
 class PrepareProgress:
     """Progress of ``mrgs prepare``: the current step, each finished stage, warnings at the end.
 
-    Args:
-        clock: seconds, monotonic.
-
     Attributes:
         forecast: of the whole, where the time left is not given with each step.
     """
@@ -268,9 +260,7 @@ class PrepareProgress:
         self._step = ""
         self._started = clock()
         self._warnings: list[str] = []
-        self._line = _Line(
-            SpinnerColumn(), "text", TimeElapsedColumn(), clock=clock, transient=True
-        )
+        self._line = _Line("spinner", "text", "time", clock=clock, transient=True)
 
     def __enter__(self) -> PrepareProgress:
         return self

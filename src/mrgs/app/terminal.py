@@ -9,9 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from rich.console import Console
-from rich.text import Text
-
 from mrgs.errors import MrgsWarning, SceneError
 
 if TYPE_CHECKING:
@@ -26,8 +23,13 @@ if TYPE_CHECKING:
 def styled(text: str, style: str, stream: TextIO) -> str:
     """The text with the codes of a style such as "bold red"; as it is where the stream is not a
     terminal with colours, or NO_COLOR is set."""
+    if not stream.isatty():
+        return text
+    from rich.console import Console
+    from rich.text import Text
+
     console = Console(file=stream, highlight=False, soft_wrap=True)
-    if not console.is_terminal or console.no_color:
+    if console.no_color:
         return text
     with console.capture() as capture:
         console.print(Text(text, style=style), end="")

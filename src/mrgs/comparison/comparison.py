@@ -18,8 +18,7 @@ from mrgs.comparison.figures import (
     depth_section,
     qualitative_section,
 )
-from mrgs.comparison.methods import Options
-from mrgs.comparison.plan import PlannedRun, neighbour_methods, plan
+from mrgs.comparison.plan import Options, PlannedRun, neighbour_methods, plan
 from mrgs.comparison.processes import Progress, run_jobs
 from mrgs.comparison.results import Outcome, failed, outcome
 from mrgs.comparison.runs import Scores, is_scored, read_metrics, run_scores

@@ -2,22 +2,261 @@
 ``images/``.
 
 Where only one image of a pair is registered, both have its camera. Where both are (``rgb/a.jpg``
-and ``thermal/a.jpg`` in one reconstruction), each keeps its own.
+and ``thermal/a.jpg`` in one reconstruction), each keeps its own. The formats are described in
+COLMAP's documentation, "Output Format".
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import struct
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
-from mrgs.data.colmap_model import ColmapModel, RegisteredImage, read_images, read_points3d
-from mrgs.data.files import ImageFinder, is_file, scene_error, without_image_suffix
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mrgs.data.files import (
+    ImageFinder,
+    contained,
+    is_file,
+    read_bytes,
+    scene_error,
+    without_image_suffix,
+)
 from mrgs.data.images import probe
+from mrgs.data.lens import Lens, checked_lens
+from mrgs.data.poses import viewmat_from_colmap
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
-from mrgs.data.thermal import BOUNDS_FILES
+from mrgs.data.transforms import BOUNDS_FILES
+from mrgs.errors import SceneError
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system.wording import Message, shown
+
+Row = TypeVar("Row")
+
+MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse", "colmap")
+
+_PARAMETER_COUNTS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+}
+"""Of each camera model that is read, in the order of COLMAP's numbers for them."""
+
+
+@dataclass(frozen=True)
+class ColmapModel:
+    """Folder of a COLMAP reconstruction, and its format (``.txt`` or ``.bin``)."""
+
+    folder: Path
+    suffix: str
+
+    def file(self, stem: str) -> Path:
+        """The file of the model with this stem."""
+        return self.folder / f"{stem}{self.suffix}"
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredImage:
+    """An image of the reconstruction: its name below the image folder, lens, and world-to-camera
+    matrix."""
+
+    name: str
+    lens: Lens
+    viewmat: Float64[Tensor, "4 4"]
+
+
+def find_model(root: Path) -> ColmapModel | None:
+    """The first complete reconstruction among ``MODEL_FOLDERS``; binary before text, as in
+    COLMAP."""
+    for name in MODEL_FOLDERS:
+        for suffix in (".bin", ".txt"):
+            model = ColmapModel(root / name, suffix)
+            if is_file(model.file("cameras")) and is_file(model.file("images")):
+                for stem in ("cameras", "images", "points3D"):
+                    contained(root, f"{name}/{stem}{suffix}", root)
+                return model
+    return None
+
+
+def read_images(model: ColmapModel) -> list[RegisteredImage]:
+    """The registered images with their lenses, sorted by name.
+
+    Raises:
+        SceneError: a file is damaged, cut off, or uses a camera model that is not supported.
+    """
+    binary = model.suffix == ".bin"
+    file = model.file("cameras")
+    rows = _binary_cameras(file) if binary else _text_rows(file, _text_camera)
+    lenses = {
+        number: _lens(kind, width, height, parameters, f"camera {number}", file)
+        for number, kind, width, height, parameters in rows
+    }
+    file, images = model.file("images"), []
+    for pose, number, name in _binary_images(file) if binary else _text_rows(file, _text_image, 2):
+        if number not in lenses:
+            raise scene_error(
+                file,
+                f"image {shown(name)} uses camera {number}, which is not there; run COLMAP again",
+            )
+        place = np.array(pose[:4]), np.array(pose[4:])
+        viewmat = viewmat_from_colmap(*place, f"image {shown(name)}", file)
+        images.append(RegisteredImage(name, lenses[number], viewmat))
+    return sorted(images, key=lambda image: image.name)
+
+
+def read_points3d(model: ColmapModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions [N, 3] in COLMAP's world and colours [N, 3] in [0, 1]; empty without a points3D
+    file.
+
+    Raises:
+        SceneError: the file is damaged or cut off.
+    """
+    file = model.file("points3D")
+    if not is_file(file):
+        return np.empty((0, 3)), np.empty((0, 3))
+    points = _binary_points(file) if model.suffix == ".bin" else _text_rows(file, _text_point)
+    rows = np.array(list(points), dtype=np.float64).reshape(-1, 6)
+    return rows[:, :3], np.clip(np.nan_to_num(rows[:, 3:]) / 255, 0.0, 1.0)
+
+
+def _lens(
+    model: str, width: int, height: int, parameters: tuple[float, ...], what: str, file: Path
+) -> Lens:
+    if model not in _PARAMETER_COUNTS:
+        known = ", ".join(_PARAMETER_COUNTS)
+        raise scene_error(
+            file,
+            f"{what} has the model {shown(model)}; undistort with COLMAP, or use one of {known}",
+        )
+    if len(parameters) != _PARAMETER_COUNTS[model]:
+        raise scene_error(
+            file,
+            f"{what} has {len(parameters)} parameters where {model} has "
+            f"{_PARAMETER_COUNTS[model]}; correct it",
+        )
+    if model in {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"}:  # one focal length
+        parameters = (parameters[0], *parameters)
+    fx, fy, cx, cy, *distortion = parameters
+    k = [*distortion, 0.0, 0.0, 0.0, 0.0]
+    if model == "OPENCV_FISHEYE":
+        lens = Lens(width, height, fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), fisheye=True)
+    else:
+        lens = Lens(width, height, fx, fy, cx, cy, (k[0], k[1], 0.0, 0.0), (k[2], k[3]))
+    return checked_lens(lens, what, file)
+
+
+class _Cursor:
+    """Walks over a binary file and never past its end."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self._data = read_bytes(file)
+        self._offset = 0
+
+    def take(self, layout: str) -> tuple:
+        """The next little-endian values, in the notation of ``struct``."""
+        start = self._offset
+        self.skip(struct.calcsize("<" + layout))
+        return struct.unpack_from("<" + layout, self._data, start)
+
+    def take_count(self, smallest_record: int) -> int:
+        """A number of records, if the rest of the file can hold them."""
+        (count,) = self.take("Q")
+        if count * smallest_record > len(self._data) - self._offset:
+            raise self._cut_off()
+        return count
+
+    def skip(self, size: int) -> None:
+        """Skip a number of bytes."""
+        if size > len(self._data) - self._offset:
+            raise self._cut_off()
+        self._offset += size
+
+    def take_name(self) -> str:
+        """The next text up to its zero byte."""
+        end = self._data.find(b"\0", self._offset)
+        if end < 0:
+            raise self._cut_off()
+        raw = self._data[self._offset : end]
+        self._offset = end + 1
+        return raw.decode("utf-8", "replace")
+
+    def _cut_off(self) -> SceneError:
+        return scene_error(self.file, "is cut off or damaged; copy it again or run COLMAP again")
+
+
+_Camera = tuple[int, str, int, int, tuple[float, ...]]
+"""Number, model, width, height and parameters."""
+
+_Image = tuple[tuple[float, ...], int, str]
+"""Quaternion and translation, the camera's number, name."""
+
+
+def _binary_cameras(file: Path) -> Iterator[_Camera]:
+    cursor = _Cursor(file)
+    models = dict(enumerate(_PARAMETER_COUNTS))
+    for _ in range(cursor.take_count(24)):
+        number, model_id, width, height = cursor.take("IiQQ")
+        model = models.get(model_id, f"number {model_id}")
+        yield number, model, width, height, cursor.take(f"{_PARAMETER_COUNTS.get(model, 0)}d")
+
+
+def _binary_images(file: Path) -> Iterator[_Image]:
+    cursor = _Cursor(file)
+    for _ in range(cursor.take_count(73)):
+        _, *pose, camera = cursor.take("I7dI")
+        name = cursor.take_name()
+        cursor.skip(24 * cursor.take_count(24))
+        yield tuple(pose), camera, name
+
+
+def _binary_points(file: Path) -> Iterator[tuple[float, ...]]:
+    cursor = _Cursor(file)
+    for _ in range(cursor.take_count(51)):
+        _, *position_and_color, _, track_length = cursor.take("Q3d3BdQ")
+        cursor.skip(8 * track_length)
+        yield tuple(position_and_color)
+
+
+def _text_rows(file: Path, read: Callable[[str], Row], lines_each: int = 1) -> Iterator[Row]:
+    """What is read from the first line of each record; comments and empty lines are left out."""
+    text = read_bytes(file).decode("utf-8", "replace").split("\n")
+    lines = (each for each in enumerate(text, 1) if not each[1].startswith("#"))
+    for number, line in lines:
+        if not line.strip():
+            continue
+        try:
+            yield read(line)
+        except (ValueError, IndexError):
+            raise scene_error(
+                file, f"line {number} is damaged; copy the file again or run COLMAP again"
+            ) from None
+        for _ in range(lines_each - 1):
+            next(lines, None)
+
+
+def _text_camera(line: str) -> _Camera:
+    number, model, width, height, *parameters = line.split()
+    return int(number), model, int(width), int(height), tuple(map(float, parameters))
+
+
+def _text_image(line: str) -> _Image:
+    words = line.split(maxsplit=9)
+    return tuple(map(float, words[1:8])), int(words[8]), words[9].rstrip()
+
+
+def _text_point(line: str) -> tuple[float, ...]:
+    words = line.split(maxsplit=7)
+    return tuple(float(words[index]) for index in range(1, 7))
+
 
 FOLDERS = {RGB: ("rgb", "images"), THERMAL: ("thermal",)}
 """Possible folders of each modality's images; the first that exists is used."""

@@ -7,6 +7,7 @@ stored.
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float32, UInt8
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from mrgs.data.files import scene_error
@@ -60,7 +61,7 @@ def probe(path: Path) -> ImageInfo:
     Raises:
         SceneError: not an image, too large, or pixels of a type that is not supported.
     """
-    with _opened(path) as image:
+    with opened(path) as image:
         return ImageInfo(image.width, image.height, _kind(image, path))
 
 
@@ -91,39 +92,31 @@ def decode(path: Path, least_width: int | None = None) -> Decoded:
     Raises:
         SceneError: the file cannot be decoded: damaged, cut off, or refused by ``probe``.
     """
-    with _opened(path) as image:
+    with opened(path) as image:
         kind = _kind(image, path)
-        if least_width is not None:
-            image.draft(None, _draft_size(image.size, least_width))
+        for share in DRAFT_SHARES if least_width is not None else ():
+            width, height = image.width // share, image.height // share
+            if (width * share, height * share) == image.size and width >= (least_width or 0):
+                image.draft(None, (width, height))
+                break
         if kind == "float":
             values = np.array(image, dtype=np.float32)
             finite = np.isfinite(values)
-            return Decoded(
-                torch.from_numpy(np.where(finite, values, np.float32(0))[..., None]),
-                _mask(finite),
-                kind,
-            )
+            known = np.where(finite, values, np.float32(0))
+            return Decoded(torch.from_numpy(known[..., None]), _mask(finite), kind)
         if image.mode.startswith("I"):
-            return Decoded(
-                torch.from_numpy(np.array(image, dtype=np.float32)[..., None] / 65535), None, kind
-            )
-        converted = image.convert(_eight_bit_mode(image, kind))
-        pixels = np.asarray(converted, dtype=np.uint8)
+            values = np.array(image, dtype=np.float32) / np.float32(65535)
+            return Decoded(torch.from_numpy(values[..., None]), None, kind)
+        mode = "L" if kind == "grey" else "RGB"
+        if image.mode.endswith(("A", "a")) or "transparency" in image.info:
+            mode += "A"
+        pixels = np.asarray(image.convert(mode), dtype=np.uint8)
     pixels = pixels.reshape(pixels.shape[0], pixels.shape[1], -1)
     channels = 1 if kind == "grey" else 3
     valid = _mask(pixels[..., channels] >= 128) if pixels.shape[2] > channels else None
     values = pixels[..., :channels].astype(np.float32)
     values /= 255  # in place: a photo of 48 megapixels takes 0.6 GB
     return Decoded(torch.from_numpy(values), valid, kind)
-
-
-def _draft_size(size: tuple[int, int], least_width: int) -> tuple[int, int]:
-    """The smallest size at which a JPEG decoder gives the same field of view, at least so wide."""
-    width, height = size
-    for share in DRAFT_SHARES:
-        if width % share == height % share == 0 and width // share >= least_width:
-            return width // share, height // share
-    return size
 
 
 def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Tensor, "h w d"]:
@@ -165,7 +158,7 @@ def decode_mask(path: Path) -> Bool[Tensor, "h w"]:
     Raises:
         SceneError: see ``decode``.
     """
-    with _opened(path) as image:
+    with opened(path) as image:
         black = 0.5 if image.format == "JPEG" else 0.0
     return (decode(path).values > black).any(dim=-1)
 
@@ -194,25 +187,28 @@ def _kind(image: Image.Image, path: Path) -> Kind:
     )
 
 
-def _eight_bit_mode(image: Image.Image, kind: Kind) -> str:
-    has_alpha = image.mode.endswith(("A", "a")) or "transparency" in image.info
-    if kind == "grey":
-        return "LA" if has_alpha else "L"
-    return "RGBA" if has_alpha else "RGB"
-
-
 @contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
-    """Pillow's image, with every failure of opening or decoding it turned into a SceneError."""
-    too_large = f"has more than {MAX_PIXELS // 10**6} megapixels; reduce it before use"
+def opened(
+    path: Path,
+    content: bytes | None = None,
+    formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF"),
+    most_pixels: int = MAX_PIXELS,
+) -> Iterator[Image.Image]:
+    """Pillow's image; every failure of opening or decoding it is a SceneError.
+
+    Args:
+        path: of the file, or of the one that ``content`` was found in.
+        content: an image in memory; None reads the file.
+        formats: Pillow's names of the formats that are let in.
+        most_pixels: larger images are refused before they are decoded.
+    """
+    too_large = f"has more than {most_pixels // 10**6} megapixels; reduce it before use"
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", Image.DecompressionBombWarning
-            )  # the limit here is lower
-            image = Image.open(path, formats=("PNG", "JPEG", "TIFF"))
+            warnings.simplefilter("ignore")  # of large images, and of damaged tags
+            image = Image.open(path if content is None else io.BytesIO(content), formats=formats)
         with image:
-            if image.width * image.height > MAX_PIXELS:
+            if image.width * image.height > most_pixels:
                 raise scene_error(path, too_large)
             yield image
     except SceneError:
@@ -222,6 +218,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     # Damaged files make Pillow's plugins raise almost anything: OSError, SyntaxError, ValueError,
     # struct.error, ...
     except Exception as error:
+        reason = "no valid header" if isinstance(error, UnidentifiedImageError) else error
         raise scene_error(
-            path, f"cannot be decoded as an image ({error}); replace the file"
+            path, f"cannot be decoded as an image ({reason}); copy or export it again"
         ) from None

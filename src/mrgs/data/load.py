@@ -1,7 +1,10 @@
-"""Open a scene folder: recognise its layout, check it, and describe it as a Scene."""
+"""Open a scene folder: recognise its layout, check it, and describe it as a Scene; its split, and
+the °C of its thermal images."""
 
 from __future__ import annotations
 
+import math
+import os
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -12,17 +15,22 @@ from typing import Literal
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
-from mrgs.data.colmap import read_colmap
-from mrgs.data.colmap_model import MODEL_FOLDERS, find_model
-from mrgs.data.files import scene_error
-from mrgs.data.images import Kind, probe
+from mrgs.data.colmap import MODEL_FOLDERS, find_model, read_colmap
+from mrgs.data.files import (
+    MAX_MAGNITUDE,
+    contained,
+    finite_number,
+    read_json_object,
+    scene_error,
+)
+from mrgs.data.images import Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_image
-from mrgs.data.sources import FilenameLists, ReadingNotes, SceneSource, ViewSource
-from mrgs.data.thermal import bounds_of_images, check_kinds, decode_thermal, read_bounds
+from mrgs.data.sources import FilenameLists, ReadingNotes, SceneSource
+from mrgs.data.transforms import BOUNDS_FILES
 from mrgs.errors import ConfigError, warn_user
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
-from mrgs.scene.point_cloud import RANDOM_POINTS, PointCloud, random_points
+from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 from mrgs.system.memory import collector_paused
 from mrgs.system.wording import Message
 
@@ -87,23 +95,47 @@ def _recognise(path: Path) -> SceneSource:
 
 
 def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int) -> Scene:
+    notes = source.notes
     thermal_kinds = _checked_thermal_files(source)
-    splits = _checked_splits(source)
-    temperature = _temperature_range(source, thermal_kinds, splits) if thermal_kinds else None
+    splits = assign_splits([view.key for view in source.views], source.lists, notes)
+    if "train" not in splits:
+        raise scene_error(
+            source.file, "no view is left for training; check the split lists and the file names"
+        )
+    temperature = None
+    if thermal_kinds:
+        temperature = read_bounds(source.root, notes)
+        kind = check_kinds(thermal_kinds, temperature is not None, notes)
+        if kind == "float" and temperature is None:
+            temperature = _measured_range(source, splits)
+
+    decoders: dict[Modality, Decoder] = {
+        modality: partial(decode_intensities, channels=modality.channels)
+        for view in source.views
+        for modality in view.images
+    }
+    decoders[THERMAL] = partial(decode_thermal, temperature=temperature)
+    by_split: dict[Split, list[View]] = {"train": [], "eval": [], "unused": []}
     names = _unique_names([view.key for view in source.views])
-    views = [
-        _view(name, view, temperature, resolution)
-        for name, view in zip(names, source.views, strict=True)
-    ]
-    train = tuple(view for view, split in zip(views, splits, strict=True) if split == "train")
-    points = _start_points(source, train, seed) if source.points is None else source.points
+    for name, view, split in zip(names, source.views, splits, strict=True):
+        images = {
+            modality: posed_image(image, decoders[modality], resolution, modality != THERMAL)
+            for modality, image in view.images.items()
+        }
+        by_split[split].append(View(name, images))
+    train, points = tuple(by_split["train"]), source.points
+    if points is None:
+        notes.decide(
+            f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras."
+        )
+        points = random_points([each for view in train for each in view.cameras.values()], seed)
     return Scene(
         name=source.root.name,
         train=train,
-        eval=tuple(view for view, split in zip(views, splits, strict=True) if split == "eval"),
+        eval=tuple(by_split["eval"]),
         points=points,
         temperature=temperature,
-        notes=tuple(source.notes.all),
+        notes=tuple(notes.all),
         path=str(path.resolve()),
         resolution=resolution,
         world=source.world,
@@ -120,35 +152,6 @@ def _checked_thermal_files(source: SceneSource) -> list[tuple[Path, Kind]]:
             if modality == THERMAL:
                 thermal_kinds.append((image.path, kind))
     return thermal_kinds
-
-
-def _checked_splits(source: SceneSource) -> list[Split]:
-    """The split of each view; some are for training."""
-    splits = assign_splits([view.key for view in source.views], source.lists, source.notes)
-    if "train" not in splits:
-        raise scene_error(
-            source.file, "no view is left for training; check the split lists and the file names"
-        )
-    return splits
-
-
-def _temperature_range(
-    source: SceneSource, thermal_kinds: Sequence[tuple[Path, Kind]], splits: Sequence[Split]
-) -> TemperatureRange | None:
-    """The range of the thermal images; None where they are normalised and no file gives it."""
-    temperature = read_bounds(source.root, source.notes)
-    kind = check_kinds(thermal_kinds, temperature is not None, source.notes)
-    if kind == "float" and temperature is None:
-        return _measured_range(source, splits)
-    return temperature
-
-
-def _start_points(source: SceneSource, train: Sequence[View], seed: int) -> PointCloud:
-    """Random points before the training cameras, in place of those that the files lack."""
-    source.notes.decide(
-        f"There are no start points: {RANDOM_POINTS} are placed at random before the cameras."
-    )
-    return random_points([camera for view in train for camera in view.cameras.values()], seed)
 
 
 def _measured_range(source: SceneSource, splits: Sequence[Split]) -> TemperatureRange:
@@ -175,51 +178,19 @@ def _measured_range(source: SceneSource, splits: Sequence[Split]) -> Temperature
     return temperature
 
 
-def _view(
-    name: str, view: ViewSource, temperature: TemperatureRange | None, resolution: int | None
-) -> View:
-    return View(
-        name,
-        {
-            modality: posed_image(
-                image, _decoder(modality, temperature), resolution, modality != THERMAL
-            )
-            for modality, image in view.images.items()
-        },
-    )
-
-
-def _decoder(modality: Modality, temperature: TemperatureRange | None) -> Decoder:
-    """Temperatures are decoded with their range, all other modalities as intensities."""
-    if modality == THERMAL:
-        return partial(_temperatures, temperature=temperature)
-    return partial(decode_intensities, channels=modality.channels)
-
-
-def _temperatures(
-    path: Path, least_width: int | None, temperature: TemperatureRange | None
-) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
-    """Temperatures are measured, and so decoded whole."""
-    return decode_thermal(path, temperature)
-
-
 def _unique_names(keys: Sequence[str]) -> list[str]:
     """File stems; where two are equal, with their folders in front; where that fails too, with a
     number behind."""
     stems = [key.rpartition("/")[2] for key in keys]
-    shared = {stem for stem, count in Counter(stems).items() if count > 1}
-    names: list[str] = []
-    taken: set[str] = set()
+    count = Counter(stems)
+    names: dict[str, None] = {}
     for key, stem in zip(keys, stems, strict=True):
-        base = key.replace("/", "_") if stem in shared else stem
-        name = base
+        name = base = key.replace("/", "_") if count[stem] > 1 else stem
         number = 2
-        while name in taken:
-            name = f"{base}_{number}"
-            number += 1
-        taken.add(name)
-        names.append(name)
-    return names
+        while name in names:
+            name, number = f"{base}_{number}", number + 1
+        names[name] = None
+    return [*names]
 
 
 Split = Literal["train", "eval", "unused"]
@@ -243,9 +214,17 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes
         lists: explicit lists, as far as the files give them.
         notes: receives the rule that was used, and conflicts.
     """
+
+    def side(key: str) -> Literal["train", "eval"] | None:
+        folder, _, name = key.lower().rpartition("/")
+        for text in (name, folder.rpartition("/")[2]):
+            if words := _WORD.findall(text):
+                return "train" if words[0] == "train" else "eval"
+        return None
+
     if lists.train is not None or lists.eval is not None:
         return _by_lists(keys, lists, notes)
-    sides = [_side(key) for key in keys]
+    sides = [side(key) for key in keys]
     if "train" in sides and "eval" in sides:
         return [side or "train" for side in sides]
     if len(keys) == 1:
@@ -282,9 +261,103 @@ def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) ->
     return splits
 
 
-def _side(key: str) -> Literal["train", "eval"] | None:
-    folder, _, name = key.lower().rpartition("/")
-    for text in (name, folder.rpartition("/")[2]):
-        if words := _WORD.findall(text):
-            return "train" if words[0] == "train" else "eval"
-    return None
+def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
+    """The scale from ``temperature_bounds.json`` in the scene's folder or in its ``thermal/``; None
+    without a file.
+
+    Raises:
+        SceneError: the file is there, but does not hold two different temperatures in °C.
+    """
+    paths = [contained(root, name, root) for name in BOUNDS_FILES]
+    path = next((path for path in paths if os.path.lexists(path)), None)
+    if path is None:
+        return None
+    content = read_json_object(path)
+    low, high = (
+        finite_number(
+            content.get(f"absolute_{end}_temperature"), f"absolute_{end}_temperature", path
+        )
+        for end in ("min", "max")
+    )
+    if low > high:
+        low, high = high, low
+        used = f"{low:g} °C to {high:g} °C".replace("-", "−")
+        notes.repair(f"{path.name} has its bounds swapped; {used} is used.")
+    try:
+        return TemperatureRange(low, high)
+    except ValueError as error:
+        raise scene_error(path, f"{error}; correct the temperatures") from None
+
+
+def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
+    """The range of float images in °C, rounded outwards to whole degrees.
+
+    Raises:
+        SceneError: an image cannot be decoded, or holds no temperature in °C.
+    """
+    low, high = math.inf, -math.inf
+    for path in paths:
+        values, valid, _ = decode(path)
+        known = values[..., 0] if valid is None else values[..., 0][valid]
+        if known.numel() == 0:
+            raise scene_error(path, "holds no finite temperature; replace the file")
+        if not known.abs().max() <= MAX_MAGNITUDE:
+            raise scene_error(path, "holds a temperature that is not plausible; replace the file")
+        low, high = min(low, known.min().item()), max(high, known.max().item())
+    try:
+        return TemperatureRange.around(low, high)
+    except ValueError as error:
+        raise scene_error(paths[0].parent, f"{error}; correct the temperatures") from None
+
+
+def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: ReadingNotes) -> Kind:
+    """The common kind of all thermal images; notes what follows from it.
+
+    Raises:
+        SceneError: some images hold °C and others do not, and there are no bounds to bring them
+            together.
+    """
+    celsius = [path for path, kind in kinds if kind == "float"]
+    if celsius and len(celsius) < len(kinds) and not has_bounds:
+        raise scene_error(
+            celsius[0],
+            "holds °C, but other thermal images do not; add temperature_bounds.json, or convert "
+            "them",
+        )
+    if any(kind == "colour" for _, kind in kinds):
+        notes.decide(
+            "Thermal images have three channels: their luminance is used; it follows the "
+            "temperature only if the "
+            "colours are shades of grey."
+        )
+    if celsius:
+        return "float"
+    if not has_bounds:
+        notes.decide(
+            "The thermal images hold no °C and no temperature_bounds.json states their range: "
+            "values are relative."
+        )
+    return "grey"
+
+
+def decode_thermal(
+    path: Path, least_width: int | None, temperature: TemperatureRange | None
+) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
+    """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
+
+    Integers span the range already; °C in a float image are mapped by ``temperature`` and not
+    clamped. Temperatures are measured, and so decoded whole whatever ``least_width`` is.
+
+    Raises:
+        SceneError: the file cannot be decoded, or holds °C where no range is known.
+    """
+    values, valid, kind = decode(path)
+    if kind == "colour":
+        return with_channels(values, 1), valid
+    if kind == "float":
+        if temperature is None:
+            raise scene_error(
+                path, "holds °C, but the range is not known; add temperature_bounds.json"
+            )
+        return temperature.from_celsius(values), valid
+    return values, valid

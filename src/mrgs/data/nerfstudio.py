@@ -13,16 +13,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
+import msgspec
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrgs.data.colmap_model import find_model, read_points3d
+from mrgs.data.colmap import find_model, read_points3d
 from mrgs.data.files import (
+    MAX_MAGNITUDE,
     ImageFinder,
     contained,
     finite_number,
@@ -47,7 +50,10 @@ from mrgs.data.transforms import RECORD
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
 from mrgs.scene.radiometry import PhotoRecord
+from mrgs.system.typed_json import from_json
 from mrgs.system.wording import shown
+
+_NotNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=MAX_MAGNITUDE)]
 
 MOST_MODALITIES = 16
 IMAGE_CHANNELS = (1, 3)
@@ -137,9 +143,10 @@ def lens_from_json(
     """
 
     def number(name: str, default: float | None = None) -> float:
-        if values.get(name) is None and default is not None:
+        value = values.get(name)
+        if value is None and default is not None:
             return default
-        return finite_number(values.get(name), f"{name} of {what}", file)
+        return finite_number(value, f"{name} of {what}", file)
 
     model = values.get("camera_model", "OPENCV")
     if not isinstance(model, str) or model not in _PERSPECTIVE_MODELS | _FISHEYE_MODELS:
@@ -155,20 +162,38 @@ def lens_from_json(
             file, f"the image size of {what}, {width}×{height}, is not whole; correct w and h"
         )
     focal = number("fl_x")
+    fisheye = model in _FISHEYE_MODELS
+    k1, k2, k3, k4, p1, p2 = (number(name, 0.0) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
     lens = Lens(
-        width=int(width),
-        height=int(height),
-        fx=focal,
-        fy=number("fl_y", focal),
-        cx=number("cx", width / 2),
-        cy=number("cy", height / 2),
-        radial=(number("k1", 0.0), number("k2", 0.0), number("k3", 0.0), number("k4", 0.0)),
-        tangential=(0.0, 0.0)
-        if model in _FISHEYE_MODELS
-        else (number("p1", 0.0), number("p2", 0.0)),
-        fisheye=model in _FISHEYE_MODELS,
+        int(width),
+        int(height),
+        focal,
+        number("fl_y", focal),
+        number("cx", width / 2),
+        number("cy", height / 2),
+        (k1, k2, k3, k4),
+        (0.0, 0.0) if fisheye else (p1, p2),
+        fisheye,
     )
     return checked_lens(lens, what, file)
+
+
+@dataclass(frozen=True)
+class _Origin:
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-90, le=90)]
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)]
+    altitude_m: Annotated[float, msgspec.Meta(ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)] | None = None
+
+
+@dataclass(frozen=True)
+class _Georeference:
+    """The entry ``georeference`` of the file."""
+
+    units: str = ""
+    axes: str = ""
+    origin: _Origin | None = None
+    residual_m: _NotNegative | None = None
+    scale_error: _NotNegative | None = None
 
 
 class _TransformsReader:
@@ -195,7 +220,20 @@ class _TransformsReader:
             )
         by_name = {modality.name: modality for modality in known_modalities()}
         for value in listed:
-            modality = self._modality(value)
+            try:
+                modality = Modality.from_json(value)
+            except ValueError as error:
+                raise scene_error(self.file, f"modalities: {error}; correct it") from None
+            if modality.channels not in IMAGE_CHANNELS:
+                raise scene_error(
+                    self.file,
+                    f"modality {modality} has {shown(modality.channels)} channels; images that can "
+                    f"be read have 1 or 3",
+                )
+            if _TAKEN.fullmatch(modality.name):
+                raise scene_error(
+                    self.file, f"a folder named {modality} has another meaning; rename the modality"
+                )
             if by_name.setdefault(modality.name, modality) != modality:
                 raise scene_error(
                     self.file,
@@ -203,24 +241,6 @@ class _TransformsReader:
                     f"{by_name[modality.name].channels} elsewhere; correct it",
                 )
         return tuple(by_name.values())
-
-    def _modality(self, value: object) -> Modality:
-        """A modality that the file lists."""
-        try:
-            modality = Modality.from_json(value)
-        except ValueError as error:
-            raise scene_error(self.file, f"modalities: {error}; correct it") from None
-        if modality.channels not in IMAGE_CHANNELS:
-            raise scene_error(
-                self.file,
-                f"modality {modality} has {shown(modality.channels)} channels; images that can be "
-                f"read have 1 or 3",
-            )
-        if _TAKEN.fullmatch(modality.name):
-            raise scene_error(
-                self.file, f"a folder named {modality} has another meaning; rename the modality"
-            )
-        return modality
 
     def capture(self) -> SceneSource:
         frames = self.top.get("frames")
@@ -247,7 +267,8 @@ class _TransformsReader:
         paths = self._image_paths(frame, what)
         if not paths:
             raise scene_error(self.file, f"{what} has no file_path; add it or remove the frame")
-        key = self._key_of(next(iter(paths.values())))
+        first = next(iter(paths.values()))
+        key = without_image_suffix(first.relative_to(self.root).as_posix())
         what = f"{what} ({shown(key)})"
         images = {
             modality: self._source(modality, frame, path, what) for modality, path in paths.items()
@@ -266,25 +287,18 @@ class _TransformsReader:
         lens = self._lens(frame if own is None else own, path, what, shared=own is None)
         pose = f"{prefix}transform_matrix"
         viewmat = self._viewmat(frame, pose if pose in frame else "transform_matrix", what)
-        mask = self._mask(frame, f"{prefix}mask_path", f"{prefix}masks", path, what)
-        return ImageSource(path, lens, viewmat, mask, self._record(frame, modality, what))
-
-    def _record(
-        self, frame: Mapping[str, Any], modality: Modality, what: str
-    ) -> PhotoRecord | None:
-        """What the camera noted beside a photo, as ``prepare`` writes it."""
-        name = f"{modality}_{RECORD}"
-        if name not in frame:
-            return None
-        try:
-            return PhotoRecord.from_json(frame[name])
-        except ValueError as error:
-            raise scene_error(
-                self.file, f"{name} of {what}: {error}; prepare the scene again, or remove it"
-            ) from None
-
-    def _key_of(self, path: Path) -> str:
-        return without_image_suffix(path.relative_to(self.root).as_posix())
+        mask = self._path(frame, f"{prefix}mask_path", what) or self.images.find_mask(
+            f"{prefix}masks", path.name, self.file
+        )
+        name, record = f"{modality}_{RECORD}", None
+        if name in frame:  # what the camera noted beside the photo, as ``prepare`` writes it
+            try:
+                record = PhotoRecord.from_json(frame[name])
+            except ValueError as error:
+                raise scene_error(
+                    self.file, f"{name} of {what}: {error}; prepare the scene again, or remove it"
+                ) from None
+        return ImageSource(path, lens, viewmat, mask, record)
 
     def _image_paths(self, frame: Mapping[str, Any], what: str) -> dict[Modality, Path]:
         """The images of a frame by modality, RGB first.
@@ -327,11 +341,6 @@ class _TransformsReader:
                 f"the image {shown(value)} of {what} is missing; restore it or remove the frame",
             )
         return path
-
-    def _mask(
-        self, frame: Mapping[str, Any], name: str, folder: str, image: Path, what: str
-    ) -> Path | None:
-        return self._path(frame, name, what) or self.images.find_mask(folder, image.name, self.file)
 
     def _read_poses(self, frames: Sequence[object]) -> None:
         """Read the matrices of all frames at once. Those that cannot be used are left to
@@ -379,14 +388,9 @@ class _TransformsReader:
                 )
             return frozenset(without_image_suffix(PurePosixPath(item).as_posix()) for item in names)
 
-        held_out = [
-            listed
-            for name in ("val_filenames", "test_filenames")
-            if (listed := keys(name)) is not None
-        ]
-        return FilenameLists(
-            keys("train_filenames"), frozenset().union(*held_out) if held_out else None
-        )
+        held_out = [keys("val_filenames"), keys("test_filenames")]
+        named = [each for each in held_out if each is not None]
+        return FilenameLists(keys("train_filenames"), frozenset().union(*named) if named else None)
 
     def _points(self) -> PointCloud | None:
         """Start points. Like nerfstudio: a PLY is in the frames' world but for ``applied_scale``,
@@ -408,43 +412,19 @@ class _TransformsReader:
 
     def _world(self) -> WorldFrame:
         """The frame as ``prepare`` writes it; of other programs' files nothing is known."""
-        facts = self.top.get("georeference", {})
-        if not isinstance(facts, dict) or not isinstance(facts.get("origin", {}), dict):
+        try:
+            facts = from_json(_Georeference, self.top.get("georeference", {}))
+        except ValueError as error:
             raise scene_error(
-                self.file, f"georeference is {shown(facts)}; prepare the scene again, or remove it"
-            )
-        origin = self._origin(facts["origin"]) if "origin" in facts else None
-        metric, north = facts.get("units") == "metres", facts.get("axes") == "east north up"
-        residual, scale_error = (
-            self._not_negative(facts, name) for name in ("residual_m", "scale_error")
+                self.file, f"georeference: {error}; prepare the scene again, or remove it"
+            ) from None
+        return WorldFrame(
+            facts.units == "metres",
+            facts.axes == "east north up",
+            None if facts.origin is None else EarthPosition(**vars(facts.origin)),
+            facts.residual_m,
+            facts.scale_error,
         )
-        return WorldFrame(metric, north, origin, residual, scale_error)
-
-    def _not_negative(self, facts: Mapping[str, Any], name: str) -> float | None:
-        """A number of ``georeference``; None where there is none."""
-        if facts.get(name) is None:
-            return None
-        value = finite_number(facts[name], f"{name} of georeference", self.file)
-        if value < 0:
-            raise scene_error(
-                self.file, f"{name} of georeference is {value:g}; it cannot be negative: correct it"
-            )
-        return value
-
-    def _origin(self, facts: Mapping[str, Any]) -> EarthPosition:
-        latitude, longitude = (
-            finite_number(facts.get(name), f"{name} of the origin", self.file)
-            for name in ("latitude_deg", "longitude_deg")
-        )
-        if abs(latitude) > 90 or abs(longitude) > 180:
-            raise scene_error(
-                self.file,
-                f"the origin {latitude:g}°, {longitude:g}° is no place on Earth; correct it",
-            )
-        altitude = facts.get("altitude_m")
-        if altitude is not None:
-            altitude = finite_number(altitude, "altitude_m of the origin", self.file)
-        return EarthPosition(latitude, longitude, altitude)
 
     def _applied_transform(self) -> NDArray[np.float64]:
         value = self.top.get("applied_transform")

@@ -135,13 +135,18 @@ def _load(
     """The image, decoded at least so wide, and made smaller where that is wider than ``size``."""
     decoded, valid = decoder(source.path, least_width)
     values = decoded
-    share = 1 if least_width is None else _share(values, source.lens)
-    lens = source.lens.resized(source.lens.width // share, source.lens.height // share)
-    _check_size((values.shape[1], values.shape[0]), lens, source.path)
+    lens, size_read = source.lens, (values.shape[1], values.shape[0])
+    share = 1  # how many pixels of the lens, across, one of the values stands for
+    if least_width is not None:
+        shares = {(lens.width / each, lens.height / each): each for each in DRAFT_SHARES}
+        share = shares.get(size_read, 1)
+    lens = lens.resized(lens.width // share, lens.height // share)
+    _check_size(size_read, lens, source.path)
     if source.mask is not None:
         mask = decode_mask(source.mask)
         _check_size((mask.shape[1], mask.shape[0]), source.lens, source.mask)
-        mask = _shrunk(mask, share)
+        height, width = lens.height, lens.width  # a pixel counts if all do that it stands for
+        mask = mask.reshape(height, share, width, share).all(dim=3).all(dim=1)
         valid = mask if valid is None else valid & mask
     values, valid = undistort(values, valid, lens)
     if values.shape[1] > size[0]:
@@ -149,19 +154,6 @@ def _load(
     if keeps_levels and values is not decoded and has_eight_bit_levels(decoded):
         values = (values * 255).round_() / 255
     return Pixels(values.contiguous(), valid)
-
-
-def _share(values: Float32[Tensor, "h w c"], lens: Lens) -> int:
-    """How many pixels of the lens one of the values stands for, across; 1 for any other size."""
-    size = values.shape[1], values.shape[0]
-    shares = (s for s in DRAFT_SHARES if (size[0] * s, size[1] * s) == (lens.width, lens.height))
-    return next(shares, 1)
-
-
-def _shrunk(mask: Bool[Tensor, "h w"], share: int) -> Bool[Tensor, "y x"]:
-    """A pixel counts if all do that it stands for."""
-    height, width = mask.shape
-    return mask.reshape(height // share, share, width // share, share).all(dim=3).all(dim=1)
 
 
 def _check_size(size: tuple[int, int], lens: Lens, path: Path) -> None:

@@ -20,6 +20,9 @@ from mrgs.system.atomic import write_text
 
 TRANSFORMS, POINTS, BOUNDS = "transforms.json", "sparse_pc.ply", "temperature_bounds.json"
 
+BOUNDS_FILES = (BOUNDS, f"thermal/{BOUNDS}")
+"""Possible places of the bounds in a scene's folder; the first that exists is read."""
+
 RECORD = "record"
 """``thermal_record`` of a frame is what the thermal camera noted beside the photo."""
 

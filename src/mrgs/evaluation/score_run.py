@@ -22,8 +22,7 @@ from mrgs.evaluation.held_out_poses import (
 )
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.parts import Parts, score_parts
-from mrgs.evaluation.report import RunFacts, write_report
-from mrgs.evaluation.scored_data import ScoredData
+from mrgs.evaluation.report import RunFacts, ScoredData, write_report
 from mrgs.evaluation.truth import Truth
 from mrgs.pictures.files import to_picture, write_png, write_rendering
 from mrgs.pictures.palette import PaletteName

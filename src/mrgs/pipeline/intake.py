@@ -12,7 +12,7 @@ from typing import Literal
 from PIL import Image
 
 from mrgs.data import load_scene
-from mrgs.data.colmap_model import find_model
+from mrgs.data.colmap import find_model
 from mrgs.data.files import scene_error
 from mrgs.data.images import probe
 from mrgs.data.nerfstudio import find_transforms

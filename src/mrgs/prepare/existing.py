@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import torch
 
-from mrgs.data.colmap_model import (
+from mrgs.data.colmap import (
     MODEL_FOLDERS,
     ColmapModel,
     RegisteredImage,

@@ -2,9 +2,8 @@
 them out."""
 
 from mrgs.data.radiometric.exif import ExifFacts, GpsPosition, read_exif
-from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
+from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto, VisibleImage
 from mrgs.data.radiometric.read import read_thermal_photo
-from mrgs.data.radiometric.visible import VisibleImage
 from mrgs.scene.radiometry import ObjectParameters
 
 __all__ = [

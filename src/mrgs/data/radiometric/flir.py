@@ -1,37 +1,40 @@
-"""FLIR radiometric photos: from the thermal record to temperatures in °C."""
+"""FLIR radiometric photos: from the thermal record, in the format FFF (a header, a directory, and
+records of many types), to temperatures in °C.
+
+The layout follows the tables that ExifTool documents (https://exiftool.org/TagNames/FLIR.html).
+"""
 
 from __future__ import annotations
 
-import io
 import math
+import struct
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt16
 
 from mrgs.data.files import scene_error
+from mrgs.data.images import opened
 from mrgs.data.radiometric.exif import ExifFacts, clean_text
-from mrgs.data.radiometric.fff import (
-    CAMERA_INFO,
-    EMBEDDED_IMAGE,
-    PICTURE_IN_PICTURE,
-    RAW_DATA,
-    RecordFields,
-    Records,
-    cut_off,
-    order_of,
-)
 from mrgs.data.radiometric.measurement import (
     MAX_TRANSMISSION,
     Atmosphere,
     Measurement,
     object_temperature,
 )
-from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
-from mrgs.data.radiometric.visible import MAX_PIXELS, Alignment, VisibleImage, opened
-from mrgs.scene.radiometry import ObjectParameters, Planck
+from mrgs.data.radiometric.photo import (
+    MAX_PIXELS,
+    Alignment,
+    Overrides,
+    PhotoFacts,
+    ThermalPhoto,
+    VisibleImage,
+)
+from mrgs.errors import SceneError
+from mrgs.scene.radiometry import ZERO_CELSIUS_K, ObjectParameters, Planck
 
 _IMAGE_OFFSET = 32
 """Raw data and embedded images follow a header of this many bytes."""
@@ -75,7 +78,11 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         SceneError: the record is cut off or damaged, or its constants are missing or absurd.
     """
     records = Records(record, path)
-    info = _camera_info(records, path)
+    content = records.require(CAMERA_INFO, "camera info with the Planck constants")
+    order = order_of(content)
+    if order is None:
+        raise scene_error(path, "its camera info is damaged; copy the photo from the camera again")
+    info = RecordFields(content, order)
     raw = raw_signal(records.require(RAW_DATA, "raw image"), path)
     planck = _planck(info, path)
     parameters = overrides.applied_to(_parameters(info, path))
@@ -117,7 +124,23 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
             path, f"its raw image of {width} x {height} pixels cannot be; copy the photo again"
         )
     if content.startswith(b"\x89PNG"):
-        return _from_png(content, width, height, path)
+        with opened(path, content, ("PNG",), MAX_PIXELS) as image:
+            if image.size != (width, height) or not image.mode.startswith("I"):
+                raise scene_error(
+                    path,
+                    f"its raw image is {image.width} x {image.height} pixels of type {image.mode}, "
+                    f"where {width} x {height} of 16 bits are announced; copy the photo from the "
+                    f"camera again",
+                )
+            values = np.array(image).astype(np.uint16)
+        # PNG is big-endian, yet most of these cameras write little-endian: in the wrong order, each
+        # step of 1 becomes 256.
+        return min(
+            (values.byteswap(), values),
+            key=lambda each: sum(
+                int(np.abs(np.diff(each.astype(np.int64), axis=axis)).sum()) for axis in (0, 1)
+            ),
+        )
     if content.startswith(b"\xff\xd8\xff"):
         raise scene_error(
             path,
@@ -131,36 +154,6 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
         .reshape(height, width)
         .astype(np.uint16)
     )
-
-
-def _from_png(content: bytes, width: int, height: int, path: Path) -> UInt16[np.ndarray, "h w"]:
-    with opened(io.BytesIO(content), path, ("PNG",), "its raw image") as image:
-        if image.size != (width, height) or not image.mode.startswith("I"):
-            raise scene_error(
-                path,
-                f"its raw image is {image.width} x {image.height} pixels of type {image.mode}, "
-                f"where "
-                f"{width} x {height} of 16 bits are announced; copy the photo from the camera "
-                f"again",
-            )
-        values = np.array(image).astype(np.uint16)
-    swapped = values.byteswap()
-    # PNG is big-endian, yet most of these cameras write little-endian: in the wrong order, each
-    # step of 1 becomes 256.
-    return values if _roughness(values) < _roughness(swapped) else swapped
-
-
-def _roughness(values: UInt16[np.ndarray, "h w"]) -> int:
-    signed = values.astype(np.int64)
-    return int(np.abs(np.diff(signed, axis=0)).sum() + np.abs(np.diff(signed, axis=1)).sum())
-
-
-def _camera_info(records: Records, path: Path) -> RecordFields:
-    content = records.require(CAMERA_INFO, "camera info with the Planck constants")
-    order = order_of(content)
-    if order is None:
-        raise scene_error(path, "its camera info is damaged; copy the photo from the camera again")
-    return RecordFields(content, order)
 
 
 def _planck(info: RecordFields, path: Path) -> Planck:
@@ -185,25 +178,15 @@ def _planck(info: RecordFields, path: Path) -> Planck:
 
 
 def _parameters(info: RecordFields, path: Path) -> ObjectParameters:
-    stored = [
-        info.number(0x20),
-        info.number(0x24),
-        info.celsius(0x28),
-        info.celsius(0x2C),
-        info.number(0x3C),
-    ]
-    stored += [info.celsius(0x30), info.number(0x34)]
+    stored = [info.number(0x20), info.number(0x24), info.celsius(0x28), info.celsius(0x2C)]
+    stored += [info.number(0x3C), info.celsius(0x30), info.number(0x34)]
     found = [value for value in stored if value is not None]
     if len(found) < len(stored):
         raise scene_error(path, "its camera info is cut off; copy the photo from the camera again")
-    emissivity, distance_m, reflected_c, atmospheric_c, humidity, window_c, window_transmission = (
-        found
-    )
-    if 1 < humidity <= 100:  # some cameras store per cent
-        humidity /= 100
-    return ObjectParameters(
-        emissivity, distance_m, reflected_c, atmospheric_c, humidity, window_c, window_transmission
-    )
+    parameters = ObjectParameters(*found)
+    if 1 < parameters.humidity <= 100:  # some cameras store per cent
+        parameters = replace(parameters, humidity=parameters.humidity / 100)
+    return parameters
 
 
 def _transmission(info: RecordFields, parameters: ObjectParameters, path: Path) -> float:
@@ -244,12 +227,16 @@ def _facts(
 
 
 def _camera(info: RecordFields) -> CameraFacts:
-    view_deg = info.number(0x1B4)
+    view_deg, stamp = info.number(0x1B4), info.read(0x384, "II")
+    taken = None
+    if stamp is not None and stamp[0] != 0:  # local time, stored as if it were UTC
+        milliseconds = min(stamp[1], 999)
+        taken = datetime(1970, 1, 1) + timedelta(seconds=stamp[0], milliseconds=milliseconds)
     return CameraFacts(
         clean_text(info.data[0xD4:0xF4]),
         clean_text(info.data[0x104:0x114]),
         view_deg if view_deg is not None and 0 < view_deg < 180 else None,
-        _time(info),
+        taken,
     )
 
 
@@ -268,14 +255,6 @@ def _scale(info: RecordFields, measurement: Measurement) -> tuple[float, float] 
     ends = middle[0] + np.array([-0.5, 0.5]) * width[0]
     low, high = np.round(measurement.celsius(ends), 2).tolist()
     return _range(low, high)
-
-
-def _time(info: RecordFields) -> datetime | None:
-    """The camera's local time, which it stores as if it were UTC."""
-    stamp = info.read(0x384, "II")
-    if stamp is None or stamp[0] == 0:
-        return None
-    return datetime(1970, 1, 1) + timedelta(seconds=stamp[0], milliseconds=min(stamp[1], 999))
 
 
 def _visible(records: Records, path: Path) -> tuple[VisibleImage | None, tuple[str, ...]]:
@@ -318,3 +297,123 @@ def _doubts(
                 "calibrated for: their temperatures are rough."
             )
     return tuple(doubts)
+
+
+FFF_SIGNATURES = (b"FFF\0", b"AFF\0")
+RAW_DATA, EMBEDDED_IMAGE, CAMERA_INFO, PICTURE_IN_PICTURE = 0x01, 0x0E, 0x20, 0x2A
+_HEADER_BYTES = 64
+_ENTRY_BYTES = 32
+_MAX_ENTRIES = 4096
+
+ByteOrder = Literal["<", ">"]
+
+
+class RecordFields:
+    """Numbers at given offsets of a record; None where the record is too short to hold them."""
+
+    def __init__(self, data: bytes, order: ByteOrder) -> None:
+        self.data = data
+        self.order = order
+
+    def read(self, offset: int, form: str) -> tuple[float | int, ...] | None:
+        """The numbers of ``struct``'s ``form`` at ``offset``."""
+        end = offset + struct.calcsize(f"{self.order}{form}")
+        return (
+            struct.unpack(f"{self.order}{form}", self.data[offset:end])
+            if end <= len(self.data)
+            else None
+        )
+
+    def number(self, offset: int) -> float | None:
+        """A 32-bit float as the shortest decimal number that it represents, so that 0.95 is
+        0.95."""
+        found = self.read(offset, "f")
+        return None if found is None else float(str(np.float32(found[0])))
+
+    def celsius(self, offset: int) -> float | None:
+        """A temperature stored in K, in °C, to the mK."""
+        kelvin = self.number(offset)
+        return None if kelvin is None else round(kelvin - ZERO_CELSIUS_K, 3)
+
+
+def order_of(record: bytes) -> ByteOrder | None:
+    """Byte order of a record that starts with a small 16-bit number; None if it does not."""
+    if len(record) < 2 or (record[0] != 0) == (record[1] != 0):
+        return None
+    return "<" if record[0] else ">"
+
+
+class _Entry(NamedTuple):
+    type: int
+    offset: int
+    length: int
+
+
+class Records:
+    """The records of an FFF file by type; the first of each type counts."""
+
+    def __init__(self, data: bytes, path: Path) -> None:
+        self._data = data
+        self._path = path
+        self._entries = {entry.type: entry for entry in reversed(_directory(data, path))}
+
+    def get(self, type_: int) -> bytes | None:
+        """The content of a record; None if there is none, or it is cut off."""
+        entry = self._entries.get(type_)
+        if entry is None or entry.length == 0 or entry.offset + entry.length > len(self._data):
+            return None
+        return self._data[entry.offset : entry.offset + entry.length]
+
+    def require(self, type_: int, what: str) -> bytes:
+        """The content of a record.
+
+        Raises:
+            SceneError: there is none, or it is cut off.
+        """
+        entry = self._entries.get(type_)
+        if entry is None:
+            raise scene_error(
+                self._path,
+                f"its thermal record holds no {what}; use the photo as the camera saved it",
+            )
+        found = self.get(type_)
+        if found is None:
+            raise cut_off(self._path, what, len(self._data), entry.offset + entry.length)
+        return found
+
+
+def cut_off(path: Path, what: str, there: int, wanted: int) -> SceneError:
+    """The error of a record that ends too early."""
+    return scene_error(
+        path,
+        f"its thermal record is cut off ({there} of {wanted} bytes of the {what}); copy the photo "
+        f"again",
+    )
+
+
+def _directory(data: bytes, path: Path) -> list[_Entry]:
+    """All records but the free ones.
+
+    Raises:
+        SceneError: the header or the directory is damaged or cut off.
+    """
+    if len(data) < _HEADER_BYTES or data[:4] not in FFF_SIGNATURES:
+        raise scene_error(
+            path,
+            "its thermal record does not start as FLIR's do; copy the photo from the camera again",
+        )
+    order: ByteOrder = ">" if 100 <= int.from_bytes(data[0x14:0x18], "big") < 200 else "<"
+    offset, count = struct.unpack_from(f"{order}II", data, 0x18)
+    if count > _MAX_ENTRIES:
+        raise scene_error(
+            path, f"its thermal record lists {count} parts; it is damaged, copy the photo again"
+        )
+    end = offset + count * _ENTRY_BYTES
+    if end > len(data):
+        raise cut_off(path, "directory", len(data), end)
+    entries = []
+    for start in range(offset, end, _ENTRY_BYTES):
+        type_, at, length = struct.unpack_from(f"{order}H10xII", data, start)
+        if type_ != 0:
+            entries.append(_Entry(type_, at, length))
+    return entries

@@ -6,15 +6,21 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8
+from PIL import Image
 
+from mrgs.data.images import opened
 from mrgs.data.radiometric.exif import GpsPosition
-from mrgs.data.radiometric.visible import VisibleImage
 from mrgs.errors import ConfigError
 from mrgs.scene.radiometry import PARAMETER_LIMITS, ObjectParameters, PhotoRecord, Planck
+
+MAX_PIXELS = 20_000_000
+"""Larger images are refused before they are decoded; thermal cameras have up to 3 megapixels, times
+4 if enhanced."""
 
 UNIT = re.compile(r"(celsius|kelvin|fahrenheit)(?:\*(\d+(?:\.\d+)?))?")
 
@@ -23,9 +29,8 @@ UNIT = re.compile(r"(celsius|kelvin|fahrenheit)(?:\*(\d+(?:\.\d+)?))?")
 class Overrides:
     """Values that override those in a file; None keeps the file's.
 
-    The first seven are those of ``mrgs.data.radiometric.measurement.ObjectParameters``, and
-    need a file with the camera's raw signal. The last two say what the numbers mean in a file that
-    does not.
+    The first seven are fields of ``mrgs.scene.radiometry.ObjectParameters``, for files with the
+    camera's raw signal. The last two are the meaning of the numbers in files without it.
 
     Attributes:
         unit: ``celsius``, ``kelvin`` or ``fahrenheit``, with a factor if the numbers are multiples:
@@ -85,6 +90,55 @@ class Overrides:
     def applied_to(self, parameters: ObjectParameters) -> ObjectParameters:
         """The parameters with the given ones replaced."""
         return replace(parameters, **self.of_parameters())
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Alignment of the visible photo with the thermal one, at the distance that the camera was
+    focused on.
+
+    Attributes:
+        real_to_ir: width of the visible photo over the width of the part of it that the thermal
+            photo shows.
+        offset_x_px: from the visible photo's centre to that of the thermal photo in it, its pixels,
+            to the right.
+        offset_y_px: the same, downwards.
+        picture_in_picture_px: the thermal inset in the displayed picture: left, right, top, bottom.
+    """
+
+    real_to_ir: float
+    offset_x_px: int
+    offset_y_px: int
+    picture_in_picture_px: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleImage:
+    """A visible photo inside a thermal one.
+
+    Attributes:
+        data: the image file, JPEG or PNG, as the camera wrote it.
+        source: the file that it was found in, for messages.
+        alignment: None if the camera does not say.
+    """
+
+    data: bytes
+    source: Path
+    alignment: Alignment | None
+
+    def pixels(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The photo in RGB.
+
+        Cameras that store it as PNG put luma and chroma (JPEG's YCbCr) into the channels for red,
+        green and blue.
+
+        Raises:
+            SceneError: the photo is damaged.
+        """
+        with opened(self.source, self.data, ("JPEG", "PNG"), MAX_PIXELS) as image:
+            if image.format == "PNG" and image.mode == "RGB":
+                image = Image.merge("YCbCr", image.split())
+            return np.array(image.convert("RGB"), dtype=np.uint8)
 
 
 @dataclass(frozen=True)

@@ -3,20 +3,17 @@ colour palette."""
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
-from PIL import Image
+from jaxtyping import Float, Float32
 
 from mrgs.data.files import scene_error
-from mrgs.data.images import LUMINANCE
+from mrgs.data.images import LUMINANCE, opened
 from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.measurement import masked
-from mrgs.data.radiometric.photo import UNIT, Overrides, PhotoFacts, ThermalPhoto
-from mrgs.data.radiometric.visible import opened
+from mrgs.data.radiometric.photo import MAX_PIXELS, UNIT, Overrides, PhotoFacts, ThermalPhoto
 from mrgs.scene.radiometry import ZERO_CELSIUS_K, are_everyday
 
 _ENOUGH = 100_000
@@ -94,9 +91,11 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     Raises:
         SceneError: damaged, of an unknown scale, or with bounds for what is not grey.
     """
-    with opened(io.BytesIO(data), path, ("TIFF", "PNG", "JPEG")) as image:
+    with opened(path, data, most_pixels=MAX_PIXELS) as image:
         kind, mode = str(image.format), image.mode
-        pixels = np.array(image.convert(_plain_mode(image)))
+        plain = mode == "F" or mode.startswith("I")  # one channel, its array of floats or integers
+        grey = "L" if mode in ("1", "L", "LA", "La") else "RGB"
+        pixels = np.array(image if plain else image.convert(grey))
     facts = PhotoFacts(f"{kind} image", camera=exif.model, taken=exif.taken, gps=exif.gps)
     if pixels.ndim == 3:
         return _from_colours(pixels, path, facts, overrides)
@@ -155,13 +154,6 @@ def finished(
     return ThermalPhoto(celsius, None, valid, facts)
 
 
-def _plain_mode(image: Image.Image) -> str:
-    """A mode whose array is [H, W] of integers or floats, or [H, W, 3] of 8-bit colours."""
-    if image.mode == "F" or image.mode.startswith("I"):
-        return image.mode
-    return "L" if image.mode in ("1", "L", "LA", "La") else "RGB"
-
-
 def _from_grey(
     values: Float32[np.ndarray, "h w"], path: Path, facts: PhotoFacts, overrides: Overrides
 ) -> ThermalPhoto:
@@ -187,7 +179,8 @@ def _from_colours(
     pixels: np.ndarray, path: Path, facts: PhotoFacts, overrides: Overrides
 ) -> ThermalPhoto:
     grey = pixels.astype(np.float32) @ LUMINANCE.numpy() / 255
-    if _is_grey(pixels):
+    spread = pixels.max(axis=2).astype(int) - pixels.min(axis=2)
+    if float(np.mean(spread > _GREY_TOLERANCE)) < 0.01:  # a printed logo may be coloured
         return _from_grey(grey, path, facts, overrides)
     if overrides.bounds_c is not None or overrides.unit is not None:
         raise scene_error(
@@ -202,10 +195,3 @@ def _from_colours(
     return ThermalPhoto(
         None, grey, np.ones(grey.shape, dtype=bool), facts.adding(warnings=(doubt,))
     )
-
-
-def _is_grey(pixels: np.ndarray) -> bool:
-    """Whether nearly all pixels have three equal channels; a printed logo may be coloured."""
-    spread = pixels.max(axis=2).astype(int) - pixels.min(axis=2)
-    coloured: Bool[np.ndarray, "h w"] = spread > _GREY_TOLERANCE
-    return float(coloured.mean()) < 0.01

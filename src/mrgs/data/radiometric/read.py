@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from mrgs.data.files import read_bytes, scene_error
-from mrgs.data.radiometric import fff, jpeg
 from mrgs.data.radiometric.dji import read_bare_numbers, read_r_jpeg
-from mrgs.data.radiometric.exif import ExifFacts, read_exif
-from mrgs.data.radiometric.flir import read_flir
+from mrgs.data.radiometric.exif import (
+    JPEG_SIGNATURE,
+    ExifFacts,
+    flir_record,
+    holds_dji_signal,
+    read_exif,
+)
+from mrgs.data.radiometric.flir import FFF_SIGNATURES, read_flir
 from mrgs.data.radiometric.photo import Overrides, ThermalPhoto
 from mrgs.data.radiometric.raster import read_raster
 from mrgs.data.radiometric.table import read_table
 
 MAX_BYTES = 256 * 2**20
 
-_RASTERS = (jpeg.SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
 
@@ -42,29 +48,27 @@ class Reader(NamedTuple):
     kind: Kind = "image"
 
 
-def _is_flir_jpeg(data: bytes, path: Path) -> bool:
-    return data.startswith(jpeg.SIGNATURE) and jpeg.flir_record(data, path) is not None
-
-
 def _read_flir_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    record = jpeg.flir_record(data, path)
+    record = flir_record(data, path)
     assert record is not None
     return read_flir(record, path, read_exif(data), overrides)
 
 
-def _is_dji_jpeg(data: bytes, path: Path) -> bool:
-    return data.startswith(jpeg.SIGNATURE) and jpeg.holds_dji_signal(data, read_exif(data).make)
-
-
 READERS = [
-    Reader(_is_flir_jpeg, _read_flir_jpeg, "signal"),
     Reader(
-        _is_dji_jpeg,
+        lambda data, path: data.startswith(JPEG_SIGNATURE) and flir_record(data, path) is not None,
+        _read_flir_jpeg,
+        "signal",
+    ),
+    Reader(
+        lambda data, _: (
+            data.startswith(JPEG_SIGNATURE) and holds_dji_signal(data, read_exif(data).make)
+        ),
         lambda data, path, overrides: read_r_jpeg(path, read_exif(data), overrides),
         "dji",
     ),
     Reader(
-        lambda data, _: data.startswith(fff.SIGNATURES),
+        lambda data, _: data.startswith(FFF_SIGNATURES),
         lambda data, path, overrides: read_flir(data, path, ExifFacts(), overrides),
         "signal",
     ),
@@ -110,22 +114,16 @@ def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> 
             path,
             "is not an image; thermal photos are JPEG, PNG, TIFF or FFF files, or tables (.csv)",
         )
-    return _with_unused(reader.read(data, path, overrides), overrides, reader.kind)
-
-
-def _with_unused(photo: ThermalPhoto, overrides: Overrides, kind: Kind) -> ThermalPhoto:
-    """The photo with a warning that names overrides without effect."""
+    photo = reader.read(data, path, overrides)
     parameters = [name for name in overrides.of_parameters() if name not in photo.facts.given]
     meanings = [name for name in ("unit", "bounds_c") if getattr(overrides, name) is not None]
     if photo.facts.parameters is not None:
         unused, why = meanings, "the temperatures follow from the camera's signal"
-    elif kind == "dji":
+    elif reader.kind == "dji":
         unused, why = parameters + meanings, "DJI's tool computes the temperatures"
     else:
         unused, why = parameters, "the file holds finished numbers, not the camera's signal"
     if not unused:
         return photo
-    sentence = f"{', '.join(unused)} had no effect: {why}."
-    return ThermalPhoto(
-        photo.temperature_c, photo.relative, photo.valid, photo.facts.adding(warnings=(sentence,))
-    )
+    doubt = f"{', '.join(unused)} had no effect: {why}."
+    return replace(photo, facts=photo.facts.adding(warnings=(doubt,)))

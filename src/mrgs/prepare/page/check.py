@@ -12,7 +12,7 @@ from mrgs.check.photos import WIDTH_PX, measure
 from mrgs.check.problem import Evidence, ImageStatistics, Problem, cameras_by_modality, worst_first
 from mrgs.check.rules import find_problems
 from mrgs.data import load_scene
-from mrgs.data.colmap_model import MODEL_FOLDERS
+from mrgs.data.colmap import MODEL_FOLDERS
 from mrgs.data.files import scene_error
 from mrgs.data.transforms import pinhole_lens
 from mrgs.errors import MrgsWarning, SceneError

@@ -15,8 +15,14 @@ from PIL.ExifTags import IFD, Base
 
 from mrgs.data.files import read_bytes, scene_error, visible_files
 from mrgs.data.kept import Stamp, digest, stamp_of
-from mrgs.data.radiometric import ExifFacts, dji, fff, flir, jpeg, read_exif
-from mrgs.data.radiometric.exif import clean_text
+from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
+from mrgs.data.radiometric.exif import (
+    FLIR_MARK,
+    JPEG_SIGNATURE,
+    clean_text,
+    flir_record,
+    holds_dji_signal,
+)
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Progress, Skipped
@@ -106,28 +112,28 @@ def _head(path: Path) -> bytes:
         raise SceneError(
             f"cannot be read ({error.strerror}); check that it is there and readable"
         ) from None
-    has_record = start.startswith(jpeg.SIGNATURE) and jpeg.FLIR in start
+    has_record = start.startswith(JPEG_SIGNATURE) and FLIR_MARK in start
     return read_bytes(path, MAX_BYTES) if has_record else start
 
 
 def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     """A camera's signal; FLIR's record, in a JPEG or in a file of its own, is parsed."""
-    is_jpeg = data.startswith(jpeg.SIGNATURE)
-    record = jpeg.flir_record(data, path) if is_jpeg else None
-    if data.startswith(fff.SIGNATURES):
+    is_jpeg = data.startswith(JPEG_SIGNATURE)
+    record = flir_record(data, path) if is_jpeg else None
+    if data.startswith(flir.FFF_SIGNATURES):
         record = read_bytes(path, MAX_BYTES)
     exif = read_exif(data) if is_jpeg else ExifFacts()
     if record is None:  # another maker's
         return Photo(path, origin, "signal", exif=exif)
-    records = fff.Records(record, path)
-    if is_jpeg and records.get(fff.RAW_DATA) is None:  # a photo in visible light
+    records = flir.Records(record, path)
+    if is_jpeg and records.get(flir.RAW_DATA) is None:  # a photo in visible light
         return _image(path, origin, data)
     camera = flir.camera_facts(records)
     return Photo(
         path,
         origin,
         "signal",
-        embedded=records.get(fff.EMBEDDED_IMAGE) is not None,
+        embedded=records.get(flir.EMBEDDED_IMAGE) is not None,
         exif=replace(exif, taken=exif.taken or camera.taken),
         field_of_view_deg=camera.field_of_view_deg,
         serial=camera.serial,
@@ -136,7 +142,7 @@ def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
 
 def _image(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     """An image file. Only an unusually long header makes a JPEG worth reading to its end."""
-    photo = _raster(path, origin, data) if data.startswith(jpeg.SIGNATURE) else ""
+    photo = _raster(path, origin, data) if data.startswith(JPEG_SIGNATURE) else ""
     return _raster(path, origin, read_bytes(path, MAX_BYTES)) if isinstance(photo, str) else photo
 
 
@@ -177,7 +183,7 @@ def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     kind: Kind = "image"
     if mode == "F" or mode.startswith("I"):
         kind = "numbers"
-    elif jpeg.holds_dji_signal(data, exif.make):
+    elif holds_dji_signal(data, exif.make):
         kind = "dji"
     return Photo(path, origin, kind, size, exif=exif, focal_mm=focal_mm, serial=serial)
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Float64
 
-from mrgs.data.colmap_model import ColmapModel, read_images
+from mrgs.data.colmap import ColmapModel, read_images
 from mrgs.data.earth import enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import ConfigError, SceneError
