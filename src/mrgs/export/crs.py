@@ -93,7 +93,6 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
     """The CRS of a scene in metres: a projected one where GPS placed the scene, else a local one.
 
     Args:
-        scene: what is exported.
         wanted: a projected CRS in metres, such as ``EPSG:25832``; None takes the UTM zone.
 
     Raises:
@@ -144,12 +143,7 @@ def known_coordinate_system(scene: Scene, wanted: str | None = None) -> Coordina
 
 
 def place_facts(scene: Scene, wanted: str | None = None) -> Mapping[str, Any]:
-    """What is known of the scene's place, for a sidecar and header comments; needs no package.
-
-    Args:
-        scene: what is exported.
-        wanted: the CRS of the export, see ``coordinate_system``.
-    """
+    """What is known of the scene's place, for a sidecar and header comments; needs no package."""
     world = scene.world
     if not world.metric:
         return {}

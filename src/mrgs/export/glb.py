@@ -62,8 +62,6 @@ def write_glb(
     """Write a glb file; returns the path.
 
     Args:
-        path: of the file.
-        splats: in the scene's own frame.
         up: the up direction of that frame, unit length; the node is rotated so that it becomes
             glTF's +y.
             None leaves it.

@@ -33,8 +33,6 @@ class ExportJob:
     Attributes:
         baked: the exported model, as the photos have it, with the modalities of which there are
             some.
-        scene: that the model was trained on.
-        folder: of the files.
         scale: colours of the temperatures.
         up: the up direction of the scene's frame, unit length, [3]; None if not known.
         facts: for the sidecar of every file, see ``facts_of``; ``surface_facts`` and
@@ -42,9 +40,7 @@ class ExportJob:
         marks: of the run that was baked; None if only the baked model is available.
         regions: marked surfaces with an emissivity of their own; None without.
         loss: PSNR lost by baking, dB; None without a run.
-        palette: of the temperatures.
         range_c: °C of the palette's first and last colour, as the caller gave them.
-        maps: choices for the maps.
     """
 
     baked: BakedModel

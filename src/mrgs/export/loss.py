@@ -68,8 +68,6 @@ def correction_note(
     Args:
         uncorrected: the splats as the photos have them.
         corrected: the same, see ``Regions.of_splats``.
-        regions: surfaces with an emissivity of their own.
-        cameras: of the thermal photos.
     """
     note = (
         "Marked surfaces with an emissivity of their own are corrected splat by splat, which is "

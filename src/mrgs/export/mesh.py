@@ -46,7 +46,6 @@ class Grid:
     Attributes:
         origin: world coordinates of the first sample, [3].
         step: distance between samples, scene units.
-        shape: samples along each axis.
     """
 
     origin: Float64[np.ndarray, "3"]

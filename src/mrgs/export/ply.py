@@ -56,10 +56,7 @@ def write_combined_ply(
     Temperatures are ``temperature_c``, or ``temperature_normalised`` where the scene has no °C.
 
     Args:
-        path: of the file.
         shown: what viewers show that do not know these properties: RGB if the model has it.
-        baked: the model.
-        comments: for the header.
 
     Raises:
         RunError: the file cannot be written.

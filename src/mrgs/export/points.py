@@ -77,7 +77,6 @@ def write_las(path: Path, points: SurfacePoints, system: CoordinateSystem | None
     ``temperature_c`` (or _normalised), other modalities by name, and ``opacity``.
 
     Args:
-        path: of the file.
         points: in the scene's own frame.
         system: the coordinate reference system to write them in; None writes them as they are, and
             names none.

@@ -39,8 +39,6 @@ def facts_of(
     by baking.
 
     Args:
-        baked: the exported model.
-        scene: that the model was trained on.
         up: the up direction of the scene's frame, see ``up_direction``.
         loss: in dB; None if the trained model was not available.
         crs: that the user wants, see ``coordinate_system``.

@@ -64,7 +64,6 @@ class ThermalScale:
     """The palette of temperatures and its range.
 
     Attributes:
-        palette: from cold to warm.
         low: temperature of the first colour, °C; normalised for a scene without °C.
         high: temperature of the last colour, in the unit of ``low`` and larger than it.
     """

@@ -95,7 +95,6 @@ class SurfacePoints:
     """M points with what they carry into a file.
 
     Attributes:
-        positions: world coordinates (scene units), [M, 3].
         columns: colours, temperatures and other values by their names in files, see
             ``value_columns``, [M] each.
         opacities: the largest of all modalities, [M].

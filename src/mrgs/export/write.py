@@ -85,7 +85,6 @@ def export(
     Args:
         model: a run, which is baked here, or a model that is baked already (its baking loss is then
             not measured).
-        scene: that the model was trained on.
         format: the name of one of ``FORMATS``, several names, or ``all``: every format that can be
             written here.
         folder: made if it does not exist; files of these names are replaced.

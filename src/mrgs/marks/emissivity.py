@@ -29,7 +29,7 @@ class SurfaceSettings:
     """How a surface radiates.
 
     Attributes:
-        emissivity: over 0 to 1.
+        emissivity: above 0, at most 1.
         reflected_c: reflected apparent temperature, °C; None if not known, which an emissivity of 1
             does not need.
     """
@@ -61,21 +61,16 @@ class CaptureSettings:
         return cls(surface, law, (*surface_notes, *law_notes))
 
     def of_mark(self, mark: Mark) -> SurfaceSettings:
-        """The settings of the surface in a mark: its own, and those of the photos for the rest.
+        """The settings of the surface in a mark: its own, else those of the photos.
 
         Raises:
-            ConfigError: the reflected temperature is needed, and neither the mark nor the photos
-                have one.
+            ConfigError: the reflected temperature is needed, and neither has one.
         """
         emissivity = self.surface.emissivity if mark.emissivity is None else mark.emissivity
         reflected = self.surface.reflected_c if mark.reflected_c is None else mark.reflected_c
         if emissivity < 1 and reflected is None:
-            raise ConfigError(
-                Message(
-                    "{name}: the photos do not say the reflected temperature; give it too",
-                    name=mark.name,
-                )
-            )
+            text = "{name}: the photos do not say the reflected temperature; give it too"
+            raise ConfigError(Message(text, name=mark.name))
         return SurfaceSettings(emissivity, reflected)
 
     def corrected(
@@ -92,28 +87,26 @@ class CaptureSettings:
     def as_photos(
         self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
     ) -> Float64[np.ndarray, "..."]:
-        """What the photos give for temperatures of a surface with other settings; undoes
-        ``corrected``."""
+        """Inverse of ``corrected``: what the photos give for temperatures of a surface."""
         there = replace(self, surface=surface)
         return self.celsius_of(there.received(celsius), self.surface)
 
     def received(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """The signal that left a surface of these temperatures, as the photos have them."""
+        """The signal that left a surface, from its temperatures in the photos, °C."""
         own: Float64[np.ndarray, "..."] = self.law.signals(celsius) + self.law.o
         return self.surface.emissivity * own + self._reflected(self.surface)
 
     def celsius_of(
         self, received: Float64[np.ndarray, "..."], surface: SurfaceSettings
     ) -> Float64[np.ndarray, "..."]:
-        """The temperatures, °C, of a surface with these settings that a signal left; NaN where
-        there is none."""
+        """The temperatures, °C, of a surface that a signal left; NaN where there is none."""
         of_object = (received - self._reflected(surface)) / surface.emissivity
         celsius: Float64[np.ndarray, "..."] = self.law.celsius(of_object - self.law.o)
         return celsius
 
     def signal_change(self, surface: SurfaceSettings) -> tuple[float, float]:
-        """Gain and offset, counts, from a surface's own signal as the photos have it, ``law``'s
-        plus ``law.o``, to that of ``corrected``."""
+        """Gain and offset (counts) that turn a surface's own signal in the photos, ``law``'s plus
+        ``law.o``, into that of ``corrected``."""
         difference = self._reflected(self.surface) - self._reflected(surface)
         return self.surface.emissivity / surface.emissivity, difference / surface.emissivity
 
@@ -136,12 +129,10 @@ def _surface_of(records: list[PhotoRecord]) -> tuple[SurfaceSettings, list[str]]
             "(emissivity 1)."
         ]
     emissivities, reflected = zip(*known, strict=True)
+    differs = "Emissivity or reflected temperature differ between the photos: their median is used."
+    same = np.ptp(emissivities) <= 1e-4 and np.ptp(reflected) <= 0.05
     settings = SurfaceSettings(median(emissivities), median(reflected))
-    if max(emissivities) - min(emissivities) > 1e-4 or max(reflected) - min(reflected) > 0.05:
-        return settings, [
-            "Emissivity or reflected temperature differ between the photos: their median is used."
-        ]
-    return settings, []
+    return settings, [] if same else [differs]
 
 
 def _law_of(records: list[PhotoRecord]) -> tuple[Planck, list[str]]:

@@ -76,11 +76,7 @@ class MarkReading:
     known °C. NaN where there is none.
 
     Attributes:
-        mark: that was measured.
         mean: over the spot's disc, the samples of the line, or the pixels of the area.
-        low: the smallest value.
-        high: the largest value.
-        low_at: its place, [3].
         high_at: the place of the largest value, [3].
         spread: standard deviation over the mark.
         difference: the mean minus that of the mark it is compared with; NaN without one.
@@ -121,13 +117,6 @@ class MarkReading:
 class MarkMeter:
     """Measures marks in one model.
 
-    Args:
-        render: renders the model with the depth of its surfaces.
-        temperature: the scale of the thermal values; None without known °C.
-        cameras: of the thermal photos; empty if they are not known.
-        capture: what the temperatures of the photos were computed with.
-        uncertainty: of the temperatures; None if the photos are not known.
-
     Attributes:
         survey: what the cameras see of the model.
     """
@@ -160,7 +149,6 @@ class MarkMeter:
         """Every mark, in their order, with the differences between them.
 
         Args:
-            marks: to measure.
             regions: of these marks, where they are there already: each is a rendering.
         """
         if regions is None:

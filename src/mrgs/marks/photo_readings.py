@@ -117,7 +117,6 @@ class SightingSums:
     """What photos show of P places, gathered photo by photo.
 
     Args:
-        places: P.
         rounding: half the width of the interval that the rounding of the photos' values leaves, in
             their unit; 0 if they are not rounded.
     """
@@ -149,7 +148,6 @@ class SightingSums:
         """The parts of the uncertainty.
 
         Args:
-            shares: how much of each counts.
             values: of the places, [P]; only needed where their deviation counts.
         """
         count = np.where(self.photos > 0, self.photos, np.float32(np.nan))
@@ -187,10 +185,8 @@ class PhotoReadings:
     asked for.
 
     Args:
-        render: renders the model with the depth of its surfaces.
         respond: what the cameras make of a rendering.
         views: of the scene; those with a thermal photo count, at most ``MAX_VIEWS``.
-        temperature: the scale of the thermal values; None without known °C.
     """
 
     def __init__(
@@ -224,10 +220,6 @@ class PhotoReadings:
 
     def of_mark(self, points: Float32[np.ndarray, "n 3"], value: float) -> PhotoParts:
         """The parts of the uncertainty of a mark's mean, of one place.
-
-        Args:
-            points: on its surface, world coordinates.
-            value: its mean, as the photos have it.
 
         Raises:
             SceneError: a photo cannot be read.

@@ -28,13 +28,8 @@ SURVEY_WIDTH_PX = 160
 class PhotoSurvey:
     """Small depth images of the photos' cameras, rendered when they are first asked for.
 
-    Args:
-        render: renders the model with the depth of its surfaces.
-        cameras: of the photos.
-
     Attributes:
         chosen: indices of the cameras that are surveyed, at most ``MAX_VIEWS``, spread evenly.
-        cameras: those cameras.
     """
 
     def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
@@ -74,13 +69,7 @@ KEPT_IMAGES = 4
 
 
 class PlaceInPhoto(NamedTuple):
-    """A place in a photo that shows it.
-
-    Attributes:
-        photo: its number in the survey.
-        x: of the place, pixels.
-        y: the same, downwards.
-    """
+    """A place in a photo that shows it."""
 
     photo: int
     x: float
@@ -88,12 +77,7 @@ class PlaceInPhoto(NamedTuple):
 
 
 class Resolution:
-    """Measures how wide places are in the pixels of the thermal photos.
-
-    Args:
-        render: renders the model.
-        survey: what the photos' cameras see of it.
-    """
+    """Measures how wide places are in the pixels of the thermal photos."""
 
     def __init__(self, render: SurfaceRenderer, survey: PhotoSurvey) -> None:
         self._render = render
@@ -106,7 +90,6 @@ class Resolution:
         sides, or no photo shows it.
 
         Args:
-            place: world coordinates.
             sign: 1 for a hot place, -1 for a cold one.
             least: what it must stand out by, normalised.
         """

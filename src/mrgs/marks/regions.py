@@ -41,12 +41,7 @@ MOST_FITTED = 4_000
 
 
 class RegionPlane(NamedTuple):
-    """The points of the world whose product with ``normal`` is ``offset``.
-
-    Attributes:
-        normal: of any length, [3].
-        offset: of the plane.
-    """
+    """The points of the world whose product with ``normal`` is ``offset``."""
 
     normal: Float[np.ndarray, "3"]
     offset: float
@@ -85,7 +80,6 @@ class SettingsShare(NamedTuple):
 
     Attributes:
         settings: of the surface; None for those of the photos.
-        share: of the surface, over 0 to 1.
     """
 
     settings: SurfaceSettings | None
@@ -97,8 +91,6 @@ class SurfaceRegion:
     """The surface within the outline of a mark, as seen from the mark's eye.
 
     Attributes:
-        settings: of the surface.
-        surface: that is seen from the eye.
         inside: the pixels within the outline, [H, W].
         plane: of the surface; None where it is not flat.
     """
@@ -114,7 +106,6 @@ class SurfaceRegion:
         """Which points of the world lie on it, [N]; NaN does not.
 
         Args:
-            points: world coordinates.
             eye: that sees them, if they are pixels of an image. Their depths differ from pixel to
                 pixel, which from the side would make the edge of a flat region ragged.
         """
@@ -135,12 +126,9 @@ class Regions:
 
     Args:
         marks: those with settings are regions; where two overlap, the later one counts.
-        render: renders the model as the photos have it.
         temperature: the scale of the thermal values; without known °C there are no regions.
-        capture: what the photos were computed with.
 
     Attributes:
-        capture: see above.
         problems: of marks that cannot be regions, one sentence by name.
     """
 

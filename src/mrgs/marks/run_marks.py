@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from mrgs.marks.surface import SeenSurface, before_background, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Scene, WorldFrame
+from mrgs.survey import SURVEY_FILE, read_survey
 
 SPOT_PHOTO_PX = 3.0
 """Diameter of a spot in pixels of the nearest thermal photo, as on a camera's spot meter."""
@@ -31,7 +33,6 @@ class RunMarks:
     """The marks of a run: added, changed, measured, and saved at once in its ``marks.json``.
 
     Args:
-        run: with Gaussians.
         scene: of the run, where it has been read before.
 
     Raises:
@@ -41,13 +42,22 @@ class RunMarks:
     def __init__(self, run: Run, scene: Scene | None = None) -> None:
         self.run = run
         self.store = MarkStore(run.folder.path, CameraSpread.of_run(run))
-        self.scene = _scene_if_there(run) if scene is None else scene
+        if scene is None:
+            with suppress(SceneError):
+                scene = run.load_scene()
+        self.scene = scene
+        uncertainty = None
+        if scene is not None:
+            survey = read_survey(run.folder.path / SURVEY_FILE)
+            uncertainty = UncertaintyMeter.of(
+                run.render, run.camera_response, scene, run.temperature, survey
+            )
         self.meter = MarkMeter(
-            before_background(run.render, self.scene),
+            before_background(run.render, scene),
             run.temperature,
-            thermal_cameras(self.scene),
-            CaptureSettings.of(self.scene),
-            None if self.scene is None else UncertaintyMeter.of_run(run, self.scene),
+            thermal_cameras(scene),
+            CaptureSettings.of(scene),
+            uncertainty,
         )
         self._picker = MarkPicker(self.meter, self.scene)
 
@@ -69,7 +79,6 @@ class RunMarks:
         """Add a spot on the surface at a pixel (x, y) of a camera's image; returns it.
 
         Args:
-            camera: of the image.
             pixel: x to the right and y down, pixels.
             name: S1, S2 ... if empty.
             more: other fields of ``Mark``, such as ``radius`` or ``note``.
@@ -194,8 +203,6 @@ class MarkPicker:
     """Finds the places on the surface for a mark that is drawn in an image.
 
     Args:
-        meter: sees the surface.
-        scene: with the photos; None if it is not available.
         by_photos: whether depths come from the photos; else from the model.
     """
 
@@ -225,8 +232,6 @@ def picked_places(
     """The places of the surface at pixels (x, y) of an image.
 
     Args:
-        surface: that is seen.
-        pixels: x to the right and y down.
         stereo: finds the depth that the photos agree on; None for that of the model.
 
     Raises:
@@ -271,10 +276,3 @@ def eye_of(camera: Camera) -> Place:
 def thermal_cameras(scene: Scene | None) -> list[Camera]:
     """The cameras of a scene's thermal training photos; none without a scene."""
     return [] if scene is None else [photo.camera for photo in scene.train_photos(THERMAL)]
-
-
-def _scene_if_there(run: Run) -> Scene | None:
-    try:
-        return run.load_scene()
-    except SceneError:
-        return None

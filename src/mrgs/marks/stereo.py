@@ -127,12 +127,6 @@ class PhotoStereo:
         """z-depth of the surface at a place of an image, scene units; that of the model where the
         photos do not say more.
 
-        Args:
-            camera: of the image.
-            x: to the right, pixels.
-            y: down, pixels.
-            depth: of the model there.
-
         Raises:
             SceneError: a photo cannot be read.
         """
@@ -217,10 +211,7 @@ def _patch(
     """The patch about a place, so large that photos show it on some pixels.
 
     Args:
-        place: world coordinates.
-        normal: of the surface.
         sight: from the eye to the place.
-        photos: that see it.
     """
     pixel = float(np.median([_pixel_size(photo, place) for photo in photos]))
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])

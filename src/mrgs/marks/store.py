@@ -39,7 +39,6 @@ class CameraSpread(NamedTuple):
     """Positions of a scene's cameras in brief, to recognise its coordinate frame.
 
     Attributes:
-        images: number of training images.
         centre: mean of their positions, scene units.
         extent: largest distance from it.
     """
@@ -84,12 +83,7 @@ class CameraSpread(NamedTuple):
 
 
 class MarkStore:
-    """The marks of one run on disk; every change is saved at once.
-
-    Args:
-        folder: the run's.
-        spread: of the cameras of the run's scene.
-    """
+    """The marks of one run on disk; every change is saved at once."""
 
     def __init__(self, folder: Path, spread: CameraSpread) -> None:
         self.folder = folder

@@ -64,8 +64,6 @@ class SeenSurface:
     """A surface as one camera sees it.
 
     Attributes:
-        camera: of the pixels.
-        rendering: from it.
         depth: z-depth, scene units, NaN where there is no surface, [H, W].
     """
 
@@ -100,7 +98,6 @@ def before_background(render: SurfaceRenderer, scene: Scene | None) -> SurfaceRe
     """Renders a model in which the background is no surface: nothing can be measured on the sky.
 
     Args:
-        render: renders the whole model.
         scene: that the model was trained on; without one, what is background is not known.
     """
     if scene is None:
@@ -249,13 +246,7 @@ def _off_plane(corners: Float[np.ndarray, "n 3"], index: int) -> float:
 
 def steady_depth(surface: SeenSurface, x: float, y: float) -> float:
     """z-depth of the surface at a place of the image, from the pixels about it: a single pixel has
-    the depth of one splat. NaN where there is no surface.
-
-    Args:
-        surface: that is seen.
-        x: to the right, pixels.
-        y: down, pixels.
-    """
+    the depth of one splat. NaN where there is no surface."""
     row, column = int(y), int(x)
     here = surface.depth[row, column]
     reach = max(3, round(PICK_SHARE * max(surface.depth.shape)))
@@ -285,7 +276,6 @@ def fitted_plane(
 
     Args:
         rays: (x / z, y / z, 1) of each depth.
-        depth: z-depths.
     """
     inverse, weights = 1 / depth, np.ones(len(depth))
     for _ in range(ROBUST_STEPS):

@@ -69,7 +69,6 @@ def value_text(
 
     Args:
         value: in °C, or normalised.
-        temperature: the scale of the thermal values; None without known °C.
         sign: whether positive values have a plus sign.
         unit: whether it is followed by its unit; that of a difference is the kelvin.
     """
@@ -160,9 +159,6 @@ def facts_of_reading(
     """A reading under the names of the columns of the CSV file; None where there is no value.
 
     Args:
-        reading: of a mark.
-        temperature: the scale of the thermal values; None without known °C.
-        world: the frame of the marks' coordinates.
         assumed: what the reading takes for known, one sentence each.
     """
     mark = reading.mark
@@ -217,9 +213,6 @@ def write_csv(
 
     Args:
         path: of the table.
-        readings: of the marks.
-        temperature: the scale of the thermal values; None without known °C.
-        world: the frame of the marks' coordinates.
         assumed: returns what a reading takes for known.
 
     Raises:

@@ -90,10 +90,7 @@ def mark_text(
     """A mark that was measured.
 
     Args:
-        reading: of the mark.
         reference: name of the mark that all differences refer to; empty for none.
-        temperature: the scale of the thermal values; None without known °C.
-        world: the frame of the marks' coordinates.
     """
     mark = reading.mark
     return {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from statistics import median
 
 import numpy as np
@@ -19,10 +19,9 @@ from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.surface import SurfaceRenderer
-from mrgs.runs.open import Run
 from mrgs.scene import CameraResponse, Scene, TemperatureRange
 from mrgs.scene.radiometry import ObjectParameters
-from mrgs.survey import SURVEY_FILE, Survey, read_survey
+from mrgs.survey import Survey
 from mrgs.system.wording import Message
 
 COVERAGE = 2.0
@@ -47,8 +46,8 @@ USUAL_AIR = Atmosphere(0.006569, 0.01262, -0.002276, -0.00667, 1.9)
 @dataclass(frozen=True)
 class Uncertainty:
     """The parts of a temperature's uncertainty, each as half the width of the interval that would
-    hold the truth in 95 of 100 cases if there were no other part; K, or normalised without °C. NaN
-    where it is not known.
+    contain the truth in 95 of 100 cases if there were no other part; K, or normalised without °C.
+    NaN where it is not known.
 
     Attributes:
         photos: what the photos that see the place disagree by.
@@ -56,8 +55,6 @@ class Uncertainty:
         detail: how narrow a peak the place is, which the photos blur.
         camera: limit of error of the thermal camera.
         emissivity: of the surface.
-        reflected: reflected temperature.
-        distance: through the air.
     """
 
     photos: float = math.nan
@@ -89,11 +86,8 @@ class Budget:
     """The uncertainties that do not depend on the place, and what follows from them.
 
     Attributes:
-        capture: what the photos were computed with.
         parameters: of the photos, their median; None if they are not known.
-        emissivity: standard uncertainty.
         reflected_c: standard uncertainty, K.
-        distance_percent: standard uncertainty.
         accuracy: limit of error of the camera, K and per cent of °C; None if it is not known.
         notes: what was assumed, one sentence each.
     """
@@ -112,53 +106,42 @@ class Budget:
         records = [] if scene is None else scene.records
         known = [record.parameters for record in records if record.parameters is not None]
         accuracy, notes = _accuracy(survey, any(record.camera for record in records))
-        stated = (
-            survey.emissivity_uncertainty,
-            survey.reflected_uncertainty_c,
-            survey.distance_uncertainty_percent,
-        )
-        usual = (EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT)
-        chosen = [b if a is None else a for a, b in zip(stated, usual, strict=True)]
-        if known and None in stated:
-            notes.append(
-                Message(
-                    "Assumed as standard uncertainties: emissivity ± {emissivity}, reflected "
-                    "temperature ± {reflected} K, distance ± {distance} %.",
-                    emissivity=f"{chosen[0]:g}",
-                    reflected=f"{chosen[1]:g}",
-                    distance=f"{chosen[2]:g}",
-                )
+        stated = {
+            "emissivity": survey.emissivity_uncertainty,
+            "reflected_c": survey.reflected_uncertainty_c,
+            "distance_percent": survey.distance_uncertainty_percent,
+        }
+        chosen = {name: value for name, value in stated.items() if value is not None}
+        budget = cls(CaptureSettings.of(scene), _median_of(known), accuracy=accuracy, **chosen)
+        if known and len(chosen) < len(stated):
+            text = (
+                "Assumed as standard uncertainties: emissivity ± {emissivity}, reflected "
+                "temperature ± {reflected} K, distance ± {distance} %."
             )
-        parameters = _median_of(known) if known else None
-        emissivity, reflected, distance = chosen
-        return cls(
-            CaptureSettings.of(scene),
-            parameters,
-            emissivity,
-            reflected,
-            distance,
-            accuracy,
-            tuple(notes),
-        )
+            numbers = budget.emissivity, budget.reflected_c, budget.distance_percent
+            names = "emissivity", "reflected", "distance"
+            assumed = {name: f"{each:g}" for name, each in zip(names, numbers, strict=True)}
+            notes.append(Message(text, **assumed))
+        return replace(budget, notes=tuple(notes))
 
-    def with_settings(
-        self, parts: Uncertainty, celsius: float, surface: SurfaceSettings | None = None
-    ) -> Uncertainty:
-        """The parts of the photos and the model, with those of the camera and the settings.
+    def parts(
+        self,
+        of_photos: Sequence[Float[np.ndarray, "*shape"]],
+        celsius: Float64[np.ndarray, "*shape"],
+        surface: SurfaceSettings | None = None,
+    ) -> list[Float64[np.ndarray, "*shape"]]:
+        """All parts of temperatures' uncertainties: those of the photos as the surface has them,
+        then camera, emissivity, reflected temperature and distance.
 
         Args:
-            parts: of the photos and the model, as the photos have the place.
-            celsius: what the photos have there.
+            of_photos: the parts of the photos and the model, as the photos have the places.
+            celsius: temperatures in the photos.
             surface: emissivity and reflected temperature there; those of the photos if None.
         """
         surface = surface or self.capture.surface
-        at = np.array([celsius])
-        gain = float(self._gain(at, surface)[0])
-        camera = float(self._camera(at)[0])
-        settings = [COVERAGE * float(each[0]) for each in self._settings(at, surface)]
-        return Uncertainty(
-            *(gain * each for each in (parts.photos, parts.model, parts.detail, camera)), *settings
-        )
+        gain = self._gain(celsius, surface)
+        settings = [COVERAGE * part for part in self._settings(celsius, surface)]
+        return [*(gain * part for part in (*of_photos, self._camera(celsius))), *settings]
 
     def together(
         self,
@@ -166,23 +149,15 @@ class Budget:
         celsius: Float64[np.ndarray, "*shape"],
         surface: SurfaceSettings | None = None,
     ) -> Float64[np.ndarray, "*shape"]:
-        """The uncertainties of temperatures, all known parts together; NaN where that of the photos
-        is, and where a surface with these settings cannot have looked so.
-
-        Args:
-            of_photos: the parts of the photos and the model, as the photos have the places.
-            celsius: what the photos have there.
-            surface: emissivity and reflected temperature there; those of the photos if None.
-        """
-        surface = surface or self.capture.surface
-        measured = np.hypot(of_photos, np.nan_to_num(self._camera(celsius)))
-        parts = [COVERAGE * np.nan_to_num(part) for part in self._settings(celsius, surface)]
-        squares = sum(np.square(part) for part in (self._gain(celsius, surface) * measured, *parts))
+        """Root of the sum of the squares of all known ``parts``; NaN where the photos' part is, and
+        where a surface with these settings cannot have looked so."""
+        first, *others = self.parts([of_photos], celsius, surface)
+        squares = np.square(first) + sum(np.square(np.nan_to_num(part)) for part in others)
         total: Float64[np.ndarray, "*shape"] = np.sqrt(squares)
         return total
 
     def _camera(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """Half the width of the interval that holds the camera's error in 95 of 100 cases."""
+        """Half the width of the interval of the camera's error in 95 of 100 cases."""
         if self.accuracy is None:
             return np.full(celsius.shape, np.nan)
         kelvin, percent = self.accuracy
@@ -200,59 +175,57 @@ class Budget:
     def _settings(
         self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
     ) -> list[Float64[np.ndarray, "..."]]:
-        """Standard uncertainties that emissivity, reflected temperature and distance cause; NaN
-        where photos and mark do not say these."""
+        """Standard uncertainties by emissivity, reflected temperature and distance; NaN where
+        neither photos nor mark state these."""
         unknown = np.full(celsius.shape, np.nan)
         if self.parameters is None and surface.reflected_c is None:
             return [unknown, unknown, unknown]
+        emissivity, reflected_c = surface.emissivity, surface.reflected_c or 0.0
         varied = [
-            [replace(surface, emissivity=_share(surface.emissivity + sign * self.emissivity))
-             for sign in (-1, 1)],
-            [replace(surface, reflected_c=(surface.reflected_c or 0.0) + sign * self.reflected_c)
-             for sign in (-1, 1)],
+            [replace(surface, emissivity=_share(emissivity + sign * self.emissivity)),
+             replace(surface, reflected_c=reflected_c + sign * self.reflected_c)]
+            for sign in (-1, 1)
         ]  # fmt: skip
-        found = [_half([self.capture.corrected(celsius, each) for each in pair]) for pair in varied]
+        ends = [[self.capture.corrected(celsius, each) for each in end] for end in varied]
         distance = unknown if self.parameters is None else self._distance(celsius, surface)
-        return [*found, distance]
+        return [*map(_half, *ends), distance]
 
     def _distance(
         self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
     ) -> Float64[np.ndarray, "..."]:
-        """How far temperatures change with the distance: with another transmission τ of the air,
-        what reaches the camera, τ S + (1 − τ) S_air with S what left the surface, stays."""
+        """Standard uncertainty by the distance: with another transmission τ of the air, what
+        reaches the camera, τ S + (1 − τ) S_air with S what left the surface, stays."""
         assert self.parameters is not None
         given, law = self.parameters, self.capture.law
         tau = _transmission(given, 1.0)
         air = law.signal(given.atmospheric_c) + law.o
         at_surface = self.capture.received(celsius)
-        ends = []
-        for sign in (-1, 1):
-            other = _transmission(given, 1 + sign * self.distance_percent / 100)
-            ends.append((tau * at_surface + (other - tau) * air) / other)
-        return _half([self.capture.celsius_of(each, surface) for each in ends])
+        shares = [_transmission(given, 1 + sign * self.distance_percent / 100) for sign in (-1, 1)]
+        signals = [(tau * at_surface + (each - tau) * air) / each for each in shares]
+        return _half(*(self.capture.celsius_of(each, surface) for each in signals))
 
 
-def _half(pair: Sequence[Float64[np.ndarray, "..."]]) -> Float64[np.ndarray, "..."]:
-    return np.abs(pair[1] - pair[0]) / 2
+def _half(
+    low: Float64[np.ndarray, "..."], high: Float64[np.ndarray, "..."]
+) -> Float64[np.ndarray, "..."]:
+    return np.abs(high - low) / 2
 
 
 def _share(value: float) -> float:
-    """An emissivity within its limits."""
+    """An emissivity or a transmission within its limits."""
     return min(max(value, 0.01), 1.0)
 
 
 def _transmission(given: ObjectParameters, times: float) -> float:
-    """Share of the radiation that the air lets through, at a distance so many times the noted
-    one."""
+    """Share of the radiation that the air lets through at a multiple of the noted distance."""
     tau = USUAL_AIR.transmission(given.distance_m * times, given.atmospheric_c, given.humidity)
-    return min(max(tau, 0.01), 1.0)
+    return _share(tau)
 
 
-def _median_of(known: Sequence[ObjectParameters]) -> ObjectParameters:
-    names = asdict(known[0])
-    return ObjectParameters(
-        **{name: median(getattr(each, name) for each in known) for name in names}
-    )
+def _median_of(known: Sequence[ObjectParameters]) -> ObjectParameters | None:
+    if not known:
+        return None
+    return ObjectParameters(*map(median, zip(*map(astuple, known), strict=True)))
 
 
 def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | None, list[str]]:
@@ -260,34 +233,26 @@ def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | N
     kelvin, percent = survey.camera_accuracy_c, survey.camera_accuracy_percent
     if kelvin is not None:
         return (kelvin, percent or 0.0), []
-    usual = f"{USUAL_ACCURACY:g}"
+    if percent is None and not has_camera:
+        return None, ["The accuracy of the thermal camera is not known, and not included."]
+    # Data sheets state both; by the per cent alone a camera would be exact about 0 °C.
+    text = "The camera's accuracy is taken as ± {kelvin} °C or {percent} % of the reading, "
     if percent is not None:
-        # Data sheets state both; by the per cent alone a camera would be exact about 0 °C.
-        return (USUAL_ACCURACY, percent), [
-            Message(
-                "The camera's accuracy is stated in per cent alone: it is taken as ± {kelvin} °C "
-                "or {percent} % of the reading, whichever is more.",
-                kelvin=usual,
-                percent=f"{percent:g}",
-            )
-        ]
-    if has_camera:
-        return (USUAL_ACCURACY, USUAL_ACCURACY), [
-            Message(
-                "The camera's accuracy is taken as ± {kelvin} °C or {percent} % of the reading, "
-                "whichever is more.",
-                kelvin=usual,
-                percent=usual,
-            )
-        ]
-    return None, ["The accuracy of the thermal camera is not known, and not included."]
+        text = (
+            "The camera's accuracy is stated in per cent alone: it is taken as ± {kelvin} °C or "
+            "{percent} % of the reading, "
+        )
+    percent = USUAL_ACCURACY if percent is None else percent
+    note = Message(
+        f"{text}whichever is more.", kelvin=f"{USUAL_ACCURACY:g}", percent=f"{percent:g}"
+    )
+    return (USUAL_ACCURACY, percent), [note]
 
 
 class UncertaintyMeter:
     """Estimates how far temperatures may be from the truth, in 95 of 100 cases.
 
     Args:
-        witnesses: the thermal photos.
         budget: of what does not depend on the place; None without known °C.
 
     Attributes:
@@ -300,17 +265,6 @@ class UncertaintyMeter:
         self._budget = budget
 
     @classmethod
-    def of_run(cls, run: Run, scene: Scene) -> UncertaintyMeter:
-        """The meter of a run, with what the survey in its folder states.
-
-        Raises:
-            ConfigError: the survey has a value that cannot be.
-            RunError: the survey cannot be read.
-        """
-        survey = read_survey(run.folder.path / SURVEY_FILE)
-        return cls.of(run.render, run.camera_response, scene, run.temperature, survey)
-
-    @classmethod
     def of(
         cls,
         render: SurfaceRenderer,
@@ -319,13 +273,10 @@ class UncertaintyMeter:
         temperature: TemperatureRange | None,
         survey: Survey,
     ) -> UncertaintyMeter:
-        """The meter of a model that is rendered in any way.
+        """The meter of a model.
 
         Args:
-            render: renders it with the depth of its surfaces.
-            respond: what the scene's cameras make of a rendering.
-            scene: with the photos.
-            temperature: the scale of the thermal values; None without known °C.
+            respond: applies the response of the scene's cameras to a rendering.
             survey: states uncertainties of camera and settings.
         """
         witnesses = PhotoReadings(render, respond, scene.train, temperature)
@@ -340,17 +291,16 @@ class UncertaintyMeter:
         """Uncertainty of the mean of a mark.
 
         Args:
-            points: on its surface, world coordinates.
             value: the mean as the photos have it, °C or normalised.
             surface: emissivity and reflected temperature there; those of the photos if None.
 
         Raises:
             SceneError: a photo cannot be read.
         """
-        parts = Uncertainty(*(float(part[0]) for part in self._witnesses.of_mark(points, value)))
-        if self._budget is None or math.isnan(parts.photos):
-            return parts
-        return self._budget.with_settings(parts, value, surface)
+        parts: Sequence[Float[np.ndarray, " p"]] = self._witnesses.of_mark(points, value)
+        if self._budget is not None and not math.isnan(parts[0][0]):
+            parts = self._budget.parts(parts, np.array([value]), surface)
+        return Uncertainty(*(float(part[0]) for part in parts))
 
     def of_points(
         self,
@@ -358,12 +308,10 @@ class UncertaintyMeter:
         values: Float32[np.ndarray, " n"],
         regions: Regions | None = None,
     ) -> Float32[np.ndarray, " n"]:
-        """Total uncertainty of temperatures at points on surfaces; NaN where no photo looked,
-        [N].
+        """Total uncertainty of temperatures at points on surfaces; NaN where no photo looked, [N].
 
         Args:
-            points: world coordinates.
-            values: what the cameras of the photos see there, not corrected, °C or normalised.
+            values: seen there by the cameras of the photos, not corrected, °C or normalised.
             regions: surfaces whose temperatures are corrected for settings of their own.
 
         Raises:
@@ -383,15 +331,8 @@ class UncertaintyMeter:
         regions: Regions | None = None,
         eye: Float[np.ndarray, "3"] | None = None,
     ) -> Float[np.ndarray, "*shape"]:
-        """What ``of_photos`` gave, with the parts of camera and settings; see ``of_points``.
-
-        Args:
-            of_photos: of the points.
-            points: world coordinates.
-            values: not corrected.
-            regions: surfaces with settings of their own.
-            eye: that sees the points, if they are pixels of an image.
-        """
+        """The result of ``of_photos`` with the parts of camera and settings; see ``of_points``.
+        ``eye`` sees the points, if they are pixels of an image."""
         if self._budget is None:
             return of_photos
         celsius = values.astype(np.float64)

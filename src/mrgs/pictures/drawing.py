@@ -46,9 +46,7 @@ class Scale(NamedTuple):
     """The meaning of a map's colours.
 
     Attributes:
-        palette: the colours.
         low: value of the first colour; larger than ``high`` where the palette runs the other way.
-        high: value of the last colour.
         unit: written after the largest number; may be empty.
         decimal: between a number's whole and its decimals.
     """

@@ -40,8 +40,6 @@ def write_rendering(
     Args:
         folder: of the files; made if need be.
         view: that was rendered; names the files.
-        rendering: its images.
-        temperature: the scene's; None if it has no °C.
         palette: colours of values with a unit.
         ball: how far the scene reaches; the background beyond it does not count on the scale of the
             depth. None if there is none.
@@ -135,8 +133,6 @@ def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], description: 
     """Write values [H, W], unchanged, into a one-channel float32 TIFF; returns the path.
 
     Args:
-        path: ends with .tiff.
-        values: float32.
         description: what the values are and their unit, ASCII; the TIFF's ImageDescription.
 
     Raises:

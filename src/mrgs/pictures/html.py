@@ -28,9 +28,6 @@ class InlineImage(NamedTuple):
     """A picture as a ``data:`` address, which the macro ``image`` of ``parts.html`` shows.
 
     Attributes:
-        source: the address.
-        width: pixels.
-        height: pixels.
         text: what the picture shows, for readers who cannot see it.
     """
 
@@ -79,7 +76,6 @@ class Page(NamedTuple):
     """A page of one HTML file.
 
     Attributes:
-        html: the file's text.
         policy: its content security policy, which the text names too.
     """
 
@@ -124,7 +120,6 @@ def write_html(path: Path, template: str, **values: Any) -> Path:
         path: ends with .html.
         template: and all further arguments: see ``make_page``. What the template loops over may be
             an iterator: the file is written as it goes.
-        values: of these.
 
     Returns:
         The path.

@@ -25,9 +25,7 @@ class Setting(NamedTuple):
     """A parameter of the measurement, over all photos.
 
     Attributes:
-        label: its name in a text.
         low: smallest value, with decimals and a proper minus sign; empty where no photo has one.
-        high: largest value, likewise.
         unit: as written behind a number.
         given: whether the user gave it, in place of what the photos say.
         missing: number of photos whose value is not known.

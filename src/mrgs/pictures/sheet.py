@@ -36,7 +36,6 @@ class Panel(NamedTuple):
 
     Attributes:
         image: sRGB; None if there is none.
-        caption: line below it.
         missing: text in the place of a picture that is missing.
     """
 
@@ -49,8 +48,6 @@ class PanelRow(NamedTuple):
     """A row of a section.
 
     Attributes:
-        label: at its left.
-        panels: one per column.
         figures: caption and value of the lines below the label.
     """
 
@@ -63,7 +60,6 @@ class Bar(NamedTuple):
     """A scale bar below a section.
 
     Attributes:
-        scale: of the bar.
         note: line below it.
         columns: the first and the last column that it spans; None to share the width of all columns
             equally with the other bars.
@@ -86,9 +82,6 @@ def draw_section(
     """Draw rows of pictures; a picture is as large as its cell allows, in its middle.
 
     Args:
-        columns: their titles.
-        rows: from top to bottom.
-        bars: below the rows.
         cell_px: width of a picture.
         label_px: width of the labels.
         title: above the columns; empty for none.

@@ -45,7 +45,6 @@ def frame_writer(
 
     Args:
         folder: made if it does not exist.
-        name: of the video.
         size: width and height of the frames, pixels.
         mp4: whether to write it; None writes it if imageio-ffmpeg is installed.
 

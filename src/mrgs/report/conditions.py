@@ -32,8 +32,6 @@ class Condition(NamedTuple):
     """One condition of a standard; texts are English, for ``Texts``.
 
     Attributes:
-        what: the quantity.
-        asked: what the standard asks for.
         stated: the quantity with its unit; empty if neither survey nor photos say it.
         met: whether it is met; None if that cannot be said.
         words: the inspector's own in place of ``stated``, printed as they are.
@@ -50,7 +48,6 @@ def conditions_of(survey: Survey, pixel_m: float | None = None) -> list[Conditio
     """The conditions of the survey's standard, as practitioners cite it; none without one.
 
     Args:
-        survey: what the inspector states.
         pixel_m: width of a pixel of the thermal photos on the surfaces; None if not known.
     """
     if survey.standard is None:

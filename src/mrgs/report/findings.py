@@ -30,7 +30,6 @@ class ShownOverview(NamedTuple):
     """A view in which marks are shown.
 
     Attributes:
-        view: its name.
         pictures: its photos, and its thermal rendering above the scale.
     """
 
@@ -46,7 +45,6 @@ class ShownProposal(NamedTuple):
         contrast: its temperature minus that of its surroundings.
         low: 10th percentile over the views.
         high: 90th percentile over the views.
-        views: how many views see it.
         position: x, y, z in scene units.
         photo: temperature of the thermal photo there; None where it has no valid pixel.
         at_end: whether the photo is at an end of the recorded range there.
@@ -66,9 +64,7 @@ class Findings(NamedTuple):
     """What was measured and what was found.
 
     Attributes:
-        marks: of the run.
         proposals: anomalies that nobody has judged.
-        overviews: the views that see them.
         plan: with all of them; None without any, or where the map shows them all.
         from_the_front: whether the plan is an elevation.
         map: temperatures to scale; None where the scene has no such map.
@@ -93,14 +89,6 @@ def show_findings(
     t: Texts,
 ) -> Findings:
     """Measure the marks, and draw them and the anomalies into photos, renderings, plan and map.
-
-    Args:
-        marks: of the run.
-        regions: surfaces with an emissivity of their own.
-        anomalies: that are proposed, by name.
-        scene: with the photos.
-        survey: the air inside and outside, for the temperature factor.
-        t: translates.
 
     Raises:
         SceneError: a photo cannot be read.

@@ -177,8 +177,6 @@ class ProfileChart(NamedTuple):
 
     Attributes:
         path: of the curve, in the language of SVG.
-        low: smallest value with its unit.
-        high: largest value with its unit.
         end: length of the line, as text.
     """
 
@@ -192,28 +190,18 @@ class ShownMark(NamedTuple):
     """A mark as the report shows it; numbers are formatted.
 
     Attributes:
-        name: of the mark.
-        kind: of the mark.
         severity: as the user states it.
-        mean: its temperature.
         around: the uncertainty of the mean; empty if it is not known.
         parts: of the uncertainty, as ``SHOWN_PARTS``; a dash for those not known.
         factor: temperature factor of a surface inside; a dash if the air is not known, or it does
             not lie from 0 to 1.
-        low: the smallest value.
-        high: the largest value.
         difference: to the reference, or to the mark that it is compared with.
         compared_with: name of that mark; empty for none.
-        size: length, area or diameter.
-        photos: how many see it.
         settings: emissivity and reflected temperature of its surface; empty for those of the
             photos.
-        note: the user's.
         problem: why it has no temperature.
-        remarks: what to know of the temperatures.
         view: name of the view in the pictures; empty without pictures.
         pictures: the thermal rendering, then the photo.
-        plan: where it is.
         chart: of a line; else None.
     """
 
@@ -265,10 +253,7 @@ def show_marks(
     """Measured marks.
 
     Args:
-        readings: of the marks.
         reference: name of the mark that all differences refer to; empty for none.
-        regions: surfaces with an emissivity of their own.
-        scene: with the photos.
         survey: the air inside and outside, for the temperature factor.
         place: draws where a mark is.
         decimal: before the decimals of the numbers beside the colours of a picture.

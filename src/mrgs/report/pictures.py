@@ -32,7 +32,6 @@ class Overview(NamedTuple):
     """A view with the marks that it sees.
 
     Attributes:
-        view: its name.
         seen: names of the marks.
         pictures: the photo of every modality but thermal, RGB first; then the thermal rendering
             above its scale.
@@ -50,9 +49,6 @@ def overviews(
     ``MOST_OVERVIEWS``.
 
     Args:
-        scene: with the photos.
-        marks: by name.
-        render: renders the thermal image of a camera.
         decimal: before the decimals of the scale's numbers.
 
     Raises:

@@ -53,8 +53,6 @@ def draw_marks(
     """A ring about each spot and the outline of the other marks, then their names.
 
     Args:
-        image: to draw on.
-        marks: by name.
         places: pixels of the corners of the marks to draw.
     """
     for name, corners in places.items():
@@ -182,7 +180,6 @@ class Plan:
     """The start points of a scene in their colours, on which marks are drawn.
 
     Args:
-        scene: with its cameras.
         marks: that the plan must reach.
 
     Attributes:
@@ -304,9 +301,7 @@ class TemperatureMap:
     """A map for a report.
 
     Attributes:
-        drawn: the map.
         from_the_front: whether it shows a façade; else the scene from above.
-        north: whether north is up.
     """
 
     drawn: OrthographicMap
@@ -364,11 +359,6 @@ def temperature_map(run: Run, scene: Scene, regions: Regions) -> TemperatureMap 
     """The map of a scene that has °C and metres, and is a façade or seen from above; None for all
     others.
 
-    Args:
-        run: with the model.
-        scene: that it was trained on.
-        regions: surfaces with an emissivity of their own, which the map shows corrected.
-
     Raises:
         SceneError: a photo cannot be read.
     """
@@ -387,11 +377,6 @@ def draw_temperature_map(
     baked: BakedModel, scene: Scene, regions: Regions | None = None
 ) -> TemperatureMap:
     """The map of a façade, or of a scene from above.
-
-    Args:
-        baked: the model, as the photos have it.
-        scene: that it was trained on.
-        regions: surfaces with an emissivity of their own, which the map shows corrected.
 
     Raises:
         ConfigError: which way is up is not known, or pyproj is not installed.

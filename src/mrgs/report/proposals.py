@@ -34,7 +34,6 @@ class Anomaly(NamedTuple):
     """A spot that was measured.
 
     Attributes:
-        spot: that was found.
         reading: of the spot as a mark.
         contrast: its temperature minus that of its surroundings, in the unit of the reading.
     """
@@ -71,9 +70,6 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> 
     says nothing of a place in it. A spot that was proposed before keeps its name.
 
     Args:
-        marks: of the run.
-        scene: of the run.
-        regions: surfaces with an emissivity of their own, for which temperatures are corrected.
         survey: may set the numbers of proposals.
 
     Raises:

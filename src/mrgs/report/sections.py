@@ -36,7 +36,6 @@ class Scores(NamedTuple):
     """Contents of ``eval/metrics.json``.
 
     Attributes:
-        steps: training steps of the model that was scored.
         rows: name and value of each score; with aligned poses where those of the photos are wrong.
         pose_error_px: how far off what the model shows a typical photo is, if so; None else.
         spreads: name and standard deviation of what the paper's parts add to a Gaussian; empty for

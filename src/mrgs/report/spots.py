@@ -101,9 +101,7 @@ class _Image(NamedTuple):
     """A rendered view.
 
     Attributes:
-        camera: of the pixels.
         depth: z-depth of the surface, scene units, NaN where there is none, [H, W].
-        values: normalised temperatures, [H, W].
     """
 
     camera: Camera
@@ -115,7 +113,6 @@ class _Points(NamedTuple):
     """Surface points of all views.
 
     Attributes:
-        positions: [P, 3], scene units.
         values: normalised temperatures, [P].
         views: index of the view of each, [P].
         central: whether the pixel is away from the image's border, [P].
@@ -135,8 +132,6 @@ class _Sightings(NamedTuple):
     """The S values that views have in cubes, sorted by cube.
 
     Attributes:
-        cubes: number of the cube, [S].
-        views: [S].
         values: mean of the view's points in the cube, [S].
         positions: their mean, [S, 3].
         points: how many, 0 if they touch the border, [S].
@@ -153,7 +148,6 @@ class _Cube(NamedTuple):
     """The values of all views in one cube.
 
     Attributes:
-        median: of the values.
         values: one per view, ascending, [V].
         rows: the sightings that they come from, [V].
     """
@@ -174,7 +168,6 @@ def find_spots(
 
     Args:
         views: of the capture; those without a thermal image are skipped.
-        render: renders the thermal image of a camera.
         count: largest number of spots in each list.
         ball: how far the scene reaches; the sky beyond it is no spot. None if there is none.
         judged: points of each mark that was judged, world coordinates, [N, 3] each: nothing is

@@ -42,8 +42,6 @@ class PointLabel:
     """A labelled point.
 
     Attributes:
-        position: world coordinates, [3].
-        label: drawn beside it.
         short: the same where there is no room for the label; may be empty.
     """
 
@@ -57,12 +55,8 @@ class Outline:
     """A line or an area on a surface.
 
     Attributes:
-        corners: world coordinates, [N, 3].
         closed: whether the last corner is joined to the first.
-        label: drawn beside it.
         low_at: world coordinates of the smallest value, [3]; empty if there is none.
-        high_at: of the largest value.
-        short: see ``PointLabel``.
     """
 
     corners: Float[np.ndarray, "n 3"]
@@ -74,16 +68,7 @@ class Outline:
 
 
 class SeenOutline(NamedTuple):
-    """An outline in a pane; all places are x and y from 0 to 1 over it.
-
-    Attributes:
-        corners: of the outline.
-        closed: see ``Outline``.
-        label: see ``Outline``.
-        low: place of the smallest value; None where that is hidden.
-        high: place of the largest value; None where that is hidden.
-        short: see ``PointLabel``.
-    """
+    """An outline in a pane; all places are x and y from 0 to 1 over it."""
 
     corners: list[tuple[float, float]]
     closed: bool
@@ -101,16 +86,7 @@ def annotate(
     marks: Sequence[PointLabel] = (),
     outlines: Sequence[Outline] = (),
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture [H, W, 3] for a file: with its marks, titles and scale bars drawn in.
-
-    Args:
-        picture: as ``compose`` makes it.
-        panes: its parts.
-        images: of each pane.
-        scales: what the colours mean.
-        marks: points to label where they are seen.
-        outlines: lines and areas to draw where they are seen.
-    """
+    """A picture [H, W, 3] for a file: with its marks, titles and scale bars drawn in."""
     whole = Image.fromarray(picture)
     for pane, shown in zip(panes, images, strict=True):
         place = (pane.left, pane.top, pane.left + pane.camera.width, pane.top + pane.camera.height)

@@ -60,8 +60,7 @@ class MarkNumbers:
 class CachedMeter(MarkMeter):
     """Measures marks in a model that does not change, each only once: another note, a new name or
     one more mark change nothing of what the others measure. Surfaces with an emissivity of their
-    own may lie under any mark: when these change, all are measured again.
-    """
+    own may lie under any mark: when these change, all are measured again."""
 
     def __init__(self, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
@@ -109,17 +108,13 @@ class MarkBoard:
     Everything that measures must be called where the model may be used, see ``Worker``.
 
     Args:
-        store: keeps the marks in the run's folder.
         picker: finds the surface that marks are drawn on; has the meter that measures them.
         appraise: the uncertainty of the temperatures by what the survey states; None if unknown.
 
     Attributes:
         marks: as they were measured.
         numbers: of each; it stays the same when a mark is renamed.
-        readings: one for each.
         proposals: of the report, measured in the same way.
-        regions: surfaces with an emissivity of their own.
-        survey: of the run.
         problems: why the files of the run are not what is shown, a sentence each.
     """
 

@@ -71,10 +71,7 @@ class Browser:
     not ask. While one picture is being sent no other is drawn for it.
 
     Args:
-        subject: the model to show.
         start: the first viewpoint, and what the camera turns about.
-        note: a sentence for the user; may be empty.
-        worker: runs everything that uses the model.
         send: sends a text or bytes, from any thread.
     """
 

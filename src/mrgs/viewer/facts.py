@@ -87,13 +87,7 @@ def _mode(mode: Mode) -> dict[str, Any]:
 
 
 def picture_message(inspection: Inspection, drawn: DrawnPicture, look: Look) -> bytes:
-    """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG.
-
-    Args:
-        inspection: that drew the picture.
-        drawn: the picture.
-        look: what asked for it.
-    """
+    """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG."""
     buffer = io.BytesIO()
     options = MOVING_JPEG if look.effort == "moving" else SHARP_JPEG
     Image.fromarray(drawn.pixels).save(buffer, "JPEG", **options)

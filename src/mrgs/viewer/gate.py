@@ -58,9 +58,6 @@ class Gate:
     this address (DNS rebinding), that name as the host. Both are refused. Other users of the
     computer, and of the network, do not have the token.
 
-    Args:
-        host: the address that the server listens on.
-
     Attributes:
         token: what the address to open contains.
     """

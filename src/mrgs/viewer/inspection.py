@@ -42,9 +42,6 @@ class DrawnPicture:
 
     Attributes:
         camera: that it was drawn from, at its size.
-        panes: its parts.
-        images: what each pane was painted from.
-        scales: what the colours mean.
         pixels: the colours, without marks and scales, [H, W, 3].
     """
 
@@ -65,7 +62,6 @@ class PointReading:
     """A reading at a point of a pane.
 
     Attributes:
-        reading: of the model.
         modality: the one whose value is named first; None for a model without readable values.
         photo_value: what the pane's photo has there, in the unit of ``modality``; None where no
             photo of it is shown.
@@ -86,12 +82,9 @@ class Inspection:
     others.
 
     Attributes:
-        subject: the model.
         settings: the choices that the next picture is drawn with.
         drawn: the latest picture; None before the first.
         view_index: of the captured view nearest to it, in ``subject.views``.
-        point: the latest reading.
-        keyframes: of the camera path.
     """
 
     def __init__(self, subject: Subject) -> None:
@@ -208,7 +201,6 @@ class Inspection:
         """Add a mark through places of the latest picture, from 0 to 1, and save it.
 
         Args:
-            kind: of the mark.
             points: two opposite corners of a box; the corners of the others.
 
         Raises:
@@ -353,11 +345,7 @@ class Inspection:
         self.keyframes = (*self.keyframes, self.drawn.camera)
 
     def annotated_pictures(self, cameras: Sequence[Camera]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        """Pictures of a path with their marks, by the current settings and scales throughout.
-
-        Args:
-            cameras: of the path, each at the size of its picture.
-        """
+        """Pictures of a path with their marks, by the current settings and scales throughout."""
         self.point = None
         settings, scales = self.settings, self._scales
         marks, outlines = self.marks(), self.outlines()
@@ -396,8 +384,6 @@ def nearest_view(
     ``preferred``.
 
     Args:
-        views: at least one.
-        camera: the one to compare with.
         extent: of the scene; a way of this length weighs as much as a right angle.
         preferred: index of the view shown now.
     """

@@ -42,12 +42,8 @@ class Look(BrowserMessage, tag="look"):
     Attributes:
         number: returned with the picture.
         rotation: rows of the camera's axes in the world (right, down, forward).
-        position: world coordinates.
         focal: fx and fy, pixels.
         centre: principal point, pixels.
-        width: of the picture in the window, pixels of the screen.
-        height: the same.
-        effort: see ``Effort``.
     """
 
     number: Index
@@ -79,11 +75,9 @@ class Choose(BrowserMessage, tag="choose"):
 
     Attributes:
         mode: index of the subject's modes.
-        palette: of values with a unit.
         scaled: name of the modality that the limits and the isotherm apply to.
         limits: values of the palette's ends; None lets them follow the picture.
         isotherm: first and last value of the band; None for none.
-        share: of the slider.
         marks: whether they are drawn into the picture.
     """
 
@@ -156,7 +150,6 @@ class Judge(BrowserMessage, tag="judge"):
 
     Attributes:
         mark: its name.
-        accept: whether it becomes a mark.
     """
 
     mark: Text

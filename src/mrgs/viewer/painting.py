@@ -66,10 +66,6 @@ def measure_scales(
     seen; intensities are always shown from 0 to 1.
 
     Args:
-        panes: of the picture.
-        images: of each pane.
-        settings: the user's choices.
-        temperature: the scale of the thermal values; None without known °C.
         ball: how far the scene reaches; the background beyond it does not count on the scale of the
             depth. None if there is none.
     """
@@ -211,15 +207,7 @@ def compose(
     scales: Scales,
     settings: Settings,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture alone, without marks and scales, [H, W, 3].
-
-    Args:
-        size: width and height of the picture.
-        panes: its parts.
-        images: of each pane, at any size; they are stretched to the pane.
-        scales: what the colours mean.
-        settings: palette, isotherm, slider.
-    """
+    """The picture alone, without marks and scales, [H, W, 3]."""
     painted = [
         paint(pane, shown, scales, settings) for pane, shown in zip(panes, images, strict=True)
     ]

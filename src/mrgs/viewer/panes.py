@@ -62,7 +62,6 @@ class Place(NamedTuple):
     """A point of a pane.
 
     Attributes:
-        pane: that contains it.
         u: to the right, 0 to 1 over the pane.
         v: down, 0 to 1 over the pane.
     """
@@ -83,7 +82,6 @@ def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
     """The panes of a mode.
 
     Args:
-        mode: what to show.
         camera: the browser's, as large as the picture.
         view: the captured view that the modes with photos show; they need one.
     """
@@ -199,9 +197,7 @@ def render_pane(
     """Render the modalities that the viewer shows.
 
     Args:
-        model: to render.
         camera: of the pane, at the size to render.
-        subject: provides the shown modalities and the temperature range.
         as_photo_of: the first camera of a captured view, to show what its cameras would have
             recorded; None to show the model itself.
         regions: surfaces with an emissivity of their own; None shows what the photos have.
@@ -267,8 +263,6 @@ class UncertaintyPictures:
     Args:
         board: has the meter, by what the survey states now, and the surfaces that have an
             emissivity of their own.
-        source: gives access to the model.
-        temperature: the scale of the thermal values; None without known °C.
     """
 
     def __init__(

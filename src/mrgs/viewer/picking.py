@@ -39,11 +39,9 @@ class Reading:
     """The model's values at a point.
 
     Attributes:
-        position: in world coordinates, [3].
         depth: z-depth from the camera that it was read through, scene units.
         depth_deviation: standard deviation of the depths of the splats that make up the pixel,
             scene units.
-        values: of each one-channel modality.
     """
 
     position: Float[np.ndarray, "3"]
@@ -69,11 +67,8 @@ def read_point(
     true value.
 
     Args:
-        model: to render.
-        camera: the image's; its size is that of the rendering.
         u: to the right, 0 to 1 over the image.
         v: down, 0 to 1 over the image.
-        subject: provides the shown modalities and the temperature range.
         regions: surfaces with an emissivity of their own; None reads what the photos have.
     """
     column, row = (

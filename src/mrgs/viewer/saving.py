@@ -32,8 +32,6 @@ class VideoProgress(NamedTuple):
     """How far a video is.
 
     Attributes:
-        done: frames that are written.
-        total: frames of the video.
         path: the finished mp4, or the folder of the frames; None before the end.
     """
 
@@ -144,10 +142,7 @@ def pinhole(
 
     Args:
         wxyz: rotation from the camera's OpenCV axes to the world, a unit quaternion.
-        position: in world coordinates.
         fov: vertical field of view, radians.
-        width: pixels.
-        height: pixels.
     """
     focal = 0.5 * height / math.tan(0.5 * fov)
     K = torch.tensor(

@@ -60,10 +60,8 @@ def view(
     """Serve a run to browsers until Ctrl-C.
 
     Args:
-        run: what ``load_run`` returns.
         scene: what ``run.load_scene`` returns; without it there are no photos and no captured
             cameras.
-        host: the address to listen on.
         port: TCP port; 0 takes a free one.
         on_ready: called with the address to open.
         stop: ends the serving when it is set.
@@ -92,8 +90,6 @@ class LiveView:
     in it is logged, and the training continues.
 
     Args:
-        output: the run's folder.
-        host: the address to listen on.
         port: TCP port; 0 takes a free one.
         on_ready: called with the address to open.
     """
@@ -224,7 +220,6 @@ def title_of(folder: Path, scene: str) -> str:
     a scene apart; the folder's alone where it begins with the scene's, as by default.
 
     Args:
-        folder: of the run.
         scene: name of the run's scene; empty if not known.
     """
     own = folder.resolve().name

@@ -106,7 +106,6 @@ class Settings:
     """The choices that a picture depends on.
 
     Attributes:
-        mode: what is shown.
         palette: colours of values with a unit.
         limits: values of the palette's first and last colour, of each modality in its unit; those
             of a modality that is not in it follow the picture.
@@ -133,9 +132,7 @@ class Subject:
 
     Attributes:
         name: of the scene and the run, for the title.
-        source: gives access to the model.
         modalities: that are shown, see ``shown_modalities``.
-        temperature: the scale of the thermal values; None without known °C.
         scene: the capture, for its cameras and photos; None if it is not available.
         folder: the run's folder; screenshots and videos go into its ``renders``.
         note: a sentence for the user at the top of the panel; may be empty.

@@ -103,7 +103,6 @@ class DetailLevel(NamedTuple):
     """A model of fewer Gaussians.
 
     Attributes:
-        model: of this level.
         stands_for: number of Gaussians of this level that each of the coarsest replaces.
     """
 
@@ -169,7 +168,6 @@ def _counted(members: Sequence[Tensor], coarsest: int) -> Float[Tensor, " m"]:
 
     Args:
         members: which Gaussian of the next level each stands in, from this level on.
-        coarsest: number of Gaussians of the coarsest level.
     """
     if not members:
         return torch.ones(coarsest)
@@ -206,7 +204,6 @@ class TrainedSource:
         """Run a job on the model after those before it; returns the result of the job.
 
         Args:
-            job: to run.
             moving: the camera of a picture that is wanted soon: drawn from as few Gaussians as
                 that takes. None for the model itself.
         """
@@ -227,7 +224,6 @@ class LiveSource:
 
     Args:
         share: of the time that jobs may take.
-        clock: seconds, monotonic.
         thread_clock: processor time of the calling thread, seconds.
     """
 

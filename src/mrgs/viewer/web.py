@@ -51,8 +51,6 @@ class Viewer:
     one that watches the files of the run, which may lie on a drive that does not answer.
 
     Args:
-        subject: the model.
-        start: first viewpoint of each browser.
         host: the address to listen on; anything but this computer's own makes the model visible to
             the network, for whoever has the token.
         port: TCP port; 0 takes a free one.

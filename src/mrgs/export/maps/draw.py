@@ -53,7 +53,6 @@ class OrthographicMap:
     """A map.
 
     Attributes:
-        grid: its plane and pixels.
         bands: see ``BANDS``; NaN where there is no surface, temperatures also where no photo
             looked, the scatter where fewer than two did, [7, H, W].
     """
@@ -83,10 +82,7 @@ def draw_map(
     taken, splats may leave gaps.
 
     Args:
-        baked: the model, as the photos have it.
-        scene: that it was trained on.
         maps: its surfaces, see ``survey``.
-        grid: the pixels.
         uncertainty: of the temperatures; None leaves its band empty.
         coverage: what enough photos show; all else stays empty. None draws everything.
         regions: surfaces with an emissivity of their own, which the map shows corrected.

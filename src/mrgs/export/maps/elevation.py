@@ -66,7 +66,6 @@ class Facade(NamedTuple):
     Attributes:
         axes: right, up and out of the wall as rows, unit length, [3, 3].
         low: smallest coordinates along the axes of what belongs to it, [3].
-        high: largest, [3].
     """
 
     axes: Float64[np.ndarray, "3 3"]
@@ -94,7 +93,6 @@ def find_facade(
     """The façade of a scene.
 
     Args:
-        surfaces: what the photos show.
         up: the vertical, unit length.
         eye: a place before the façade: the middle of the cameras.
 
@@ -316,9 +314,6 @@ def facade_map(
     """The map of a façade, and where that lies.
 
     Args:
-        baked: the model, as the photos have it.
-        scene: that it was trained on.
-        options: plane and pixels.
         uncertainty: of the temperatures; None leaves its band empty.
         most_px: for the longer side of the map; None without a limit.
         regions: surfaces with an emissivity of their own, which the map shows corrected.

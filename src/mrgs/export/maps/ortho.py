@@ -86,10 +86,6 @@ def map_from_above(
     """The map of a scene from above.
 
     Args:
-        baked: the model, as the photos have it.
-        scene: that it was trained on.
-        system: of the map's coordinates.
-        options: its pixels.
         uncertainty: of the temperatures; None leaves its band empty.
         most_px: for the longer side of the map; None without a limit.
         regions: surfaces with an emissivity of their own, which the map shows corrected.

@@ -32,9 +32,6 @@ class Caption(NamedTuple):
     """The texts of a picture.
 
     Attributes:
-        title: above the map.
-        subtitle: below the title.
-        footer: below the map.
         north_deg: direction of north in the map, clockwise from up, degrees; None if not known.
     """
 
@@ -50,8 +47,6 @@ def map_scale(
     """The colours of a map's temperatures.
 
     Args:
-        drawn: the map.
-        palette: the colours.
         range_c: °C of the first and last colour; None takes those of the map.
     """
     return Scale(palette, *(range_c or display_range(drawn.celsius)), "°C")

@@ -38,8 +38,6 @@ class MapGrid:
         left: u of the left edge.
         top: v of the upper edge.
         pixel_m: side of a pixel, map metres.
-        width: pixels.
-        height: pixels.
         slab: lowest and highest coordinate along ``out`` (scene units) of what is drawn.
     """
 
@@ -179,7 +177,6 @@ class PhotoStatistics:
     Args:
         points: the surface in the pixels of the map, scene coordinates; NaN where there is none,
             [H, W, 3].
-        grid: the pixels.
     """
 
     def __init__(self, points: Float32[np.ndarray, "h w 3"], grid: MapGrid) -> None:
@@ -264,7 +261,6 @@ class Coverage:
 
     Attributes:
         low: map coordinates of the corner of the first cell, [2].
-        cell_m: side of a cell, map metres.
         share: photos that show a cell, as a share of the most that show any, [U, V].
     """
 
@@ -299,12 +295,7 @@ class Coverage:
     def holds(
         self, u: Float64[np.ndarray, " w"], v: Float64[np.ndarray, " h"]
     ) -> Bool[np.ndarray, "h w"]:
-        """Whether enough photos show the places of a grid, [H, W].
-
-        Args:
-            u: map coordinates of its columns.
-            v: map coordinates of its rows.
-        """
+        """Whether enough photos show the places of a grid, [H, W]."""
         columns, rows = (
             (each - low) / self.cell_m - 0.5 for each, low in zip((u, v), self.low, strict=True)
         )
@@ -329,7 +320,6 @@ class ShownPlaces:
 
     Args:
         maps: what the photos show, see ``survey``.
-        grid: the pixels.
     """
 
     def __init__(self, maps: Sequence[DepthMap], grid: MapGrid) -> None:
@@ -345,7 +335,6 @@ class ShownPlaces:
 
         Args:
             part: rows and columns in the map.
-            camera: of the part.
             depth: that it sees; NaN where there is none.
         """
         points = unprojected(camera, depth).astype(np.float32)

@@ -44,8 +44,6 @@ def write_geotiff(path: Path, drawn: OrthographicMap, wkt: str, tags: Mapping[st
     """Write the bands of a map, tiled and compressed without loss; returns the path.
 
     Args:
-        path: of the file.
-        drawn: the map.
         wkt: its coordinate reference system as well-known text.
         tags: facts by name.
 
@@ -86,10 +84,6 @@ STOPS = 16
 def write_style(path: Path, scale: Scale) -> Path:
     """Write the style of a map, which QGIS applies by its name: ``NAME.qml`` beside ``NAME.tif``;
     returns the path.
-
-    Args:
-        path: of the style.
-        scale: colours of the first band.
 
     Raises:
         RunError: the file cannot be written.
@@ -153,10 +147,7 @@ def pixel_size_m(
     (median), to two digits; that of the first modality, which has the finest pixels.
 
     Args:
-        scene: with the cameras.
         maps: what the photos show, see ``survey``.
-        options: the user's choices.
-        extent: width and height of the map, metres.
         most_px: for its longer side; None without a limit.
     """
     focals = [float(camera.K[0, 0]) for camera in scene.train_cameras]

@@ -71,7 +71,6 @@ def pack_in_order(
 
     Args:
         baked: N splats, as ``curve_rows`` chooses and orders them.
-        modalities: to pack.
         sh_limits: see ``harmonics_limits``.
     """
     low, high, positions = _chunked_positions(to_array(baked.means))
@@ -132,9 +131,7 @@ def harmonics_limits(
     """The limits of each degree's coefficients, that all but a few of the splats keep.
 
     Args:
-        baked: N splats.
         rows: of the splats that count; of many, some are looked at.
-        modalities: to pack.
     """
     some = torch.from_numpy(rows[:: -(-len(rows) // SAMPLED)])
     limits = {}

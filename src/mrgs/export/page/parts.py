@@ -37,7 +37,6 @@ class PagePart(NamedTuple):
     """Some splats of a page's model.
 
     Attributes:
-        packed: the splats.
         first: place of the first among the page's splats, a multiple of ``ROW``.
         replaces: the first and behind the last of the coarse splats that it replaces.
     """
@@ -57,10 +56,7 @@ class PageModel:
     """A model, cut into parts for the page; splats that no pixel can show are left out.
 
     Args:
-        baked: N splats.
-        modalities: to pack.
         camera: that the page opens on: the parts that fill most of its image come first.
-        size: splats of a part.
 
     Raises:
         ConfigError: no splat can be seen.
