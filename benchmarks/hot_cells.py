@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import label, map_coordinates, maximum_filter, percentile_filter
 
-from mrgs.export.maps.options import MapOptions
 from mrgs.export.write import export_run
+from mrgs.maps.options import MapOptions
 from mrgs.runs.open import load_run
 
 PIXEL_M = 0.05

@@ -37,13 +37,14 @@ FLOORS = {
     "baselines": 8,
     "evaluation": 8,
     "marks": 8,
+    "maps": 8,
     "comparison": 9,
     "export": 9,
     "viewer": 9,
-    "report": 10,
-    "pipeline": 11,
-    "app": 12,
-    "__main__": 13,
+    "report": 9,
+    "pipeline": 10,
+    "app": 11,
+    "__main__": 12,
 }
 """A file imports from strictly lower floors and from its own room; ``mrgs`` itself imports on first
 use, from any."""

@@ -15,9 +15,9 @@ from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Gaussians, Pixels, PosedImage, Scene
-from tests.export.maps.conftest import front, front_scene
 from tests.helpers.changed_views import with_image
 from tests.helpers.runs import SMALL, trained_run
+from tests.maps.conftest import front, front_scene
 
 __all__ = ["front", "front_scene"]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.export.maps.picture import MARGIN
+from mrgs.maps.picture import MARGIN
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions
@@ -21,7 +21,7 @@ from mrgs.report.plan import (
     temperature_map,
 )
 from mrgs.scene import THERMAL, WorldFrame
-from tests.export.maps.conftest import CELSIUS
+from tests.maps.conftest import CELSIUS
 
 EYE = (0.0, -7.0, 1.6)
 

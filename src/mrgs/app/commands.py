@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from mrgs.export.maps.options import MapOptions
+    from mrgs.maps.options import MapOptions
 
 
 from typing import TYPE_CHECKING, TypeVar
@@ -314,7 +314,7 @@ class Export:
         Raises:
             ConfigError: a value that cannot be used.
         """
-        from mrgs.export.maps.options import MapOptions, parse_plane
+        from mrgs.maps.options import MapOptions, parse_plane
 
         plane = None if self.plane is None else parse_plane(*self.plane)
         return MapOptions(plane, self.pixel_size, self.crs)

@@ -58,15 +58,15 @@ _FORMATS = (
     _format(
         "ortho",
         "map from above in °C: GeoTIFF and PNG; not part of all",
-        "maps.ortho:export",
-        require=imported("mrgs.export.maps.ortho", "require"),
+        "maps:export_ortho",
+        require=imported("mrgs.export.maps", "require_ortho"),
         in_all=False,
     ),
     _format(
         "elevation",
         "map of a façade in °C: GeoTIFF and PNG; not part of all",
-        "maps.elevation:export",
-        require=imported("mrgs.export.maps.elevation", "require"),
+        "maps:export_elevation",
+        require=imported("mrgs.export.maps", "require_elevation"),
         in_all=False,
     ),
 )

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from mrgs.export.loss import BakingLoss, correction_note
-from mrgs.export.maps.options import MapOptions
 from mrgs.export.sidecar import color_facts, write_sidecar
 from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats, temperature_name
 from mrgs.export.surface_points import Columns, SurfacePoints, surface_points
+from mrgs.maps.options import MapOptions
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.uncertainty import UncertaintyMeter
@@ -70,20 +70,34 @@ class ExportJob:
     def points(self) -> SurfacePoints:
         """The splats on surfaces as points with their uncertainty, computed once."""
         points = surface_points(self.baked, self.scene)
-        name, at = temperature_name(self.baked), points.positions
-        columns = dict(self.corrected(at, points.columns))
+        if THERMAL not in self.modalities:
+            return points
+        name = temperature_name(self.baked)
+        corrected, around = self.appraised(points.positions, points.columns[name])
+        columns = {**points.columns, name: corrected}
         if self.uncertainty is not None:
-            found = self.uncertainty.of_points(at, points.columns[name], self.regions)
-            columns[name.replace("temperature", "uncertainty")] = found
+            columns[name.replace("temperature", "uncertainty")] = around
         return replace(points, columns=columns)
 
     def corrected(self, positions: Float32[np.ndarray, "m 3"], columns: Columns) -> Columns:
-        """What cameras see at points of the model, with the temperatures of marked surfaces
-        corrected."""
+        """Columns of a file for points of the model, as cameras see them, with the temperatures of
+        marked surfaces corrected."""
         if self.regions is None:
             return columns
         name = temperature_name(self.baked)
         return {**columns, name: self.regions.corrected_at(positions, columns[name])}
+
+    def appraised(
+        self, positions: Float32[np.ndarray, "m 3"], celsius: Float32[np.ndarray, " m"]
+    ) -> tuple[Float32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+        """Temperatures at points of the model, corrected on marked surfaces, and their uncertainty;
+        see ``Appraise``."""
+        around = np.full_like(celsius, np.nan)
+        if self.uncertainty is not None:
+            around = self.uncertainty.of_points(positions, celsius, self.regions)
+        if self.regions is not None:
+            celsius = self.regions.corrected_at(positions, celsius)
+        return celsius, around
 
     @cached_property
     def uncertainty(self) -> UncertaintyMeter | None:

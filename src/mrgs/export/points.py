@@ -10,10 +10,10 @@ from types import ModuleType
 import numpy as np
 
 from mrgs.data.ply import write_ply
-from mrgs.export.crs import CoordinateSystem, coordinate_system
 from mrgs.export.job import ExportJob, described
 from mrgs.export.sidecar import comment_lines
 from mrgs.export.surface_points import COLORS, SurfacePoints
+from mrgs.maps.crs import CoordinateSystem, coordinate_system
 from mrgs.scene import Scene
 from mrgs.system.atomic import replacing
 from mrgs.system.lazy import optional_package

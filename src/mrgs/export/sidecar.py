@@ -12,20 +12,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from mrgs.export.crs import place_facts
 from mrgs.export.loss import BakingLoss
 from mrgs.export.splats import ThermalScale, temperature_name, value_names
+from mrgs.maps.crs import place_facts
 from mrgs.pictures.values import unit_of
 from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Scene
 from mrgs.system.atomic import write_text
-
-UP_SNAP = np.array([0.0, 0.0, 1.0])
-
-MAX_TILT = 0.15
-"""Root mean square of the sine by which cameras may be tilted sideways for their photos to count as
-level."""
 
 
 def facts_of(
@@ -98,23 +92,6 @@ def color_facts(modality: Modality, scale: ThermalScale, baked: BakedModel) -> d
         palette, low, high = (scale.palette, scale.low, scale.high)
     unit = unit_of(modality, baked.temperature)
     return {"colors": {"palette": palette, "first": low, "last": high, "unit": unit}}
-
-
-def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
-    """The up direction, unit length [3], if the photos were taken level: perpendicular to all
-    cameras' horizontal axes.
-
-    None where those axes do not lie in one plane (tilted cameras), or are all parallel.
-    """
-    cameras = [camera for view in scene.train for camera in view.cameras.values()]
-    rotations = np.stack([camera.viewmat[:3, :3].numpy() for camera in cameras])
-    right, down, forward = rotations.transpose(1, 0, 2)
-    variances, axes = np.linalg.eigh(right.T @ right / len(cameras))
-    if variances[0] > MAX_TILT**2 or variances[1] < 2 * MAX_TILT**2:
-        return None
-    # Cameras stand upright, and look down rather than up where their own up direction says nothing.
-    sign = np.sign(axes[:, 0] @ -(down + forward).mean(axis=0))
-    return axes[:, 0] * (sign or 1.0)
 
 
 def comment_lines(facts: Mapping[str, Any]) -> list[str]:

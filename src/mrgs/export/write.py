@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mrgs.errors import ConfigError, MrgsError, RunError, WriteError, warn_user
-from mrgs.export.crs import coordinate_system
 from mrgs.export.formats import FORMATS, Format
 from mrgs.export.job import ExportJob
 from mrgs.export.loss import BakingLoss, baking_loss_db
-from mrgs.export.maps.options import MapOptions
-from mrgs.export.sidecar import facts_of, up_direction
+from mrgs.export.sidecar import facts_of
 from mrgs.export.splats import require_exportable, thermal_scale
+from mrgs.maps.crs import coordinate_system
+from mrgs.maps.options import MapOptions
+from mrgs.maps.surfaces import up_direction
 from mrgs.marks import open_marks
 from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel, bake

@@ -11,12 +11,12 @@ from jaxtyping import Bool, Float32, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.export.crs import coordinate_system
-from mrgs.export.maps.draw import OrthographicMap
-from mrgs.export.maps.elevation import facade_map
-from mrgs.export.maps.options import MapOptions
-from mrgs.export.maps.ortho import map_from_above
-from mrgs.export.maps.picture import frame_map, map_body, map_scale
+from mrgs.maps.above import map_from_above
+from mrgs.maps.crs import coordinate_system
+from mrgs.maps.draw import OrthographicMap
+from mrgs.maps.facade import facade_map
+from mrgs.maps.options import MapOptions
+from mrgs.maps.picture import frame_map, map_body, map_scale
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.pictures.drawing import (
@@ -364,7 +364,8 @@ def temperature_map(run: Run, scene: Scene, regions: Regions) -> TemperatureMap 
     """
     if scene.temperature is None or not scene.world.metric:
         return None
-    if not (faces_one_side(scene) or _is_seen_from_above(scene)):
+    down = [-camera.forward[2].item() for camera in scene.train_cameras]
+    if not (faces_one_side(scene) or sum(down) / len(down) > LOOKS_DOWN):
         return None
     baked = bake(run.model, scene.train_cameras, run.temperature)
     try:
@@ -383,14 +384,17 @@ def draw_temperature_map(
         RunError: there is no façade.
         SceneError: a photo cannot be read.
     """
+
+    def corrected(
+        points: Float32[np.ndarray, "n 3"], celsius: Float32[np.ndarray, " n"]
+    ) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+        found = celsius if regions is None else regions.corrected_at(points, celsius)
+        return found, np.full_like(celsius, np.nan)
+
     if faces_one_side(scene):
-        drawn, _ = facade_map(baked, scene, MapOptions(), most_px=MOST_PX, regions=regions)
-        return TemperatureMap(drawn, True, False)
+        return TemperatureMap(
+            facade_map(baked, scene, MapOptions(), corrected, MOST_PX), True, False
+        )
     system = coordinate_system(scene)
-    drawn = map_from_above(baked, scene, system, MapOptions(), most_px=MOST_PX, regions=regions)
+    drawn = map_from_above(baked, scene, system, MapOptions(), corrected, MOST_PX)
     return TemperatureMap(drawn, False, system.north)
-
-
-def _is_seen_from_above(scene: Scene) -> bool:
-    down = [-camera.forward[2].item() for camera in scene.train_cameras]
-    return sum(down) / len(down) > LOOKS_DOWN

@@ -12,8 +12,8 @@ import pytest
 import rasterio
 
 from mrgs.export import export
-from mrgs.export.maps.draw import BANDS
-from mrgs.export.maps.options import MapOptions
+from mrgs.maps.draw import BANDS
+from mrgs.maps.options import MapOptions
 from mrgs.scene import WorldFrame
 from tests.helpers.exports import qgis_python, read_ply, read_qgis
 

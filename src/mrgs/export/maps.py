@@ -1,30 +1,34 @@
-"""A map's files: the GeoTIFF with its sidecar and its style for QGIS, and the picture."""
+"""``ortho`` and ``elevation``: maps as GeoTIFFs with sidecars and QGIS styles, and as pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from jaxtyping import Float64
 
 from mrgs.errors import ConfigError
-from mrgs.export.crs import require_metres, require_pyproj
 from mrgs.export.job import ExportJob, described
-from mrgs.export.maps.draw import BANDS, OrthographicMap
-from mrgs.export.maps.options import MapOptions
-from mrgs.export.maps.picture import Caption, map_picture, map_scale
-from mrgs.export.maps.surfaces import median_distance
-from mrgs.export.sidecar import UP_SNAP, comment_lines, up_direction
+from mrgs.export.sidecar import comment_lines
+from mrgs.maps.above import map_from_above
+from mrgs.maps.crs import (
+    CoordinateSystem,
+    coordinate_system,
+    local_wkt,
+    require_metres,
+    require_pyproj,
+)
+from mrgs.maps.draw import BANDS, OrthographicMap
+from mrgs.maps.facade import facade_map
+from mrgs.maps.picture import Caption, map_picture, map_scale
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import write_png
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import palette_table
 from mrgs.scene import THERMAL, Scene
-from mrgs.scene.depth_map import DepthMap
 from mrgs.system.atomic import replacing, write_text
 from mrgs.system.lazy import optional_package
 
@@ -82,8 +86,8 @@ STOPS = 16
 
 
 def write_style(path: Path, scale: Scale) -> Path:
-    """Write the style of a map, which QGIS applies by its name: ``NAME.qml`` beside ``NAME.tif``;
-    returns the path.
+    """Write the style of a map's first band, which QGIS applies by its name: ``NAME.qml`` beside
+    ``NAME.tif``; returns the path.
 
     Raises:
         RunError: the file cannot be written.
@@ -117,10 +121,11 @@ def write_style(path: Path, scale: Scale) -> Path:
 
 
 UNSEEN = "white: no surface, or too few photos look there"
+COMPASS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
-def require_map(scene: Scene) -> None:
-    """Check that a map of a scene can be written.
+def require_elevation(scene: Scene, crs: str | None = None) -> None:
+    """Check that the map of a façade can be written, which is in no CRS.
 
     Raises:
         ConfigError: rasterio or pyproj is not installed, the scene has no °C, or is not known to be
@@ -136,52 +141,81 @@ def require_map(scene: Scene) -> None:
     require_metres(scene)
 
 
-def pixel_size_m(
-    scene: Scene,
-    maps: Sequence[DepthMap],
-    options: MapOptions,
-    extent: Float64[np.ndarray, "2"],
-    most_px: int | None,
-) -> float:
-    """Side of a map's pixel, metres: as wanted, or the width of a photo's pixel on the surfaces
-    (median), to two digits; that of the first modality, which has the finest pixels.
-
-    Args:
-        maps: what the photos show, see ``survey``.
-        most_px: for its longer side; None without a limit.
-    """
-    focals = [float(camera.K[0, 0]) for camera in scene.train_cameras]
-    size = options.pixel_size_m or float(f"{median_distance(maps) / np.median(focals):.1e}")
-    return size if most_px is None else max(size, float(extent.max()) / most_px)
-
-
-def vertical(scene: Scene) -> Float64[np.ndarray, "3"]:
-    """The up direction of a scene, unit length.
+def require_ortho(scene: Scene, crs: str | None = None) -> None:
+    """Check that the map from above can be written in a CRS.
 
     Raises:
-        ConfigError: it is not known.
+        ConfigError: see ``require_elevation`` and ``coordinate_system``.
     """
+    require_elevation(scene)
+    coordinate_system(scene, crs)
+
+
+def export_ortho(job: ExportJob) -> list[Path]:
+    """Write ``ortho.tif`` with its sidecar and its style for QGIS, and ``ortho.png``."""
+    system = coordinate_system(job.scene, job.maps.crs)
+    drawn = map_from_above(job.baked, job.scene, system, job.maps, job.appraised)
+    return _write_map(job, "ortho", drawn, system.wkt, *ortho_texts(job.scene.name, drawn, system))
+
+
+def ortho_texts(
+    name: str, drawn: OrthographicMap, system: CoordinateSystem
+) -> tuple[Caption, dict[str, Any]]:
+    """The texts of the picture of a map from above, and the facts of its sidecar."""
+    north = " · north is up" if system.north else ""
+    caption = Caption(
+        f"{name}: temperatures from above",
+        f"{system.name}{north} · {drawn.grid.pixel_m * 100:g} cm per pixel",
+        _summary(drawn),
+        system.north_deg,
+    )
+    facts: dict[str, Any] = {
+        "map": "orthographic, from above",
+        "map_crs": system.name,
+        "map_crs_residual_m": round(system.residual_m, 6),
+    }
+    if system.north_deg is not None:
+        facts["map_north_clockwise_from_up_deg"] = round(system.north_deg, 3)
+    return caption, facts
+
+
+def export_elevation(job: ExportJob) -> list[Path]:
+    """Write ``elevation.tif`` with its sidecar and its style for QGIS, and ``elevation.png``.
+
+    Its coordinates are metres to the right and upwards from the lower left corner of the map, whose
+    place in the scene is in the sidecar.
+    """
+    drawn = facade_map(job.baked, job.scene, job.maps, job.appraised)
+    wkt = local_wkt(f"{job.scene.name} façade")
+    return _write_map(job, "elevation", drawn, wkt, *elevation_texts(job.scene, drawn))
+
+
+def elevation_texts(scene: Scene, drawn: OrthographicMap) -> tuple[Caption, dict[str, Any]]:
+    """The texts of a façade's picture, and the facts of its sidecar."""
+    grid = drawn.grid
+    facts = {
+        "map": "orthographic, of a façade",
+        "map_crs": "metres to the right and upwards from the map's lower left corner",
+    }
+    facing = ""
     if scene.world.north:
-        return UP_SNAP
-    up = up_direction(scene)
-    if up is None:
-        raise ConfigError(
-            "which way is up in this scene is not known, because its photos were not taken level: "
-            "prepare it from photos with GPS"
-        )
-    return UP_SNAP if up @ UP_SNAP > np.cos(np.radians(3)) else up
+        azimuth = float(np.degrees(np.arctan2(grid.axes[2, 0], grid.axes[2, 1])) % 360)
+        facts |= {"faces_azimuth_deg": f"{azimuth:.1f}"}
+        facing = f" · faces {COMPASS[round(azimuth / 45) % 8]} ({azimuth:.0f}°)"
+    size = f"{grid.width * grid.pixel_m:.4g} × {grid.height * grid.pixel_m:.4g} m"
+    subtitle = f"{size}{facing} · {grid.pixel_m * 100:g} cm per pixel"
+    return Caption(f"{scene.name}: facade temperatures", subtitle, _summary(drawn), None), facts
 
 
-def write_map(
+def _write_map(
     job: ExportJob,
     name: str,
     drawn: OrthographicMap,
     wkt: str,
     caption: Caption,
     facts: dict[str, Any],
-) -> list[Any]:
-    """Write ``NAME.tif`` with its sidecar and its style for QGIS, and ``NAME.png``; returns the
-    paths."""
+) -> list[Path]:
+    """Write ``NAME.tif``, ``NAME.qml`` and ``NAME.png``; returns the paths."""
     grid = drawn.grid
     facts = job.surface_facts | {
         **facts,
@@ -199,10 +233,9 @@ def write_map(
     return [*paths, style, write_png(job.folder / f"{name}.png", picture)]
 
 
-def summary(drawn: OrthographicMap) -> str:
+def _summary(drawn: OrthographicMap) -> str:
     """Temperatures and photos of a map, in one line."""
-    celsius = drawn.celsius[np.isfinite(drawn.celsius)]
-    photos = drawn.bands[4][np.isfinite(drawn.celsius)]
+    known = np.isfinite(drawn.celsius)
+    celsius, photos = drawn.celsius[known], np.median(drawn.bands[4][known])
     low, high = (number_text(float(each), 1) for each in (celsius.min(), celsius.max()))
-    places = f"{np.median(photos):.0f} photos per place (median)"
-    return f"{low} to {high} °C · {places} · {UNSEEN}"
+    return f"{low} to {high} °C · {photos:.0f} photos per place (median) · {UNSEEN}"

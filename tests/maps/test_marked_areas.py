@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrgs.export.maps.elevation import facade_map
-from mrgs.export.maps.options import MapOptions
+from mrgs.maps.draw import OrthographicMap
+from mrgs.maps.facade import facade_map
+from mrgs.maps.options import MapOptions
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.scene import THERMAL, ideal_cameras
 from mrgs.survey import Survey
-from tests.export.maps.conftest import CELSIUS
+from tests.maps.conftest import CELSIUS
 
 LEFT, RIGHT, LOW, HIGH = -0.7, 0.7, 1.0, 3.0
 CORNERS = ((LEFT, 0.0, LOW), (RIGHT, 0.0, LOW), (RIGHT, 0.0, HIGH), (LEFT, 0.0, HIGH))
@@ -34,12 +35,17 @@ def maps(front, front_scene):
     regions = Regions(
         Marks((AREA,)), lambda camera: wide.render(camera, THERMAL), CELSIUS, CaptureSettings()
     )
-    (plain, facade), (own, _) = (
-        facade_map(wide, front_scene, OPTIONS, meter, regions=each) for each in (None, regions)
-    )
+
+    def drawn(corrected: bool) -> OrthographicMap:
+        def appraise(points, celsius):
+            around = meter.of_points(points, celsius, regions if corrected else None)
+            return regions.corrected_at(points, celsius) if corrected else celsius, around
+
+        return facade_map(wide, front_scene, OPTIONS, appraise)
+
+    plain, own = drawn(False), drawn(True)
     grid = plain.grid
-    u = facade.low[0] + (np.arange(grid.width) + 0.5) * grid.pixel_m
-    v = facade.low[1] + (grid.height - np.arange(grid.height) - 0.5) * grid.pixel_m
+    u, v = (middles - low for middles, low in zip(grid.middles, grid.offset, strict=True))
     x, z = np.meshgrid(u, v)
 
     def within(margin: float) -> np.ndarray:

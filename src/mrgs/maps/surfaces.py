@@ -15,7 +15,8 @@ import torch
 from jaxtyping import Bool, Float32, Float64
 from scipy import ndimage
 
-from mrgs.errors import RunError
+from mrgs.errors import ConfigError, RunError
+from mrgs.maps.options import MapOptions
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, PosedImage, Rendering, Scene
@@ -158,6 +159,66 @@ def median_distance(maps: Sequence[DepthMap]) -> float:
 def survey_pixel(maps: Sequence[DepthMap]) -> float:
     """Width of a pixel of the depth maps on the surfaces (median), scene units."""
     return median_distance(maps) / float(np.median([item.camera.K[0, 0] for item in maps]))
+
+
+UP_SNAP = np.array([0.0, 0.0, 1.0])
+
+MAX_TILT = 0.15
+"""Root mean square of the sine by which cameras may be tilted sideways for their photos to count as
+level."""
+
+
+def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
+    """The up direction, unit length [3], if the photos were taken level: perpendicular to all
+    cameras' horizontal axes.
+
+    None where those axes do not lie in one plane (tilted cameras), or are all parallel.
+    """
+    cameras = [camera for view in scene.train for camera in view.cameras.values()]
+    rotations = np.stack([camera.viewmat[:3, :3].numpy() for camera in cameras])
+    right, down, forward = rotations.transpose(1, 0, 2)
+    variances, axes = np.linalg.eigh(right.T @ right / len(cameras))
+    if variances[0] > MAX_TILT**2 or variances[1] < 2 * MAX_TILT**2:
+        return None
+    # Cameras stand upright, and look down rather than up where their own up direction says nothing.
+    sign = np.sign(axes[:, 0] @ -(down + forward).mean(axis=0))
+    return axes[:, 0] * (sign or 1.0)
+
+
+def vertical(scene: Scene) -> Float64[np.ndarray, "3"]:
+    """The up direction of a scene, unit length.
+
+    Raises:
+        ConfigError: it is not known.
+    """
+    if scene.world.north:
+        return UP_SNAP
+    up = up_direction(scene)
+    if up is None:
+        raise ConfigError(
+            "which way is up in this scene is not known, because its photos were not taken level: "
+            "prepare it from photos with GPS"
+        )
+    return UP_SNAP if up @ UP_SNAP > np.cos(np.radians(3)) else up
+
+
+def pixel_size_m(
+    scene: Scene,
+    maps: Sequence[DepthMap],
+    options: MapOptions,
+    extent: Float64[np.ndarray, "2"],
+    most_px: int | None,
+) -> float:
+    """Side of a map's pixel, metres: as wanted, or the width of a photo's pixel on the surfaces
+    (median), to two digits; that of the first modality, which has the finest pixels.
+
+    Args:
+        maps: what the photos show, see ``survey``.
+        most_px: for its longer side; None without a limit.
+    """
+    focals = [float(camera.K[0, 0]) for camera in scene.train_cameras]
+    size = options.pixel_size_m or float(f"{median_distance(maps) / np.median(focals):.1e}")
+    return size if most_px is None else max(size, float(extent.max()) / most_px)
 
 
 def on_seen_surface(

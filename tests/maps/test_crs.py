@@ -7,7 +7,7 @@ import pyproj
 import pytest
 
 from mrgs.errors import ConfigError
-from mrgs.export.crs import coordinate_system, local_wkt
+from mrgs.maps.crs import coordinate_system, local_wkt
 from mrgs.scene import EarthPosition, Scene, WorldFrame
 
 PRAGUE, CAPE_TOWN, MUNICH = (50.08, 14.42), (-33.9, 18.4), (48.137, 11.575)

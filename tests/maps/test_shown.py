@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.export.maps.surfaces import MapGrid, ShownPlaces, _depth_of_cells, survey, unprojected
+from mrgs.maps.surfaces import MapGrid, ShownPlaces, _depth_of_cells, survey, unprojected
 from mrgs.scene import Camera
-from tests.export.maps.conftest import PIXEL
+from tests.maps.conftest import PIXEL
 
 AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Right, up, and out of the wall."""

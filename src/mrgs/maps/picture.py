@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from mrgs.export.maps.draw import OrthographicMap
+from mrgs.maps.draw import OrthographicMap
 from mrgs.pictures.drawing import (
     INK,
     MUTED,

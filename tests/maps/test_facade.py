@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mrgs.export.maps.draw import OrthographicMap
-from mrgs.export.maps.elevation import Facade, caption_and_facts
-from mrgs.export.maps.surfaces import MapGrid
+from mrgs.export.maps import elevation_texts
+from mrgs.maps.draw import OrthographicMap
+from mrgs.maps.surfaces import MapGrid
 from mrgs.scene import WorldFrame
 
 
@@ -30,14 +30,13 @@ def test_a_facade_faces_a_point_of_the_compass(azimuth, words):
     axes = np.array([[-north, east, 0.0], [0.0, 0.0, 1.0], [east, north, 0.0]])
     grid = MapGrid(axes, 1.0, np.zeros(2), 0.0, 2.0, 0.05, 60, 40, (-1.0, 1.0))
     drawn = OrthographicMap(grid, np.ones((7, 40, 60), np.float32))
-    facade = Facade(axes, np.zeros(3), np.array([3.0, 2.0, 1.0]))
     scene = SimpleNamespace(name="house", world=WorldFrame(metric=True, north=True))
-    caption, facts = caption_and_facts(scene, drawn, facade)
+    caption, facts = elevation_texts(scene, drawn)
     size, facing, pixel = caption.subtitle.split(" · ")
     assert (size, facing) == ("3 × 2 m", words)
     assert pixel.startswith("5 cm ")
     assert float(facts["faces_azimuth_deg"]) == azimuth
     scene.world = WorldFrame(metric=True)
-    caption, facts = caption_and_facts(scene, drawn, facade)
+    caption, facts = elevation_texts(scene, drawn)
     assert caption.subtitle.split(" · ") == [size, pixel]
     assert "faces_azimuth_deg" not in facts

@@ -16,15 +16,14 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, RunError, WriteError
 from mrgs.export import export
-from mrgs.export.crs import LOCAL_NAME, coordinate_system
-from mrgs.export.maps.draw import OrthographicMap
-from mrgs.export.maps.options import MapOptions, parse_plane
-from mrgs.export.maps.ortho import caption_and_facts
-from mrgs.export.maps.surfaces import MapGrid, survey
-from mrgs.export.maps.write import pixel_size_m
+from mrgs.export.maps import ortho_texts
+from mrgs.maps.crs import LOCAL_NAME, coordinate_system
+from mrgs.maps.draw import OrthographicMap
+from mrgs.maps.options import MapOptions, parse_plane
+from mrgs.maps.surfaces import MapGrid, pixel_size_m, survey
 from mrgs.scene import RGB, THERMAL, EarthPosition, View, WorldFrame
-from tests.export.maps.conftest import CELSIUS, GROUND_C, PIXEL, WALL_C, WINDOW_C, WINDOWS
 from tests.helpers.exports import read_ply
+from tests.maps.conftest import CELSIUS, GROUND_C, PIXEL, WALL_C, WINDOW_C, WINDOWS
 
 OPTIONS = MapOptions(pixel_size_m=PIXEL)
 PLANE = ((-3.0, 0.0, 0.0), (3.0, 0.0, 0.3), (0.0, 0.0, 4.0))
@@ -277,7 +276,7 @@ def test_north_is_said_to_be_up_only_where_it_is(front_scene, crs, place, north_
     placed = replace(front_scene, world=WorldFrame(True, True, EarthPosition(*place, 0.0)))
     grid = MapGrid(np.eye(3), 1.0, np.zeros(2), 0.0, 2.0, 0.05, 60, 40, (-1.0, 1.0))
     drawn = OrthographicMap(grid, np.ones((7, 40, 60), np.float32))
-    caption, facts = caption_and_facts("front", drawn, coordinate_system(placed, crs))
+    caption, facts = ortho_texts("front", drawn, coordinate_system(placed, crs))
     assert abs((caption.north_deg - north_deg + 180) % 360 - 180) < 1
     assert ("north is up" in caption.subtitle) == (crs is None)
     assert facts["map_north_clockwise_from_up_deg"] == pytest.approx(caption.north_deg, abs=1e-3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mrgs.export.maps.surfaces import LEAST_SHARE, Coverage, MapGrid, unprojected
+from mrgs.maps.surfaces import LEAST_SHARE, Coverage, MapGrid, unprojected
 
 
 def square(low: float, high: float, step: float = 0.1) -> np.ndarray:

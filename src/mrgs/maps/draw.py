@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 import torch
 from jaxtyping import Float32
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.export.maps.surfaces import (
+from mrgs.maps.surfaces import (
     Coverage,
     MapGrid,
     PhotoStatistics,
@@ -19,8 +20,6 @@ from mrgs.export.maps.surfaces import (
     photo_map,
     unprojected,
 )
-from mrgs.marks.regions import Regions
-from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Scene
@@ -34,6 +33,13 @@ PART_PX = 1024
 
 LEAST_ALPHA = 0.05
 """A colour that is blended less is darker than its surface."""
+
+Appraise: TypeAlias = Callable[
+    [Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]],
+    tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]],
+]
+"""Corrects temperatures, °C, that the cameras of the photos see at points on surfaces, for marked
+surfaces with an emissivity of their own; returns also their uncertainty, NaN where not known."""
 
 BANDS = {
     "temperature_c": "°C",
@@ -71,9 +77,8 @@ def draw_map(
     scene: Scene,
     maps: Sequence[DepthMap],
     grid: MapGrid,
-    uncertainty: UncertaintyMeter | None = None,
+    appraise: Appraise | None = None,
     coverage: Coverage | None = None,
-    regions: Regions | None = None,
 ) -> OrthographicMap:
     """Draw the splats without floaters, seen from very far away.
 
@@ -83,9 +88,8 @@ def draw_map(
 
     Args:
         maps: its surfaces, see ``survey``.
-        uncertainty: of the temperatures; None leaves its band empty.
+        appraise: see there; None shows temperatures as the photos have them, without uncertainty.
         coverage: what enough photos show; all else stays empty. None draws everything.
-        regions: surfaces with an emissivity of their own, which the map shows corrected.
 
     Raises:
         ConfigError: the map has more than ``MAX_PIXELS``.
@@ -117,12 +121,9 @@ def draw_map(
         raise RunError("no thermal photo shows a surface of this map: check its plane")
     bands[0], bands[5] = statistics.celsius, statistics.scatter_c
     bands[4] = np.where(np.isfinite(points[..., 0]), statistics.photos, np.nan)
-    known = np.isfinite(bands[0])
-    at, seen = points[known], bands[0][known]
-    if uncertainty is not None:
-        bands[6][known] = uncertainty.of_points(at, seen, regions)
-    if regions is not None:
-        bands[0][known] = regions.corrected_at(at, seen)
+    if appraise is not None:
+        known = np.isfinite(bands[0])
+        bands[0][known], bands[6][known] = appraise(points[known], bands[0][known])
     return OrthographicMap(grid, bands)
 
 

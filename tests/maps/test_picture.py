@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.export.maps.draw import OrthographicMap
-from mrgs.export.maps.picture import MARGIN, bar_length, frame_map, map_body
-from mrgs.export.maps.surfaces import MapGrid
+from mrgs.maps.draw import OrthographicMap
+from mrgs.maps.picture import MARGIN, bar_length, frame_map, map_body
+from mrgs.maps.surfaces import MapGrid
 from mrgs.pictures.drawing import PAPER, Scale
 
 SIZE = 600

@@ -1,1 +1,0 @@
-"""Orthographic maps in °C: from above, and of a façade."""

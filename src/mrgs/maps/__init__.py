@@ -1,0 +1,1 @@
+"""Orthographic maps of a model: a façade from the front, or a scene from above, in °C."""
