@@ -113,7 +113,7 @@ def test_the_temperature_under_the_cursor_needs_no_click(open_page, viewer, smal
     row, column = (side // 2 for side in rendered.shape)
     assert told == pytest.approx(rendered[row, column].item(), abs=0.1)
 
-    scale = drawn.scales.values[THERMAL]
+    scale = drawn.scales[THERMAL]
     color = picture(page)[row, column].astype(int)
     place = np.abs(palette_table("inferno").astype(int) - color).sum(axis=1).argmin() / 255
     span = scale.high - scale.low

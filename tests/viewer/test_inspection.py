@@ -57,7 +57,7 @@ def test_the_background_does_not_count_on_the_scale_of_the_depth(subject, camera
         scene = SceneUpTo(**vars(subject.scene), radius=radius)
         inspection = Inspection(replace(subject, scene=scene))
         inspection.settings = Settings(MODES["depth"])
-        depth = inspection.picture(camera).scales.depth
+        depth = inspection.picture(camera).scales["depth"]
         near_and_far.append((depth.high, depth.low))
     assert near_and_far[0][1] > 2
     assert near_and_far[1] == (0, 1)
@@ -100,7 +100,7 @@ def test_beside_a_photo_both_values_are_read(inspection, balls, small_run):
 
 def test_the_scale_is_locked_unless_it_follows(inspection, camera):
     def scale(at, **options):
-        return inspection.picture(at, **options).scales.values[THERMAL]
+        return inspection.picture(at, **options).scales[THERMAL]
 
     far = replace(camera, viewmat=camera.viewmat.clone())
     far.viewmat[2, 3] += 3
@@ -139,9 +139,8 @@ def test_marks_are_drawn_measured_and_saved(inspection, camera, subject):
     inspection.add_mark("line", [(0.45, 0.5), (0.55, 0.5)])
     inspection.add_mark("box", [(0.55, 0.55), (0.45, 0.45)])
     inspection.add_mark("polygon", [(0.5, 0.45), (0.55, 0.55), (0.45, 0.55)])
-    (label,) = inspection.marks()
+    line, box, polygon, label = inspection.labels()
     assert re.fullmatch(r"S1  \d+\.\d ± \d+\.\d °C", label.label)
-    line, box, polygon = inspection.outlines()
     assert [len(each.corners) for each in (line, box, polygon)] == [2, 4, 3]
     assert [each.closed for each in (line, box, polygon)] == [False, True, True]
     reading = subject.board.readings[2]
@@ -150,9 +149,9 @@ def test_marks_are_drawn_measured_and_saved(inspection, camera, subject):
     assert reading.mean == pytest.approx(inside.mean(), abs=1.0)
     again = Inspection(subject_of_same_folder(subject))
     again.subject.board.refresh()
-    assert [mark.label for mark in again.marks()] == [label.label]
+    assert again.labels()[-1].label == label.label
     subject.board.undo()
-    assert len(inspection.outlines()) == 2
+    assert len(inspection.labels()) == 3
 
 
 def subject_of_same_folder(subject):
@@ -182,7 +181,7 @@ def test_a_mark_must_lie_within_one_picture(inspection, camera):
 def test_without_a_board_there_are_no_marks(subject, camera):
     inspection = Inspection(replace(subject, board=None))
     inspection.picture(camera)
-    assert inspection.marks() == inspection.outlines() == []
+    assert inspection.labels() == inspection.proposals() == []
     with pytest.raises(ConfigError, match="scene"):
         inspection.add_mark("spot", [(0.5, 0.5)])
 
@@ -267,7 +266,7 @@ def test_without_celsius_values_are_called_normalised(small_run, balls, camera, 
     shown = point_text(inspection.click(0.5, 0.5), inspection.subject)
     assert re.fullmatch(r"\d\.\d{3}", shown["value"])
     assert "no known °C" in header_text(inspection.subject)
-    assert inspection.drawn.scales.values[THERMAL].unit == "normalised"
+    assert inspection.drawn.scales[THERMAL].unit == "normalised"
 
 
 @pytest.mark.parametrize(
@@ -322,7 +321,7 @@ def test_uncertainty_is_that_of_the_marks_and_has_no_value_where_no_photo_looked
     assert shown.solid.mean() > 0.05
     assert (values[shown.solid] > 0).all()
     assert np.isnan(values[~shown.solid]).all()
-    assert drawn.scales.uncertainty.low == 0
+    assert drawn.scales["uncertainty"].low == 0
     row, column = np.argwhere(shown.solid)[0]
     height, width = values.shape
     text = inspection.hover((column + 0.5) / width, (row + 0.5) / height)

@@ -26,14 +26,14 @@ def painted(camera, **choices) -> np.ndarray:
 
 
 def test_the_automatic_range_follows_what_is_seen(camera):
-    scale = measure_scales([thermal_pane(camera)], [heat()], Settings(), RANGE).values[THERMAL]
+    scale = measure_scales([thermal_pane(camera)], [heat()], Settings(), RANGE)[THERMAL]
     assert (scale.low, scale.high, scale.unit) == (10, 30, "°C")
 
 
 def test_empty_pixels_do_not_count_for_the_range(camera):
     fields = heat()
     fields.solid[:, 80:] = False
-    scale = measure_scales([thermal_pane(camera)], [fields], Settings(), RANGE).values[THERMAL]
+    scale = measure_scales([thermal_pane(camera)], [fields], Settings(), RANGE)[THERMAL]
     assert scale.high < 20.1
 
 
@@ -79,9 +79,9 @@ def test_the_sky_does_not_count_on_the_scale_of_the_depth(camera):
     pane, fields = Pane("depth", (), camera), heat()
     fields.depth[:, :80] = 900.0
     ball = SceneBounds(camera.position, 10.0)
-    assert measure_scales([pane], [fields], Settings(), RANGE).depth.low == 900
+    assert measure_scales([pane], [fields], Settings(), RANGE)["depth"].low == 900
     scales = measure_scales([pane], [fields], Settings(), RANGE, ball)
-    assert scales.depth.low < 4
+    assert scales["depth"].low < 4
     image = paint(pane, fields, scales, Settings())
     assert (image[:, :80] == palette_table("depth")[0]).all()
 
@@ -110,7 +110,7 @@ def test_the_scale_of_a_difference_is_even_about_zero(camera):
     pane = thermal_pane(camera, "difference")
     values = np.linspace(-1, 3, 19200, dtype=np.float32).reshape(120, 160)
     fields = PaneImages({THERMAL: values}, None, heat().solid)
-    scale = measure_scales([pane], [fields], Settings(), RANGE).difference
+    scale = measure_scales([pane], [fields], Settings(), RANGE)["difference"]
     assert scale.low == -scale.high
     assert scale.high == pytest.approx(3, abs=0.05)
 

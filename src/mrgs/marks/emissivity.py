@@ -69,8 +69,12 @@ class CaptureSettings:
         emissivity = self.surface.emissivity if mark.emissivity is None else mark.emissivity
         reflected = self.surface.reflected_c if mark.reflected_c is None else mark.reflected_c
         if emissivity < 1 and reflected is None:
-            text = "{name}: the photos do not say the reflected temperature; give it too"
-            raise ConfigError(Message(text, name=mark.name))
+            raise ConfigError(
+                Message(
+                    "{name}: the photos do not say the reflected temperature; give it too",
+                    name=mark.name,
+                )
+            )
         return SurfaceSettings(emissivity, reflected)
 
     def corrected(

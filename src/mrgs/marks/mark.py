@@ -94,11 +94,7 @@ class Mark:
 
     @classmethod
     def from_json(cls, value: Any) -> Mark:
-        """A mark from its JSON form.
-
-        Raises:
-            ConfigError: the value is none.
-        """
+        """A mark from its JSON form; ConfigError if the value is not one."""
         known = {field.name for field in fields(cls)}
         if not isinstance(value, dict) or not {"name", "kind", "points", "eye"} <= set(value):
             raise ConfigError(f"{shown(value)} is no mark: it needs name, kind, points and eye")
@@ -158,12 +154,12 @@ class Marks:
         marks: that the user has drawn or accepted.
         reference: name of the mark that ΔT refers to; empty for none.
         proposals: anomalies that the report has found and nobody has judged yet.
-        dropped: proposals that were judged to be none; what lies there is not proposed again.
+        dropped: rejected proposals; nothing is proposed in their places again.
 
-    The names of all of them differ.
+    All names differ.
 
     Raises:
-        ConfigError: two marks of the same name, a reference that is none of them, or too many.
+        ConfigError: two marks of the same name, a reference to no mark, or too many.
     """
 
     marks: tuple[Mark, ...] = ()
@@ -185,11 +181,7 @@ class Marks:
         return len(self.marks)
 
     def named(self, name: str) -> Mark:
-        """The mark of a name.
-
-        Raises:
-            ConfigError: there is none.
-        """
+        """The mark of a name; ConfigError if there is none."""
         return _named(self.marks, name, "mark", "none")
 
     def free_name(self, kind: MarkKind) -> str:
@@ -207,11 +199,7 @@ class Marks:
         return replace(self, marks=(*self.marks, mark))
 
     def without(self, name: str) -> Marks:
-        """These marks without one; what referred to it refers to nothing.
-
-        Raises:
-            ConfigError: there is no such mark.
-        """
+        """These marks without one, which must exist; what referred to it refers to nothing."""
         self.named(name)
         kept = tuple(
             replace(mark, against="") if mark.against == name else mark
@@ -248,11 +236,7 @@ class Marks:
         return replace(self, marks=(*self.marks, accepted), proposals=self._proposals_without(name))
 
     def dropping(self, name: str) -> Marks:
-        """These marks with a proposal dropped for good.
-
-        Raises:
-            ConfigError: there is no such proposal.
-        """
+        """These marks with a proposal, which must exist, dropped for good."""
         dropped = (*self.dropped, self._proposed(name))
         return replace(self, proposals=self._proposals_without(name), dropped=dropped)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
@@ -169,20 +170,41 @@ class MarkMeter:
         except ConfigError as error:
             return MarkReading(mark, problem=error.message)
         surface = replace(seen, rendering=regions.applied_to(seen.rendering, seen.camera))
-        values = self._values(surface)
+        fields: dict[str, Any] = {}
         if mark.kind == "line":
-            reading, places = _read_line(mark, surface, values)
+            points, distances = line_samples(mark)
+            rows, columns, inside = pixels_of(surface.camera, points)
+            fields["length"] = float(distances[-1])
         else:
-            mask = (
-                disc_mask(surface, mark)
-                if mark.kind == "spot"
-                else outline_mask(surface.camera, mark.points)
+            is_spot, camera = mark.kind == "spot", surface.camera
+            mask = disc_mask(surface, mark) if is_spot else outline_mask(camera, mark.points)
+            rows, columns = np.nonzero(mask)
+            inside = np.ones(len(rows), bool)
+        seen_there = inside & np.isfinite(surface.depth[rows, columns])
+        if not seen_there.any():
+            return MarkReading(mark, **fields, problem=NO_SURFACE)
+        if mark.is_area:
+            fields |= (
+                {"area": outline_area(mark.points)}
+                if has_flat_outline(mark)
+                else {"remarks": (NO_PLANE,)}
             )
-            reading, places = _read_pixels(mark, surface, values, mask)
-        reading = self._with_photos(reading, places)
-        if reading.problem:
-            return reading
-        return self._with_uncertainty(_on_surface(reading, places, regions), places)
+        reading = MarkReading(mark, **fields, covered=float(seen_there.mean()))
+        places = surface.positions[rows[seen_there], columns[seen_there]]
+        reading = replace(reading, photos=self._photos_of(places))
+        if THERMAL not in surface.rendering:
+            return replace(reading, problem=NO_THERMAL)
+        if reading.photos == 0:
+            return replace(reading, problem=NO_PHOTO)
+        image = in_unit(THERMAL, thermal_values(surface.rendering), self._temperature)
+        values = np.where(seen_there, image[rows, columns], np.nan)
+        if mark.kind == "line":
+            reading = replace(reading, profile=Profile(distances, values))
+        reading = _with_values(reading, values[seen_there], places)
+        settings, share = regions.shares_at(places)[0]
+        remarks = () if share >= ONE_SURFACE else (SEVERAL_SURFACES,)
+        reading = replace(reading, surface=settings, remarks=(*reading.remarks, *remarks))
+        return self._with_uncertainty(reading, places)
 
     def _with_uncertainty(
         self, reading: MarkReading, places: Float[np.ndarray, "n 3"]
@@ -220,72 +242,16 @@ class MarkMeter:
             return [(mark.points[0], self._resolution.side_of(mark.points[0]))]
         return [(reading.high_at, 1), (reading.low_at, -1)]
 
-    def _values(self, surface: SeenSurface) -> Float[np.ndarray, "h w"] | None:
-        if THERMAL not in surface.rendering:
+    def _photos_of(self, places: Float[np.ndarray, "n 3"]) -> int | None:
+        """Number of thermal cameras that see at least half of the places, by the share of those
+        that are surveyed; None if no camera is known."""
+        if not self._photos:
             return None
-        return in_unit(THERMAL, thermal_values(surface.rendering), self._temperature)
-
-    def _with_photos(self, reading: MarkReading, places: Float[np.ndarray, "n 3"]) -> MarkReading:
-        """With the number of photos that see it; without a temperature where none does."""
-        if not self._photos or not len(places):
-            return reading
-        photos = self._photos_of(places)
-        if photos or reading.problem:
-            return replace(reading, photos=photos)
-        empty = MarkReading(reading.mark)
-        return replace(
-            empty, length=reading.length, area=reading.area, covered=reading.covered, photos=0,
-            problem=NO_PHOTO, remarks=reading.remarks,
-        )  # fmt: skip
-
-    def _photos_of(self, places: Float[np.ndarray, "n 3"]) -> int:
-        """How many thermal cameras see at least half of the places; where there are more than are
-        surveyed, their share of all."""
         step = -(-len(places) // CHECKED_POINTS)
         points = places[::step].astype(np.float32)
         shown = [len(item.shown(points).rows) for item in self.survey]
         seen = sum(count >= 0.5 * len(points) for count in shown)
         return -(-seen * self._photos // len(self.survey))
-
-
-def _read_pixels(
-    mark: Mark,
-    surface: SeenSurface,
-    values: Float[np.ndarray, "h w"] | None,
-    mask: Bool[np.ndarray, "h w"],
-) -> tuple[MarkReading, Float[np.ndarray, "n 3"]]:
-    """A spot or an area, and the places of its pixels."""
-    seen = mask & np.isfinite(surface.depth)
-    if not seen.any():
-        return MarkReading(mark, problem=NO_SURFACE), np.empty((0, 3))
-    is_flat = mark.is_area and has_flat_outline(mark)
-    covered = float(seen.sum() / max(mask.sum(), 1))
-    places = surface.positions[seen]
-    reading = MarkReading(
-        mark,
-        area=outline_area(mark.points) if is_flat else np.nan,
-        covered=covered,
-        remarks=(NO_PLANE,) if mark.is_area and not is_flat else (),
-    )
-    return _with_values(reading, None if values is None else values[seen], places), places
-
-
-def _read_line(
-    mark: Mark, surface: SeenSurface, values: Float[np.ndarray, "h w"] | None
-) -> tuple[MarkReading, Float[np.ndarray, "n 3"]]:
-    """A line, and the places of the surface along it."""
-    points, distances = line_samples(mark)
-    pixels = pixels_of(surface.camera, points)
-    seen = pixels.inside & np.isfinite(surface.depth[pixels.rows, pixels.columns])
-    reading = replace(MarkReading(mark), length=float(distances[-1]), covered=float(seen.mean()))
-    if not seen.any():
-        return replace(reading, problem=NO_SURFACE), np.empty((0, 3))
-    places = surface.positions[pixels.rows[seen], pixels.columns[seen]]
-    if values is None:
-        return replace(reading, problem=NO_THERMAL), places
-    along = np.where(seen, values[pixels.rows, pixels.columns], np.nan)
-    reading = replace(reading, profile=Profile(distances, along))
-    return _with_values(reading, along[seen], places), places
 
 
 def line_samples(mark: Mark) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
@@ -299,21 +265,10 @@ def line_samples(mark: Mark) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray
     return points, distances
 
 
-def _on_surface(
-    reading: MarkReading, places: Float[np.ndarray, "n 3"], regions: Regions
-) -> MarkReading:
-    """With the settings of the surface that most of it lies on."""
-    settings, share = regions.shares_at(places)[0]
-    remarks = () if share >= ONE_SURFACE else (SEVERAL_SURFACES,)
-    return replace(reading, surface=settings, remarks=(*reading.remarks, *remarks))
-
-
 def _with_values(
-    reading: MarkReading, values: Float[np.ndarray, " n"] | None, places: Float[np.ndarray, "n 3"]
+    reading: MarkReading, values: Float[np.ndarray, " n"], places: Float[np.ndarray, "n 3"]
 ) -> MarkReading:
     """A reading with the statistics of the values at places."""
-    if values is None:
-        return replace(reading, problem=NO_THERMAL)
     lowest, highest = int(values.argmin()), int(values.argmax())
     return replace(
         reading,

@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int64
 from PIL import Image
-from torch import Tensor
 
 from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
 from mrgs.scene import THERMAL, CameraResponse, TemperatureRange, View, evenly_spaced
@@ -23,8 +22,8 @@ from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
 from mrgs.system.memory import row_chunks
 
 OF_ONE_VALUE = 2 / 12**0.5
-"""Half the width of the interval for 95 of 100 cases, in steps: whatever is within a step is
-equally likely (GUM F.2.2.1)."""
+"""Half the width of the interval for 95 of 100 cases, in steps: errors within a step are equally
+likely (GUM F.2.2.1)."""
 
 BLOCK_PX = 8
 _TERMS = 50
@@ -46,7 +45,7 @@ def rounding_of_mean(variance: float) -> float:
 
 
 def block_variances(values: Float32[np.ndarray, "h w"]) -> Float[np.ndarray, " b"]:
-    """The variances of an image in squares of ``BLOCK_PX`` pixels; those with NaN are left out."""
+    """The variances of an image in squares of ``BLOCK_PX`` pixels without NaN."""
     size, (height, width) = BLOCK_PX, values.shape
     rows, columns = height // size, width // size
     blocks = values[: rows * size, : columns * size].reshape(rows, size, columns, size)
@@ -124,8 +123,8 @@ class SightingSums:
     def __init__(self, places: int, rounding: float = 0.0) -> None:
         self._rounding = rounding
         self.photos = np.zeros(places, np.float32)
-        self._readings, self._squares, self._contrast, self._blur = (
-            np.zeros(places, np.float32) for _ in range(4)
+        self._readings, self._squares, self._contrast, self._blur = np.zeros(
+            (4, places), np.float32
         )
 
     def add(self, rows: Int64[np.ndarray, " m"], values: Float32[np.ndarray, "m c"]) -> None:
@@ -219,11 +218,8 @@ class PhotoReadings:
         return self._maps[index]
 
     def of_mark(self, points: Float32[np.ndarray, "n 3"], value: float) -> PhotoParts:
-        """The parts of the uncertainty of a mark's mean, of one place.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        """The parts of the uncertainty of a mark's mean, ``value`` as the photos have it, from
+        points on its surface; one place. SceneError if a photo cannot be read."""
         sums = SightingSums(1, self._rounding_of_means)
         for index, view in enumerate(self._views):
             if not len(visible(view.images[THERMAL].camera, points).rows):
@@ -232,15 +228,13 @@ class PhotoReadings:
             values = item.image[item.shown(points).pixels]
             values = values[np.isfinite(values).all(axis=1)]
             if len(values) >= max(LEAST_SHARE * len(points), 1):
-                sums.add(np.array([0]), _of_mark(values))
+                mean = values.mean(axis=0, dtype=np.float64, keepdims=True)
+                sums.add(np.array([0]), mean.astype(np.float32))
         return sums.parts(OF_MARK, np.array([value]))
 
     def of_points(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
-        """The parts of the uncertainty of what the photos' cameras see at N points on surfaces.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        """The parts of the uncertainty of what the photos' cameras see at points on surfaces, [N];
+        SceneError if a photo cannot be read."""
         found = [self._of_piece(points[rows]) for rows in row_chunks(len(points))]
         return PhotoParts(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
@@ -270,9 +264,7 @@ class PhotoReadings:
 
     def _witness(self, view: View) -> DepthMap:
         photo = view.images[THERMAL]
-        camera = photo.camera
-        if camera.width > WIDTH_PX:
-            camera = camera.with_width(WIDTH_PX)
+        camera = photo.camera.with_width(min(photo.camera.width, WIDTH_PX))
         rendering = self._render(camera)
         record = partial(
             self._respond,
@@ -284,7 +276,7 @@ class PhotoReadings:
         even = [rendering.with_images({THERMAL: torch.full_like(thermal, v)}) for v in (0, 1)]
         model = thermal_values(rendering)
         recorded, offset, with_gain = (thermal_values(record(each)) for each in (rendering, *even))
-        difference = _reduced(_photo_values(view), model.shape) - recorded
+        difference = _reduced_photo(view, model.shape) - recorded
         image = np.empty((*model.shape, CHANNELS), np.float32)
         # The photo without the camera's blur and drift, as far as the model knows them.
         image[..., READING] = self._least + self._span * (model + difference)
@@ -296,17 +288,15 @@ class PhotoReadings:
         return DepthMap(camera, seen_depth(rendering).astype(np.float32), image)
 
 
-def _photo_values(view: View) -> Float[Tensor, "h w"]:
+def _reduced_photo(view: View, size: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
+    """A view's thermal photo averaged to a size; NaN where any averaged pixel is masked."""
     pixels = view.images[THERMAL].load()
-    values = pixels.values[..., 0]
-    return values if pixels.valid is None else torch.where(pixels.valid, values, torch.nan)
-
-
-def _reduced(image: Float[Tensor, "h w"], size: tuple[int, ...]) -> Float[np.ndarray, "h2 w2"]:
-    """An image averaged to a size; NaN where any of what is averaged is."""
+    image = pixels.values[..., 0]
+    if pixels.valid is not None:
+        image = torch.where(pixels.valid, image, torch.nan)
     if tuple(image.shape) != size:
         image = torch.nn.functional.interpolate(image[None, None], size, mode="area")[0, 0]
-    reduced: Float[np.ndarray, "h2 w2"] = image.double().numpy()
+    reduced: Float[np.ndarray, "h w"] = image.double().numpy()
     return reduced
 
 
@@ -335,7 +325,7 @@ def _blurring(
 
 def _step_of(views: Sequence[View]) -> float:
     """The step between normalised values of the photos, from the bits of the first one's file; 0
-    for numbers that are not rounded, and where it cannot be told."""
+    if they are not rounded, or that is not known."""
     files = views[0].images[THERMAL].files if views else ()
     try:
         with Image.open(files[0]) as image:
@@ -343,8 +333,3 @@ def _step_of(views: Sequence[View]) -> float:
     except (IndexError, OSError, ValueError, Image.DecompressionBombError):
         return 0.0
     return 1 / (2**bits - 1) if bits else 0.0
-
-
-def _of_mark(values: Float32[np.ndarray, "n c"]) -> Float32[np.ndarray, "1 c"]:
-    """The mean of a photo's channels over a mark."""
-    return values.mean(axis=0, dtype=np.float64, keepdims=True).astype(np.float32)

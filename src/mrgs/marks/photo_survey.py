@@ -7,9 +7,8 @@ looks colder than it is.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -68,21 +67,13 @@ DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.
 KEPT_IMAGES = 4
 
 
-class PlaceInPhoto(NamedTuple):
-    """A place in a photo that shows it."""
-
-    photo: int
-    x: float
-    y: float
-
-
 class Resolution:
     """Measures how wide places are in the pixels of the thermal photos."""
 
     def __init__(self, render: SurfaceRenderer, survey: PhotoSurvey) -> None:
         self._render = render
         self._survey = survey
-        self._images: OrderedDict[int, Float[np.ndarray, "h w"]] = OrderedDict()
+        self._image = lru_cache(KEPT_IMAGES)(self._render_photo)
 
     def width_px(self, place: Sequence[float], sign: int, least: float) -> float:
         """Width of a hot or a cold place at half its height, across its narrowest direction, in
@@ -96,8 +87,9 @@ class Resolution:
         largest = self._largest(place)
         if largest is None:
             return np.inf
-        image = sign * self._image(largest.photo)
-        row, column = _peak(image, int(largest.y), int(largest.x))
+        photo, x, y = largest
+        image = sign * self._image(photo)
+        row, column = _peak(image, int(y), int(x))
         return min(_width(_profile(image, row, column, each), least) for each in DIRECTIONS)
 
     def side_of(self, place: Sequence[float]) -> int:
@@ -106,14 +98,14 @@ class Resolution:
         largest = self._largest(place)
         if largest is None:
             return 0
-        image = self._image(largest.photo)
-        here = image[int(largest.y), int(largest.x)]
-        about = image[square_about(image.shape[::-1], largest.x, largest.y)]
-        return 1 if here >= np.median(about) else -1
+        photo, x, y = largest
+        image = self._image(photo)
+        about = image[square_about(image.shape[::-1], x, y)]
+        return 1 if image[int(y), int(x)] >= np.median(about) else -1
 
-    def _largest(self, place: Sequence[float]) -> PlaceInPhoto | None:
-        """The place in the photo with the smallest pixels there, of those that show it with its
-        surroundings."""
+    def _largest(self, place: Sequence[float]) -> tuple[int, float, float] | None:
+        """Number in the survey of the photo with the smallest pixels at a place, of those that show
+        it with its surroundings, and x and y of the place there."""
         point = np.array([place], np.float32)
         found, smallest = None, np.inf
         for number, item in enumerate(self._survey):
@@ -124,17 +116,12 @@ class Resolution:
             (x, y), size = pixels[0].tolist(), float(depth[0] / camera.K[0, 0])
             inside = ABOUT_PX <= x < camera.width - ABOUT_PX
             if size < smallest and inside and ABOUT_PX <= y < camera.height - ABOUT_PX:
-                found, smallest = PlaceInPhoto(number, x, y), size
+                found, smallest = (number, x, y), size
         return found
 
-    def _image(self, photo: int) -> Float[np.ndarray, "h w"]:
+    def _render_photo(self, photo: int) -> Float[np.ndarray, "h w"]:
         """The model as a photo's camera sees it, normalised."""
-        if photo not in self._images:
-            self._images[photo] = thermal_values(self._render(self._survey.cameras[photo]))
-        self._images.move_to_end(photo)
-        if len(self._images) > KEPT_IMAGES:
-            self._images.popitem(last=False)
-        return self._images[photo]
+        return thermal_values(self._render(self._survey.cameras[photo]))
 
 
 def square_about(size: tuple[int, int], x: float, y: float) -> tuple[slice, slice]:

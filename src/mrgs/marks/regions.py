@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32
 
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
@@ -41,7 +41,7 @@ MOST_FITTED = 4_000
 
 
 class RegionPlane(NamedTuple):
-    """The points of the world whose product with ``normal`` is ``offset``."""
+    """The points of the world whose product with ``normal``, of any length, is ``offset``."""
 
     normal: Float[np.ndarray, "3"]
     offset: float
@@ -76,11 +76,7 @@ class RegionPlane(NamedTuple):
 
 
 class SettingsShare(NamedTuple):
-    """Settings that hold for a part of a surface.
-
-    Attributes:
-        settings: of the surface; None for those of the photos.
-    """
+    """Settings of a share of a surface, over 0 to 1; None for those of the photos."""
 
     settings: SurfaceSettings | None
     share: float
@@ -139,37 +135,32 @@ class Regions:
         temperature: TemperatureRange | None,
         capture: CaptureSettings,
     ) -> None:
-        self._marks = tuple(mark for mark in marks.marks if mark.has_settings)
         self._render = render
         self._temperature = temperature
         self.capture = capture
-        found = {mark.name: self._problem(mark) for mark in self._marks}
-        self.problems = {name: problem for name, problem in found.items() if problem}
-        self._regions = [
-            self._region(mark) for mark in self._marks if mark.name not in self.problems
-        ]
+        self.problems: dict[str, str] = {}
+        self._regions: list[SurfaceRegion] = []
+        for mark in marks.marks:
+            if mark.has_settings:
+                try:
+                    self._regions.append(self._region(mark))
+                except ConfigError as error:
+                    self.problems[mark.name] = error.message
 
-    def _problem(self, mark: Mark) -> str:
+    def _region(self, mark: Mark) -> SurfaceRegion:
         if self._temperature is None:
-            return Message("{name}: without °C there is no emissivity to correct", name=mark.name)
-        try:
-            self.capture.of_mark(mark)
-            measuring_camera(mark)
-        except ConfigError as error:
-            return error.message
-        return ""
+            raise ConfigError(
+                Message("{name}: without °C there is no emissivity to correct", name=mark.name)
+            )
+        settings, camera = self.capture.of_mark(mark), measuring_camera(mark)
+        surface, inside = see(self._render, camera), outline_mask(camera, mark.points)
+        return SurfaceRegion(settings, surface, inside, RegionPlane.through(surface, inside))
 
     def __bool__(self) -> bool:
         return bool(self._regions)
 
     def __iter__(self) -> Iterator[SurfaceRegion]:
         return iter(self._regions)
-
-    def _region(self, mark: Mark) -> SurfaceRegion:
-        surface = see(self._render, measuring_camera(mark))
-        inside = outline_mask(surface.camera, mark.points)
-        plane = RegionPlane.through(surface, inside)
-        return SurfaceRegion(self.capture.of_mark(mark), surface, inside, plane)
 
     def applied_to(self, rendering: Rendering, camera: Camera) -> Rendering:
         """A rendering with the temperatures of the regions corrected; the same without regions."""
@@ -178,8 +169,8 @@ class Regions:
         surface = SeenSurface(camera, rendering, seen_depth(rendering))
         positions = surface.positions.reshape(-1, 3)
         image = rendering[THERMAL].image
-        eye = camera.position.double().numpy()
-        values = self._corrected(positions, image.cpu().double().numpy().reshape(-1), eye)
+        eye, values = camera.position.double().numpy(), image.cpu().double().numpy().reshape(-1)
+        values = self._corrected(positions, values, self._temperature, eye)
         return rendering.with_images(
             {THERMAL: torch.from_numpy(values).to(image).view(image.shape)}
         )
@@ -189,8 +180,7 @@ class Regions:
         return self.applied_to(self._render(camera), camera)
 
     def shares_at(self, points: Float[np.ndarray, "n 3"]) -> list[SettingsShare]:
-        """The settings that hold for some points, and for which share of them; those for most of
-        them first."""
+        """The settings of some points with their shares, the largest first."""
         shares = [SettingsShare(each, float(held.mean())) for each, held in self.parts(points)]
         photos = SettingsShare(None, 1.0 - sum(each.share for each in shares))
         return sorted([photos, *shares], key=lambda each: each.share, reverse=True)
@@ -211,9 +201,9 @@ class Regions:
     def corrected_at(
         self, points: Float[np.ndarray, "n 3"], celsius: Float32[np.ndarray, " n"]
     ) -> Float32[np.ndarray, " n"]:
-        """°C of points on surfaces, corrected where a region holds them, from what the cameras of
-        the photos see there. Where there is no such temperature the value stays."""
-        return self._where_held(points, celsius, self.capture.corrected)
+        """°C of points on surfaces as the photos' cameras see them, corrected where regions are;
+        where there is no such temperature the value stays."""
+        return self._corrected(points, celsius)
 
     def of_splats(self, baked: BakedModel) -> BakedModel:
         """A model of splats whose temperatures are corrected one by one.
@@ -224,39 +214,24 @@ class Regions:
         """
         if not self:
             return baked
-        values = self._corrected(baked.means.double().numpy(), baked.temperatures.double().numpy())
+        means, values = baked.means.double().numpy(), baked.temperatures.double().numpy()
+        values = self._corrected(means, values, self._temperature)
         return replace(baked, temperatures=torch.from_numpy(values).to(baked.temperatures))
 
     def _corrected(
         self,
         points: Float[np.ndarray, "n 3"],
         values: Float[np.ndarray, " n"],
+        scale: TemperatureRange | None = None,
         eye: Float[np.ndarray, "3"] | None = None,
     ) -> Float[np.ndarray, " n"]:
-        """Normalised temperatures of points, corrected where a region holds them; see ``holds``.
-        Where there is no such temperature the value stays."""
-        scale = self._temperature
-        assert scale is not None
-        return self._where_held(
-            points,
-            values,
-            lambda part, settings: scale.from_celsius(
-                self.capture.corrected(scale.to_celsius(part), settings)
-            ),
-            eye,
-        )
-
-    def _where_held(
-        self,
-        points: Float[np.ndarray, "n 3"],
-        values: Float[np.ndarray, " n"],
-        correct: Callable[[Float64[np.ndarray, " k"], SurfaceSettings], Float64[np.ndarray, " k"]],
-        eye: Float[np.ndarray, "3"] | None = None,
-    ) -> Float[np.ndarray, " n"]:
-        """Values of points, corrected where a region holds them; where that gives none the value
-        stays."""
+        """Temperatures of points (°C, or normalised by ``scale``), corrected where a region has
+        them, see ``SurfaceRegion.holds``; where there is no such temperature the value stays."""
         corrected = values.copy()
         for settings, held in self.parts(points, eye):
-            found = correct(values[held].astype(np.float64), settings)
+            found = values[held].astype(np.float64)
+            found = found if scale is None else scale.to_celsius(found)
+            found = self.capture.corrected(found, settings)
+            found = found if scale is None else scale.from_celsius(found)
             corrected[held] = np.where(np.isfinite(found), found, values[held])
         return corrected

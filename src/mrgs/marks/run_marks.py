@@ -96,13 +96,9 @@ class RunMarks:
         return self.add("line", camera, pixels, name, **more)
 
     def box(
-        self,
-        camera: Camera,
-        corner: Sequence[float],
-        opposite: Sequence[float],
-        name: str = "",
-        **more: Any,
-    ) -> Mark:
+        self, camera: Camera, corner: Sequence[float], opposite: Sequence[float],
+        name: str = "", **more: Any,
+    ) -> Mark:  # fmt: skip
         """Add the surface within a rectangle of an image, between two corners; see ``spot``."""
         return self.add("box", camera, [corner, opposite], name, **more)
 
@@ -113,13 +109,9 @@ class RunMarks:
         return self.add("polygon", camera, pixels, name, **more)
 
     def add(
-        self,
-        kind: MarkKind,
-        camera: Camera,
-        pixels: Sequence[Sequence[float]],
-        name: str = "",
-        **more: Any,
-    ) -> Mark:
+        self, kind: MarkKind, camera: Camera, pixels: Sequence[Sequence[float]],
+        name: str = "", **more: Any,
+    ) -> Mark:  # fmt: skip
         """Add a mark of any kind through pixels of a camera's image; see ``spot``."""
         picked = self._picker.pick(kind, camera, pixels)
         fields = {**picked._asdict(), **more}
@@ -144,11 +136,7 @@ class RunMarks:
 
     def accept(self, name: str, /, **changes: Any) -> Mark:
         """Make a proposal of the report a mark, with other fields where they are given; returns it.
-
-        Raises:
-            ConfigError: there is no such proposal, or a value cannot be.
-            RunError: the file cannot be written.
-        """
+        Errors as for ``change``."""
         return self.store.edit(lambda marks: marks.accepting(name, **changes)).marks[-1]
 
     def drop(self, name: str) -> None:
@@ -160,17 +148,11 @@ class RunMarks:
         self.store.edit(lambda marks: replace(marks, reference=name))
 
     def undo(self) -> None:
-        """Take the last change back.
-
-        Raises:
-            ConfigError: there is nothing to undo.
-            RunError: the file cannot be written.
-        """
+        """Undo the last change; errors as for ``change``, also if there is nothing to undo."""
         self.store.undo()
 
     def assumptions_of(self, reading: MarkReading) -> tuple[str, ...]:
-        """What a corrected emissivity takes for known, and what the ± takes for known or leaves
-        out, one sentence each; empty where neither is there."""
+        """Assumptions of a corrected emissivity and of the ±, one sentence each."""
         corrected = self.meter.capture.notes if reading.surface is not None else ()
         known = self.meter.uncertainty
         around = known.notes if known is not None and reading.uncertainty is not None else ()
@@ -192,7 +174,7 @@ def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:
 
 
 class PickedMark(NamedTuple):
-    """Where a mark is: ``points``, ``eye`` and ``radius`` of ``Mark``."""
+    """The place of a mark: ``points``, ``eye`` and ``radius`` of ``Mark``."""
 
     points: tuple[Place, ...]
     eye: Place
@@ -200,11 +182,8 @@ class PickedMark(NamedTuple):
 
 
 class MarkPicker:
-    """Finds the places on the surface for a mark that is drawn in an image.
-
-    Args:
-        by_photos: whether depths come from the photos; else from the model.
-    """
+    """Finds the places on the surface for a mark that is drawn in an image: at depths on which the
+    photos agree, or without ``by_photos`` at those of the model."""
 
     def __init__(self, meter: MarkMeter, scene: Scene | None, by_photos: bool = True) -> None:
         self.meter, self._scene = meter, scene
@@ -229,15 +208,8 @@ class MarkPicker:
 def picked_places(
     surface: SeenSurface, pixels: Sequence[Sequence[float]], stereo: PhotoStereo | None = None
 ) -> tuple[Place, ...]:
-    """The places of the surface at pixels (x, y) of an image.
-
-    Args:
-        stereo: finds the depth that the photos agree on; None for that of the model.
-
-    Raises:
-        ConfigError: a pixel lies outside the image, or shows no surface.
-        SceneError: a photo cannot be read.
-    """
+    """The places of the surface at pixels (x, y) of an image, at the model's depth without
+    ``stereo``; errors as for ``MarkPicker.pick``."""
     camera, places = surface.camera, []
     for x, y in pixels:
         if not (0 <= x < camera.width and 0 <= y < camera.height):
@@ -274,5 +246,5 @@ def eye_of(camera: Camera) -> Place:
 
 
 def thermal_cameras(scene: Scene | None) -> list[Camera]:
-    """The cameras of a scene's thermal training photos; none without a scene."""
+    """The cameras of a scene's thermal training photos."""
     return [] if scene is None else [photo.camera for photo in scene.train_photos(THERMAL)]

@@ -125,11 +125,7 @@ class PhotoStereo:
 
     def depth(self, camera: Camera, x: float, y: float, depth: float) -> float:
         """z-depth of the surface at a place of an image, scene units; that of the model where the
-        photos do not say more.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        photos do not give more. SceneError if a photo cannot be read."""
         pixel = torch.tensor([x, y], dtype=torch.float64)
         place = camera.unproject(pixel, pixel.new_tensor(depth)).numpy()
         seeing = {
@@ -141,7 +137,11 @@ class PhotoStereo:
         if len(seeing) < FEWEST_PHOTOS:
             return depth
         normal = _normal(place, list(seeing.values()))
-        facing = [index for index, item in seeing.items() if _faces(item.camera, place, normal)]
+        facing = []
+        for index, item in seeing.items():
+            towards = item.camera.position.numpy() - place
+            if abs(normal @ towards) > LEAST_COSINE * np.linalg.norm(towards):
+                facing.append(index)
         chosen = [facing[each] for each in evenly_spaced(len(facing), MOST_PHOTOS)]
         photos = [photo for photo in map(self._photo, chosen) if photo.shows(place)]
         if len(photos) < FEWEST_PHOTOS:
@@ -157,18 +157,11 @@ class PhotoStereo:
             camera, values = image.camera, image.load().values
             if camera.width > PHOTO_WIDTH_PX:
                 camera = camera.with_width(PHOTO_WIDTH_PX)
-                size = camera.height, camera.width
-                values = interpolate(values.permute(2, 0, 1)[None], size, mode="area")[0]
-                values = values.permute(1, 2, 0)
+                size, bands = (camera.height, camera.width), values.permute(2, 0, 1)[None]
+                values = interpolate(bands, size, mode="area")[0].permute(1, 2, 0)
             projection = (camera.K @ camera.viewmat[:3]).numpy()
             self._photos[index] = _Photo(projection, values.numpy().astype(np.float16))
         return self._photos[index]
-
-
-def _faces(camera: Camera, place: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> bool:
-    """Whether a camera sees a surface at no too grazing angle."""
-    towards = camera.position.numpy() - place
-    return bool(abs(normal @ towards) > LEAST_COSINE * np.linalg.norm(towards))
 
 
 def _normal(place: Float[np.ndarray, "3"], maps: Sequence[DepthMap]) -> Float[np.ndarray, "3"]:
@@ -208,12 +201,11 @@ def _patch(
     sight: Float[np.ndarray, "3"],
     photos: Sequence[_Photo],
 ) -> _Patch:
-    """The patch about a place, so large that photos show it on some pixels.
-
-    Args:
-        sight: from the eye to the place.
-    """
-    pixel = float(np.median([_pixel_size(photo, place) for photo in photos]))
+    """The patch about a place, so large that photos show it on some pixels; ``sight`` is from the
+    eye to the place."""
+    depths = (each.projection[2] @ [*place, 1.0] for each in photos)
+    focals = (np.linalg.norm(each.projection[0, :3]) for each in photos)
+    pixel = float(np.median([z / focal for z, focal in zip(depths, focals, strict=True)]))
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     first /= np.linalg.norm(first)
     second, half = np.cross(normal, first), PATCH_PX * pixel
@@ -227,17 +219,12 @@ def _patch(
     return _Patch(samples, weights, directions, steps)
 
 
-def _pixel_size(photo: _Photo, place: Float[np.ndarray, "3"]) -> float:
-    """Width of a pixel at a place, scene units."""
-    z = photo.projection[2, :3] @ place + photo.projection[2, 3]
-    return float(z / np.linalg.norm(photo.projection[0, :3]))
-
-
 def _step_to_agreement(photos: Sequence[_Photo], patch: _Patch) -> float:
     """Share of its distance that the patch moves by to where the photos agree: Gauss-Newton about
     the model's surface. Photos and samples that agree with no others lose their weight."""
     known = np.array([DEPTH_DEVIATION, SLOPE_DEVIATION, SLOPE_DEVIATION])
     now, of_photos, of_samples = np.zeros(3), np.ones(len(photos)), patch.weights
+    steps = np.diag(patch.pixel)
     for _ in range(STEPS):
         residuals = _apart(_shown(photos, patch, now), of_photos)
         squares = np.square(residuals).mean(axis=2)
@@ -248,7 +235,13 @@ def _step_to_agreement(photos: Sequence[_Photo], patch: _Patch) -> float:
         of_samples = patch.weights / (
             1 + np.square(per_sample / (3 * np.median(per_sample) + 1e-12))
         )
-        slopes = np.stack([_apart(each, of_photos) for each in _slopes(photos, patch, now)])
+        ends = [[_shown(photos, patch, now + s) for s in (step, -step)] for step in steps]
+        slopes = np.stack(
+            [
+                _apart((above - below) / (2 * step.sum()), of_photos)
+                for (above, below), step in zip(ends, steps, strict=True)
+            ]
+        )
         weights = np.outer(of_photos, of_samples)[..., None] * (INDEPENDENT / noise)
         information = np.einsum("ivsc,jvsc->ij", slopes * weights, slopes) + np.diag(known**-2)
         pull = np.einsum("ivsc,vsc->i", slopes * weights, residuals) + now / known**2
@@ -268,19 +261,8 @@ def _shown(
     return values - np.average(values, axis=1, weights=patch.weights)[:, None]
 
 
-def _slopes(
-    photos: Sequence[_Photo], patch: _Patch, parameters: Float[np.ndarray, "3"]
-) -> list[Float[np.ndarray, "v s c"]]:
-    """Derivatives of what photos show by each parameter."""
-    return [
-        (_shown(photos, patch, parameters + step) - _shown(photos, patch, parameters - step))
-        / (2 * step.sum())
-        for step in np.diag(patch.pixel)
-    ]
-
-
 def _apart(
     values: Float[np.ndarray, "v s c"], weights: Float[np.ndarray, " v"]
 ) -> Float[np.ndarray, "v s c"]:
-    """What differs from the mean of all photos."""
+    """Differences to the mean of all photos."""
     return values - np.average(values, axis=0, weights=weights)

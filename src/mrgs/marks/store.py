@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
 from filelock import FileLock, Timeout
 from jaxtyping import Float
@@ -44,7 +45,7 @@ class CameraSpread(NamedTuple):
     """
 
     images: int
-    centre: tuple[float, ...]
+    centre: tuple[float, float, float]
     extent: float
 
     @classmethod
@@ -52,7 +53,8 @@ class CameraSpread(NamedTuple):
         """The spread of positions in world coordinates."""
         centre = positions.mean(axis=0)
         extent = np.linalg.norm(positions - centre, axis=1).max()
-        return cls(len(positions), tuple(centre.tolist()), float(extent))
+        x, y, z = centre.tolist()
+        return cls(len(positions), (x, y, z), float(extent))
 
     @classmethod
     def of_scene(cls, scene: Scene) -> CameraSpread:
@@ -62,11 +64,8 @@ class CameraSpread(NamedTuple):
 
     @classmethod
     def of_run(cls, run: TrainedRun) -> CameraSpread:
-        """The spread of the cameras that a run was trained on.
-
-        Raises:
-            SceneError: an old run does not say where they were, and its scene cannot be read.
-        """
+        """The spread of a run's training cameras; SceneError if an old run, which does not have
+        them, has no readable scene either."""
         poses = [np.array(image.pose).reshape(3, 4) for image in run.facts.images]
         if not poses:
             return cls.of_scene(run.load_scene())
@@ -87,12 +86,8 @@ class MarkStore:
 
     def __init__(self, folder: Path, spread: CameraSpread) -> None:
         self.folder = folder
+        self.file = folder / FILE
         self._spread = spread
-
-    @property
-    def file(self) -> Path:
-        """``marks.json``."""
-        return self.folder / FILE
 
     @property
     def stamp(self) -> tuple[int, ...] | None:
@@ -128,12 +123,8 @@ class MarkStore:
         return after
 
     def undo(self) -> Marks:
-        """Take the last change back, and save; returns the marks.
-
-        Raises:
-            ConfigError: there is nothing to undo.
-            RunError: as for ``edit``.
-        """
+        """Undo the last change, and save; returns the marks. Errors as for ``edit``; also
+        ConfigError if there is nothing to undo."""
         with self._locked():
             now, states = self.read(), self._undo_states()
             while states and states[-1] == now:  # a change that was cut off before its second file
@@ -166,12 +157,8 @@ class MarkStore:
             return empty
 
     def _document(self, path: Path) -> Any:
-        """The JSON object in a file of this world; None without one.
-
-        Raises:
-            ConfigError: the file is damaged.
-            RunError: it cannot be read, or is not for this program or this model.
-        """
+        """The JSON object in a file; None without one. ConfigError if it is damaged, RunError if it
+        cannot be read, or is not for this program or this model."""
         try:
             if not path.exists():
                 return None
@@ -188,7 +175,11 @@ class MarkStore:
             raise ConfigError("it has no version")
         if document["version"] > VERSION:
             raise RunError(f"{path} was written by a newer version of mrgs: update mrgs")
-        if not _spread_from_json(document.get("cameras")).is_world_of(self._spread):
+        try:
+            spread = msgspec.convert(document.get("cameras"), CameraSpread)
+        except msgspec.ValidationError:
+            raise ConfigError(f"its cameras are {shown(document.get('cameras'))}") from None
+        if not spread.is_world_of(self._spread):
             raise RunError(
                 f"{path} holds the marks of another model, whose places mean nothing here: move "
                 f"the file away, or put it back into its own run"
@@ -239,8 +230,8 @@ def file_stamp(path: Path) -> tuple[int, ...] | None:
 
 
 def judged_content(folder: Path) -> str:
-    """What a user has marked and judged in a run, as a text that changes whenever that does; not so
-    with the proposals, which the report writes itself. A damaged file is its own content."""
+    """A user's marks and judgements in a run as a text, without the proposals, which the report
+    writes itself; of a damaged file its whole text."""
     path = folder / FILE
     text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else "{}"
     try:
@@ -262,11 +253,8 @@ def _content(marks: Marks) -> dict[str, Any]:
 
 
 def _marks_of(document: Any) -> Marks:
-    """The marks in a document, or in a state of the file for undoing.
-
-    Raises:
-        ConfigError: they are not what ``_content`` writes.
-    """
+    """The marks in a document, or in a state of the file for undoing; ConfigError if they are not
+    what ``_content`` writes."""
     if not isinstance(document, dict) or not isinstance(document.get("marks"), list):
         raise ConfigError("it has no list of marks")
     lists = {name: document.get(name, []) for name in _LISTS}
@@ -285,14 +273,3 @@ def _states_of(document: Any) -> list[Marks]:
     if not isinstance(document.get("states"), list):
         raise ConfigError("it has no list of states")
     return [_marks_of(state) for state in document["states"]]
-
-
-def _spread_from_json(value: Any) -> CameraSpread:
-    try:
-        centre = tuple(map(float, value["centre"]))
-        spread = CameraSpread(int(value["images"]), centre, float(value["extent"]))
-    except (TypeError, ValueError, KeyError, OverflowError):
-        raise ConfigError(f"its cameras are {shown(value)}") from None
-    if len(centre) != 3:
-        raise ConfigError(f"its cameras are {shown(value)}")
-    return spread

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float64, Int64
+from jaxtyping import Bool, Float, Float64, Int64, Shaped
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError
@@ -31,9 +31,9 @@ MARGIN_PX = 3
 
 FIELD_OF_VIEW = math.radians(50)
 WIDEST_PX = 640
-"""The image that a mark is measured in shows as much about it as a photo does, up to so many
-pixels: in a narrow one, the large Gaussians whose centres lie outside are drawn otherwise than in
-the photos' views, which the model is fitted to."""
+"""The image that a mark is measured in shows as much about it as a photo does, up to this width: in
+a narrow one, large Gaussians with their centres outside are drawn otherwise than in the photos'
+views, which the model is fitted to."""
 WIDEST_SLOPE = 5.0
 """Tangent of the largest angle between the middle of a mark and its corners, seen from the eye."""
 
@@ -95,11 +95,8 @@ class PixelPlaces(NamedTuple):
 
 
 def before_background(render: SurfaceRenderer, scene: Scene | None) -> SurfaceRenderer:
-    """Renders a model in which the background is no surface: nothing can be measured on the sky.
-
-    Args:
-        scene: that the model was trained on; without one, what is background is not known.
-    """
+    """Renders a model without the background of its scene, where that is known: nothing can be
+    measured on the sky."""
     if scene is None:
         return render
     ball = scene.reach
@@ -133,11 +130,7 @@ def thermal_values(rendering: Rendering) -> Float[np.ndarray, "h w"]:
 
 def measuring_camera(mark: Mark) -> Camera:
     """The camera that a mark is measured with: at its eye, towards its middle, and about as wide
-    as a photo.
-
-    Raises:
-        ConfigError: the mark lies around its eye, so that no camera sees all of it.
-    """
+    as a photo; ConfigError if the mark lies around its eye, so that no camera sees all of it."""
     points, eye = np.array(mark.points), np.array(mark.eye)
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     viewmat = _upright_viewmat(eye, target)
@@ -149,12 +142,9 @@ def measuring_camera(mark: Mark) -> Camera:
                 "{name} is too wide to be seen at once: draw it from farther away", name=mark.name
             )
         )
-    reach = slopes.max()
+    pixels, reach = AREA_PX, slopes.max()
     if mark.kind == "spot":
-        pixels = SPOT_PX
-        reach = mark.radius / np.linalg.norm(points[0] - eye)
-    else:
-        pixels = AREA_PX
+        pixels, reach = SPOT_PX, mark.radius / np.linalg.norm(points[0] - eye)
     focal = 0.5 * pixels / max(float(reach), 1e-9)
     around = min(round(2 * focal * math.tan(FIELD_OF_VIEW / 2)), WIDEST_PX)
     size = max(pixels + 2 * MARGIN_PX, around)
@@ -217,12 +207,9 @@ def outline_area(points: Sequence[Place]) -> float:
 
 
 def has_flat_outline(mark: Mark) -> bool:
-    """Whether the corners of a mark lie in one plane, so that its flat outline has an area: none
-    lies off the plane of the others by more than ``BENT`` of the outline's mean width, unless that
-    is within what counts as one surface from where it was drawn. Three corners always do.
-
-    Each is held against the plane of the others alone, which it would else tilt towards itself.
-    """
+    """Whether the corners of a mark lie in one plane, so that its flat outline has an area: each
+    within ``BENT`` of the outline's mean width off the plane of the others alone, which it would
+    tilt, or within what counts as one surface from where it was drawn."""
     corners = np.array(mark.points)
     if len(corners) < 4:
         return True
@@ -260,22 +247,17 @@ def steady_depth(surface: SeenSurface, x: float, y: float) -> float:
     if near.sum() < FEWEST_PIXELS:
         return float(here)
     rays = rays_of(surface.camera, *grid[near].T)
-    fx, fy, cx, cy = surface.camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-    wanted = np.array([(x - cx) / fx, (y - cy) / fy, 1.0])
+    wanted = rays_of(surface.camera, np.array([y - 0.5]), np.array([x - 0.5]))[0]
     return float(1 / max(float(wanted @ fitted_plane(rays, depth[near])), 1e-12))
 
 
 def fitted_plane(
     rays: Float[np.ndarray, "n 3"], depth: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "3"]:
-    """The plane through most of the z-depths on rays, as the vector whose product with each of its
-    points is 1, in the camera's axes.
+    """The plane through most of the z-depths on rays (x / z, y / z, 1), as the vector whose product
+    with each of its points is 1, in the camera's axes.
 
-    The inverse depth of a plane is linear in x and y. What stands out of it does not count (Tukey's
-    weights).
-
-    Args:
-        rays: (x / z, y / z, 1) of each depth.
+    The inverse depth of a plane is linear in x and y. Outliers do not count (Tukey's weights).
     """
     inverse, weights = 1 / depth, np.ones(len(depth))
     for _ in range(ROBUST_STEPS):
@@ -297,7 +279,7 @@ def tukey_weights(left: Float[np.ndarray, " n"], least: float = 1e-12) -> Float[
 
 
 def rays_of(
-    camera: Camera, rows: Int64[np.ndarray, " n"], columns: Int64[np.ndarray, " n"]
+    camera: Camera, rows: Shaped[np.ndarray, " n"], columns: Shaped[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
     """(x / z, y / z, 1) of pixels, in the camera's axes."""
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()

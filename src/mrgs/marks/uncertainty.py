@@ -114,14 +114,15 @@ class Budget:
         chosen = {name: value for name, value in stated.items() if value is not None}
         budget = cls(CaptureSettings.of(scene), _median_of(known), accuracy=accuracy, **chosen)
         if known and len(chosen) < len(stated):
-            text = (
-                "Assumed as standard uncertainties: emissivity ± {emissivity}, reflected "
-                "temperature ± {reflected} K, distance ± {distance} %."
+            notes.append(
+                Message(
+                    "Assumed as standard uncertainties: emissivity ± {emissivity}, reflected "
+                    "temperature ± {reflected} K, distance ± {distance} %.",
+                    emissivity=f"{budget.emissivity:g}",
+                    reflected=f"{budget.reflected_c:g}",
+                    distance=f"{budget.distance_percent:g}",
+                )
             )
-            numbers = budget.emissivity, budget.reflected_c, budget.distance_percent
-            names = "emissivity", "reflected", "distance"
-            assumed = {name: f"{each:g}" for name, each in zip(names, numbers, strict=True)}
-            notes.append(Message(text, **assumed))
         return replace(budget, notes=tuple(notes))
 
     def parts(
@@ -142,6 +143,15 @@ class Budget:
         gain = self._gain(celsius, surface)
         settings = [COVERAGE * part for part in self._settings(celsius, surface)]
         return [*(gain * part for part in (*of_photos, self._camera(celsius))), *settings]
+
+    def with_settings(
+        self, parts: Uncertainty, celsius: float, surface: SurfaceSettings | None = None
+    ) -> Uncertainty:
+        """The parts of the photos and the model, as the photos have the place, with those of camera
+        and settings; see ``parts``."""
+        of_photos = [np.array([each]) for each in (parts.photos, parts.model, parts.detail)]
+        found = self.parts(of_photos, np.array([celsius]), surface)
+        return Uncertainty(*(float(part[0]) for part in found))
 
     def together(
         self,
@@ -236,17 +246,23 @@ def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | N
     if percent is None and not has_camera:
         return None, ["The accuracy of the thermal camera is not known, and not included."]
     # Data sheets state both; by the per cent alone a camera would be exact about 0 °C.
-    text = "The camera's accuracy is taken as ± {kelvin} °C or {percent} % of the reading, "
-    if percent is not None:
-        text = (
-            "The camera's accuracy is stated in per cent alone: it is taken as ± {kelvin} °C or "
-            "{percent} % of the reading, "
+    limit = (USUAL_ACCURACY, USUAL_ACCURACY if percent is None else percent)
+    numbers = {"kelvin": f"{limit[0]:g}", "percent": f"{limit[1]:g}"}
+    if percent is None:
+        return limit, [
+            Message(
+                "The camera's accuracy is taken as ± {kelvin} °C or {percent} % of the reading, "
+                "whichever is more.",
+                **numbers,
+            )
+        ]
+    return limit, [
+        Message(
+            "The camera's accuracy is stated in per cent alone: it is taken as ± {kelvin} °C "
+            "or {percent} % of the reading, whichever is more.",
+            **numbers,
         )
-    percent = USUAL_ACCURACY if percent is None else percent
-    note = Message(
-        f"{text}whichever is more.", kelvin=f"{USUAL_ACCURACY:g}", percent=f"{percent:g}"
-    )
-    return (USUAL_ACCURACY, percent), [note]
+    ]
 
 
 class UncertaintyMeter:
@@ -297,10 +313,10 @@ class UncertaintyMeter:
         Raises:
             SceneError: a photo cannot be read.
         """
-        parts: Sequence[Float[np.ndarray, " p"]] = self._witnesses.of_mark(points, value)
-        if self._budget is not None and not math.isnan(parts[0][0]):
-            parts = self._budget.parts(parts, np.array([value]), surface)
-        return Uncertainty(*(float(part[0]) for part in parts))
+        parts = Uncertainty(*(float(part[0]) for part in self._witnesses.of_mark(points, value)))
+        if self._budget is None or math.isnan(parts.photos):
+            return parts
+        return self._budget.with_settings(parts, value, surface)
 
     def of_points(
         self,

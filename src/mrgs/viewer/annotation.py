@@ -25,7 +25,7 @@ from mrgs.pictures.drawing import (
     scale_bar,
     text_width,
 )
-from mrgs.viewer.painting import Scales
+from mrgs.viewer.painting import DrawnPicture, Scales, scale_of
 from mrgs.viewer.panes import Pane, PaneImages
 
 TEXT_PX = 14
@@ -38,37 +38,28 @@ HIDDEN_BEHIND = 1.05
 
 
 @dataclass(frozen=True, eq=False)
-class PointLabel:
-    """A labelled point.
+class MarkLabel:
+    """A mark with a label.
 
     Attributes:
+        corners: of a line or an area; of a spot its middle; world coordinates, [N, 3].
+        label: drawn beside it.
         short: the same where there is no room for the label; may be empty.
-    """
-
-    position: Float[np.ndarray, "3"]
-    label: str
-    short: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Outline:
-    """A line or an area on a surface.
-
-    Attributes:
         closed: whether the last corner is joined to the first.
-        low_at: world coordinates of the smallest value, [3]; empty if there is none.
+        low_at: world coordinates of the smallest value, [3]; empty for none.
+        high_at: of the largest value.
     """
 
     corners: Float[np.ndarray, "n 3"]
-    closed: bool
     label: str
+    short: str = ""
+    closed: bool = False
     low_at: tuple[float, ...] = ()
     high_at: tuple[float, ...] = ()
-    short: str = ""
 
 
-class SeenOutline(NamedTuple):
-    """An outline in a pane; all places are x and y from 0 to 1 over it."""
+class SeenLabel(NamedTuple):
+    """A ``MarkLabel`` in a pane; places are x and y from 0 to 1 over it, None where hidden."""
 
     corners: list[tuple[float, float]]
     closed: bool
@@ -78,26 +69,17 @@ class SeenOutline(NamedTuple):
     short: str
 
 
-def annotate(
-    picture: UInt8[np.ndarray, "h w 3"],
-    panes: Sequence[Pane],
-    images: Sequence[PaneImages],
-    scales: Scales,
-    marks: Sequence[PointLabel] = (),
-    outlines: Sequence[Outline] = (),
-) -> UInt8[np.ndarray, "h w 3"]:
+def annotate(drawn: DrawnPicture, labels: Sequence[MarkLabel]) -> UInt8[np.ndarray, "h w 3"]:
     """A picture [H, W, 3] for a file: with its marks, titles and scale bars drawn in."""
-    whole = Image.fromarray(picture)
-    for pane, shown in zip(panes, images, strict=True):
+    whole = Image.fromarray(drawn.pixels)
+    for pane, shown in zip(drawn.panes, drawn.images, strict=True):
         place = (pane.left, pane.top, pane.left + pane.camera.width, pane.top + pane.camera.height)
         part = whole.crop(place)
-        for outline in seen_outlines(pane, shown, outlines):
-            _draw_outline(part, outline)
-        for mark in seen_marks(pane, shown, marks):
-            _draw_mark(part, mark)
+        for seen in seen_labels(pane, shown, labels):
+            _draw_label(part, seen)
         if pane.title:
             _draw_card(part, (8, 8), fit_text(pane.title, TEXT_PX, part.width - 32))
-        scale = pane_scale(pane, scales)
+        scale = pane_scale(pane, drawn.scales)
         if scale is not None and part.height >= SCALE_FROM_PX:
             _draw_scale(part, scale)
         whole.paste(part, (pane.left, pane.top))
@@ -106,32 +88,23 @@ def annotate(
 
 def pane_scale(pane: Pane, scales: Scales) -> Scale | None:
     """The scale to draw over a pane; that of the model is also that of the photo beside it."""
-    return None if pane.kind == "photo" else scales.of(pane)
+    return None if pane.kind == "photo" else scale_of(pane, scales)
 
 
-def seen_marks(
-    pane: Pane, images: PaneImages, marks: Sequence[PointLabel]
-) -> list[tuple[float, float, str, str]]:
-    """Where a pane shows marks: x and y from 0 to 1 over the pane, the label, and that for little
-    room; without those that lie outside or behind something."""
-    places = ((mark, _seen_place(pane, images, mark.position)) for mark in marks)
-    return [(*place, mark.label, mark.short) for mark, place in places if place is not None]
-
-
-def seen_outlines(pane: Pane, images: PaneImages, outlines: Sequence[Outline]) -> list[SeenOutline]:
-    """Where a pane shows outlines; without those of which no corner is seen, or that reach behind
-    the camera."""
+def seen_labels(pane: Pane, images: PaneImages, labels: Sequence[MarkLabel]) -> list[SeenLabel]:
+    """Where a pane shows marks; without those of which no corner is seen, or that reach behind the
+    camera."""
     found = []
-    for outline in outlines:
-        pixels, _ = pane.camera.project(torch.from_numpy(outline.corners))
+    for each in labels:
+        pixels, _ = pane.camera.project(torch.from_numpy(each.corners))
         if not bool(pixels.isfinite().all()):
             continue
-        if not any(_seen_place(pane, images, corner) for corner in outline.corners):
+        if not any(_seen_place(pane, images, corner) for corner in each.corners):
             continue
         size = pixels.new_tensor([pane.camera.width, pane.camera.height])
         corners = [(x, y) for x, y in (pixels / size).tolist()]
-        low, high = (_seen_place(pane, images, at) for at in (outline.low_at, outline.high_at))
-        found.append(SeenOutline(corners, outline.closed, outline.label, low, high, outline.short))
+        low, high = (_seen_place(pane, images, at) for at in (each.low_at, each.high_at))
+        found.append(SeenLabel(corners, each.closed, each.label, low, high, each.short))
     return found
 
 
@@ -154,18 +127,17 @@ def _seen_place(
     return x, y
 
 
-def _draw_mark(image: Image.Image, mark: tuple[float, float, str, str]) -> None:
-    x, y, label = round(mark[0] * image.width), round(mark[1] * image.height), mark[2]
-    draw_strokes(image, cross(x, y, CROSS_PX), STROKE_PX)
-    _draw_card(image, (x + 12, y - TEXT_PX - 10), label)
-
-
-def _draw_outline(image: Image.Image, outline: SeenOutline) -> None:
-    corners = [(x * image.width, y * image.height) for x, y in outline.corners]
-    draw_strokes(image, [[*corners, corners[0]] if outline.closed else corners], STROKE_PX)
+def _draw_label(image: Image.Image, seen: SeenLabel) -> None:
+    corners = [(x * image.width, y * image.height) for x, y in seen.corners]
+    if len(corners) == 1:
+        x, y = (round(each) for each in corners[0])
+        draw_strokes(image, cross(x, y, CROSS_PX), STROKE_PX)
+        _draw_card(image, (x + 12, y - TEXT_PX - 10), seen.label)
+        return
+    draw_strokes(image, [[*corners, corners[0]] if seen.closed else corners], STROKE_PX)
     top = min(corners, key=lambda corner: corner[1])
-    _draw_card(image, (top[0] + 6, top[1] - TEXT_PX - 12), outline.label)
-    for place, color in ((outline.low, COLDEST), (outline.high, HOTTEST)):
+    _draw_card(image, (top[0] + 6, top[1] - TEXT_PX - 12), seen.label)
+    for place, color in ((seen.low, COLDEST), (seen.high, HOTTEST)):
         if place is not None:
             draw_dot(image, (place[0] * image.width, place[1] * image.height), DOT_PX, color)
 

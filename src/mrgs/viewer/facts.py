@@ -29,10 +29,11 @@ from mrgs.pictures.page_data import (
 )
 from mrgs.pictures.values import range_of
 from mrgs.scene import THERMAL, Modality, WorldFrame
-from mrgs.viewer.annotation import Outline, PointLabel, pane_scale, seen_marks, seen_outlines
+from mrgs.viewer.annotation import MarkLabel, pane_scale, seen_labels
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.inspection import DrawnPicture, Inspection, PointReading
+from mrgs.viewer.inspection import Inspection, PointReading
 from mrgs.viewer.messages import LONGEST_SIDE_PX, VIDEO_SECONDS, Look, encode
+from mrgs.viewer.painting import DrawnPicture
 from mrgs.viewer.picking import ValueReading
 from mrgs.viewer.settings import Mode, Start, Subject
 
@@ -92,21 +93,19 @@ def picture_message(inspection: Inspection, drawn: DrawnPicture, look: Look) -> 
     options = MOVING_JPEG if look.effort == "moving" else SHARP_JPEG
     Image.fromarray(drawn.pixels).save(buffer, "JPEG", **options)
     wanted = min(max(look.width, look.height), inspection.subject.source.most_pixels["still"])
-    labels, outlines = inspection.marks() + inspection.proposals(), inspection.outlines()
+    labels = [*inspection.labels(), *inspection.proposals()]
     facts = {
         "number": look.number,
         "effort": look.effort,
         "full": max(drawn.size) >= wanted,
-        "panes": [_pane(drawn, index, labels, outlines) for index in range(len(drawn.panes))],
+        "panes": [_pane(drawn, index, labels) for index in range(len(drawn.panes))],
         "photo": inspection.view_index,
     }
     header = encode(facts).encode()
     return struct.pack("<I", len(header)) + header + buffer.getvalue()
 
 
-def _pane(
-    drawn: DrawnPicture, index: int, labels: list[PointLabel], outlines: list[Outline]
-) -> dict[str, Any]:
+def _pane(drawn: DrawnPicture, index: int, labels: list[MarkLabel]) -> dict[str, Any]:
     """A pane, over which the page draws title, scale and marks."""
     pane, shown = drawn.panes[index], drawn.images[index]
     scale = pane_scale(pane, drawn.scales)
@@ -114,13 +113,14 @@ def _pane(
     if scale_facts is not None:
         del scale_facts["decimal"]  # the page writes the numbers itself
     (width, height), size = drawn.size, pane.camera
+    seen = seen_labels(pane, shown, labels)
     return {
         "place": [pane.left / width, pane.top / height, size.width / width, size.height / height],
         "free": pane.photo is None,
         "title": pane.title,
         "scale": scale_facts,
-        "marks": seen_marks(pane, shown, labels),
-        "outlines": [outline._asdict() for outline in seen_outlines(pane, shown, outlines)],
+        "marks": [(*e.corners[0], e.label, e.short) for e in seen if len(e.corners) == 1],
+        "outlines": [each._asdict() for each in seen if len(each.corners) > 1],
     }
 
 

@@ -3,9 +3,9 @@ keyframes."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import UInt8
@@ -17,9 +17,8 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.texts import label_text
 from mrgs.pictures.page_data import rounded
 from mrgs.scene import Camera, Modality, View
-from mrgs.viewer.annotation import Outline, PointLabel, annotate
-from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.painting import Scales, compose, measure_scales
+from mrgs.viewer.annotation import MarkLabel, annotate
+from mrgs.viewer.painting import DrawnPicture, Scales, compose, measure_scales
 from mrgs.viewer.panes import (
     Pane,
     PaneImages,
@@ -34,27 +33,6 @@ from mrgs.viewer.picking import Reading, read_point
 from mrgs.viewer.settings import Settings, Subject
 
 PHOTOS_KEPT = 4
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnPicture:
-    """A picture, and what it was painted from.
-
-    Attributes:
-        camera: that it was drawn from, at its size.
-        pixels: the colours, without marks and scales, [H, W, 3].
-    """
-
-    camera: Camera
-    panes: tuple[Pane, ...]
-    images: tuple[PaneImages, ...]
-    scales: Scales
-    pixels: UInt8[np.ndarray, "h w 3"]
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height, pixels."""
-        return self.camera.width, self.camera.height
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +76,8 @@ class Inspection:
         self.view_index: int | None = None
         self.point: PointReading | None = None
         self.keyframes: tuple[Camera, ...] = ()
-        self._scales = Scales()
-        self._photos: dict[int, PaneImages] = {}
-        self._photo_lock = threading.Lock()
+        self._scales: Scales = {}
+        self._photo_images = lru_cache(PHOTOS_KEPT)(photo_images)
         self._ball = None if subject.scene is None else subject.scene.reach
 
     @property
@@ -120,82 +97,70 @@ class Inspection:
             self.view_index = nearest_view(
                 self.subject.views, camera, self.subject.scene.extent, self.view_index
             )
-        settings = self.settings
-        panes, images = self._render(settings, camera, moving)
-        scales = self._measure(panes, images, settings)
-        if moving:
-            scales = _known(self._scales, scales, settings)
-        else:
-            self._scales = scales
-        size = camera.width, camera.height
-        pixels = compose(size, panes, images, scales, settings)
-        self.drawn = DrawnPicture(camera, panes, images, scales, pixels)
+        self.drawn = self._draw(camera, self.settings, self._scales if moving else {}, moving)
+        if not moving:
+            self._scales = self.drawn.scales
         return self.drawn
+
+    def _draw(
+        self, camera: Camera, settings: Settings, known: Scales, moving: bool = False
+    ) -> DrawnPicture:
+        """A picture in known scales, or in measured ones where there are none, or where the user's
+        choices have changed."""
+        panes = panes_of(settings.mode, camera, self.view)
+        images = tuple(self._images(pane, moving) for pane in panes)
+        scales = dict(known)
+        for key, scale in self._measured(panes, images, settings).items():
+            kept = scales.get(key)
+            if kept is None or key in settings.limits:
+                scales[key] = scale
+            elif isinstance(key, Modality):
+                scales[key] = kept._replace(palette=scale.palette)
+        pixels = compose((camera.width, camera.height), panes, images, scales, settings)
+        return DrawnPicture(camera, panes, images, scales, pixels)
+
+    def _measured(
+        self, panes: Sequence[Pane], images: Sequence[PaneImages], settings: Settings
+    ) -> Scales:
+        return measure_scales(panes, images, settings, self.subject.temperature, self._ball)
 
     def fit(self) -> None:
         """Lock the scale of each modality that is shown at the limits of what the latest picture
         shows."""
         drawn = self.drawn
         if drawn is not None:
-            measured = self._measure(drawn.panes, drawn.images, replace(self.settings, limits={}))
+            free = replace(self.settings, limits={})
             fitted = {
-                modality: rounded(modality, (scale.low, scale.high), self.subject.temperature)
-                for modality, scale in measured.values.items()
-                if modality.is_metric
+                key: rounded(key, (scale.low, scale.high), self.subject.temperature)
+                for key, scale in self._measured(drawn.panes, drawn.images, free).items()
+                if isinstance(key, Modality) and key.is_metric
             }
             self.settings = replace(self.settings, limits={**self.settings.limits, **fitted})
 
-    def marks(self) -> list[PointLabel]:
-        """The spots, and the point that was read last."""
-        labels = [
-            PointLabel(
-                np.array(reading.mark.points[0]),
-                label_text(reading, self.subject.temperature),
-                reading.mark.name,
-            )
-            for reading in self._readings
-            if reading.mark.kind == "spot"
-        ]
-        point = self.point
+    def labels(self) -> list[MarkLabel]:
+        """The lines and areas, the spots, and the point that was read last."""
+        board, point = self.subject.board, self.point
+        readings = board.readings if board is not None and self.settings.marks else ()
+        labels = [self._label(reading) for reading in readings]
+        labels.sort(key=lambda label: len(label.corners) == 1)
         if point is not None:
-            labels.append(PointLabel(point.reading.position, self._value_text(point) or "point"))
+            text = "point"
+            if point.modality is not None and point.value is not None:
+                text = self.subject.format_value(point.modality, point.value)
+            labels.append(MarkLabel(point.reading.position[None], text))
         return labels
 
-    def proposals(self) -> list[PointLabel]:
+    def proposals(self) -> list[MarkLabel]:
         """The anomalies that the report proposes."""
-        board, temperature = self._board, self.subject.temperature
-        return [
-            PointLabel(
-                np.array(reading.mark.points[0]),
-                f"{label_text(reading, temperature)} ?",
-                f"{reading.mark.name} ?",
-            )
-            for reading in (() if board is None else board.proposals)
-        ]
+        board = self.subject.board if self.settings.marks else None
+        return [self._label(each, " ?") for each in (() if board is None else board.proposals)]
 
-    def outlines(self) -> list[Outline]:
-        """The lines and the areas."""
-        return [
-            Outline(
-                np.array(reading.mark.points),
-                reading.mark.is_area,
-                label_text(reading, self.subject.temperature),
-                reading.low_at,
-                reading.high_at,
-                reading.mark.name,
-            )
-            for reading in self._readings
-            if reading.mark.kind != "spot"
-        ]
-
-    @property
-    def _readings(self) -> Sequence[MarkReading]:
-        return () if self._board is None else self._board.readings
-
-    @property
-    def _board(self) -> MarkBoard | None:
-        """The marks, if they are to be drawn."""
-        return self.subject.board if self.settings.marks else None
+    def _label(self, reading: MarkReading, doubt: str = "") -> MarkLabel:
+        mark, text = reading.mark, label_text(reading, self.subject.temperature)
+        ends = ((), ()) if mark.kind == "spot" else (reading.low_at, reading.high_at)
+        return MarkLabel(
+            np.array(mark.points), text + doubt, mark.name + doubt, mark.is_area, *ends
+        )
 
     def add_mark(self, kind: MarkKind, points: Sequence[tuple[float, float]]) -> None:
         """Add a mark through places of the latest picture, from 0 to 1, and save it.
@@ -217,21 +182,10 @@ class Inspection:
         pane = places[0].pane if places else None
         if pane is None or len(places) < len(points) or any(p.pane is not pane for p in places):
             raise ConfigError("draw the mark within one picture")
-        camera = pane.photo.camera if pane.photo is not None else pane.camera
+        camera = pane.own_camera
         pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
         board.draw(kind, camera, pixels)
         self.point = None
-
-    def _render(
-        self, settings: Settings, camera: Camera, moving: bool = False
-    ) -> tuple[tuple[Pane, ...], tuple[PaneImages, ...]]:
-        panes = panes_of(settings.mode, camera, self.view)
-        return panes, tuple(self._images(pane, moving) for pane in panes)
-
-    def _measure(
-        self, panes: Sequence[Pane], images: Sequence[PaneImages], settings: Settings
-    ) -> Scales:
-        return measure_scales(panes, images, settings, self.subject.temperature, self._ball)
 
     def _images(self, pane: Pane, moving: bool) -> PaneImages:
         subject = self.subject
@@ -244,9 +198,8 @@ class Inspection:
         camera = pane.camera
         compared_with = None
         if pane.kind == "difference":
-            assert pane.photo is not None
             assert self.view is not None
-            camera, compared_with = pane.photo.camera, self.view.camera
+            camera, compared_with = pane.own_camera, self.view.camera
         regions = self._regions(pane)
         images = subject.source.run(
             lambda model: render_pane(model, camera, subject, compared_with, regions),
@@ -261,24 +214,12 @@ class Inspection:
         """The pane's photo; the last few are kept."""
         assert pane.photo is not None
         (modality,) = pane.modalities
-        key = id(pane.photo)
-        with self._photo_lock:
-            if key not in self._photos:
-                self._photos[key] = photo_images(modality, pane.photo, self.subject.temperature)
-                while len(self._photos) > PHOTOS_KEPT:
-                    del self._photos[next(iter(self._photos))]
-            return self._photos[key]
+        return self._photo_images(modality, pane.photo, self.subject.temperature)
 
     def _regions(self, pane: Pane) -> Regions | None:
         """Surfaces with an emissivity of their own; None beside photos, which have none."""
         board = self.subject.board
         return None if board is None or pane.photo is not None else board.regions
-
-    def _value_text(self, point: PointReading) -> str:
-        """The value that is named first; empty for a model without readable values."""
-        if point.modality is None or point.value is None:
-            return ""
-        return self.subject.format_value(point.modality, point.value)
 
     def click(self, x: float, y: float) -> PointReading | None:
         """Read the point under a place of the latest picture (x to the right, y down, 0 to 1); None
@@ -288,14 +229,17 @@ class Inspection:
         if place is None:
             return None
         pane, subject = place.pane, self.subject
-        camera = pane.photo.camera if pane.photo is not None else pane.camera
         reading = subject.source.run(
-            lambda model: read_point(model, camera, place.u, place.v, subject, self._regions(pane))
+            lambda model: read_point(
+                model, pane.own_camera, place.u, place.v, subject, self._regions(pane)
+            )
         )
         if reading is not None:
-            modality = _first_readable((*reversed(pane.modalities), *subject.readable))
-            photo_value = self._photo_value(pane, place.u, place.v)
-            self.point = PointReading(reading, modality, photo_value)
+            photo_value = None
+            if pane.photo is not None and pane.scaled is not None:
+                value = float(place.pixel_of(self._photo(pane).images[pane.scaled]))
+                photo_value = value if np.isfinite(value) else None
+            self.point = PointReading(reading, self._first_readable(pane), photo_value)
         return self.point
 
     def hover(self, x: float, y: float) -> str:
@@ -305,13 +249,12 @@ class Inspection:
         if place is None or drawn is None:
             return ""
         pane, shown = place.pane, drawn.images[drawn.panes.index(place.pane)]
-        modality = _first_readable((*reversed(pane.modalities), *self.subject.readable))
+        modality = self._first_readable(pane)
         values = None if modality is None else shown.images.get(modality)
         if modality is None or values is None:
             return ""
-        row, column = int(place.v * values.shape[0]), int(place.u * values.shape[1])
-        value = float(values[row, column])
-        if not shown.solid[row, column] or not np.isfinite(value):
+        value = float(place.pixel_of(values))
+        if not place.pixel_of(shown.solid) or not np.isfinite(value):
             return "no surface"
         if pane.kind not in ("uncertainty", "difference"):
             return self.subject.format_value(modality, value)
@@ -319,20 +262,17 @@ class Inspection:
             return f"± {self.subject.format_difference(modality, value)}"
         return self.subject.format_difference(modality, value, sign=True)
 
+    def _first_readable(self, pane: Pane) -> Modality | None:
+        """The modality whose value is named first in a pane."""
+        modalities = (*reversed(pane.modalities), *self.subject.readable)
+        return next((each for each in modalities if each.channels == 1), None)
+
     def _place(self, x: float, y: float) -> Place | None:
         """The pane and the place in it at a place of the latest picture; None between the panes."""
         drawn = self.drawn
         if drawn is None:
             return None
         return place_at(drawn.panes, x * drawn.size[0], y * drawn.size[1])
-
-    def _photo_value(self, pane: Pane, u: float, v: float) -> float | None:
-        """What the pane's photo has at a place, in its unit; None for colours or no photo."""
-        if pane.photo is None or pane.scaled is None:
-            return None
-        values = self._photo(pane).images[pane.scaled]
-        value = float(values[int(v * values.shape[0]), int(u * values.shape[1])])
-        return value if np.isfinite(value) else None
 
     def add_keyframe(self) -> None:
         """Add the current camera to the path.
@@ -347,34 +287,11 @@ class Inspection:
     def annotated_pictures(self, cameras: Sequence[Camera]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Pictures of a path with their marks, by the current settings and scales throughout."""
         self.point = None
-        settings, scales = self.settings, self._scales
-        marks, outlines = self.marks(), self.outlines()
+        settings, scales, labels = self.settings, self._scales, self.labels()
         for camera in cameras:
-            panes, images = self._render(settings, camera)
-            scales = _known(scales, self._measure(panes, images, settings), settings)
-            size = camera.width, camera.height
-            pixels = compose(size, panes, images, scales, settings)
-            yield annotate(pixels, panes, images, scales, marks, outlines)
-
-
-def _known(known: Scales, measured: Scales, settings: Settings) -> Scales:
-    """The known scales; the measured ones where there is none, or where the user's choices have
-    changed."""
-    values = dict(known.values)
-    for modality, scale in measured.values.items():
-        kept = values.get(modality)
-        locked = modality in settings.limits
-        values[modality] = scale if kept is None or locked else kept._replace(palette=scale.palette)
-    return Scales(
-        values,
-        known.depth or measured.depth,
-        known.difference or measured.difference,
-        known.uncertainty or measured.uncertainty,
-    )
-
-
-def _first_readable(modalities: Sequence[Modality]) -> Modality | None:
-    return next((each for each in modalities if each.channels == 1), None)
+            drawn = self._draw(camera, settings, scales)
+            scales = drawn.scales
+            yield annotate(drawn, labels)
 
 
 def nearest_view(

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image
 
 from mrgs.pictures.drawing import Scale, blank
-from mrgs.pictures.palette import PaletteName, display_range
+from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import full_scale, unit_of
 from mrgs.scene import Camera, Modality, SceneBounds, TemperatureRange
-from mrgs.viewer.panes import Pane, PaneImages
+from mrgs.viewer.panes import Pane, PaneImages, PaneKind
 from mrgs.viewer.settings import Settings, in_kelvin
 
 ISOTHERM_COLOR = (0, 230, 118)
@@ -27,32 +28,40 @@ EMPTY_COLOR = (38, 41, 48)
 NO_SURFACE_COLOR = (58, 66, 78)
 """Where there is no value: bluish, so that it is neither a cold place nor a grey one."""
 
+Scales: TypeAlias = dict[Modality | PaneKind, Scale]
+"""The scales of a picture's colours: of each one-channel modality that it shows; of ``depth`` from
+far to near, of ``difference`` (model minus photo) even about zero, of ``uncertainty`` from zero."""
 
-@dataclass(frozen=True)
-class Scales:
-    """The scales of a picture's colours; None or absent for what it does not show.
+OWN_SCALE = ("depth", "difference", "uncertainty")
+"""Kinds of panes whose scale is not that of their modality."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPicture:
+    """A picture, and what it was painted from.
 
     Attributes:
-        values: of each one-channel modality.
-        depth: from far to near.
-        difference: model minus photo, even about zero.
-        uncertainty: from zero.
+        camera: that it was drawn from, at its size.
+        images: of each pane.
+        pixels: the colours, without marks and scales, [H, W, 3].
     """
 
-    values: Mapping[Modality, Scale] = field(default_factory=dict)
-    depth: Scale | None = None
-    difference: Scale | None = None
-    uncertainty: Scale | None = None
+    camera: Camera
+    panes: tuple[Pane, ...]
+    images: tuple[PaneImages, ...]
+    scales: Scales
+    pixels: UInt8[np.ndarray, "h w 3"]
 
-    def of(self, pane: Pane) -> Scale | None:
-        """The scale of a pane's colours; None for a pane of colours alone."""
-        if pane.kind == "difference":
-            return self.difference
-        if pane.kind == "uncertainty":
-            return self.uncertainty
-        if pane.kind == "depth":
-            return self.depth
-        return None if pane.scaled is None else self.values.get(pane.scaled)
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        return self.camera.width, self.camera.height
+
+
+def scale_of(pane: Pane, scales: Scales) -> Scale | None:
+    """The scale of a pane's colours; None for a pane of colours alone."""
+    key = pane.kind if pane.kind in OWN_SCALE else pane.scaled
+    return None if key is None else scales.get(key)
 
 
 def measure_scales(
@@ -69,50 +78,48 @@ def measure_scales(
         ball: how far the scene reaches; the background beyond it does not count on the scale of the
             depth. None if there is none.
     """
-    values: dict[Modality, list[np.ndarray]] = {}
-    depth, errors, doubts = [], [], []
-    unit = ""
+    seen: dict[Modality | PaneKind, list[np.ndarray]] = {}
     for pane, shown in zip(panes, images, strict=True):
-        modality = pane.scaled
+        key, modality = pane.kind if pane.kind in OWN_SCALE else pane.scaled, pane.scaled
         if pane.kind == "depth" and shown.depth is not None:
-            depth.append(_scene_depth(pane.camera, shown.depth, ball)[shown.solid])
-        elif pane.kind == "difference" and modality is not None:
-            errors.append(np.abs(shown.images[modality][shown.solid]))
-            unit = in_kelvin(unit_of(modality, temperature))
-        elif pane.kind == "uncertainty" and modality is not None:
-            doubts.append(shown.images[modality][shown.solid])
-            unit = in_kelvin(unit_of(modality, temperature))
+            values = _scene_depth(pane.camera, shown.depth, ball)
         elif modality is not None:
-            values.setdefault(modality, []).append(shown.images[modality][shown.solid])
+            values = shown.images[modality]
+        else:
+            continue
+        assert key is not None
+        seen.setdefault(key, []).append(values[shown.solid])
     for modality in settings.limits:
-        values.setdefault(modality, [])
-    near_far = display_range(np.concatenate(depth)) if depth else None
-    largest = display_range(np.concatenate(errors))[1] if errors else None
-    widest = display_range(np.concatenate(doubts))[1] if doubts else None
-    return Scales(
-        {each: _scale_of(each, seen, settings, temperature) for each, seen in values.items()},
-        None if near_far is None else Scale("depth", near_far[1], near_far[0], ""),
-        None if largest is None else Scale("error", -largest, largest, unit),
-        None if widest is None else Scale(settings.palette, 0.0, widest, unit),
-    )
+        seen.setdefault(modality, [])
+    unit = in_kelvin(unit_of(panes[0].scaled, temperature)) if panes and panes[0].scaled else ""
+    return {key: _scale(key, each, settings, temperature, unit) for key, each in seen.items()}
 
 
-def _scale_of(
-    modality: Modality,
+def _scale(
+    key: Modality | PaneKind,
     seen: Sequence[Float[np.ndarray, " _"]],
     settings: Settings,
     temperature: TemperatureRange | None,
+    unit: str,
 ) -> Scale:
-    """The scale of a modality's values: the user's limits, or what suits the values that are
-    seen."""
-    scale = full_scale(modality, temperature, settings.palette)
-    if modality in settings.limits:
-        low, high = settings.limits[modality]
-    elif modality.is_metric:
-        low, high = display_range(np.concatenate(seen))
-    else:
-        return scale
-    return scale._replace(low=low, high=high)
+    """The scale of some values; ``unit`` is that of differences and uncertainties."""
+    if isinstance(key, Modality):
+        scale = full_scale(key, temperature, settings.palette)
+        if key in settings.limits:
+            low, high = settings.limits[key]
+        elif key.is_metric:
+            low, high = display_range(np.concatenate(seen))
+        else:
+            return scale
+        return scale._replace(low=low, high=high)
+    values = np.concatenate(seen)
+    if key == "depth":
+        near, far = display_range(values)
+        return Scale("depth", far, near, "")
+    largest = display_range(np.abs(values))[1]
+    if key == "difference":
+        return Scale("error", -largest, largest, unit)
+    return Scale(settings.palette, 0.0, largest, unit)
 
 
 def _scene_depth(
@@ -129,15 +136,10 @@ def paint(
     pane: Pane, images: PaneImages, scales: Scales, settings: Settings
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The colours of a pane at the size of its images, [H, W, 3]."""
-    if pane.kind == "depth":
-        assert images.depth is not None
-        assert scales.depth is not None
-        return _where_solid(scales.depth.colorize(images.depth), images)
-    if pane.kind in ("difference", "uncertainty"):
-        (modality,) = pane.modalities
-        scale = scales.of(pane)
-        assert scale is not None
-        return _where_solid(scale.colorize(images.images[modality]), images)
+    if pane.kind in OWN_SCALE:
+        values = images.depth if pane.kind == "depth" else images.images[pane.modalities[0]]
+        assert values is not None
+        return _where_solid(scales[pane.kind].colorize(values), images)
     painted = [_paint_modality(each, images, scales, settings) for each in pane.modalities]
     if pane.kind in ("blend", "split"):
         below, above = painted
@@ -159,18 +161,14 @@ def _paint_modality(
     values = images.images[modality]
     if modality.channels > 1:
         return values
-    painted = scales.values[modality].colorize(values)
+    painted = scales[modality].colorize(values)
     if modality == settings.scaled and settings.isotherm is not None:
-        band = images.solid & _in_band(values, settings.isotherm)
-        painted[band] = isotherm_color(settings.palette)
+        low, high = sorted(settings.isotherm)
+        band = images.solid & (values >= low) & (values <= high)
+        painted[band] = ISOTHERM_ON_RAINBOW if settings.palette == "rainbow" else ISOTHERM_COLOR
     # What the model does not cover has no temperature; the background's colour would look like a
     # cold one.
     return _where_solid(painted, images) if modality.is_metric else painted
-
-
-def isotherm_color(palette: PaletteName) -> tuple[int, int, int]:
-    """Colour of the isotherm band, sRGB bytes: one that the palette does not contain."""
-    return ISOTHERM_ON_RAINBOW if palette == "rainbow" else ISOTHERM_COLOR
 
 
 def blend(
@@ -193,13 +191,6 @@ def split(
     return image
 
 
-def _in_band(
-    values: Float[np.ndarray, "h w"], band: tuple[float, float]
-) -> Bool[np.ndarray, "h w"]:
-    low, high = min(band), max(band)
-    return (values >= low) & (values <= high)
-
-
 def compose(
     size: tuple[int, int],
     panes: Sequence[Pane],
@@ -207,7 +198,8 @@ def compose(
     scales: Scales,
     settings: Settings,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture alone, without marks and scales, [H, W, 3]."""
+    """The picture alone, without marks and scales, [H, W, 3]; the images of each pane are stretched
+    to it."""
     painted = [
         paint(pane, shown, scales, settings) for pane, shown in zip(panes, images, strict=True)
     ]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -57,6 +57,11 @@ class Pane:
         depth."""
         return next((each for each in reversed(self.modalities) if each.channels == 1), None)
 
+    @property
+    def own_camera(self) -> Camera:
+        """The photo's camera at its own size; without a photo, the pane's."""
+        return self.camera if self.photo is None else self.photo.camera
+
 
 class Place(NamedTuple):
     """A point of a pane.
@@ -69,6 +74,10 @@ class Place(NamedTuple):
     pane: Pane
     u: float
     v: float
+
+    def pixel_of(self, image: np.ndarray) -> Any:
+        """The pixel of an image of the pane, of any size, at this place."""
+        return image[int(self.v * image.shape[0]), int(self.u * image.shape[1])]
 
 
 def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:

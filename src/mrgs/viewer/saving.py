@@ -52,14 +52,7 @@ def save_screenshot(inspection: Inspection) -> Path:
         raise ConfigError("wait for the first picture, then take a screenshot")
     folder = _folder(inspection, "screenshots")
     drawn = inspection.picture(inspection.drawn.camera)
-    image = annotate(
-        drawn.pixels,
-        drawn.panes,
-        drawn.images,
-        drawn.scales,
-        inspection.marks(),
-        inspection.outlines(),
-    )
+    image = annotate(drawn, inspection.labels())
     return write_png(_next_free(folder, ".png"), image)
 
 
