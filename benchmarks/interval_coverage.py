@@ -21,8 +21,7 @@ from mrgs.evaluation.truth import Truth
 from mrgs.marks import open_marks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.run_marks import RunMarks, eye_of, spot_radius
-from mrgs.report.proposals import views_of
-from mrgs.report.spots import find_spots
+from mrgs.report.anomalies import find_spots, views_of
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Camera, Scene, View
 from mrgs.scene.depth_map import SURFACE_DEPTH

@@ -12,8 +12,7 @@ from mrgs.marks import Mark
 from mrgs.marks.measure import NARROW_COLD, NARROW_HOT, MarkMeter
 from mrgs.marks.photo_readings import BLURRED, READING, RENDERED, USUAL_BLUR_PX, PhotoReadings
 from mrgs.marks.photo_survey import PhotoSurvey, Resolution
-from mrgs.marks.tables import facts_of_reading, text_rows
-from mrgs.marks.texts import mark_text
+from mrgs.marks.tables import facts_of_reading, mark_text, text_rows
 from mrgs.marks.uncertainty import Budget, UncertaintyMeter
 from mrgs.method.camera_model.point_spread import blur
 from mrgs.scene import (

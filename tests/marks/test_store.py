@@ -145,7 +145,7 @@ def test_a_damaged_undo_file_costs_only_the_undoing(store):
 def test_marks_of_another_model_are_refused_and_kept(store):
     add(store, "S1")
     before = store.file.read_bytes()
-    other = MarkStore(store.folder, SPREAD._replace(centre=(0.0, 0.5, 1.0)))
+    other = MarkStore(store.folder, replace(SPREAD, centre=(0.0, 0.5, 1.0)))
     for action in (other.read, other.undo, lambda: add(other, "S2")):
         with pytest.raises(RunError, match="another model"):
             action()
@@ -154,7 +154,7 @@ def test_marks_of_another_model_are_refused_and_kept(store):
 
 def test_another_machine_rounds_differently(store):
     saved = add(store, "S1")
-    near = SPREAD._replace(extent=SPREAD.extent * (1 + 1e-5))
+    near = replace(SPREAD, extent=SPREAD.extent * (1 + 1e-5))
     assert MarkStore(store.folder, near).read() == saved
 
 

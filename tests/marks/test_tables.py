@@ -14,6 +14,8 @@ from mrgs.data.radiometric import GpsPosition
 from mrgs.marks import Mark, Marks
 from mrgs.marks.measure import NO_SURFACE, SEVERAL_SURFACES, MarkMeter, MarkReading
 from mrgs.marks.tables import (
+    difference_text,
+    mark_text,
     settings_texts,
     size_text,
     text_rows,
@@ -21,7 +23,6 @@ from mrgs.marks.tables import (
     write_csv,
     write_geojson,
 )
-from mrgs.marks.texts import difference_text, mark_text
 from mrgs.marks.uncertainty import Uncertainty
 from mrgs.scene import EarthPosition, TemperatureRange, WorldFrame
 from tests.helpers.walls import RANGE, render_wall

@@ -19,7 +19,7 @@ from mrgs.marks.photo_readings import (
     PhotoReadings,
     SightingSums,
 )
-from mrgs.marks.texts import mark_text
+from mrgs.marks.tables import mark_text
 from mrgs.marks.uncertainty import USUAL_AIR, Budget, Uncertainty, UncertaintyMeter
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
 from mrgs.scene.radiometry import ObjectParameters, Planck

@@ -13,7 +13,7 @@ import pytest
 from mrgs import load_scene
 from mrgs.marks import Mark
 from mrgs.marks.measure import MarkReading, Profile
-from mrgs.report.marks import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, _chart, _factor, _part_about
+from mrgs.report.findings import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, _chart, _factor, _part_about
 from mrgs.report.sections import capture_rows, thermal_pixel_m
 from mrgs.report.texts import LANGUAGES, Language, Texts
 from mrgs.scene import THERMAL, Camera, EarthPosition, TemperatureRange, WorldFrame

@@ -24,7 +24,7 @@ from mrgs.marks.measure import (
     NO_THERMAL,
     SEVERAL_SURFACES,
 )
-from mrgs.marks.texts import PART_NAMES
+from mrgs.marks.tables import PART_NAMES
 from mrgs.marks.uncertainty import Budget
 from mrgs.pictures.settings import SETTINGS
 from mrgs.report.conditions import LABELS, conditions_of

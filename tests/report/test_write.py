@@ -20,9 +20,8 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import write_report
-from mrgs.report.proposals import Proposals, propose
+from mrgs.report.anomalies import Proposals, find_spots, propose
 from mrgs.report.sections import read_scores
-from mrgs.report.spots import find_spots
 from mrgs.report.texts import Texts
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run

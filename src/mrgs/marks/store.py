@@ -6,9 +6,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -36,7 +37,8 @@ Change = Callable[[Marks], Marks]
 Content = TypeVar("Content")
 
 
-class CameraSpread(NamedTuple):
+@dataclass(frozen=True)
+class CameraSpread:
     """Positions of a scene's cameras in brief, to recognise its coordinate frame.
 
     Attributes:
@@ -144,7 +146,7 @@ class MarkStore:
 
     def _write(self, path: Path, content: dict[str, Any]) -> None:
         head = {"program": f"mrgs {version('mrgs')}", "version": VERSION}
-        whole = {**head, "cameras": self._spread._asdict(), **content}
+        whole = {**head, "cameras": asdict(self._spread), **content}
         write_text(path, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
     def _read(self, path: Path, parse: Callable[[Any], Content], empty: Content) -> Content:

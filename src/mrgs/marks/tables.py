@@ -1,4 +1,4 @@
-"""Measured marks as tables: for people, as CSV for spreadsheets, as GeoJSON for maps."""
+"""Measured marks as texts for pages and tables, as CSV for spreadsheets, as GeoJSON for maps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -50,14 +50,13 @@ def size_text(reading: MarkReading, world: WorldFrame) -> str:
 
 
 def length_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
-    """What the scene's scale leaves open of a length, for 95 of 100 cases, in its unit; NaN where
-    that is not known. How well the ends of the line were placed is no part of it."""
+    """Uncertainty of a length by the scene's scale, for 95 of 100 cases, in its unit; NaN where it
+    is not known. How well the ends of the line were placed is no part of it."""
     return math.nan if world.scale_error is None else COVERAGE * world.scale_error * reading.length
 
 
 def area_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
-    """What the scene's scale leaves open of an area, both of whose sides are off, for 95 of 100
-    cases, in its unit; NaN where that is not known."""
+    """Uncertainty of an area by the scene's scale, which both sides have; as for a length."""
     error = world.scale_error
     return math.nan if error is None else COVERAGE * 2 * error * reading.area
 
@@ -94,8 +93,7 @@ def total_uncertainty(reading: MarkReading) -> float:
 
 
 def settings_texts(reading: MarkReading) -> list[str]:
-    """The emissivity and the reflected temperature that a mark is corrected for; empty for those of
-    the photos."""
+    """Emissivity and reflected temperature that a mark is corrected for; empty as for photos."""
     emissivity, reflected = _settings_of(reading)
     texts = [] if emissivity is None else [f"ε {emissivity:.3g}"]
     if reflected is not None:
@@ -110,8 +108,7 @@ def corrected_text(reading: MarkReading) -> str:
 
 
 def _settings_of(reading: MarkReading) -> tuple[float | None, float | None]:
-    """Emissivity and reflected temperature of the surface, in which a spot, too, may lie; what the
-    mark states where nothing could be corrected."""
+    """Emissivity and reflected temperature of the surface; the mark's own if it has a problem."""
     if reading.problem:
         return reading.mark.emissivity, reading.mark.reflected_c
     surface = reading.surface
@@ -224,10 +221,7 @@ def write_csv(
     profiles = [
         {"name": reading.mark.name, "distance": distance, "value": _known(value)}
         for reading in readings
-        if reading.profile is not None
-        for distance, value in zip(
-            reading.profile.distances.tolist(), reading.profile.values.tolist(), strict=True
-        )
+        for distance, value in _samples(reading)
     ]
     if profiles:
         beside = path.with_name(f"{path.stem}_profiles{path.suffix}")
@@ -242,14 +236,11 @@ def write_geojson(
     world: WorldFrame,
     assumed: AssumedOf = _nothing,
 ) -> Path:
-    """Write the marks as points, lines and polygons with what was measured; returns the path.
+    """Write the marks as points, lines and polygons with their readings; returns the path.
 
-    Where the scene knows its place on Earth, coordinates are longitude, latitude and height (WGS
-    84), as GeoJSON has them. Elsewhere they are the scene's own x, y, z, which the file says.
-    Arguments are those of ``write_csv``.
-
-    Raises:
-        RunError: the file cannot be written.
+    In a georeferenced scene coordinates are longitude, latitude and height (WGS 84), as GeoJSON has
+    them; elsewhere the scene's own x, y, z, which the file states. Arguments and errors are those
+    of ``write_csv``.
     """
     on_earth = world.is_georeferenced
     features = [
@@ -315,3 +306,141 @@ def digits(value: float, count: int = 3) -> str:
 
 
 _NOTHING = MarkReading(Mark("-", "spot", ((0.0, 0.0, 0.0),), (0.0, 0.0, 1.0), radius=1.0))
+
+
+PART_NAMES = {
+    "photos": "photos",
+    "model": "model",
+    "detail": "fine detail",
+    "camera": "data sheet",
+    "emissivity": "emissivity",
+    "reflected": "reflected temperature",
+    "distance": "distance",
+}
+"""What the parts of an uncertainty are called."""
+
+MOSTLY_COVERED = 0.98
+"""Covered share of a mark below which its text mentions the share."""
+
+
+class MarkText(TypedDict):
+    """A mark as a panel lists it: what it is, what was measured, and what can be changed."""
+
+    name: str
+    kind: str
+    value: str
+    difference: str
+    problem: str
+    lines: list[str]
+    profile: list[tuple[float, float | None]]
+    ends: list[str]
+    note: str
+    severity: str
+    area: bool
+    emissivity: float | None
+    reflected_c: float | None
+    reference: bool
+
+
+def label_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    """Label of a mark in a picture: its name, and its mean if there is one."""
+    return f"{reading.mark.name}  {value_with_uncertainty(reading, temperature)}".rstrip()
+
+
+def value_with_uncertainty(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    """The mean, ± its uncertainty where that is known; empty without a temperature."""
+    if reading.problem:
+        return ""
+    around = total_uncertainty(reading)
+    if math.isnan(around):
+        return value_text(reading.mean, temperature, unit=True)
+    mean = value_text(reading.mean, temperature)
+    return f"{mean} ± {around_text(around, temperature, unit=True)}"
+
+
+def mark_text(
+    reading: MarkReading,
+    reference: str,
+    temperature: TemperatureRange | None,
+    world: WorldFrame,
+) -> MarkText:
+    """A mark that was measured.
+
+    Args:
+        reference: name of the mark that all differences refer to; empty for none.
+    """
+    mark = reading.mark
+    return {
+        "name": mark.name,
+        "kind": mark.kind,
+        "value": value_with_uncertainty(reading, temperature)
+        or value_text(reading.mean, temperature),
+        "difference": difference_text(reading, temperature),
+        "problem": reading.problem,
+        "lines": _lines(reading, temperature, world),
+        "profile": [(at, _known(value)) for at, value in _samples(reading)],
+        "ends": _ends(reading, temperature, world),
+        "note": mark.note,
+        "severity": mark.severity,
+        "area": mark.is_area,
+        "emissivity": mark.emissivity,
+        "reflected_c": mark.reflected_c,
+        "reference": mark.name == reference,
+    }
+
+
+def difference_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    """ΔT, ± its uncertainty where that is known; empty without one."""
+    if math.isnan(reading.difference):
+        return ""
+    around = reading.difference_uncertainty
+    text = f"ΔT {value_text(reading.difference, temperature, sign=True, unit=math.isnan(around))}"
+    if math.isnan(around):
+        return text
+    unit = "" if temperature is None else " K"
+    return f"{text} ± {around_text(around, temperature)}{unit}"
+
+
+def _lines(
+    reading: MarkReading, temperature: TemperatureRange | None, world: WorldFrame
+) -> list[str]:
+    """Extremes, remarks, size and photos of a mark."""
+    lines = []
+    if not math.isnan(reading.low):
+        low = value_text(reading.low, temperature)
+        high = value_text(reading.high, temperature, unit=True)
+        lines.append(f"{low} to {high}")
+    if reading.uncertainty is not None and (known := reading.uncertainty.known):
+        parts = ", ".join(f"{PART_NAMES[n]} {value_text(p, temperature)}" for n, p in known.items())
+        without = "" if "camera" in known else ", without the camera's own error"
+        lines.append(f"± for 95 of 100 cases{without}: {parts}")
+    if not reading.mark.has_settings and (corrected := corrected_text(reading)):
+        lines.append(corrected)
+    lines.extend(reading.remarks)
+    if (size := size_text(reading, world)) != DASH:
+        lines.append(size)
+    if reading.covered < MOSTLY_COVERED and not reading.problem:
+        lines.append(f"{100 * reading.covered:.0f} % of it shows a surface")
+    if reading.photos is not None:
+        lines.append(f"seen by {reading.photos} thermal photos")
+    return lines
+
+
+def _samples(reading: MarkReading) -> list[tuple[float, float]]:
+    """Distance and value of a line's samples; NaN where there is no surface."""
+    profile = reading.profile
+    if profile is None:
+        return []
+    return list(zip(profile.distances.tolist(), profile.values.tolist(), strict=True))
+
+
+def _ends(
+    reading: MarkReading, temperature: TemperatureRange | None, world: WorldFrame
+) -> list[str]:
+    """The lowest and the highest value of a line's profile and its length, with their units; empty
+    without a value."""
+    if reading.profile is None or not np.isfinite(reading.profile.values).any():
+        return []
+    values = np.nanmin(reading.profile.values), np.nanmax(reading.profile.values)
+    texts = [value_text(float(value), temperature, unit=True) for value in values]
+    return [*texts, str(size_text(reading, world))]

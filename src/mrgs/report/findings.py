@@ -1,29 +1,344 @@
-"""What was measured and what was found in a run, as the report shows it."""
+"""What was measured and what was found in a run, as the report shows it: a table, and of each mark
+the thermal rendering and the photo with the mark drawn in, and its place on the plan."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import NamedTuple
 
+import numpy as np
+import torch
 from PIL import Image
 
-from mrgs.marks import RunMarks
+from mrgs.marks import MarkReading, RunMarks
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
-from mrgs.marks.tables import value_text
+from mrgs.marks.tables import (
+    DASH,
+    PART_NAMES,
+    around_text,
+    settings_texts,
+    size_text,
+    total_uncertainty,
+    value_text,
+)
+from mrgs.marks.uncertainty import Uncertainty
+from mrgs.pictures.drawing import (
+    COLDEST,
+    HOTTEST,
+    PAPER,
+    Scale,
+    above_scale,
+    cross,
+    draw_dot,
+    draw_plate,
+    draw_strokes,
+    text_width,
+)
+from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.numbers import number_text
-from mrgs.pictures.values import in_unit
+from mrgs.pictures.palette import display_range
+from mrgs.pictures.values import in_unit, unit_label
+from mrgs.report.anomalies import Anomaly, photo_value
 from mrgs.report.conditions import pixel_cm_text
-from mrgs.report.marks import ShownMark, show_marks
-from mrgs.report.pictures import overviews
-from mrgs.report.plan import Plan, TemperatureMap, temperature_map
-from mrgs.report.proposals import Anomaly
-from mrgs.report.spots import photo_value
+from mrgs.report.overview import STROKE_PX, Plan, TemperatureMap, overviews, temperature_map
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Scene, TemperatureRange
+from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange, View
 from mrgs.survey import Survey
+
+WIDTH_PX = 640
+MARK_SHARE = 0.5
+"""Share of a picture's side that a mark takes up at most."""
+
+LEAST_SHARE = 0.4
+"""Smallest share of the photo's width in a picture: the surroundings show where a mark is."""
+
+SPANNED_SHARE = 0.6
+"""Share of a picture's sides, about the mark, whose temperatures the colours span."""
+
+NAME_PX, BAR_TEXT_PX, SCALE_GAP_PX = 22, 24, 8
+CROSS_PX, DOT_PX = 16, 7
+
+
+def nearest_view(mark: Mark, scene: Scene) -> View | None:
+    """The thermal view from nearest to where the mark was drawn that has all of it in its image."""
+    points, eye = torch.tensor(mark.points).double(), torch.tensor(mark.eye).double()
+    views = [view for view in scene.views if THERMAL in view.images]
+    seen = [
+        view
+        for view in views
+        if bool(view.images[THERMAL].camera.contains(_project(view, points)).all())
+    ]
+    distance = [(view.images[THERMAL].camera.position - eye).norm().item() for view in seen]
+    return seen[int(np.argmin(distance))] if seen else None
+
+
+def _project(view: View, points: torch.Tensor) -> torch.Tensor:
+    return view.images[THERMAL].camera.project(points)[0]
+
+
+def mark_pictures(
+    reading: MarkReading, view: View, regions: Regions, scene: Scene, decimal: str = "."
+) -> list[InlineImage]:
+    """The thermal rendering of a view with its scale, and its photo. ``decimal`` is written before
+    the decimals of the scale's numbers.
+
+    Raises:
+        SceneError: the photo cannot be read.
+    """
+    name = reading.mark.name
+    camera = _about(reading.mark, view.images[THERMAL].camera)
+    values = to_array(regions.render(camera)[THERMAL].image[..., 0])
+    values = in_unit(THERMAL, values, scene.temperature)
+    limits = display_range(values[_part_about(reading.mark, camera)])
+    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
+    thermal = Image.fromarray(scale.colorize(values))
+    _draw(thermal, reading, camera)
+    whole = above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)
+    pictures = [inline_image(whole, f"{name}, thermal", quality=90)]
+    if RGB in view.images:
+        photo_camera = _about(reading.mark, view.images[RGB].camera)
+        photo = _cropped(view, photo_camera)
+        _draw(photo, reading, photo_camera)
+        pictures.append(inline_image(photo, f"{name}, photo", quality=88))
+    return pictures
+
+
+def _about(mark: Mark, camera: Camera) -> Camera:
+    """The part of a camera's image about a mark, ``WIDTH_PX`` wide and in the image's proportions;
+    never more than the image."""
+    pixels, _ = camera.project(torch.tensor(mark.points).double())
+    low, high = pixels.min(dim=0).values, pixels.max(dim=0).values
+    size = pixels.new_tensor([camera.width, camera.height])
+    share = min(max(((high - low) / size).max().item() / MARK_SHARE, LEAST_SHARE), 1.0)
+    left, top = (
+        min(max(middle - 0.5 * share * whole, 0.0), (1 - share) * whole)
+        for middle, whole in zip((0.5 * (low + high)).tolist(), size.tolist(), strict=True)
+    )
+    zoom = WIDTH_PX / (share * camera.width)
+    K = camera.K.clone()
+    K[0, 2] -= left
+    K[1, 2] -= top
+    K[:2] *= zoom
+    return Camera(K, camera.viewmat, WIDTH_PX, round(zoom * share * camera.height))
+
+
+def _part_about(mark: Mark, camera: Camera) -> tuple[slice, slice]:
+    """The rows and columns about a mark whose temperatures the colours of its picture span: sky and
+    ground in a corner would leave none for a wall."""
+    pixels, _ = camera.project(torch.tensor(mark.points).double())
+    low, high = pixels.min(dim=0).values, pixels.max(dim=0).values
+    size = pixels.new_tensor([camera.width, camera.height])
+    margin = torch.clamp(0.5 * (SPANNED_SHARE * size - (high - low)), min=0)
+    first, last = (low - margin).clamp(min=0).int(), (high + margin).ceil().int()
+    return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
+
+
+def _cropped(view: View, wanted: Camera) -> Image.Image:
+    """The part of a view's photo that another camera at its place shows."""
+    photo = view.images[RGB]
+    whole = Image.fromarray(to_picture(RGB, photo.load().values, None, "grey"))
+    zoom = wanted.K[0, 0].item() / photo.camera.K[0, 0].item()
+    left, top = (photo.camera.K[:2, 2] - wanted.K[:2, 2] / zoom).tolist()
+    right, bottom = left + wanted.width / zoom, top + wanted.height / zoom
+    return whole.transform(
+        (wanted.width, wanted.height),
+        Image.Transform.EXTENT,
+        (left, top, right, bottom),
+        Image.Resampling.BICUBIC,
+        fillcolor=PAPER,
+    )
+
+
+def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
+    """The mark with its name and extremes over a picture of a camera."""
+    mark = reading.mark
+    pixels, _ = camera.project(torch.tensor(mark.points).double())
+    corners = [(x, y) for x, y in pixels.tolist()]
+    x, y = min(corners, key=lambda corner: corner[1])
+    if mark.kind == "spot":
+        draw_strokes(image, cross(x, y, CROSS_PX), STROKE_PX)
+    else:
+        draw_strokes(image, [[*corners, corners[0]] if mark.is_area else corners], STROKE_PX)
+        for place, color in ((reading.low_at, COLDEST), (reading.high_at, HOTTEST)):
+            if place:
+                pixel = camera.project(torch.tensor(place).double())[0]
+                draw_dot(image, pixel.tolist(), DOT_PX, color)
+    wide = text_width(mark.name, NAME_PX) + 14
+    left = min(max(x + 10, 2), image.width - wide - 2)
+    top = min(max(y - NAME_PX - 22, 2), image.height - NAME_PX - 12)
+    draw_plate(image, (left, top, left + wide, top + NAME_PX + 10), mark.name, NAME_PX)
+
+
+CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 64
+
+
+class ProfileChart(NamedTuple):
+    """The values along a line as a chart of ``CHART_WIDTH`` × ``CHART_HEIGHT``.
+
+    Attributes:
+        path: of the curve, in the language of SVG.
+        end: length of the line, as text.
+    """
+
+    path: str
+    low: str
+    high: str
+    end: str
+
+
+class ShownMark(NamedTuple):
+    """A mark as the report shows it; numbers are formatted.
+
+    Attributes:
+        severity: as the user states it.
+        around: the uncertainty of the mean; empty if it is not known.
+        parts: of the uncertainty, as ``SHOWN_PARTS``; a dash for those not known.
+        factor: temperature factor of a surface inside; a dash if the air is not known, or it does
+            not lie from 0 to 1.
+        difference: to the reference, or to the mark that it is compared with.
+        compared_with: name of that mark; empty for none.
+        settings: emissivity and reflected temperature of its surface; empty for those of the
+            photos.
+        problem: why it has no temperature.
+        view: name of the view in the pictures; empty without pictures.
+        pictures: the thermal rendering, then the photo.
+        chart: of a line; else None.
+    """
+
+    name: str
+    kind: str
+    severity: str
+    mean: str
+    around: str
+    parts: list[str]
+    factor: str
+    low: str
+    high: str
+    difference: str
+    compared_with: str
+    size: str
+    photos: str
+    settings: list[str]
+    note: str
+    problem: str
+    remarks: list[str]
+    view: str
+    pictures: list[InlineImage]
+    plan: InlineImage
+    chart: ProfileChart | None
+
+
+SHOWN_PARTS = tuple(PART_NAMES.values())
+
+
+def known_parts(marks: Sequence[ShownMark]) -> dict[int, str]:
+    """The parts of the uncertainty that are known of any mark: index and name."""
+    shown = [mark.parts for mark in marks if mark.around]
+    return {
+        index: name
+        for index, name in enumerate(SHOWN_PARTS)
+        if any(parts[index] != DASH for parts in shown)
+    }
+
+
+def show_marks(
+    readings: Sequence[MarkReading],
+    reference: str,
+    regions: Regions,
+    scene: Scene,
+    survey: Survey,
+    place: Callable[[Mark], Image.Image],
+    decimal: str = ".",
+) -> list[ShownMark]:
+    """Measured marks; SceneError if a photo cannot be read.
+
+    Args:
+        reference: name of the mark that all differences refer to; empty for none.
+        survey: the air inside and outside, for the temperature factor.
+        place: draws where a mark is.
+        decimal: before the decimals of the numbers beside the colours of a picture.
+    """
+    temperature, found = scene.temperature, []
+    for reading in readings:
+        mark, view = reading.mark, nearest_view(reading.mark, scene)
+        shown = ShownMark(
+            mark.name,
+            mark.kind,
+            mark.severity,
+            value_text(reading.mean, temperature),
+            _around(total_uncertainty(reading), temperature),
+            [
+                value_text(part, temperature)
+                for part in asdict(reading.uncertainty or Uncertainty()).values()
+            ],
+            _factor(reading.mean, survey),
+            value_text(reading.low, temperature),
+            value_text(reading.high, temperature),
+            _difference(reading, temperature),
+            "" if math.isnan(reading.difference) else mark.against or reference,
+            size_text(reading, scene.world),
+            "–" if reading.photos is None else str(reading.photos),
+            settings_texts(reading),
+            mark.note,
+            reading.problem,
+            list(reading.remarks),
+            "" if view is None else view.name,
+            [] if view is None else mark_pictures(reading, view, regions, scene, decimal),
+            inline_image(place(mark), f"{mark.name}, plan", quality=85),
+            _chart(reading, scene),
+        )
+        found.append(shown)
+    return found
+
+
+def _around(value: float, temperature: TemperatureRange | None) -> str:
+    return "" if math.isnan(value) else around_text(value, temperature)
+
+
+def _difference(reading: MarkReading, temperature: TemperatureRange | None) -> str:
+    text = value_text(reading.difference, temperature, sign=True)
+    around = _around(reading.difference_uncertainty, temperature)
+    return f"{text} ± {around}" if around else text
+
+
+def _factor(mean: float, survey: Survey) -> str:
+    """f_Rsi = (T_si - T_e) / (T_i - T_e) (ISO 13788), which is defined for surfaces inside only; a
+    dash where it would not lie from 0 to 1, as of a radiator."""
+    inside, outside = survey.inside_c, survey.outside_c
+    if (
+        survey.side != "inside"
+        or inside is None
+        or outside is None
+        or not inside > outside
+        or math.isnan(mean)
+    ):
+        return DASH
+    factor = (mean - outside) / (inside - outside)
+    return f"{factor:.2f}" if 0 <= factor <= 1 else DASH
+
+
+def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:
+    """The profile of a line as a curve that is interrupted where there is no surface."""
+    profile = reading.profile
+    if profile is None or math.isnan(reading.low):
+        return None
+    known = np.isfinite(profile.values)
+    span = max(reading.high - reading.low, 1e-6)
+    x = CHART_LEFT + (CHART_WIDTH - CHART_LEFT - 4) * profile.distances / profile.distances[-1]
+    y = 10 + (CHART_HEIGHT - 34) * (reading.high - profile.values) / span
+    path = "".join(
+        f"{'L' if number and known[number - 1] else 'M'}{x[number]:.1f} {y[number]:.1f}"
+        for number in np.flatnonzero(known)
+    )
+    low, high = (
+        value_text(each, scene.temperature, unit=True) for each in (reading.low, reading.high)
+    )
+    return ProfileChart(path, low, high, size_text(reading, scene.world))
 
 
 class ShownOverview(NamedTuple):
@@ -122,7 +437,7 @@ def show_findings(
                 each.view,
                 [inline_image(one, ", ".join(each.seen), quality=88) for one in each.pictures],
             )
-            for each in overviews(scene, named, regions.render, t.decimal)
+            for each in overviews(scene, named, marks.meter.survey, regions.render, t.decimal)
         ],
         plan=None if all_on_map else inline_image(plan.whole(named), "plan", png=True),
         from_the_front=plan.from_the_front,

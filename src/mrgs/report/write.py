@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mrgs.marks import open_marks
-from mrgs.marks.tables import DASH
-from mrgs.marks.texts import PART_NAMES
+from mrgs.marks.tables import DASH, PART_NAMES
 from mrgs.pictures.html import PAGE_STYLE, write_html
 from mrgs.pictures.settings import settings_of
+from mrgs.report.anomalies import Proposals, propose
 from mrgs.report.conditions import (
     air_sentence,
     conditions_of,
@@ -20,15 +20,14 @@ from mrgs.report.conditions import (
     given_rows,
     stated_rows,
 )
-from mrgs.report.findings import show_findings
-from mrgs.report.marks import (
+from mrgs.report.findings import (
     CHART_HEIGHT,
     CHART_LEFT,
     CHART_WIDTH,
     known_parts,
+    show_findings,
 )
 from mrgs.report.pdf import require_weasyprint, write_pdf
-from mrgs.report.proposals import Proposals, propose
 from mrgs.report.sections import (
     capture_rows,
     read_contact_sheet,

@@ -18,7 +18,7 @@ from mrgs.marks.mark import (
     REFLECTED_C,
 )
 from mrgs.marks.measure import MarkReading
-from mrgs.marks.texts import MarkText, mark_text
+from mrgs.marks.tables import MarkText, mark_text
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.page_data import (
     PALETTE_CHOICES,

@@ -14,7 +14,7 @@ from mrgs.errors import ConfigError
 from mrgs.marks.mark import MarkKind
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
-from mrgs.marks.texts import label_text
+from mrgs.marks.tables import label_text
 from mrgs.pictures.page_data import rounded
 from mrgs.scene import Camera, Modality, View
 from mrgs.viewer.annotation import MarkLabel, annotate

@@ -19,8 +19,7 @@ from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.mark import Place
 from mrgs.marks.regions import REGION_DEPTH, RegionPlane, Regions, SurfaceRegion
 from mrgs.marks.run_marks import RunMarks
-from mrgs.marks.tables import corrected_text
-from mrgs.marks.texts import label_text, mark_text
+from mrgs.marks.tables import corrected_text, label_text, mark_text
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
 from mrgs.pictures.page_data import (

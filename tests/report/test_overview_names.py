@@ -13,8 +13,8 @@ from PIL import Image
 
 from mrgs.marks import Mark
 from mrgs.pictures.drawing import Box
-from mrgs.report import plan
-from mrgs.report.plan import (
+from mrgs.report import overview
+from mrgs.report.overview import (
     MARK,
     RING_PX,
     SMALL_PX,
@@ -77,7 +77,7 @@ def test_a_name_costs_no_more_among_hundreds():
 
     def count(frame: FrameType, event: str, argument: object) -> None:
         nonlocal calls
-        calls += "call" in event and frame.f_code.co_filename == plan.__file__
+        calls += "call" in event and frame.f_code.co_filename == overview.__file__
 
     image, where, before = Image.new("RGB", SIZE), places(200), sys.getprofile()
     sys.setprofile(count)

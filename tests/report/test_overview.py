@@ -11,14 +11,17 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.marks import Mark
-from mrgs.report.pictures import (
-    OVERVIEW_CANDIDATES,
+from mrgs.marks.photo_survey import PhotoSurvey
+from mrgs.marks.surface import SurfaceRenderer
+from mrgs.report.anomalies import Spot, photo_value, surroundings
+from mrgs.report.overview import (
     OVERVIEW_PX,
+    Overview,
     _thermal,
     overviews,
 )
-from mrgs.report.spots import Renderer, Spot, photo_value, surroundings
 from mrgs.scene import THERMAL, Camera, Pixels, PosedImage, Rendering, Scene, View
+from mrgs.scene.depth_map import MAX_VIEWS
 from mrgs.scene.rendering import Blend
 
 CAMERA = Camera.from_fov(80, 60, 50)
@@ -46,7 +49,7 @@ def rendered(image: Float[Tensor, "h w"], depth: Float[Tensor, "h w"]) -> Render
     return Rendering({THERMAL: Blend(image[..., None], depth.nan_to_num(), alpha)})
 
 
-def wall(y: float = 0.0) -> Renderer:
+def wall(y: float = 0.0) -> SurfaceRenderer:
     """Renders a plane that the cameras look at, or one before or behind it."""
 
     def render(camera: Camera) -> Rendering:
@@ -54,6 +57,11 @@ def wall(y: float = 0.0) -> Renderer:
         return rendered(torch.full(shape, 0.5), torch.full(shape, y - camera.position[1].item()))
 
     return render
+
+
+def shown_in(made: Scene, marks: dict[str, Mark], render: SurfaceRenderer) -> list[Overview]:
+    cameras = [photo.camera for photo in made.train_photos(THERMAL)]
+    return overviews(made, marks, PhotoSurvey(render, cameras), render)
 
 
 def spots(**places: float) -> dict[str, Mark]:
@@ -67,27 +75,27 @@ def spots(**places: float) -> dict[str, Mark]:
 def test_each_view_shows_the_marks_that_those_before_it_do_not():
     made = scene([0.0, 10.0, 12.0, 20.0, 30.0, 40.0])
     marks = spots(A=0.0, B=9.5, C=10.5, D=12.5, E=20.0, F=20.5, G=30.0, H=99.0)
-    shown = overviews(made, marks, wall())
+    shown = shown_in(made, marks, wall())
     assert [each.seen for each in shown] == [["B", "C", "D"], ["E", "F"], ["A"]]
     assert [each.view for each in shown] == [made.train[index].name for index in (1, 3, 0)]
 
 
 @pytest.mark.parametrize("y", [-1.0, 1.0])
 def test_what_something_hides_and_what_floats_is_not_shown(y):
-    assert overviews(scene([0.0]), spots(A=0.0), wall(y)) == []
+    assert shown_in(scene([0.0]), spots(A=0.0), wall(y)) == []
 
 
 def test_views_from_all_over_a_long_capture_are_tried():
-    count = 2 * OVERVIEW_CANDIDATES
+    count = 2 * MAX_VIEWS
     made = scene([0.0] * (count - 2) + [10.0] * 2)
-    (shown,) = overviews(made, spots(A=10.0), wall())
+    (shown,) = shown_in(made, spots(A=10.0), wall())
     assert shown.view in {view.name for view in made.train[-2:]}
 
 
 def test_marks_are_drawn_where_the_cameras_see_them():
     made = scene([0.0])
     marks = spots(A=1.2)
-    (shown,) = overviews(made, marks, wall())
+    (shown,) = shown_in(made, marks, wall())
     photo, thermal = (np.asarray(picture) for picture in shown.pictures)
     assert photo.shape[1] == OVERVIEW_PX
     pixel, _ = before(0.0).project(torch.tensor(marks["A"].points).double())
@@ -100,7 +108,7 @@ def test_marks_are_drawn_where_the_cameras_see_them():
 def test_a_line_that_reaches_behind_the_camera_is_not_drawn():
     line = Mark("L", "line", ((0.0, -8.0, 0.4), (0.0, 8.0, 0.4)), (0.0, -6.0, 0.0))
     without, both = (
-        np.asarray(overviews(scene([0.0]), spots(A=1.2) | more, wall())[0].pictures[0])
+        np.asarray(shown_in(scene([0.0]), spots(A=1.2) | more, wall())[0].pictures[0])
         for more in ({}, {"L": line})
     )
     assert np.array_equal(both, without)

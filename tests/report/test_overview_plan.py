@@ -14,7 +14,7 @@ from PIL import Image
 
 from mrgs.marks import Mark
 from mrgs.pictures.drawing import INK
-from mrgs.report.plan import HEIGHT_PX, MARGIN_PX, MARK, WIDTH_PX, Plan, faces_one_side
+from mrgs.report.overview import HEIGHT_PX, MARGIN_PX, MARK, WIDTH_PX, Plan, faces_one_side
 from mrgs.scene import Camera, PointCloud, Scene, WorldFrame
 
 CAMERA = Camera.from_fov(16, 12, 60)

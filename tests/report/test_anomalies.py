@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mrgs.rasterizer.contract import AS_PUBLISHED
-from mrgs.report.spots import Spot, _apart, _Cube, _Image, _Sightings, find_spots
+from mrgs.report.anomalies import Spot, _apart, _Cube, _Image, _Sightings, find_spots
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
     RGB,

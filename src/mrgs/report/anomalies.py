@@ -1,4 +1,5 @@
-"""The hottest and the coldest spots of a model: surfaces that several views agree on, never single
+"""The anomalies that the report proposes: the hottest and the coldest spots of a model, kept in the
+run until they are accepted or dropped. They are surfaces that several views agree on, never single
 splats.
 
 A splat's own temperature means little, because neighbours make up for each other, and a floater
@@ -17,14 +18,15 @@ thermographer reads them from photos:
   outlines of things before the sky.
 5. The extreme cubes are taken one by one, each at least 15 cube edges from those before it and from
   a point of each mark that was judged before, so that a large area does not count as judged. One is
-  left out that no view has away from its border, that does
-  not differ from its surroundings, or that is part of something as extreme that is large and
-  reaches the border of the picture: the sky.
+  left out that no view has away from its border, that does not differ from its surroundings, or
+  that is part of something as extreme that is large and reaches the border of the picture: the sky.
+6. A spot is proposed if its mark differs from its surroundings by more than the uncertainty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,9 +34,15 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import label
 
+from mrgs.marks import MarkReading, Marks, RunMarks
+from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.photo_survey import square_about
+from mrgs.marks.regions import Regions
+from mrgs.marks.run_marks import eye_of, spot_radius
+from mrgs.marks.surface import SurfaceRenderer
 from mrgs.pictures.files import to_array
-from mrgs.scene import THERMAL, Camera, Rendering, SceneBounds, View, evenly_spaced
+from mrgs.scene import THERMAL, Camera, Rendering, Scene, SceneBounds, View, evenly_spaced
+from mrgs.survey import Survey
 
 VIEWS = 60
 """Number of views that are surveyed, evenly spaced over those given."""
@@ -72,9 +80,6 @@ SEPARATION_CUBES = 15
 
 SAME_DEPTH = 0.05
 """A view sees a place if its rendered depth there differs by less than this share."""
-
-Renderer = Callable[[Camera], Rendering]
-"""Renders the thermal image of a camera."""
 
 
 class Spot(NamedTuple):
@@ -159,7 +164,7 @@ class _Cube(NamedTuple):
 
 def find_spots(
     views: Sequence[View],
-    render: Renderer,
+    render: SurfaceRenderer,
     count: int = 3,
     ball: SceneBounds | None = None,
     judged: Sequence[Float[np.ndarray, "_ 3"]] = (),
@@ -190,7 +195,7 @@ def find_spots(
 
 
 def _survey(
-    views: Sequence[View], chosen: Sequence[int], render: Renderer, ball: SceneBounds | None
+    views: Sequence[View], chosen: Sequence[int], render: SurfaceRenderer, ball: SceneBounds | None
 ) -> _Points | None:
     """Step 1: the surface points of the chosen views; None if there are none."""
     parts, images = [], {}
@@ -256,7 +261,7 @@ def _sightings(points: _Points) -> tuple[_Sightings, float]:
 
 
 def _cube_numbers(positions: Float[np.ndarray, "p 3"], edge: float) -> Int64[np.ndarray, " p"]:
-    """A number for the cube of each position, in the order of x, y, z."""
+    """Numbers of positions' cubes, in the order of x, y, z."""
     cells = np.floor(positions / edge)
     x, y, z = np.minimum(cells - cells.min(axis=0), 2**CELL_BITS - 1).astype(np.int64).T
     return (x << 2 * CELL_BITS) | (y << CELL_BITS) | z
@@ -280,11 +285,7 @@ def _agreed(sightings: _Sightings, min_views: int) -> list[_Cube]:
     ]
 
 
-def _solid(
-    cubes: list[_Cube],
-    sightings: _Sightings,
-    images: Iterable[_Image],
-) -> list[_Cube]:
+def _solid(cubes: list[_Cube], sightings: _Sightings, images: Iterable[_Image]) -> list[_Cube]:
     """Step 4: the cubes that at least as many views see as see through them."""
     if not cubes:
         return []
@@ -330,16 +331,8 @@ def _apart(
             continue
         free &= away >= distance
         low, high = np.quantile(cube.values, [0.1, 0.9])
-        kept.append(
-            Spot(
-                position,
-                float(cube.median),
-                float(low),
-                float(high),
-                len(cube.rows),
-                int(sightings.views[best]),
-            )
-        )
+        view, views = int(sightings.views[best]), len(cube.rows)
+        kept.append(Spot(position, float(cube.median), float(low), float(high), views, view))
         if len(kept) == count:
             break
     return kept
@@ -388,3 +381,136 @@ def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
     """Column and row of a spot, which may lie outside the image; NaN behind the camera."""
     column, row = camera.project(torch.from_numpy(spot.position))[0].tolist()
     return column, row
+
+
+PROPOSED = 3
+"""Largest number of hot places, and of cold ones, unless the survey sets them."""
+
+CANDIDATES = 2
+"""Candidates measured per proposal."""
+
+LEAST_PHOTOS = 2
+"""Number of photos that must see a proposed place."""
+
+SAME_PLACE = 10.0
+"""Distance from an earlier proposal, in its radii, below which a spot keeps that name."""
+
+
+class Anomaly(NamedTuple):
+    """A spot that was measured.
+
+    Attributes:
+        reading: of the spot as a mark.
+        contrast: its temperature minus that of its surroundings, in the unit of the reading.
+    """
+
+    spot: Spot
+    reading: MarkReading
+    contrast: float
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether the contrast is more than its uncertainty, where that is known. The camera's
+        limit of error is no part of it: the surroundings share it."""
+        uncertainty = self.reading.uncertainty
+        return uncertainty is None or abs(self.contrast) > uncertainty.of_differences
+
+
+class Proposals(NamedTuple):
+    """What the report proposes.
+
+    Attributes:
+        anomalies: by name, the hottest first.
+        held_back: how many were as hot or as cold, but do not stand out of their uncertainty.
+    """
+
+    anomalies: Mapping[str, Anomaly]
+    held_back: int
+
+
+def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> Proposals:
+    """Find the hottest and the coldest spots that stand out, and keep them in the run as its
+    proposals.
+
+    Where a mark was made, or a proposal dropped, none is made again; not so in a large area, which
+    says nothing of a place in it. A spot that was proposed before keeps its name.
+
+    Args:
+        survey: may set the numbers of proposals.
+
+    Raises:
+        SceneError: a photo cannot be read.
+        RunError: the marks cannot be read or saved.
+    """
+    known = marks.marks
+    judged = [np.array(mark.points) for mark in (*known.marks, *known.dropped)]
+    stated = survey.hot_places, survey.cold_places
+    counts = [PROPOSED if count is None else count for count in stated]
+    most = CANDIDATES * max(counts)
+    found = find_spots(scene.views, regions.render, most, scene.reach, judged)
+    chosen = [
+        _standing_out(spots[: CANDIDATES * count], count, marks, scene, regions)
+        for spots, count in zip(found, counts, strict=True)
+    ]
+    named: dict[str, Anomaly] = {}
+
+    def change(now: Marks) -> Marks:
+        named.clear()
+        for letter, (anomalies, _) in zip("HC", chosen, strict=True):
+            named.update(_named(letter, anomalies, now))
+        return replace(now, proposals=tuple(each.reading.mark for each in named.values()))
+
+    marks.store.edit(change)
+    return Proposals(named, sum(held_back for _, held_back in chosen))
+
+
+def _standing_out(
+    spots: Sequence[Spot], count: int, marks: RunMarks, scene: Scene, regions: Regions
+) -> tuple[list[Anomaly], int]:
+    """The first ``count`` spots that stand out, and how many before them do not. A spot that too
+    few photos see as a mark counts as neither: what floats beside an outline is seen from one
+    place."""
+    least = min(LEAST_PHOTOS, len(scene.train_photos(THERMAL)))
+    kept: list[Anomaly] = []
+    held_back = 0
+    for spot in spots:
+        if len(kept) == count:
+            break
+        anomaly = _measured(spot, marks, scene, regions)
+        if (anomaly.reading.photos or 0) < least:
+            continue
+        if anomaly.stands_out:
+            kept.append(anomaly)
+        else:
+            held_back += 1
+    return kept, held_back
+
+
+def _measured(spot: Spot, marks: RunMarks, scene: Scene, regions: Regions) -> Anomaly:
+    """A spot as a mark without a name of its own, seen from the view that shows it best."""
+    view = scene.views[spot.view]
+    camera = view.images[THERMAL].camera
+    points = places_of([spot.position.tolist()])
+    mark = Mark("?", "spot", points, eye_of(camera), spot_radius(points[0], camera, scene))
+    contrast = spot.value - surroundings(view, spot, regions.render(camera))
+    span = 1.0 if scene.temperature is None else scene.temperature.span_c
+    return Anomaly(spot, marks.meter.read(mark, regions), span * contrast)
+
+
+def _named(letter: str, anomalies: Sequence[Anomaly], marks: Marks) -> dict[str, Anomaly]:
+    """Anomalies by their names: those of proposals at the same places, else the next that are
+    free."""
+    free = iter(marks.free_names(letter, len(anomalies)))
+    left = [mark for mark in marks.proposals if mark.name.startswith(letter)]
+    named = {}
+    for anomaly in anomalies:
+        position = anomaly.spot.position
+        at = [np.linalg.norm(np.array(mark.points[0]) - position) for mark in left]
+        near = (mark for mark, d in zip(left, at, strict=True) if d < SAME_PLACE * mark.radius)
+        same = next(near, None)
+        if same is not None:
+            left.remove(same)
+        name = next(free) if same is None else same.name
+        reading = replace(anomaly.reading, mark=replace(anomaly.reading.mark, name=name))
+        named[name] = anomaly._replace(reading=reading)
+    return named

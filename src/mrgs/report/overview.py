@@ -1,12 +1,14 @@
-"""Where the marks are: on a plan from above or from the front, and on a temperature map."""
+"""Where the marks are: in photos, on a plan from above or from the front, on a temperature map."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float32, Float64
 from PIL import Image, ImageDraw
 
@@ -18,26 +20,32 @@ from mrgs.maps.facade import facade_map
 from mrgs.maps.options import MapOptions
 from mrgs.maps.picture import frame_map, map_body, map_scale
 from mrgs.marks.mark import Mark
+from mrgs.marks.photo_survey import PhotoSurvey
 from mrgs.marks.regions import Regions
+from mrgs.marks.surface import SurfaceRenderer
 from mrgs.pictures.drawing import (
     INK,
     MUTED,
+    PAPER,
     Box,
+    Scale,
+    above_scale,
     draw_plate,
     draw_strokes,
     draw_text,
     fit_text,
     text_width,
 )
-from mrgs.pictures.palette import round_down
+from mrgs.pictures.files import to_array, to_picture
+from mrgs.pictures.palette import display_range, round_down
+from mrgs.pictures.values import in_unit, unit_label
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
-from mrgs.scene import Scene
+from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
 
 LABEL_PX = 24
 SMALL_PX = 420
-MARK, RIM = (200, 70, 0), (255, 255, 255)
-WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+MARK, WHITE, BLACK = (200, 70, 0), (255, 255, 255), (0, 0, 0)
 RING_PX, STROKE_PX = 13, 3
 MANY = 15
 """Names from which on they are written in smaller letters."""
@@ -61,6 +69,11 @@ def draw_marks(
             _draw_ring(image, *corners[0])
         else:
             draw_strokes(image, [[*path, path[0]] if marks[name].is_area else path], STROKE_PX)
+    draw_names_at(image, places)
+
+
+def draw_names_at(image: Image.Image, places: Mapping[str, Float64[np.ndarray, "_ 2"]]) -> None:
+    """Write names in the middle of their marks' corners, see ``draw_names``."""
     middles = {name: corners.mean(axis=0) for name, corners in places.items()}
     draw_names(image, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
 
@@ -79,11 +92,11 @@ def draw_place(
     draw, path = ImageDraw.Draw(image), [*map(tuple, corners)]
     if mark.is_area:
         path.append(path[0])
-    for color, wider in ((RIM, 4), (MARK, 0)):
+    for color, wider in ((WHITE, 4), (MARK, 0)):
         if mark.kind != "spot":
             draw.line(path, fill=color, width=round(radius) + wider, joint="curve")
     x, y = np.mean(corners, axis=0)
-    draw.ellipse((x - radius, y - radius, x + radius, y + radius), MARK, RIM, 2)
+    draw.ellipse((x - radius, y - radius, x + radius, y + radius), MARK, WHITE, 2)
 
 
 def small_picture(image: Image.Image) -> Image.Image:
@@ -94,9 +107,8 @@ def small_picture(image: Image.Image) -> Image.Image:
 
 
 def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) -> dict[str, Box]:
-    """Write names beside their places, so that none covers another, nor another's place: where
-    there are many, in smaller letters, and farther away where it is crowded. A name for which there
-    is no room is left out. Returns the boxes of the others."""
+    """Write names beside their places, so that none covers another, nor another's place: many in
+    smaller letters, farther away where it is crowded, and none without room. Returns the boxes."""
     size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
     labels = {name: fit_text(name, size, image.width / 2) for name in places}
     boxes = _boxes_of(image, labels, places, size)
@@ -144,8 +156,7 @@ def _boxes_about(x: float, y: float, wide: float, half: float) -> Iterator[Box]:
 
 
 def _is_free(box: Box, taken: Bool[np.ndarray, "h w"]) -> bool:
-    """Whether a box lies in an image and on no pixel that is taken: by one look, however many other
-    boxes there are."""
+    """Whether a box lies in an image and on no pixel that is taken."""
     left, top, right, bottom = box
     height, width = taken.shape
     inside = left >= 0 and top >= 0 and right <= width and bottom <= height
@@ -173,7 +184,7 @@ FACES_ONE_SIDE = 0.7
 FADED = 0.45
 """Share of white in the colours of the surfaces, so that the marks stand out."""
 
-PAPER, CAMERA = (255, 255, 255), (31, 95, 168)
+CAMERA = (31, 95, 168)
 
 
 class Plan:
@@ -210,10 +221,7 @@ class Plan:
         image = self._ground.copy()
         for mark in marks.values():
             draw_place(image, mark, self._pixels(self._flat(mark)), LABEL_PX / 4)
-        middles = {
-            name: self._pixels(self._flat(mark)).mean(axis=0) for name, mark in marks.items()
-        }
-        draw_names(image, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
+        draw_names_at(image, {name: self._pixels(self._flat(m)) for name, m in marks.items()})
         self._draw_scale(image)
         return image
 
@@ -235,7 +243,7 @@ class Plan:
         for (x, y), shade in zip(self._pixels(flat[order, :2]), shades.tolist(), strict=True):
             draw.rectangle((x - 2, y - 2, x + 2, y + 2), fill=tuple(shade))
         for x, y in self._pixels(self._cameras):
-            draw.polygon([(x, y - 10), (x + 9, y + 6), (x - 9, y + 6)], fill=CAMERA, outline=RIM)
+            draw.polygon([(x, y - 10), (x + 9, y + 6), (x - 9, y + 6)], fill=CAMERA, outline=WHITE)
         return image
 
     def _draw_scale(self, image: Image.Image) -> None:
@@ -398,3 +406,99 @@ def draw_temperature_map(
     system = coordinate_system(scene)
     drawn = map_from_above(baked, scene, system, MapOptions(), corrected, MOST_PX)
     return TemperatureMap(drawn, False, system.north)
+
+
+OVERVIEW_PX = 900
+MOST_OVERVIEWS = 3
+SCALE_GAP_PX = 10
+TAIL_PERCENT = 0.2
+"""Percentage of the surfaces' temperatures cut off at each end of a picture's colour scale."""
+
+
+class Overview(NamedTuple):
+    """A view with the marks that it sees.
+
+    Attributes:
+        seen: names of the marks.
+        pictures: the photo of every modality but thermal, RGB first; then the thermal rendering
+            above its scale.
+    """
+
+    view: str
+    seen: list[str]
+    pictures: list[Image.Image]
+
+
+def overviews(
+    scene: Scene,
+    marks: Mapping[str, Mark],
+    survey: PhotoSurvey,
+    render: SurfaceRenderer,
+    decimal: str = ".",
+) -> list[Overview]:
+    """The views that together see most marks by their middles, the one that sees most first; at
+    most ``MOST_OVERVIEWS``.
+
+    Args:
+        survey: of the scene's thermal training photos.
+        decimal: before the decimals of the scale's numbers.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    thermal = [view for view in scene.train if THERMAL in view.images]
+    names = np.array([*marks])
+    middles = np.array([np.mean(mark.points, axis=0) for mark in marks.values()], np.float32)
+    seen = [names[item.shown(middles).rows].tolist() for item in survey]
+    left, chosen = set(marks), []
+    for _ in range(MOST_OVERVIEWS):
+        best = max(range(len(seen)), key=lambda i: len(left & set(seen[i])), default=None)
+        if best is None or not left & set(seen[best]):
+            break
+        shown = {name: marks[name] for name in seen[best] if name in left}
+        view = thermal[survey.chosen[best]]
+        chosen.append(_overview(view, shown, scene, render, decimal))
+        left -= set(shown)
+    return chosen
+
+
+def _overview(
+    view: View, marks: Mapping[str, Mark], scene: Scene, render: SurfaceRenderer, decimal: str
+) -> Overview:
+    pictures = []
+    for modality in sorted(in_order(view.images), key=lambda each: each == THERMAL):
+        camera = view.images[modality].camera
+        if modality == THERMAL:
+            picture, scale = _thermal(render(camera), camera, scene, decimal)
+        else:
+            pixels = to_picture(modality, view.images[modality].load().values, None, "inferno")
+            picture = Image.fromarray(pixels)
+        size = OVERVIEW_PX, max(1, round(picture.height * OVERVIEW_PX / picture.width))
+        picture = picture.resize(size, Image.Resampling.LANCZOS)
+        _draw_marks(picture, camera, marks)
+        pictures.append(
+            picture if modality != THERMAL else above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
+        )
+    return Overview(view.name, list(marks), pictures)
+
+
+def _thermal(
+    rendering: Rendering, camera: Camera, scene: Scene, decimal: str
+) -> tuple[Image.Image, Scale]:
+    """The thermal image and its scale, which its surfaces use up; the sky may be beyond it."""
+    values = in_unit(THERMAL, to_array(rendering[THERMAL].image[..., 0]), scene.temperature)
+    surface = scene.reach.without_background(camera, rendering.surface_depth(THERMAL))
+    limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
+    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
+    return Image.fromarray(scale.colorize(values)), scale
+
+
+def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -> None:
+    """Draw the marks that do not reach behind the camera."""
+    zoom = image.width / camera.width
+    shown = {}
+    for name, mark in marks.items():
+        corners = zoom * camera.project(torch.tensor(mark.points).double())[0].numpy()
+        if np.isfinite(corners).all():
+            shown[name] = corners
+    draw_marks(image, marks, shown)

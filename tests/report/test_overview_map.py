@@ -13,7 +13,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions
 from mrgs.pictures.palette import palette_table
-from mrgs.report.plan import (
+from mrgs.report.overview import (
     MARK,
     MOST_PX,
     TemperatureMap,

@@ -15,7 +15,7 @@ from PIL import Image
 from mrgs.marks import Mark, MarkReading
 from mrgs.pictures.drawing import COLDEST, HOTTEST
 from mrgs.pictures.html import InlineImage
-from mrgs.report.marks import (
+from mrgs.report.findings import (
     LEAST_SHARE,
     MARK_SHARE,
     WIDTH_PX,
