@@ -4,12 +4,10 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import Camera, Scene
-from mrgs.viewer.saving import pinhole
 from mrgs.viewer.settings import Subject
 from tests.helpers.runs import SMALL, trained_run
 from tests.helpers.subjects import subject_of
@@ -44,9 +42,5 @@ def subject(small_run: Run, balls: Scene, tmp_path: Path) -> Subject:
 @pytest.fixture
 def camera() -> Camera:
     """Looks at the balls from x = 3, as wide as 4:3."""
-    forward, down = np.array([-1.0, 0, 0]), np.array([0, 0, -1.0])
-    rotation = np.stack([np.cross(down, forward), down, forward], axis=1)
-    from scipy.spatial.transform import Rotation
-
-    wxyz = np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
-    return pinhole(wxyz, np.array([3.0, 0, 0]), math.radians(45), 160, 120)
+    across_deg = math.degrees(2 * math.atan(math.tan(math.radians(22.5)) * 4 / 3))
+    return Camera.from_fov(160, 120, across_deg).look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -58,9 +58,10 @@ class MarkNumbers:
 
 
 class CachedMeter(MarkMeter):
-    """Measures marks in a model that does not change, each only once: another note, a new name or
-    one more mark change nothing of what the others measure. Surfaces with an emissivity of their
-    own may lie under any mark: when these change, all are measured again."""
+    """Measures marks in a model that does not change, each only once: a note, a name or another
+    mark change no reading. Surfaces with an emissivity of their own may be under any mark: when
+    they change, all are measured again.
+    """
 
     def __init__(self, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
@@ -103,9 +104,8 @@ def _surface_of(mark: Mark) -> Mark:
 
 
 class MarkBoard:
-    """The marks on the disk, as they were measured last.
-
-    Everything that measures must be called where the model may be used, see ``Worker``.
+    """The marks on the disk, as they were measured last; to be called where the model may be used,
+    see ``Worker``.
 
     Args:
         picker: finds the surface that marks are drawn on; has the meter that measures them.
@@ -144,8 +144,7 @@ class MarkBoard:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is assumed of the photos where a surface has an emissivity of its own, and what the
-        ± leaves out."""
+        """Assumptions where a surface has an emissivity of its own, and what the ± leaves out."""
         assumed = self._meter.capture.notes if self.regions else ()
         shown = any(reading.uncertainty for reading in (*self.readings, *self.proposals))
         left_out = self.uncertainty.notes if shown and self.uncertainty is not None else ()
@@ -168,13 +167,11 @@ class MarkBoard:
 
     @property
     def is_stale(self) -> bool:
-        """Whether the files of the run have changed since they were read; takes three looks at the
-        disk."""
+        """Whether the files of the run have changed since they were read."""
         return self._files != self._files_now()
 
     def refresh(self) -> None:
-        """Measure what another program has changed. Files that cannot be read change nothing but
-        ``problems``."""
+        """Measure what another program has changed; unreadable files change only ``problems``."""
         if not self.is_stale:
             return
         self._files = self._files_now()
@@ -197,13 +194,8 @@ class MarkBoard:
             self._notify()
 
     def draw(self, kind: MarkKind, camera: Camera, pixels: Sequence[tuple[float, float]]) -> None:
-        """Add a mark through pixels of a camera's image, under the next free name.
-
-        Raises:
-            ConfigError: it cannot be.
-            SceneError: a photo cannot be read.
-            RunError: it cannot be saved.
-        """
+        """Add a mark through pixels of a camera's image, under the next free name; errors as for
+        ``edit``, also SceneError if a photo cannot be read."""
         place = self._picker.pick(kind, camera, pixels)
         self.edit(lambda marks: marks.adding(Mark(marks.free_name(kind), kind, *place)))
 
@@ -217,11 +209,11 @@ class MarkBoard:
 
     def refer_to(self, number: int | None) -> None:
         """Let all differences refer to the mark of a number, or to none; errors as for ``edit``."""
-        self.edit(
-            lambda marks: replace(
-                marks, reference="" if number is None else self._name(marks, number)
-            )
-        )
+
+        def change(marks: Marks) -> Marks:
+            return replace(marks, reference="" if number is None else self._name(marks, number))
+
+        self.edit(change)
 
     def edit(self, change: Callable[[Marks], Marks]) -> None:
         """Change the marks, save, measure and notify.
@@ -237,8 +229,8 @@ class MarkBoard:
         self._show_saved(self._store.undo())
 
     def _show_saved(self, marks: Marks) -> None:
-        """Show what has just been written; another program may have written since. What cannot be
-        measured is saved all the same: that is a problem, and no error of the change."""
+        """Show what has just been written. What cannot be measured is saved all the same: that is a
+        problem, and no error of the change."""
         self._files = None
         try:
             self._measure(marks)

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -19,7 +17,7 @@ from mrgs.pictures.files import write_png
 from mrgs.pictures.video import VIDEO_FPS, can_write_mp4, frame_writer
 from mrgs.scene import Camera
 from mrgs.scene.camera import field_of_view
-from mrgs.scene.rotations import matrix_from_quaternion, opengl_camera_to_world, rigid_transform
+from mrgs.scene.rotations import opengl_camera_to_world, rigid_transform
 from mrgs.system.atomic import require_folder, write_text
 from mrgs.viewer.annotation import annotate
 from mrgs.viewer.inspection import Inspection
@@ -106,11 +104,7 @@ def render_video(
 
 
 def _folder(inspection: Inspection, name: str) -> Path:
-    """Where files of a kind are written.
-
-    Raises:
-        WriteError: the run's folder is gone.
-    """
+    """The folder for files of a kind; WriteError if the run's folder is gone."""
     run = inspection.subject.folder
     require_folder(run)
     return run / "renders" / name
@@ -124,39 +118,14 @@ def _next_free(folder: Path, suffix: str) -> Path:
     return folder / f"{number:04d}{suffix}"
 
 
-def pinhole(
-    wxyz: Float[np.ndarray, "4"],
-    position: Float[np.ndarray, "3"],
-    fov: float,
-    width: int,
-    height: int,
-) -> Camera:
-    """A pinhole camera with square pixels and a centred principal point.
-
-    Args:
-        wxyz: rotation from the camera's OpenCV axes to the world, a unit quaternion.
-        fov: vertical field of view, radians.
-    """
-    focal = 0.5 * height / math.tan(0.5 * fov)
-    K = torch.tensor(
-        [[focal, 0, 0.5 * width], [0, focal, 0.5 * height], [0, 0, 1]], dtype=torch.float64
-    )
-    rotation = matrix_from_quaternion(wxyz).T
-    return Camera(K, rigid_transform(rotation, -rotation @ np.asarray(position)), width, height)
-
-
 def vertical_fov(camera: Camera) -> float:
     """Vertical field of view of a camera, radians."""
     return field_of_view(camera.height, camera.K[1, 1].item())
 
 
 def smooth_path(keyframes: Sequence[Camera], frames: int) -> list[Camera]:
-    """Cameras along a smooth curve through the keyframes, evenly in time; the size is that of the
-    first.
-
-    Raises:
-        ConfigError: fewer than two keyframes.
-    """
+    """Pinhole cameras with square pixels along a smooth curve through the keyframes, evenly in
+    time; the size is that of the first. ConfigError for fewer than two keyframes."""
     if len(keyframes) < 2:
         raise ConfigError("a camera path needs at least two keyframes: add them from two places")
     times = np.arange(len(keyframes), dtype=np.float64)
@@ -165,35 +134,31 @@ def smooth_path(keyframes: Sequence[Camera], frames: int) -> list[Camera]:
         times, np.stack([camera.position.numpy() for camera in keyframes]), bc_type="natural"
     )
     turns = Rotation.from_matrix([camera.viewmat[:3, :3].numpy().T for camera in keyframes])
-    quaternions = RotationSpline(times, turns)(wanted).as_quat(scalar_first=True)
+    axes = RotationSpline(times, turns)(wanted).as_matrix()
     fovs = np.interp(wanted, times, [vertical_fov(camera) for camera in keyframes])
     width, height = keyframes[0].width, keyframes[0].height
-    return [
-        pinhole(wxyz, position, float(fov), width, height)
-        for wxyz, position, fov in zip(quaternions, positions(wanted), fovs, strict=True)
-    ]
+    path = []
+    for rotation, position, fov in zip(axes, positions(wanted), fovs.tolist(), strict=True):
+        focal = 0.5 * height / math.tan(0.5 * fov)
+        K = [[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]]
+        viewmat = rigid_transform(rotation.T, -rotation.T @ position)
+        path.append(Camera(K, viewmat, width, height))
+    return path
 
 
 def save_path(path: Path, keyframes: Sequence[Camera], seconds: float, fps: int) -> Path:
     """Write the keyframes as nerfstudio's camera-path JSON (camera to world, OpenGL axes); returns
-    the path.
-
-    Raises:
-        ConfigError: there are no keyframes.
-        RunError: the file cannot be written.
-    """
+    the path. Errors as for ``save_keyframes``."""
     if not keyframes:
         raise ConfigError("there are no keyframes to save: add some first")
-    entries = []
-    for camera in keyframes:
-        degrees = math.degrees(vertical_fov(camera))
-        entries.append(
-            {
-                "camera_to_world": opengl_camera_to_world(camera.viewmat).flatten().tolist(),
-                "fov": degrees,
-                "aspect": camera.width / camera.height,
-            }
-        )
+    entries = [
+        {
+            "camera_to_world": opengl_camera_to_world(camera.viewmat).flatten().tolist(),
+            "fov": math.degrees(vertical_fov(camera)),
+            "aspect": camera.width / camera.height,
+        }
+        for camera in keyframes
+    ]
     document = {
         "camera_type": "perspective",
         "render_width": keyframes[0].width,

@@ -21,19 +21,19 @@ from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.run_marks import MarkPicker, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import SurfaceRenderer, before_background
+from mrgs.marks.surface import before_background
 from mrgs.marks.uncertainty import Budget, UncertaintyMeter
 from mrgs.pictures.page_data import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, CameraResponse, Rendering, Scene
 from mrgs.scene.preview import best_view
+from mrgs.survey import Survey
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.board import Appraiser, CachedMeter, MarkBoard
 from mrgs.viewer.gate import require_free
 from mrgs.viewer.panes import PaneImages, UncertaintyPictures
 from mrgs.viewer.picking import render_surface
-from mrgs.viewer.saving import pinhole
 from mrgs.viewer.settings import Start, Subject, shown_modalities
 from mrgs.viewer.source import LiveSource, TrainedSource
 
@@ -172,9 +172,8 @@ class LiveView:
         """Stop the server and cancel what it waits for. Raises nothing."""
         self._source.close()
         viewer = self._served
-        self._viewer = self._served = self._model = self._scene = (
-            None  # a closed view keeps nothing in memory
-        )
+        # A closed view keeps nothing in memory.
+        self._viewer = self._served = self._model = self._scene = None
         try:
             if viewer is not None:
                 viewer.close()
@@ -216,12 +215,8 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
 
 
 def title_of(folder: Path, scene: str) -> str:
-    """Heading of a run's viewer: the scene's name, and that of the folder, which tells the runs of
-    a scene apart; the folder's alone where it begins with the scene's, as by default.
-
-    Args:
-        scene: name of the run's scene; empty if not known.
-    """
+    """Heading of a run's viewer: names of the scene (empty if not known) and of the folder, which
+    tells the scene's runs apart; the folder's alone where it begins with the scene's."""
     own = folder.resolve().name
     return own if own.startswith(scene) else f"{scene}, {own}"
 
@@ -240,7 +235,14 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         CaptureSettings.of(subject.scene),
     )
     picker = MarkPicker(meter, subject.scene, by_photos=not changes)
-    appraise = None if changes else _appraiser(subject, draw)
+    appraise: Appraiser | None = None
+    scene, temperature = subject.scene, subject.temperature
+    if scene is not None and not changes:
+        readings = PhotoReadings(draw, subject.camera_response, scene.train, temperature)
+
+        def appraise(survey: Survey) -> UncertaintyMeter:
+            return UncertaintyMeter(readings, temperature and Budget.of(scene, survey))
+
     return MarkBoard(MarkStore(subject.folder, spread), picker, appraise)
 
 
@@ -249,17 +251,6 @@ def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], Pan
     if board.uncertainty is None or THERMAL not in subject.modalities:
         return None
     return UncertaintyPictures(board, subject.source, subject.temperature).images
-
-
-def _appraiser(subject: Subject, draw: SurfaceRenderer) -> Appraiser | None:
-    """None without photos."""
-    scene, temperature = subject.scene, subject.temperature
-    if scene is None:
-        return None
-    witnesses = PhotoReadings(draw, subject.camera_response, scene.train, temperature)
-    return lambda survey: UncertaintyMeter(
-        witnesses, None if temperature is None else Budget.of(scene, survey)
-    )
 
 
 def is_training(folder: Path) -> bool:
@@ -300,5 +291,4 @@ def camera_around(means: Float[np.ndarray, "n 3"]) -> Camera:
     centre = np.median(means, axis=0).astype(np.float64)
     radius = float(np.median(np.linalg.norm(means - centre, axis=1))) or 1.0
     position = centre + 2.5 * radius * np.array([1.0, -1.0, 0.6])
-    at_origin = pinhole(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), math.radians(50), 800, 600)
-    return at_origin.look_at(position, centre)
+    return Camera.from_fov(800, 600, 63.7).look_at(position, centre)

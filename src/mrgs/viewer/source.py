@@ -111,12 +111,9 @@ class DetailLevel(NamedTuple):
 
 
 class LevelsOfDetail:
-    """A model in several levels of detail. They are made in a thread; until then there is only the
-    model itself.
-
-    Args:
-        model: that no longer changes, in the host's memory.
-        most_in_view: Gaussians that may be in view.
+    """A model in several levels of detail, which are made in a thread; until then there is only the
+    model itself, which must not change and be in the host's memory. At most ``most_in_view``
+    Gaussians may be in view.
     """
 
     def __init__(self, model: Model, most_in_view: int = MOST_IN_VIEW) -> None:
@@ -201,12 +198,8 @@ class TrainedSource:
         self._lock = threading.Lock()
 
     def run(self, job: Callable[[Model], Result], moving: Camera | None = None) -> Result:
-        """Run a job on the model after those before it; returns the result of the job.
-
-        Args:
-            moving: the camera of a picture that is wanted soon: drawn from as few Gaussians as
-                that takes. None for the model itself.
-        """
+        """Run a job on the model after those before it; returns its result. ``moving`` is the
+        camera of a picture that is wanted soon, drawn from as few Gaussians as that takes."""
         with self._lock:
             return job(self._model if moving is None else self._levels.model_for(moving))
 
@@ -253,13 +246,8 @@ class LiveSource:
             return len(self._jobs)
 
     def run(self, job: Callable[[Model], Result], moving: Camera | None = None) -> Result:
-        """Wait until the training has run the job between two steps, and return what it returns.
-
-        A model in training is drawn as it is, also while the camera moves.
-
-        Raises:
-            CancelledError: the source was closed.
-        """
+        """Wait until the training has run the job between two steps, and return its result, also
+        while the camera moves. CancelledError if the source was closed."""
         future: Future[Result] = Future()
         with self._lock:
             if self._closed:
@@ -273,24 +261,16 @@ class LiveSource:
         return nullcontext()
 
     def charge(self) -> None:
-        """Account for the processor time that the calling thread has used since it last called
-        this, or since it began.
-
-        For the viewer's own threads: painting and serving take time from the training as rendering
-        does.
-        """
+        """Account for the processor time that the calling thread has used since its last call, or
+        since it began: painting and serving take time from the training as rendering does."""
         now = self._thread_clock()
         with self._lock:
             self._credit_s -= now - getattr(self._charged, "until_s", 0.0)
         self._charged.until_s = now
 
     def serve(self, model: Model) -> None:
-        """Run the oldest job if the credit allows; called by the training between two steps. Raises
-        nothing.
-
-        What the jobs draw with is on the host, so a model that trains on a GPU is copied there
-        first.
-        """
+        """Run the oldest job if the credit allows, on a copy of the model on the host; called by
+        the training between two steps. Raises nothing."""
         now = self._clock()
         with self._lock:
             self._credit_s = min(self._credit_s + self._share * (now - self._last), MAX_CREDIT_S)
