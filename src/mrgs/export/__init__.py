@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mrgs.export.formats import Format as Format
     from mrgs.export.loss import BakingLoss as BakingLoss
     from mrgs.export.loss import baking_loss_db as baking_loss_db
-    from mrgs.export.page import write_page as write_page
+    from mrgs.export.page.write import write_page as write_page
     from mrgs.export.write import export as export
 
 __getattr__, __dir__, __all__ = lazy_imports(__name__)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Float32, Float64
 from PIL import Image
 from torch import Tensor
 
@@ -139,35 +139,28 @@ def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
         f"{i} {_row(p)} {_row(c)} 0"
         for i, (p, c) in enumerate(zip(positions, colors, strict=True), start=1)
     ]
-    return [
-        write_text(
-            folder / "cameras.txt", _lines("# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy", cameras)
-        ),
-        write_text(
-            folder / "images.txt", _lines("# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", images)
-        ),
-        write_text(folder / "points3D.txt", _lines("# POINT3D_ID X Y Z R G B ERROR", points)),
-    ]
+    tables = {
+        "cameras.txt": ["# CAMERA_ID MODEL WIDTH HEIGHT fx fy cx cy", *cameras],
+        "images.txt": ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", *images],
+        "points3D.txt": ["# POINT3D_ID X Y Z R G B ERROR", *points],
+    }
+    return [write_text(folder / name, "\n".join(t) + "\n") for name, t in tables.items()]
 
 
 def _registered(scene: Scene) -> list[tuple[str, Camera]]:
     """Names and cameras for COLMAP."""
-    views, has_celsius = scene.views, scene.temperature is not None
     named = [
         [
-            (_image_path(view, modality, has_celsius), camera)
+            (_image_path(view, modality, scene.temperature is not None), camera)
             for modality, camera in view.cameras.items()
         ]
-        for view in views
+        for view in scene.views
     ]
-    if all(_has_one_camera(view) for view in views):
+    if all(
+        view.shares_camera(next(iter(view.images)), e) for view in scene.views for e in view.images
+    ):
         return [(Path(path).name, camera) for (path, camera), *_ in named]
     return [image for images in named for image in images]
-
-
-def _has_one_camera(view: View) -> bool:
-    first, *others = view.images
-    return all(view.shares_camera(first, each) for each in others)
 
 
 def _write_images(folder: Path, view: View, temperature: TemperatureRange | None) -> list[Path]:
@@ -176,8 +169,10 @@ def _write_images(folder: Path, view: View, temperature: TemperatureRange | None
         pixels = image.load()
         path = folder / _image_path(view, modality, temperature is not None)
         paths.append(_write_image(path, modality, pixels.values, temperature))
-        masks = "masks" if modality == RGB else f"{modality}_masks"
-        paths += _write_mask(folder / masks / f"{view.name}.png", pixels.valid)
+        if pixels.valid is not None:
+            masks = folder / ("masks" if modality == RGB else f"{modality}_masks")
+            mask = Image.fromarray(pixels.valid.numpy().astype(np.uint8) * 255)
+            paths.append(write_png(masks / f"{view.name}.png", mask))
     return paths
 
 
@@ -196,18 +191,6 @@ def _write_image(
     return write_png(path, Image.fromarray(grey))
 
 
-def _write_mask(path: Path, valid: Bool[Tensor, "h w"] | None) -> list[Path]:
-    return (
-        []
-        if valid is None
-        else [write_png(path, Image.fromarray(valid.numpy().astype(np.uint8) * 255))]
-    )
-
-
 def _row(values: Sequence[float] | Float64[np.ndarray, " n"]) -> str:
     """Numbers as text that reads back to the same bits."""
     return " ".join(repr(value) for value in values)
-
-
-def _lines(header: str, lines: Sequence[str]) -> str:
-    return "\n".join([header, *lines]) + "\n"

@@ -54,7 +54,7 @@ _FORMATS = (
     ),
     _format("mesh", "triangles with colour and temperature"),
     _format("cameras", "transforms.json, a COLMAP model and the undistorted images"),
-    _format("page", "one HTML file"),
+    _format("page", "one HTML file", "page.write:export"),
     _format(
         "ortho",
         "map from above in °C: GeoTIFF and PNG; not part of all",

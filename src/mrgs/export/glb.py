@@ -62,9 +62,8 @@ def write_glb(
     """Write a glb file; returns the path.
 
     Args:
-        up: the up direction of that frame, unit length; the node is rotated so that it becomes
-            glTF's +y.
-            None leaves it.
+        up: the up direction of the scene's frame, unit length; the node is rotated so that it
+            becomes glTF's +y. None leaves it.
         extras: facts for the file's ``asset.extras``.
         properties: more numbers per splat by name, float32; glTF keeps them under ``_NAME`` in
             capitals.

@@ -13,7 +13,13 @@ from jaxtyping import Float32, Float64
 
 from mrgs.export.loss import BakingLoss, correction_note
 from mrgs.export.sidecar import color_facts, write_sidecar
-from mrgs.export.splats import SplatArrays, ThermalScale, modality_splats, temperature_name
+from mrgs.export.splats import (
+    SplatArrays,
+    ThermalScale,
+    shaded_splats,
+    temperature_name,
+    thermal_splats,
+)
 from mrgs.export.surface_points import Columns, SurfacePoints, surface_points
 from mrgs.maps.options import MapOptions
 from mrgs.marks.regions import Regions
@@ -122,8 +128,8 @@ class ExportJob:
 
     @cached_property
     def splat_model(self) -> BakedModel:
-        """The model for files of splats: where a marked surface has an emissivity of its own, their
-        temperatures are corrected one by one."""
+        """The model for files of splats: on marked surfaces their temperatures are corrected one by
+        one."""
         return self.baked if self.regions is None else self.regions.of_splats(self.baked)
 
     @cached_property
@@ -146,7 +152,9 @@ class ExportJob:
         baked = baked or self.splat_model
         for modality in self.modalities:
             facts = self.splat_facts | color_facts(modality, self.scale, baked)
-            yield modality, modality_splats(baked, modality, self.scale), facts
+            is_thermal, scale = modality == THERMAL, self.scale
+            splats = thermal_splats(baked, scale) if is_thermal else shaded_splats(baked, modality)
+            yield modality, splats, facts
 
 
 def described(path: Path, facts: Mapping[str, Any]) -> list[Path]:

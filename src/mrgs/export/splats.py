@@ -82,14 +82,11 @@ def thermal_scale(
     Raises:
         ConfigError: limits in °C for a model without °C, or limits that are not ascending.
     """
+    known = baked.temperature
     if limits is None:
-        known = baked.temperature
-        return (
-            ThermalScale(palette, 0.0, 1.0)
-            if known is None
-            else ThermalScale(palette, known.min_c, known.max_c)
-        )
-    if baked.temperature is None:
+        low, high = (0.0, 1.0) if known is None else (known.min_c, known.max_c)
+        return ThermalScale(palette, low, high)
+    if known is None:
         raise ConfigError(
             "a range in °C was given, but the scene has no temperature range: leave the range out"
         )
@@ -125,20 +122,9 @@ def require_exportable(baked: BakedModel) -> None:
         )
 
 
-def modality_splats(baked: BakedModel, modality: Modality, scale: ThermalScale) -> SplatArrays:
-    """The splats that show a modality: temperatures in the colours of a palette, any other modality
-    in its own colours or grey."""
-    if modality == THERMAL:
-        return thermal_splats(baked, scale)
-    return shaded_splats(baked, modality)
-
-
 def shaded_splats(baked: BakedModel, modality: Modality) -> SplatArrays:
-    """A modality's spherical harmonics with its opacity; the mean of the channels as grey if they
-    are not three.
-
-    Not for temperatures, which have no harmonics.
-    """
+    """Spherical harmonics of a modality other than thermal with its opacity; the mean of the
+    channels as grey if they are not three."""
     sh = baked.sh(modality)
     if modality.channels != 3:
         sh = sh.mean(dim=2, keepdim=True).expand(-1, -1, 3)
@@ -146,12 +132,8 @@ def shaded_splats(baked: BakedModel, modality: Modality) -> SplatArrays:
 
 
 def thermal_splats(baked: BakedModel, scale: ThermalScale) -> SplatArrays:
-    """The temperatures in the colours of a palette, with the thermal opacity; of degree 0, so that
-    they do not depend on the view.
-
-    A viewer blends these colours, not the temperatures, so a pixel at an edge may have a colour
-    that is not on the palette.
-    """
+    """The temperatures in the colours of a palette, with the thermal opacity; of degree 0. A viewer
+    blends these colours, not the temperatures: at an edge they may not be on the palette."""
     position = (shown_temperatures(baked) - scale.low) / (scale.high - scale.low)
     colors = palette_table(scale.palette)[np.rint(position.clip(0, 1) * 255).astype(np.uint8)]
     sh = ((colors / np.float32(255) - np.float32(0.5)) / np.float32(C0))[:, None]
@@ -159,13 +141,9 @@ def thermal_splats(baked: BakedModel, scale: ThermalScale) -> SplatArrays:
 
 
 def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedModel:
-    """A copy of the model with one value of each modality per splat: its mean over the cameras that
-    have the splat in their image, in [0, 1].
-
-    Closer to the photos than leaving the higher degrees out, whose mean over the directions from
-    which a splat was seen is not zero. It averages over at most ``MEAN_OVER`` cameras,
-    evenly spaced over those given.
-    """
+    """A copy of the model with one value of each modality per splat: its mean over at most
+    ``MEAN_OVER`` cameras that have the splat in their image, in [0, 1]. Closer to the photos than
+    without the higher degrees, whose mean over these directions is not zero."""
     asked = [cameras[index] for index in evenly_spaced(len(cameras), MEAN_OVER)]
     means = {modality: _mean_values(baked, modality, asked) for modality in baked.sh_dc}
     return replace(

@@ -73,7 +73,8 @@ def export(
     on_baked: Callable[[BakingLoss], None] | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Write a model in one format, or in all, into a folder; returns the paths.
+    """Write a model in one format, or in all, into a folder; returns the paths. For palette, range
+    and maps see ``export_run``.
 
     Of all formats, those that cannot be written are left out.
 
@@ -89,11 +90,6 @@ def export(
         format: the name of one of ``FORMATS``, several names, or ``all``: every format that can be
             written here.
         folder: made if it does not exist; files of these names are replaced.
-        palette: colours of the colour-mapped files.
-        range_c: °C of the palette's first and last colour; None takes the scene's whole range
-            for splats, a map's own for a map; the page then begins with the viewer's range, or
-            with what the model shows to the photos' cameras where areas are corrected.
-        maps: choices for ``ortho`` and ``elevation``.
         on_baked: called with the PSNR that baking a run costs, dB.
         progress: called before each part with its number, the number of parts, and its name: first
             ``BAKING``, then each format.
@@ -114,7 +110,13 @@ def export(
         chosen = [each for each in every if _is_writable(each, scene, maps)]
     else:
         names = [format] if isinstance(format, str) else format
-        chosen = [_required(name, scene, maps) for name in names]
+        if unknown := [name for name in names if name not in FORMATS]:
+            raise ConfigError(
+                f"unknown export format {unknown[0]!r}: choose one of {', '.join(FORMATS)}, or all"
+            )
+        chosen = [FORMATS[name] for name in names]
+        for each in chosen:
+            each.require(scene, maps.crs)
     parts = [BAKING, *(each.name for each in chosen)]
     report = progress or (lambda number, count, name: None)
     report(1, len(parts), BAKING)
@@ -135,16 +137,6 @@ def export(
     return paths
 
 
-def _required(name: str, scene: Scene, maps: MapOptions) -> Format:
-    """The format of a name, if it can be written."""
-    if name not in FORMATS:
-        raise ConfigError(
-            f"unknown export format {name!r}: choose one of {', '.join(FORMATS)}, or all"
-        )
-    FORMATS[name].require(scene, maps.crs)
-    return FORMATS[name]
-
-
 def _is_writable(format: Format, scene: Scene, maps: MapOptions) -> bool:
     """Whether a format can be written; warns if not."""
     try:
@@ -159,18 +151,6 @@ def _note_left_out(format: Format, error: MrgsError) -> None:
     warn_user(f"{format.name} is left out: {error}")
 
 
-def _of_photos(baked: BakedModel, scene: Scene) -> BakedModel:
-    """The model with the modalities that its photos taught it: others still are as they began."""
-    photographed = baked.only(scene.modalities)
-    if not photographed.modalities:
-        has = ", ".join(modality.title for modality in scene.modalities)
-        raise RunError(
-            f"the model renders nothing that scene {scene.name} has photos of ({has}): give the "
-            f"scene that it was trained on"
-        )
-    return photographed
-
-
 def _job(
     model: Run | BakedModel,
     scene: Scene,
@@ -179,13 +159,16 @@ def _job(
     range_c: tuple[float, float] | None,
     maps: MapOptions,
 ) -> ExportJob:
-    run = model if isinstance(model, Run) else None
-    baked = (
-        model
-        if isinstance(model, BakedModel)
-        else bake(model.model, scene.train_cameras, model.temperature)
-    )
-    baked = _of_photos(baked, scene)
+    run = None
+    if isinstance(model, Run):
+        run, model = model, bake(model.model, scene.train_cameras, model.temperature)
+    baked = model.only(scene.modalities)  # others still are as they began
+    if not baked.modalities:
+        has = ", ".join(modality.title for modality in scene.modalities)
+        raise RunError(
+            f"the model renders nothing that scene {scene.name} has photos of ({has}): give the "
+            f"scene that it was trained on"
+        )
     require_exportable(baked)
     scale, up = thermal_scale(baked, palette, range_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)

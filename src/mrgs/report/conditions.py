@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping
 from datetime import date
 from decimal import Decimal
 from typing import NamedTuple
@@ -13,16 +14,8 @@ from mrgs.report.texts import Texts
 from mrgs.survey import Survey
 
 LEAST_DIFFERENCE_K = 10.0
-MOST_WIND_BUILDING_M_S = 5.0
-LEAST_HOURS_WITHOUT_SUN = 2.0
-LEAST_IRRADIANCE_W_M2 = 600.0
-MOST_WIND_PLANT_M_S = 7.8
-"""4 Beaufort: 28 km/h."""
-
-MOST_CLOUD_EIGHTHS = 2.0
 MOST_PIXEL_CM = 3.0
 """So that a cell of a module is five pixels wide."""
-
 
 ONE_DECIMAL = ("°C", "K", "m/s")
 """Units whose values always have a decimal."""
@@ -53,21 +46,40 @@ def conditions_of(survey: Survey, pixel_m: float | None = None) -> list[Conditio
     if survey.standard is None:
         return []
     if survey.standard == "IEC TS 62446-3":
-        return [*(check(survey) for check in _PLANT), _resolution(pixel_m)]
-    return [check(survey) for check in _BUILDING]
-
-
-def difference_k(survey: Survey) -> float | None:
-    """The air inside minus the air outside."""
-    if survey.inside_c is None or survey.outside_c is None:
-        return None
-    return _rounded(survey.inside_c - survey.outside_c)
-
-
-def _difference(survey: Survey) -> Condition:
-    found = difference_k(survey)
+        return [*(_compared(survey, *each) for each in _PLANT), _resolution(pixel_m)]
+    found = None
+    if survey.inside_c is not None and survey.outside_c is not None:
+        found = _rounded(survey.inside_c - survey.outside_c)
     met = None if found is None else abs(found) >= LEAST_DIFFERENCE_K
-    return Condition("Air inside minus outside", "at least 10 K", _derived(found, "K"), met)
+    return [
+        Condition("Air inside minus outside", "at least 10 K", _derived(found, "K"), met),
+        _steady(survey),
+        *(_compared(survey, *each) for each in _BUILDING),
+        Condition("Precipitation", "dry surfaces", "", None, survey.precipitation or ""),
+    ]
+
+
+_BUILDING = (
+    ("Wind", "wind_m_s", "m/s", "at most 5 m/s", -math.inf, 5.0),
+    ("Without direct sun", "hours_without_sun", "h", "at least 2 h", 2.0, math.inf),
+)
+_PLANT = (
+    ("Irradiance in the plane of the modules", "irradiance_w_m2", "W/m²", "at least 600 W/m²",
+     600.0, math.inf),
+    ("Wind", "wind_m_s", "m/s", "at most 7.8 m/s (4 Beaufort)", -math.inf, 7.8),
+    ("Clouds", "cloud_eighths", "/ 8", "at most 2 eighths of the sky", -math.inf, 2.0),
+)  # fmt: skip
+"""Arguments of ``_compared``."""
+
+
+def _compared(
+    survey: Survey, what: str, field: str, unit: str, asked: str, low: float, high: float
+) -> Condition:
+    """A field of the survey that must be within limits."""
+    found = getattr(survey, field)
+    return Condition(
+        what, asked, _given(found, unit), None if found is None else low <= found <= high
+    )
 
 
 def _steady(survey: Survey) -> Condition:
@@ -76,44 +88,10 @@ def _steady(survey: Survey) -> Condition:
     stated, met = "", None
     if None not in known:
         inside, low, high = (float(each) for each in known if each is not None)
-        least = min(inside - low, inside - high, key=abs) if (inside - low) * (
-            inside - high
-        ) > 0 else 0.0  # fmt: skip
+        warmer, colder = inside - low, inside - high
+        least = min(warmer, colder, key=abs) if warmer * colder > 0 else 0.0
         stated, met = _derived(least, "K"), abs(_rounded(least)) >= LEAST_DIFFERENCE_K
     return Condition("The same, over the 24 hours before", "at least 10 K", stated, met)
-
-
-def _wind(most: float, asked: str) -> Callable[[Survey], Condition]:
-    def check(survey: Survey) -> Condition:
-        found = survey.wind_m_s
-        met = None if found is None else found <= most
-        return Condition("Wind", asked, _given(found, "m/s"), met)
-
-    return check
-
-
-def _sun(survey: Survey) -> Condition:
-    found = survey.hours_without_sun
-    met = None if found is None else found >= LEAST_HOURS_WITHOUT_SUN
-    return Condition("Without direct sun", "at least 2 h", _given(found, "h"), met)
-
-
-def _dry(survey: Survey) -> Condition:
-    return Condition("Precipitation", "dry surfaces", "", None, survey.precipitation or "")
-
-
-def _irradiance(survey: Survey) -> Condition:
-    found = survey.irradiance_w_m2
-    met = None if found is None else found >= LEAST_IRRADIANCE_W_M2
-    return Condition(
-        "Irradiance in the plane of the modules", "at least 600 W/m²", _given(found, "W/m²"), met
-    )
-
-
-def _clouds(survey: Survey) -> Condition:
-    found = survey.cloud_eighths
-    met = None if found is None else found <= MOST_CLOUD_EIGHTHS
-    return Condition("Clouds", "at most 2 eighths of the sky", _given(found, "/ 8"), met)
 
 
 def _resolution(pixel_m: float | None) -> Condition:
@@ -124,13 +102,13 @@ def _resolution(pixel_m: float | None) -> Condition:
 
 
 def pixel_cm_text(pixel_m: float) -> str:
-    """The width of a pixel in cm: with a decimal, or with two digits where that would leave one."""
+    """The width of a pixel in cm: with a decimal, below 1 cm with two digits."""
     cm = 100 * pixel_m
     return digits(cm, 2) if cm < 1 else f"{cm:.1f}"
 
 
 def _derived(value: float | None, unit: str) -> str:
-    """A value that was computed, with its unit: rounded, as it is judged."""
+    """A computed value with its unit, rounded as it is judged."""
     return "" if value is None else _given(_rounded(value), unit)
 
 
@@ -150,27 +128,21 @@ def _rounded(value: float) -> float:
     return round(value, 1) + 0.0
 
 
-_BUILDING = (_difference, _steady, _wind(MOST_WIND_BUILDING_M_S, "at most 5 m/s"), _sun, _dry)
-_PLANT = (_irradiance, _wind(MOST_WIND_PLANT_M_S, "at most 7.8 m/s (4 Beaufort)"), _clouds)
-
-
 def stated_rows(survey: Survey, t: Texts) -> list[tuple[str, str]]:
     """Label and value of what the survey states, translated."""
     rows = []
     for name, (label, unit) in LABELS.items():
         value = getattr(survey, name)
-        if value is not None:
-            text = _stated(value, unit, t)
-            rows.append((t(label), t(text) if name == "side" else text))
+        if value is None:
+            continue
+        if isinstance(value, float):
+            text = t.number(_given(value, unit))
+        elif isinstance(value, date):
+            text = t.date(value)
+        else:
+            text = t(str(value)) if name == "side" else str(value)
+        rows.append((t(label), text))
     return rows
-
-
-def _stated(value: object, unit: str, t: Texts) -> str:
-    if isinstance(value, float):
-        return t.number(_given(value, unit))
-    if isinstance(value, date):
-        return t.date(value)
-    return str(value)
 
 
 LABELS: Mapping[str, tuple[str, str]] = {

@@ -51,8 +51,8 @@ class Scores(NamedTuple):
 
 
 def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]]:
-    """Views, image sizes, temperature range and scale of the capture, and the thermal camera, as
-    the photos name it, or else the survey; translated."""
+    """Views, image sizes, temperature range and scale of the capture, and the thermal camera, by
+    the photos or else by the survey; translated."""
     views = scene.views
     modalities = in_order((*REPORTED, *scene.modalities))
     shared = all(
@@ -142,11 +142,8 @@ def training_rows(run: Run, t: Texts) -> list[tuple[str, str]]:
 
 
 def read_scores(run: Run, t: Texts) -> Scores | None:
-    """The mean scores of ``eval/metrics.json``; None if the run has not been scored.
-
-    Raises:
-        RunError: the file is not what ``mrgs eval`` writes.
-    """
+    """The mean scores of ``eval/metrics.json``; None if the run has not been scored, RunError if
+    the file is not what ``mrgs eval`` writes."""
     path = run.folder.path / "eval" / "metrics.json"
     if not path.is_file():
         return None
@@ -196,11 +193,7 @@ def _parts_rows(
 
 
 def read_contact_sheet(run: Run) -> InlineImage | None:
-    """The contact sheet of ``eval/``; None if there is none.
-
-    Raises:
-        RunError: it cannot be read.
-    """
+    """The contact sheet of ``eval/``, if there is one; RunError if it cannot be read."""
     path = run.folder.path / "eval" / "contact_sheet.png"
     if not path.is_file():
         return None

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from mrgs.export.page import write_page
 from mrgs.export.page.parts import PART
-from mrgs.export.page.write import PageMark
+from mrgs.export.page.write import PageContent, PageMark, write_page
 from mrgs.marks.regions import Regions
 from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
@@ -104,10 +103,11 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
         part_size: int = PART,
         **options: Any,
     ) -> Any:
-        write_page(
-            shown, cameras, "Synthetic splats", path, range_c=(0.0, 80.0), modalities=modalities,
-            marks=marks, regions=regions, part_size=part_size,
+        content = PageContent(
+            range_c=(0.0, 80.0), modalities=modalities, marks=marks, regions=regions,
+            part_size=part_size,
         )  # fmt: skip
+        write_page(shown, cameras, "Synthetic splats", path, content)
         page = new_page(browser, offline=True, **options)
         contexts.append(page.context)
         collect_errors(page, errors, ("file", "blob"))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.export.page import write_page
+from mrgs.export.page.write import PageContent, write_page
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
@@ -158,7 +158,7 @@ def test_only_what_the_photos_have_at_the_end_of_their_range_is_doubted(opened, 
 def test_a_browser_without_images_of_floats_says_so_and_reads_corrected_values(
     browser, table, regions, cameras, tmp_path
 ):
-    path = write_page(table, cameras, "t", tmp_path / "page.html", regions=regions)
+    path = write_page(table, cameras, "t", tmp_path / "page.html", PageContent(regions=regions))
     page = new_page(browser, viewport=WINDOW)
     page.add_init_script("WebGL2RenderingContext.prototype.getExtension = () => null;")
     page.goto(path.as_uri())

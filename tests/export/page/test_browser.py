@@ -13,8 +13,8 @@ import pytest
 import torch
 from PIL import Image
 
-from mrgs.export.page import parts, write_page
-from mrgs.export.page.write import PageMark
+from mrgs.export.page import parts
+from mrgs.export.page.write import PageContent, PageMark, write_page
 from mrgs.pictures.palette import colorize
 from mrgs.rasterizer import contract as dilation
 from mrgs.rasterizer.contract import Dilation
@@ -146,7 +146,8 @@ def test_a_page_in_parts_ends_with_the_picture_of_a_whole_one(open_page):
 
 def test_a_page_that_breaks_off_says_so(open_page, baked, cameras, tmp_path):
     path = tmp_path / "cut.html"
-    text = write_page(baked, cameras, "t", path, part_size=150).read_text(encoding="utf-8")
+    write_page(baked, cameras, "t", path, PageContent(part_size=150))
+    text = path.read_text(encoding="utf-8")
     path.write_text(text[: text.rindex('<script type="application/json" class="part">')])
     page = open_page()
     page.goto(path.as_uri())

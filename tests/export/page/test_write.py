@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.export.page import write_page
-from mrgs.export.page.write import area_facts, visible_range
+from mrgs.export.page.write import PageContent, area_facts, visible_range, write_page
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions
@@ -135,9 +134,8 @@ def test_the_policy_allows_this_script_and_style_only(page):
 def test_all_text_is_escaped(baked, cameras, tmp_path):
     evil = "</title><script>alert('x')</script>&\""
     named = {evil + name: camera for name, camera in cameras.items()}
-    text = write_page(baked, named, evil, tmp_path / "page.html", notes=[evil]).read_text(
-        encoding="utf-8"
-    )
+    path = write_page(baked, named, evil, tmp_path / "page.html", PageContent(notes=[evil]))
+    text = path.read_text(encoding="utf-8")
     assert "alert('x')" not in text
     assert text.count(
         "&lt;/title&gt;&lt;script&gt;alert(&#39;x&#39;)&lt;/script&gt;&amp;&#34;"
@@ -151,7 +149,7 @@ def test_whatever_marks_and_modalities_are_called_the_facts_stay_one_element(
     evil = "</script><!--<script>'\"\u2028&lt; <img src=x onerror=alert(1)>"
     mark = {"name": evil, "note": f"{evil}\n{evil}", "label": evil, "points": [[0.0, 0.0, 0.0]]}
     text = write_page(
-        baked, cameras, "t", tmp_path / "page.html", marks=[mark], settings=evil
+        baked, cameras, "t", tmp_path / "page.html", PageContent(marks=[mark], settings=evil)
     ).read_text(encoding="utf-8")  # fmt: skip
     page = Elements(text)
     assert json.loads(page.texts["facts"])["marks"] == [mark]
@@ -167,7 +165,8 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
         assert word in notes
     assert "does not record" in notes
     assert "apparent" not in notes
-    known = write_page(baked, cameras, "t", tmp_path / "known.html", settings="emissivity 0.70")
+    content = PageContent(settings="emissivity 0.70")
+    known = write_page(baked, cameras, "t", tmp_path / "known.html", content)
     words = " ".join(Elements(known.read_text(encoding="utf-8")).texts["li"].split())
     assert "emissivity 0.70" in words
     unknown = write_page(replace(baked, temperature=None), cameras, "t", tmp_path / "unknown.html")

@@ -1,10 +1,12 @@
-"""Writes model, cameras, marks, marked areas and the viewer's code into one HTML file."""
+"""``page.html``: one HTML file that shows every modality of a model, from a disk, without a
+network: model, cameras, marks, marked areas and the viewer's code."""
 
 from __future__ import annotations
 
 import base64
 import gzip
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,10 +15,10 @@ import numpy as np
 from markupsafe import Markup
 
 from mrgs.errors import ConfigError
+from mrgs.export.job import ExportJob
 from mrgs.export.page.packing import GZIP_LEVEL
 from mrgs.export.page.parts import PART, PageModel
 from mrgs.marks.emissivity import CaptureSettings
-from mrgs.marks.mark import Place
 from mrgs.marks.regions import REGION_DEPTH, RegionPlane, Regions, SurfaceRegion
 from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.tables import corrected_text, label_text, mark_text
@@ -28,12 +30,15 @@ from mrgs.pictures.page_data import (
     PALETTE_CHOICES,
     STAGE_SCRIPTS,
     STAGE_STYLE,
+    air_facts,
     camera_facts,
     modality_facts,
     palette_facts,
+    starting_limits,
     world_facts,
 )
 from mrgs.pictures.palette import PaletteName, display_range
+from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.pictures.values import in_unit, range_of
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
@@ -45,6 +50,8 @@ from mrgs.scene import (
     in_order,
     metric_first,
 )
+from mrgs.scene.preview import best_view
+from mrgs.survey import SURVEY_FILE, read_survey
 
 DEPTH_STEP = 1e-3
 """Quantisation step of the logarithms of depths: an eightieth of what they may differ by."""
@@ -119,7 +126,7 @@ def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
             {
                 **text,
                 "lines": [*text["lines"], *corrected],
-                "points": [_rounded(point) for point in mark.points],
+                "points": [[round(each, 6) for each in point] for point in mark.points],
                 "closed": mark.is_area,
                 "lowAt": list(reading.low_at) or None,
                 "highAt": list(reading.high_at) or None,
@@ -129,10 +136,6 @@ def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
     of_uncertainty = () if marks.meter.uncertainty is None else marks.meter.uncertainty.notes
     has_own = any(mark.has_settings for mark in known.marks)
     return shown, (*of_uncertainty, *(marks.meter.capture.notes if has_own else ()))
-
-
-def _rounded(point: Place) -> list[float]:
-    return [round(each, 6) for each in point]
 
 
 OWN_SCRIPTS = ("dilation", "areas", "shaders", "surface", "renderer", "stream", "app")
@@ -147,42 +150,17 @@ ASSETS: dict[str, Any] = {
 }
 """Style sheet, scripts and their policy, see ``write_html``."""
 
-SCENE_UNITS = WorldFrame().length_unit
 RANGE_VIEWS = 8
 RANGE_WIDTH_PX = 160
 SURFACE_ALPHA = 0.5
 """Below this accumulated alpha the page shows no surface, and reads no temperature."""
 
 
-def write_page(
-    baked: BakedModel,
-    cameras: Mapping[str, Camera],
-    title: str,
-    path: Path,
-    *,
-    palette: PaletteName = "inferno",
-    range_c: tuple[float, float] | None = None,
-    notes: Sequence[str] = (),
-    modalities: Sequence[Modality] | None = None,
-    start: str | None = None,
-    marks: Sequence[PageMark] = (),
-    regions: Regions | None = None,
-    length_unit: str = SCENE_UNITS,
-    air: Mapping[str, float | None] | None = None,
-    settings: str = "",
-    part_size: int = PART,
-) -> Path:
-    """Write the model as one HTML page; returns its path.
+@dataclass(frozen=True)
+class PageContent:
+    """What the page shows beside the model, and how it begins.
 
-    The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
-    It takes about 7 MB for 100,000 splats with RGB and thermal. A model of more than ``part_size``
-    splats is shown coarsely first, and finely as its parts are read.
-
-    Args:
-        baked: N splats.
-        cameras: of the captured views, by name.
-        title: heading of the page.
-        path: ends with .html.
+    Attributes:
         palette: one of ``PALETTE_CHOICES``; the reader may choose another.
         range_c: temperatures at the ends of the palette, °C (normalised without °C); None takes
             those of what some of the cameras see.
@@ -194,31 +172,83 @@ def write_page(
         regions: surfaces with an emissivity of their own, whose temperatures the page corrects.
         length_unit: of depths, see ``WorldFrame.length_unit``.
         air: that the alarms of the isotherm begin with, see ``air_facts``.
-        settings: that the temperatures were computed with, see ``settings_text``; empty if not
-            known.
+        settings: that the temperatures were computed with, see ``settings_text``.
         part_size: splats of a part, see ``PageModel``.
+    """
+
+    palette: PaletteName = "inferno"
+    range_c: tuple[float, float] | None = None
+    notes: Sequence[str] = ()
+    modalities: Sequence[Modality] | None = None
+    start: str | None = None
+    marks: Sequence[PageMark] = ()
+    regions: Regions | None = None
+    length_unit: str = WorldFrame().length_unit
+    air: Mapping[str, float | None] = field(default_factory=dict)
+    settings: str = ""
+    part_size: int = PART
+
+
+def export(job: ExportJob) -> list[Path]:
+    """Write ``page.html`` into the job's folder; returns its path."""
+    scene = job.scene
+    marks, assumptions = ([], ()) if job.marks is None else page_marks(job.marks)
+    range_c = job.range_c
+    if range_c is None and not job.regions and THERMAL in job.modalities:
+        range_c = starting_limits((THERMAL,), scene, scene.temperature)[THERMAL]
+    content = PageContent(
+        job.palette,
+        range_c,
+        (*scene.notes, *assumptions),
+        job.modalities,
+        scene.train[best_view(scene.train_cameras, job.baked.means)].name,
+        marks,
+        job.regions,
+        scene.world.length_unit,
+        {} if job.run is None else air_facts(read_survey(job.run.folder.path / SURVEY_FILE)),
+        settings_text(settings_of(scene.records), "given by the user"),
+    )
+    cameras = {view.name: view.camera for view in (*scene.eval, *scene.train)}
+    title = f"{scene.name}: thermal model"
+    return [write_page(job.baked, cameras, title, job.folder / "page.html", content)]
+
+
+def write_page(
+    baked: BakedModel,
+    cameras: Mapping[str, Camera],
+    title: str,
+    path: Path,
+    content: PageContent | None = None,
+) -> Path:
+    """Write the model with the cameras of its views, by name, as one HTML page; returns its path.
+
+    The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
+    It takes about 7 MB for 100,000 splats with RGB and thermal. A model of more than
+    ``content.part_size`` splats is shown coarsely first, and finely as its parts are read.
 
     Raises:
         ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
         RunError: the file cannot be written.
     """
-    shown = metric_first(in_order(baked.modalities if modalities is None else modalities))
-    _check(shown, cameras, palette, range_c)
-    every = list(cameras.values())
-    start = start or next(iter(cameras))
-    model = PageModel(baked, shown, cameras[start], part_size)
+    content = content or PageContent()
+    modalities = baked.modalities if content.modalities is None else content.modalities
+    shown = metric_first(in_order(modalities))
+    _check(shown, cameras, content)
+    every, start = list(cameras.values()), content.start or next(iter(cameras))
+    model = PageModel(baked, shown, cameras[start], content.part_size)
+    regions = content.regions
     areas = area_facts(regions) if regions and THERMAL in shown else None
     facts = {
         "model": model.facts,
         "cameras": [camera_facts(camera) for camera in every],
         "world": world_facts(every),
         "palettes": palette_facts(PALETTE_CHOICES),
-        "modalities": [_modality_facts(each, baked, every, range_c, regions) for each in shown],
+        "modalities": [_modality_facts(each, baked, every, content) for each in shown],
         "readable": [each.name for each in shown if each.channels == 1],
         "areas": areas,
-        "marks": list(marks),
-        "length_unit": length_unit,
-        "air": air or {},
+        "marks": list(content.marks),
+        "length_unit": content.length_unit,
+        "air": content.air,
     }
     return write_html(
         path,
@@ -231,15 +261,15 @@ def write_page(
         date=date.today().isoformat(),
         temperature=baked.temperature,
         palettes=PALETTE_CHOICES,
-        palette=palette,
+        palette=content.palette,
         cameras=list(cameras),
         start=start,
-        notes=notes,
-        marks=marks,
+        notes=content.notes,
+        marks=content.marks,
         splats=model.count,
         left_out=len(baked) - model.count,
-        length_unit=length_unit,
-        settings=settings,
+        length_unit=content.length_unit,
+        settings=content.settings,
         facts=script_json(facts),
         worker=Markup("\n").join(map(asset, WORKER_SCRIPTS)),
         parts=(Markup(part.to_json()) for part in model.parts()),
@@ -252,8 +282,8 @@ def visible_range(
     cameras: Sequence[Camera],
     regions: Regions | None = None,
 ) -> tuple[float, float]:
-    """Limits of a one-channel modality that hold all but half a percent, at each end, of what some
-    of the cameras see; in its unit, with the temperatures of regions corrected."""
+    """Limits of a one-channel modality: percentiles 0.5 and 99.5 of what some of the cameras see,
+    in its unit, with the temperatures of regions corrected."""
     seen = []
     for index in evenly_spaced(len(cameras), RANGE_VIEWS):
         small = cameras[index].with_width(RANGE_WIDTH_PX)
@@ -264,25 +294,20 @@ def visible_range(
         values = shown_values(modality, blend.image, None)
         seen.append(values[blend.alpha.numpy() >= SURFACE_ALPHA])
     low, high = display_range(np.concatenate(seen))
-    return (
-        in_unit(modality, low, baked.temperature),
-        in_unit(modality, high, baked.temperature),
-    )
+    return in_unit(modality, low, baked.temperature), in_unit(modality, high, baked.temperature)
 
 
 def _check(
-    modalities: Sequence[Modality],
-    cameras: Mapping[str, Camera],
-    palette: PaletteName,
-    range_c: tuple[float, float] | None,
+    modalities: Sequence[Modality], cameras: Mapping[str, Camera], content: PageContent
 ) -> None:
+    range_c = content.range_c
     if not modalities:
         raise ConfigError("the page needs at least one modality to show")
     if not cameras:
         raise ConfigError("the page needs at least one camera to open on")
-    if palette not in PALETTE_CHOICES:
+    if content.palette not in PALETTE_CHOICES:
         raise ConfigError(
-            f"the page has no palette {palette}; choose one of {', '.join(PALETTE_CHOICES)}"
+            f"the page has no palette {content.palette}; choose one of {', '.join(PALETTE_CHOICES)}"
         )
     if range_c is not None and not -np.inf < range_c[0] < range_c[1] < np.inf:
         raise ConfigError(
@@ -292,17 +317,13 @@ def _check(
 
 
 def _modality_facts(
-    modality: Modality,
-    baked: BakedModel,
-    cameras: Sequence[Camera],
-    range_c: tuple[float, float] | None,
-    regions: Regions | None,
+    modality: Modality, baked: BakedModel, cameras: Sequence[Camera], content: PageContent
 ) -> Mapping[str, Any]:
     """A modality for the page's script, with the ends of its palette."""
-    if modality == THERMAL and range_c is not None:
-        ends = range_c
+    if modality == THERMAL and content.range_c is not None:
+        ends = content.range_c
     elif modality.is_metric:
-        ends = visible_range(baked, modality, cameras, regions)
+        ends = visible_range(baked, modality, cameras, content.regions)
     else:
         ends = range_of(modality, baked.temperature)
     return modality_facts(modality, baked.temperature, ends)
