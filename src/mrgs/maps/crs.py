@@ -8,6 +8,7 @@ similarity, but over a scene by millimetres; the residual is reported.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -81,13 +82,6 @@ class CoordinateSystem:
         """Coordinates of points of the scene, [N, 3]."""
         return np.einsum("ij,nj->ni", self.matrix[:3, :3], positions) + self.matrix[:3, 3]
 
-    def facts(self) -> dict[str, Any]:
-        """For a sidecar and header comments."""
-        return {
-            "crs": self.name,
-            "crs_from_scene": [[float(x) for x in row] for row in self.matrix],
-        }
-
 
 def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSystem:
     """The CRS of a scene in metres: a projected one where GPS placed the scene, else a local one.
@@ -119,11 +113,7 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
 
 
 def require_metres(scene: Scene) -> None:
-    """Check that a scene is in metres.
-
-    Raises:
-        ConfigError: that is not known.
-    """
+    """Check that a scene is in metres; ConfigError if that is not known."""
     if not scene.world.metric:
         raise ConfigError(
             f"{scene.name} has no scale, so it has no coordinates in metres: prepare it with GPS "
@@ -131,15 +121,6 @@ def require_metres(scene: Scene) -> None:
             f'"georeference": {{"units": "metres"}} to its transforms.json',
             options=("known_distance",),
         )
-
-
-def known_coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSystem | None:
-    """The CRS of formats that do without one: None where the scene has no scale, or has a place on
-    Earth beyond UTM, or pyproj is not installed."""
-    try:
-        return coordinate_system(scene, wanted)
-    except ConfigError:
-        return None
 
 
 def place_facts(scene: Scene, wanted: str | None = None) -> Mapping[str, Any]:
@@ -152,8 +133,11 @@ def place_facts(scene: Scene, wanted: str | None = None) -> Mapping[str, Any]:
         facts["origin"] = world.origin._asdict()
     if world.residual_m is not None:
         facts["gps_residual_m"] = round(world.residual_m, 3)
-    system = known_coordinate_system(scene, wanted)
-    return facts if system is None else facts | system.facts()
+    with suppress(ConfigError):  # beyond UTM, or pyproj is not installed
+        system = coordinate_system(scene, wanted)
+        matrix = [[float(x) for x in row] for row in system.matrix]
+        facts |= {"crs": system.name, "crs_from_scene": matrix}
+    return facts
 
 
 def local_wkt(name: str) -> str:
@@ -170,11 +154,7 @@ def local_wkt(name: str) -> str:
 
 
 def require_pyproj() -> ModuleType:
-    """Import the package pyproj.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """Import the package pyproj; ConfigError if it is not installed."""
     return optional_package("pyproj", "map coordinates", "export")
 
 
@@ -202,20 +182,18 @@ def _wanted(pyproj: ModuleType, wanted: str, origin: EarthPosition) -> Any:
             f"{wanted} ({crs.name}) is not a projected CRS in metres; give one such as EPSG:25832",
             options=("crs",),
         )
-    area = crs.area_of_use
-    if area is not None and not _covers(area, origin):
+    area, longitude = crs.area_of_use, origin.longitude_deg
+    if area is None:
+        return crs
+    beyond = longitude < area.west, longitude > area.east
+    across = all(beyond) if area.west > area.east else any(beyond)
+    if across or not area.south <= origin.latitude_deg <= area.north:
         raise ConfigError(
             f"{wanted} ({crs.name}) does not cover the scene at {origin.latitude_deg:.4f}°, "
-            f"{origin.longitude_deg:.4f}°; choose one that does, or leave it out for UTM",
+            f"{longitude:.4f}°; choose one that does, or leave it out for UTM",
             options=("crs",),
         )
     return crs
-
-
-def _covers(area: Any, origin: EarthPosition) -> bool:
-    west, east, longitude = area.west, area.east, origin.longitude_deg
-    within = west <= longitude <= east if west <= east else longitude >= west or longitude <= east
-    return within and area.south <= origin.latitude_deg <= area.north
 
 
 def _from_scene(

@@ -82,15 +82,8 @@ class Surfaces(NamedTuple):
 def find_facade(
     surfaces: Surfaces, up: Float64[np.ndarray, "3"], eye: Float64[np.ndarray, "3"]
 ) -> Facade:
-    """The façade of a scene.
-
-    Args:
-        up: the vertical, unit length.
-        eye: a place before the façade: the middle of the cameras.
-
-    Raises:
-        RunError: no upright plane has ``MIN_SHARE`` of the surfaces.
-    """
+    """The façade of a scene, with the vertical ``up`` of unit length, seen from ``eye`` before it;
+    RunError if no upright plane has ``MIN_SHARE`` of the surfaces."""
     walls = np.abs(surfaces.normals @ up) < MAX_TURN
     normal, anchor = _upright_plane(surfaces, walls, up)
     members = _members(surfaces, normal, anchor)
@@ -111,11 +104,8 @@ def given_facade(
     eye: Float64[np.ndarray, "3"],
 ) -> Facade:
     """The façade through three points: lower left, lower right, and one above them. The vertical,
-    where it is known and not across the plane, says where its top is; else the points do.
-
-    Raises:
-        RunError: no surface that photos show lies on the plane.
-    """
+    where it is known and not across the plane, decides where its top is; else the points do.
+    RunError if no surface that photos show is on the plane."""
     across, aside = corners[1] - corners[0], corners[2] - corners[0]
     normal = np.cross(across, aside)
     normal /= np.linalg.norm(normal)
@@ -133,11 +123,7 @@ def given_facade(
 
 
 def surfaces_of(maps: Sequence[DepthMap]) -> Surfaces:
-    """Points with normals from depth maps, thinned evenly to ``SAMPLES``.
-
-    Raises:
-        RunError: the depth maps show no surface.
-    """
+    """Points with normals from depth maps, thinned evenly to ``SAMPLES``; RunError for none."""
     parts = [_surfaces(item) for item in maps]
     points, normals, depths = (np.concatenate([part[k] for part in parts]) for k in range(3))
     if not len(points):

@@ -21,6 +21,7 @@ from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, PosedImage, Rendering, Scene
 from mrgs.scene.depth_map import MIN_ALPHA, DepthMap
+from mrgs.scene.rotations import rigid_transform
 
 TIMES_AS_FAR = 1000.0
 """Distance of the camera from the map, in lengths of the map's longer side: relief of a tenth of
@@ -58,8 +59,7 @@ class MapGrid:
 
     @property
     def lower_left(self) -> Float64[np.ndarray, "3"]:
-        """The lower left corner of the map in the scene's coordinates, in the middle of the
-        slab."""
+        """Scene coordinates of the map's lower left corner, in the middle of the slab."""
         return self._on_plane(self.left, self.top - self.height * self.pixel_m, sum(self.slab) / 2)
 
     def camera(self, column: int, row: int, width: int, height: int) -> Camera:
@@ -77,9 +77,9 @@ class MapGrid:
         )
         right, up, out = self.axes
         rotation = np.stack([right, -up, -out])
-        viewmat = np.eye(4)
-        viewmat[:3, :3] = rotation
-        viewmat[:3, 3] = -np.einsum("ij,j->i", rotation, middle + distance * out)
+        viewmat = rigid_transform(
+            rotation, -np.einsum("ij,j->i", rotation, middle + distance * out)
+        )
         focal = distance / pixel
         K = [[focal, 0.0, half_width - column], [0.0, focal, half_height - row], [0.0, 0.0, 1.0]]
         return Camera(K, viewmat, width, height)
@@ -92,8 +92,7 @@ class MapGrid:
         return u, v
 
     def window_of(self, points: Float64[np.ndarray, "n 3"]) -> tuple[slice, slice]:
-        """The rows and columns of the smallest part of the map that holds points of the scene, as
-        far as they lie in it."""
+        """Rows and columns of the smallest part of the map with all points that are on it."""
         if not len(points):
             return slice(0, 0), slice(0, 0)
         u, v = self.to_map(points).T
@@ -131,17 +130,10 @@ RENDERED, MEASURED = 0, 1
 
 def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     """Small depth maps of the thermal photos, without images: infinite where the background is
-    seen, NaN where nothing is.
-
-    Raises:
-        RunError: no photo sees a surface.
-    """
-    maps = []
+    seen, NaN where nothing is. RunError if no photo sees a surface."""
+    maps, surface = [], scene.modalities[0]
     for image in scene.train_photos(THERMAL):
-        camera = image.camera
-        if camera.width > SURVEY_PX:
-            camera = camera.with_width(SURVEY_PX)
-        surface = scene.modalities[0]
+        camera = image.camera.with_width(min(image.camera.width, SURVEY_PX))
         depth = _surface_depth(baked.render({surface: camera}, surface), scene, camera)
         maps.append(DepthMap(camera, depth, np.empty((*depth.shape, 0), np.float32)))
     if not any(np.isfinite(item.depth).any() for item in maps):
@@ -170,10 +162,7 @@ level."""
 
 def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
     """The up direction, unit length [3], if the photos were taken level: perpendicular to all
-    cameras' horizontal axes.
-
-    None where those axes do not lie in one plane (tilted cameras), or are all parallel.
-    """
+    cameras' horizontal axes; None where these are not in one plane, or all parallel."""
     cameras = [camera for view in scene.train for camera in view.cameras.values()]
     rotations = np.stack([camera.viewmat[:3, :3].numpy() for camera in cameras])
     right, down, forward = rotations.transpose(1, 0, 2)
@@ -186,11 +175,7 @@ def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
 
 
 def vertical(scene: Scene) -> Float64[np.ndarray, "3"]:
-    """The up direction of a scene, unit length.
-
-    Raises:
-        ConfigError: it is not known.
-    """
+    """The up direction of a scene, unit length; ConfigError if it is not known."""
     if scene.world.north:
         return UP_SNAP
     up = up_direction(scene)
@@ -209,13 +194,9 @@ def pixel_size_m(
     extent: Float64[np.ndarray, "2"],
     most_px: int | None,
 ) -> float:
-    """Side of a map's pixel, metres: as wanted, or the width of a photo's pixel on the surfaces
-    (median), to two digits; that of the first modality, which has the finest pixels.
-
-    Args:
-        maps: what the photos show, see ``survey``.
-        most_px: for its longer side; None without a limit.
-    """
+    """Side of a map's pixel, metres: as wanted, or the width of a pixel of the first modality's
+    photos, which are finest, on the surfaces (median), to two digits; but at most ``most_px`` fit
+    on the longer side of the map's ``extent``. ``maps`` are a ``survey``."""
     focals = [float(camera.K[0, 0]) for camera in scene.train_cameras]
     size = options.pixel_size_m or float(f"{median_distance(maps) / np.median(focals):.1e}")
     return size if most_px is None else max(size, float(extent.max()) / most_px)
@@ -224,8 +205,7 @@ def pixel_size_m(
 def on_seen_surface(
     maps: Sequence[DepthMap], points: Float32[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether points lie on a surface that any photo shows: what floats before it, lies behind it,
-    or belongs to the sky does not."""
+    """Whether points are on a surface that any photo shows, not before or behind it."""
     found = np.zeros(len(points), bool)
     for item in maps:
         found[item.shown(points).rows] = True
@@ -267,8 +247,7 @@ class PhotoStatistics:
 
     @property
     def celsius(self) -> Float32[np.ndarray, "h w"]:
-        """°C as the photos' cameras see them in the model, their mean with weights 1 / z²; NaN
-        where none looked."""
+        """°C as the photos' cameras see them in the model, weighted by 1 / z²; else NaN."""
         with np.errstate(invalid="ignore"):
             return self._total / self._weight
 
@@ -281,11 +260,7 @@ class PhotoStatistics:
 
 def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
     """A thermal photo with the depth of the model's surfaces, and °C as the model shows them and as
-    the photo does (NaN where masked), [H, W, 2].
-
-    Raises:
-        SceneError: the photo cannot be read.
-    """
+    the photo does (NaN where masked), [H, W, 2]. SceneError if the photo cannot be read."""
     assert scene.temperature is not None
     assert baked.temperature is not None
     camera, pixels = image.camera, image.load()
@@ -302,8 +277,7 @@ def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
 def _surface_depth(
     rendering: Rendering, scene: Scene, camera: Camera
 ) -> Float32[np.ndarray, "h w"]:
-    """The depth of the first modality of which there are photos, infinite where it shows the
-    background."""
+    """Depth of the first modality with photos, infinite where it shows the background."""
     depth = rendering.surface_depth(scene.modalities[0], MIN_ALPHA)
     return to_array(scene.reach.without_background(camera, depth))
 
@@ -331,12 +305,8 @@ class Coverage:
 
     @classmethod
     def of(cls, places: Iterable[Float64[np.ndarray, "_ 2"]], cell_m: float) -> Coverage:
-        """Count photos by the map coordinates of what each shows, at least one place in all.
-
-        Args:
-            places: of each photo, [N, 2].
-            cell_m: side of a cell, wide enough that a photo misses none that it shows.
-        """
+        """Count photos by the map coordinates of what each shows, [N, 2], at least one place in
+        all; a cell must be so wide that a photo misses none that it shows."""
         cells = [np.unique(np.floor(each / cell_m).astype(np.int64), axis=0) for each in places]
         every = np.concatenate(cells)
         first = every.min(axis=0)
@@ -374,10 +344,8 @@ LEAST_POINTS = 3
 
 
 class ShownPlaces:
-    """The surfaces in the pixels of a map.
-
-    From far away, where no photo was taken, a model also shows what floats before its surfaces, and
-    what lies behind gaps between its splats. In no photo it does.
+    """The surfaces in the pixels of a map. From far away, where no photo was taken, a model also
+    shows what floats before its surfaces, and what is behind gaps between its splats.
 
     Args:
         maps: what the photos show, see ``survey``.
@@ -391,13 +359,9 @@ class ShownPlaces:
     def depth_of_part(
         self, part: tuple[slice, slice], camera: Camera, depth: Float32[np.ndarray, "h w"]
     ) -> Float32[np.ndarray, "h w"]:
-        """The depth in a part of the map where a photo shows that surface; elsewhere that of the
-        photos' own surfaces, NaN where they have none, [H, W].
-
-        Args:
-            part: rows and columns in the map.
-            depth: that it sees; NaN where there is none.
-        """
+        """The depth that the camera of a part (rows and columns) of the map sees, where a photo
+        shows that surface; elsewhere that of the photos' own surfaces, NaN where they have none,
+        [H, W]."""
         points = unprojected(camera, depth).astype(np.float32)
         near = [each for each in self._maps if _overlap(each[1], part)]
         found = np.zeros(depth.shape, bool)

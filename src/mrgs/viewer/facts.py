@@ -34,7 +34,7 @@ from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.inspection import Inspection, PointReading
 from mrgs.viewer.messages import LONGEST_SIDE_PX, VIDEO_SECONDS, Look, encode
 from mrgs.viewer.painting import DrawnPicture
-from mrgs.viewer.picking import ValueReading
+from mrgs.viewer.panes import ValueReading
 from mrgs.viewer.settings import Mode, Start, Subject
 
 MOVING_JPEG: dict[str, Any] = {"quality": 80}

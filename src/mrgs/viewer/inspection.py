@@ -23,13 +23,14 @@ from mrgs.viewer.panes import (
     Pane,
     PaneImages,
     Place,
+    Reading,
     difference,
     panes_of,
     photo_images,
     place_at,
+    read_point,
     render_pane,
 )
-from mrgs.viewer.picking import Reading, read_point
 from mrgs.viewer.settings import Settings, Subject
 
 PHOTOS_KEPT = 4

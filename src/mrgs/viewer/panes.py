@@ -1,8 +1,9 @@
-"""The panes of a picture: their places and cameras, and the images and depths that they are painted
-from."""
+"""The panes of a picture: their places and cameras, the images and depths that they are painted
+from, and readings of the model at one of their points."""
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,9 +16,20 @@ from torch import Tensor
 
 from mrgs.marks.regions import Regions
 from mrgs.pictures.files import shown_values, to_array, to_rgb8
+from mrgs.pictures.values import in_unit, range_of
 from mrgs.rasterizer import Layer, rasterize
 from mrgs.render import Model, render
-from mrgs.scene import THERMAL, Blend, Camera, Modality, PosedImage, TemperatureRange, View
+from mrgs.scene import (
+    THERMAL,
+    Blend,
+    Camera,
+    Modality,
+    PosedImage,
+    Rendering,
+    TemperatureRange,
+    View,
+    metric_first,
+)
 from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.settings import Mode, Subject
@@ -261,6 +273,16 @@ def difference(modality: Modality, rendered: PaneImages, photo: PaneImages) -> P
     return PaneImages({modality: values.astype(np.float32)}, rendered.depth, solid)
 
 
+def _blend_uncertainty(model: Model, camera: Camera, of_splats: Float[Tensor, " n"]) -> Blend:
+    """Uncertainty, share that photos see, and temperature, blended with the thermal opacities."""
+    means = model.gaussians.means
+    with torch.no_grad():
+        seen = of_splats.isfinite()
+        values = model.values(THERMAL, camera.position.to(means), sh_degree=0)[:, 0]
+        features = torch.stack([of_splats.nan_to_num(), seen.float(), values.cpu()], dim=1)
+        return _blend(model, camera, THERMAL, features.to(means), (0.0, 0.0, 0.0))
+
+
 LEAST_SEEN = 0.5
 """A pixel of which less was seen by a thermal photo has no value."""
 
@@ -299,7 +321,7 @@ class UncertaintyPictures:
                 found = meter.of_photos(means.float().numpy())
                 self._of_splats = torch.from_numpy(found)
             of_splats = self._of_splats
-        blend = self._source.run(lambda model: _blend(model, camera, of_splats))
+        blend = self._source.run(lambda model: _blend_uncertainty(model, camera, of_splats))
         alpha = blend.alpha.clamp_min(SOLID_ALPHA)
         doubt, seen, value = (blend.image[..., i].double().numpy() for i in range(3))
         solid = (blend.alpha.numpy() >= SOLID_ALPHA) & (seen >= LEAST_SEEN * alpha.numpy())
@@ -313,17 +335,128 @@ class UncertaintyPictures:
         return PaneImages({THERMAL: total.astype(np.float32)}, depth.numpy(), solid)
 
 
-def _blend(model: Model, camera: Camera, of_splats: Float[Tensor, " n"]) -> Blend:
-    """Uncertainty, share that photos see, and temperature, blended with the thermal opacities."""
+def _blend(
+    model: Model,
+    camera: Camera,
+    modality: Modality,
+    values: Float[Tensor, "n c"],
+    background: Sequence[float],
+) -> Blend:
+    """Σ w_i values_i + T_end · background of every pixel, w_i by a modality's opacities."""
     gaussians = model.gaussians
     with torch.no_grad():
-        seen = of_splats.isfinite()
-        values = model.values(THERMAL, camera.position.to(gaussians.means), sh_degree=0)[:, 0]
-        features = torch.stack([of_splats.nan_to_num(), seen.float(), values.cpu()], dim=1)
-        features = features.to(gaussians.means)
-        layer = Layer(gaussians.opacity(THERMAL), features, features.new_zeros(3))
-        quats = torch.nn.functional.normalize(gaussians.quats, dim=1)
+        layer = Layer(gaussians.opacity(modality), values, values.new_tensor(background))
         return rasterize(
-            gaussians.means, quats, gaussians.scales, [layer], camera.viewmat, camera.K,
-            camera.width, camera.height, dilation_px2=model.dilation.of(camera),
+            gaussians.means, gaussians.quats, gaussians.scales, [layer], camera.viewmat.to(values),
+            camera.K.to(values), camera.width, camera.height,
+            dilation_px2=model.dilation.of(camera),
         ).blends[0]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ValueReading:
+    """The value of one modality at a pixel.
+
+    Attributes:
+        value: as rendered, in the modality's unit (normalised without one).
+        deviation: standard deviation of the values of what makes up the pixel, in the same unit.
+    """
+
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """The model's values at a point.
+
+    Attributes:
+        depth: z-depth from the camera that it was read through, scene units.
+        depth_deviation: standard deviation of the depths of the splats that make up the pixel,
+            scene units.
+    """
+
+    position: Float[np.ndarray, "3"]
+    depth: float
+    depth_deviation: float
+    values: Mapping[Modality, ValueReading]
+
+
+def read_point(
+    model: Model,
+    camera: Camera,
+    u: float,
+    v: float,
+    subject: Subject,
+    regions: Regions | None = None,
+) -> Reading | None:
+    """Read the pixel under a point of the image; None where the model is empty.
+
+    A value is that of the rendered image. Its deviation is the standard deviation, over all that
+    makes up the pixel with its blending weights w_i (the splats, and the background with T_end), of
+    their own values; that of the depth is over the splats. It is large where the model mixes much,
+    at an edge or where its surface is not thin. It is no error bar against the true value.
+
+    Args:
+        u: to the right, 0 to 1 over the image.
+        v: down, 0 to 1 over the image.
+        regions: surfaces with an emissivity of their own; None reads what the photos have.
+    """
+    width, height = camera.width, camera.height
+    column, row = min(int(u * width), width - 1), min(int(v * height), height - 1)
+    with torch.no_grad():
+        rendering = render_surface(model, camera, subject)
+        depth = rendering.visible_depth()[row, column].item()
+        if not math.isfinite(depth):
+            return None
+        if regions is not None:
+            rendering = regions.applied_to(rendering, camera)
+        depth_deviation = _depth_deviation(model, camera, rendering, depth, column, row)
+        values = {
+            modality: _read_value(model, camera, rendering, modality, subject, column, row)
+            for modality in subject.readable
+        }
+    pixel = torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64)
+    position = camera.unproject(pixel, pixel.new_tensor(depth)).numpy()
+    return Reading(position, depth, depth_deviation, values)
+
+
+def render_surface(model: Model, camera: Camera, subject: Subject) -> Rendering:
+    """The modalities that are shown, with the depths of their surfaces."""
+    with torch.no_grad():
+        return render(model, subject.cameras(camera), with_median_depth=True)[0]
+
+
+def _read_value(
+    model: Model,
+    camera: Camera,
+    rendering: Rendering,
+    modality: Modality,
+    subject: Subject,
+    column: int,
+    row: int,
+) -> ValueReading:
+    """A modality's value at a pixel, and the weighted standard deviation of what makes it up."""
+    value = rendering[modality].image[row, column, 0].item()
+    own = model.values(modality, camera.position.to(model.gaussians.means))[:, 0]
+    blend = _blend(model, camera, modality, (own - value).square()[:, None], (value**2,))
+    deviation = math.sqrt(max(blend.image[row, column, 0].item(), 0.0))
+    low, high = range_of(modality, subject.temperature)
+    return ValueReading(in_unit(modality, value, subject.temperature), deviation * (high - low))
+
+
+def _depth_deviation(
+    model: Model, camera: Camera, rendering: Rendering, depth: float, column: int, row: int
+) -> float:
+    """Weighted standard deviation of the depths of a pixel's splats, in the blend that gives the
+    pixel its depth."""
+    gaussians, viewmat = model.gaussians, camera.viewmat.to(model.gaussians.means)
+    modality = next(  # the pixel has a depth, so one of them covers it
+        each
+        for each in metric_first(rendering)
+        if rendering[each].alpha[row, column] >= SOLID_ALPHA
+    )
+    alpha, opacities = rendering[modality].alpha, gaussians.opacity(modality)
+    squares = (gaussians.means @ viewmat[2, :3] + viewmat[2, 3] - depth).square()
+    total = _blend(model, camera, opacities, squares, 0.0)[row, column]
+    return math.sqrt(total / alpha[row, column].item())

@@ -32,8 +32,7 @@ from mrgs.survey import Survey
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.board import Appraiser, CachedMeter, MarkBoard
 from mrgs.viewer.gate import require_free
-from mrgs.viewer.panes import PaneImages, UncertaintyPictures
-from mrgs.viewer.picking import render_surface
+from mrgs.viewer.panes import PaneImages, UncertaintyPictures, render_surface
 from mrgs.viewer.settings import Start, Subject, shown_modalities
 from mrgs.viewer.source import LiveSource, TrainedSource
 

@@ -9,7 +9,7 @@ from mrgs.rasterizer import Layer, rasterize
 from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL
 from mrgs.scene.rendering import SOLID_ALPHA
-from mrgs.viewer.picking import read_point
+from mrgs.viewer.panes import read_point
 from tests.helpers.subjects import subject_of
 
 
