@@ -45,14 +45,12 @@ def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
                 psnr(each[modality].image, photo.values, photo.valid) for each in (trained, plain)
             )
             losses[modality].append(of_trained - of_plain)
-    return {modality: _mean(each) for modality, each in losses.items()}
-
-
-def _mean(losses: list[float]) -> float | None:
-    """Mean of the finite losses: of identical images, or images without a valid pixel, none
-    is."""
-    finite = [loss for loss in losses if math.isfinite(loss)]
-    return round(math.fsum(finite) / len(finite), 4) + 0.0 if finite else None  # no -0.0
+    means: BakingLoss = {}
+    for modality, each in losses.items():
+        # That of identical images, or of images without a valid pixel, is not finite.
+        finite = [loss for loss in each if math.isfinite(loss)]
+        means[modality] = round(math.fsum(finite) / len(finite), 4) + 0.0 if finite else None
+    return means
 
 
 VIEWS = 16

@@ -12,7 +12,6 @@ from mrgs.export.job import ExportJob, described
 from mrgs.export.loss import baking_loss_db
 from mrgs.export.sidecar import loss_facts
 from mrgs.export.splats import SplatArrays, to_bytes, without_directions
-from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL
 from mrgs.system.atomic import replacing
 
@@ -22,7 +21,10 @@ _LAYOUT = [("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat",
 def export(job: ExportJob) -> list[Path]:
     """Write a file for each modality, with its sidecar."""
     flat = without_directions(job.baked, job.scene.train_cameras)
-    lost = _lost(job, flat) if job.scene.modalities != (THERMAL,) else {}
+    lost: dict[str, Any] = {"view_dependence": "left out"}
+    if job.run is not None and job.scene.modalities != (THERMAL,):
+        # Before the temperatures are corrected: the loss is a comparison with the photos.
+        lost["baking_loss_db"] = loss_facts(baking_loss_db(job.run, flat, job.scene))
     paths = []
     corrected = replace(flat, temperatures=job.splat_model.temperatures)
     for modality, splats, facts in job.splats(corrected):
@@ -30,15 +32,6 @@ def export(job: ExportJob) -> list[Path]:
             facts |= lost
         paths += described(write_splat(job.folder / f"{modality}.splat", splats), facts)
     return paths
-
-
-def _lost(job: ExportJob, flat: BakedModel) -> dict[str, Any]:
-    """Facts about the values that had a view dependence; a model is compared with the photos
-    before its temperatures are corrected."""
-    facts: dict[str, Any] = {"view_dependence": "left out"}
-    if job.run is not None:
-        facts["baking_loss_db"] = loss_facts(baking_loss_db(job.run, flat, job.scene))
-    return facts
 
 
 def write_splat(path: Path, splats: SplatArrays) -> Path:

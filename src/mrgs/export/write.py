@@ -106,8 +106,14 @@ def export(
     if maps.crs is not None:  # said now, not after minutes of baking and rendering
         coordinate_system(scene, maps.crs)
     if format == "all":
-        every = [each for each in FORMATS.values() if each.in_all]
-        chosen = [each for each in every if _is_writable(each, scene, maps)]
+        chosen = []
+        for each in FORMATS.values():
+            if each.in_all:
+                try:
+                    each.require(scene, maps.crs)
+                    chosen.append(each)
+                except ConfigError as error:
+                    _note_left_out(each, error)
     else:
         names = [format] if isinstance(format, str) else format
         if unknown := [name for name in names if name not in FORMATS]:
@@ -135,16 +141,6 @@ def export(
                 raise
             _note_left_out(each, error)
     return paths
-
-
-def _is_writable(format: Format, scene: Scene, maps: MapOptions) -> bool:
-    """Whether a format can be written; warns if not."""
-    try:
-        format.require(scene, maps.crs)
-    except ConfigError as error:
-        _note_left_out(format, error)
-        return False
-    return True
 
 
 def _note_left_out(format: Format, error: MrgsError) -> None:

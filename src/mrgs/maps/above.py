@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +21,6 @@ from mrgs.maps.surfaces import (
 )
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
-from mrgs.scene.depth_map import DepthMap
 
 TIMES_MEDIAN = 2.5
 """The map shows surfaces within this multiple of the photos' median distance: pixels of what is
@@ -50,7 +48,9 @@ def map_from_above(
     """
     axes, scale, offset = _plan_view(system, vertical(scene))
     maps = survey(baked, scene)
-    points = _near_points(maps)
+    limit = TIMES_MEDIAN * median_distance(maps)
+    near = [replace(item, depth=np.where(item.depth < limit, item.depth, np.inf)) for item in maps]
+    points = [item.points() for item in near]
     places = [scale * each @ axes[:2].T + offset for each in points]
     coverage = Coverage.of(places, CELL_PX * scale * survey_pixel(maps))
     heights = np.concatenate([each @ axes[2] for each in points])
@@ -78,10 +78,3 @@ def _plan_view(
     right = x - up * (up @ x)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(up, right), up]), 1.0, np.zeros(2)
-
-
-def _near_points(maps: Sequence[DepthMap]) -> list[Float64[np.ndarray, "_ 3"]]:
-    """The surfaces that the map may show, as each photo shows them."""
-    limit = TIMES_MEDIAN * median_distance(maps)
-    near = [replace(item, depth=np.where(item.depth < limit, item.depth, np.inf)) for item in maps]
-    return [item.points() for item in near]

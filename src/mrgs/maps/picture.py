@@ -126,7 +126,10 @@ def _draw_length(
 
 def bar_length(width: int, metres_per_px: float, decimal: str) -> tuple[float, list[str]]:
     """Length of the scale bar of a map, pixels, and the labels at its two ends and its middle."""
-    metres = _round_down(BAR_SHARE * width * metres_per_px)
+    longest = BAR_SHARE * width * metres_per_px
+    power = 10.0 ** float(np.floor(np.log10(longest)))
+    # 1, 2 and 4 halve well.
+    metres = next(f * power for f in (4, 2, 1) if f * power <= longest * (1 + 1e-9))
     unit, factor = ("m", 1.0) if metres >= 0.5 else ("cm", 100.0) if metres >= 0.01 else ("mm", 1e3)
     zero, half, whole = tick_labels([0.0, factor * metres / 2, factor * metres], decimal)
     return metres / metres_per_px, [zero, half, f"{whole} {unit}"]
@@ -146,9 +149,3 @@ def _draw_north(picture: Image.Image, middle: tuple[float, float], angle_deg: fl
     draw.polygon([tip, place(-20, 13), notch], fill=PAPER, outline=INK)
     x, y = place(32, 0)
     draw_text(picture, (x, y + 7), "N", 20, anchor="ms", bold=True)
-
-
-def _round_down(value: float) -> float:
-    """The last of 1, 2, 4 (which halve well) and 10 times a power of ten that is not above."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(next(f * power for f in (4, 2, 1) if f * power <= value * (1 + 1e-9)))

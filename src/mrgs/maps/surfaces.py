@@ -363,7 +363,11 @@ class ShownPlaces:
         shows that surface; elsewhere that of the photos' own surfaces, NaN where they have none,
         [H, W]."""
         points = unprojected(camera, depth).astype(np.float32)
-        near = [each for each in self._maps if _overlap(each[1], part)]
+        near = [
+            (item, window)
+            for item, window in self._maps
+            if all(a.start < b.stop and b.start < a.stop for a, b in zip(window, part, strict=True))
+        ]
         found = np.zeros(depth.shape, bool)
         for item, window in near:
             there = tuple(map(_within, window, part))
@@ -375,10 +379,6 @@ class ShownPlaces:
         seen = np.concatenate([np.empty((0, 3)), *others])
         seen = seen[self._grid.inside(seen)]
         return np.where(found, depth, _depth_of_cells(camera, seen, self._cell_px))
-
-
-def _overlap(window: tuple[slice, slice], part: tuple[slice, slice]) -> bool:
-    return all(a.start < b.stop and b.start < a.stop for a, b in zip(window, part, strict=True))
 
 
 def _within(span: slice, part: slice) -> slice:

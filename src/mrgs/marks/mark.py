@@ -123,7 +123,7 @@ class Mark:
         """Why it cannot be; empty if it can."""
         for field, longest in _TEXTS.items():
             text = getattr(self, field)
-            if len(text) > longest or not _is_plain(text):
+            if len(text) > longest or not all(c.isprintable() or c == "\n" for c in text):
                 return f"its {field} must be a text of at most {longest:,} printable characters"
         if not self.name.strip():
             return "its name must not be empty"
@@ -135,9 +135,6 @@ class Mark:
             return f"the radius of a spot must be above 0, not {shown(self.radius)}"
         if self.has_settings and not self.is_area:
             return "only boxes and polygons have an emissivity and a reflected temperature"
-        return self._setting_problem()
-
-    def _setting_problem(self) -> str:
         limits = {"emissivity": (*EMISSIVITY, ""), "reflected_c": (*REFLECTED_C, " °C")}
         for field, (low, high, unit) in limits.items():
             value = getattr(self, field)
@@ -272,7 +269,3 @@ def places_of(points: Sequence[Sequence[float]]) -> tuple[Place, ...]:
 def _is_number(value: Any, low: float, high: float) -> bool:
     is_real = isinstance(value, int | float) and not isinstance(value, bool)
     return is_real and math.isfinite(value) and low <= value <= high
-
-
-def _is_plain(text: str) -> bool:
-    return all(letter.isprintable() or letter == "\n" for letter in text)

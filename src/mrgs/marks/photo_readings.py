@@ -235,7 +235,14 @@ class PhotoReadings:
     def of_points(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
         """The parts of the uncertainty of what the photos' cameras see at points on surfaces, [N];
         SceneError if a photo cannot be read."""
-        found = [self._of_piece(points[rows]) for rows in row_chunks(len(points))]
+        found = []
+        for rows in row_chunks(len(points)):
+            sums = SightingSums(rows.stop - rows.start, OF_ONE_VALUE * self._step)
+            for index in range(len(self)):
+                item = self[index]
+                shown = item.shown(points[rows])
+                sums.add(shown.rows, item.image[shown.pixels])
+            found.append(sums.parts(OF_POINT))
         return PhotoParts(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
     @cached_property
@@ -253,14 +260,6 @@ class PhotoReadings:
         variances = np.concatenate(found)
         with_rounding = float(np.quantile(variances, EVEN_SHARE)) if len(variances) else 0.0
         return self._step * rounding_of_mean(max(with_rounding - 1 / 12, 0.0))
-
-    def _of_piece(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
-        sums = SightingSums(len(points), OF_ONE_VALUE * self._step)
-        for index in range(len(self)):
-            item = self[index]
-            shown = item.shown(points)
-            sums.add(shown.rows, item.image[shown.pixels])
-        return sums.parts(OF_POINT)
 
     def _witness(self, view: View) -> DepthMap:
         photo = view.images[THERMAL]

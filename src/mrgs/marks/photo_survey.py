@@ -43,13 +43,11 @@ class PhotoSurvey:
     def __iter__(self) -> Iterator[DepthMap]:
         """The depth image of each camera that is surveyed, in the order of ``chosen``."""
         if not self._maps:
-            self._maps = [self._map(camera) for camera in self.cameras]
+            for camera in self.cameras:
+                small = camera.with_width(min(camera.width, SURVEY_WIDTH_PX))
+                depth = seen_depth(self._render(small)).astype(np.float32)
+                self._maps.append(DepthMap(small, depth, depth[..., None]))
         return iter(self._maps)
-
-    def _map(self, camera: Camera) -> DepthMap:
-        small = camera.with_width(min(camera.width, SURVEY_WIDTH_PX))
-        depth = seen_depth(self._render(small)).astype(np.float32)
-        return DepthMap(small, depth, depth[..., None])
 
 
 RESOLVED_PX = 3.0

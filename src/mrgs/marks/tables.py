@@ -135,16 +135,16 @@ def text_rows(
             size_text(reading, world),
             DASH if reading.photos is None else str(reading.photos),
             reading.mark.severity or DASH,
-            _note_text(reading),
+            "; ".join(filter(None, _notes(reading))),
         )
         for reading in readings
     ]
 
 
-def _note_text(reading: MarkReading) -> str:
-    """Problem, correction, remarks and note of a mark, on one line."""
-    corrected, note = corrected_text(reading), " ".join(reading.mark.note.split())
-    return "; ".join(filter(None, (reading.problem, corrected, *reading.remarks, note)))
+def _notes(reading: MarkReading) -> tuple[str, ...]:
+    """Problem, correction, remarks and note of a mark; empty where there is none."""
+    note = " ".join(reading.mark.note.split())
+    return (reading.problem, corrected_text(reading), *reading.remarks, note)
 
 
 def facts_of_reading(

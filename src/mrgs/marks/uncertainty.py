@@ -106,24 +106,29 @@ class Budget:
         records = [] if scene is None else scene.records
         known = [record.parameters for record in records if record.parameters is not None]
         accuracy, notes = _accuracy(survey, any(record.camera for record in records))
-        stated = {
-            "emissivity": survey.emissivity_uncertainty,
-            "reflected_c": survey.reflected_uncertainty_c,
-            "distance_percent": survey.distance_uncertainty_percent,
-        }
-        chosen = {name: value for name, value in stated.items() if value is not None}
-        budget = cls(CaptureSettings.of(scene), _median_of(known), accuracy=accuracy, **chosen)
-        if known and len(chosen) < len(stated):
+        stated = (
+            survey.emissivity_uncertainty,
+            survey.reflected_uncertainty_c,
+            survey.distance_uncertainty_percent,
+        )
+        usual = EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT
+        emissivity, reflected, distance = (
+            b if a is None else a for a, b in zip(stated, usual, strict=True)
+        )
+        if known and None in stated:
             notes.append(
                 Message(
                     "Assumed as standard uncertainties: emissivity ± {emissivity}, reflected "
                     "temperature ± {reflected} K, distance ± {distance} %.",
-                    emissivity=f"{budget.emissivity:g}",
-                    reflected=f"{budget.reflected_c:g}",
-                    distance=f"{budget.distance_percent:g}",
+                    emissivity=f"{emissivity:g}",
+                    reflected=f"{reflected:g}",
+                    distance=f"{distance:g}",
                 )
             )
-        return replace(budget, notes=tuple(notes))
+        medians = [median(values) for values in zip(*map(astuple, known), strict=True)]
+        parameters = ObjectParameters(*medians) if known else None
+        capture = CaptureSettings.of(scene)
+        return cls(capture, parameters, emissivity, reflected, distance, accuracy, tuple(notes))
 
     def parts(
         self,
@@ -230,12 +235,6 @@ def _transmission(given: ObjectParameters, times: float) -> float:
     """Share of the radiation that the air lets through at a multiple of the noted distance."""
     tau = USUAL_AIR.transmission(given.distance_m * times, given.atmospheric_c, given.humidity)
     return _share(tau)
-
-
-def _median_of(known: Sequence[ObjectParameters]) -> ObjectParameters | None:
-    if not known:
-        return None
-    return ObjectParameters(*map(median, zip(*map(astuple, known), strict=True)))
 
 
 def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | None, list[str]]:

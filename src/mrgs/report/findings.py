@@ -67,18 +67,14 @@ CROSS_PX, DOT_PX = 16, 7
 def nearest_view(mark: Mark, scene: Scene) -> View | None:
     """The thermal view from nearest to where the mark was drawn that has all of it in its image."""
     points, eye = torch.tensor(mark.points).double(), torch.tensor(mark.eye).double()
-    views = [view for view in scene.views if THERMAL in view.images]
-    seen = [
-        view
-        for view in views
-        if bool(view.images[THERMAL].camera.contains(_project(view, points)).all())
-    ]
-    distance = [(view.images[THERMAL].camera.position - eye).norm().item() for view in seen]
-    return seen[int(np.argmin(distance))] if seen else None
-
-
-def _project(view: View, points: torch.Tensor) -> torch.Tensor:
-    return view.images[THERMAL].camera.project(points)[0]
+    nearest, least = None, math.inf
+    for view in scene.views:
+        if THERMAL in view.images:
+            camera = view.images[THERMAL].camera
+            distance = (camera.position - eye).norm().item()
+            if distance < least and bool(camera.contains(camera.project(points)[0]).all()):
+                nearest, least = view, distance
+    return nearest
 
 
 def mark_pictures(
@@ -266,6 +262,8 @@ def show_marks(
     temperature, found = scene.temperature, []
     for reading in readings:
         mark, view = reading.mark, nearest_view(reading.mark, scene)
+        difference = value_text(reading.difference, temperature, sign=True)
+        around = _around(reading.difference_uncertainty, temperature)
         shown = ShownMark(
             mark.name,
             mark.kind,
@@ -279,7 +277,7 @@ def show_marks(
             _factor(reading.mean, survey),
             value_text(reading.low, temperature),
             value_text(reading.high, temperature),
-            _difference(reading, temperature),
+            " ± ".join(filter(None, (difference, around))),
             "" if math.isnan(reading.difference) else mark.against or reference,
             size_text(reading, scene.world),
             "–" if reading.photos is None else str(reading.photos),
@@ -298,12 +296,6 @@ def show_marks(
 
 def _around(value: float, temperature: TemperatureRange | None) -> str:
     return "" if math.isnan(value) else around_text(value, temperature)
-
-
-def _difference(reading: MarkReading, temperature: TemperatureRange | None) -> str:
-    text = value_text(reading.difference, temperature, sign=True)
-    around = _around(reading.difference_uncertainty, temperature)
-    return f"{text} ± {around}" if around else text
 
 
 def _factor(mean: float, survey: Survey) -> str:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Float32, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
@@ -66,7 +66,9 @@ def draw_marks(
     for name, corners in places.items():
         path = [*map(tuple, corners)]
         if marks[name].kind == "spot":
-            _draw_ring(image, *corners[0])
+            draw, (x, y) = ImageDraw.Draw(image), corners[0]
+            for r, color, width in ((RING_PX + 1, BLACK, 5), (RING_PX, WHITE, 3)):
+                draw.ellipse([x - r, y - r, x + r, y + r], outline=color, width=width)
         else:
             draw_strokes(image, [[*path, path[0]] if marks[name].is_area else path], STROKE_PX)
     draw_names_at(image, places)
@@ -76,13 +78,6 @@ def draw_names_at(image: Image.Image, places: Mapping[str, Float64[np.ndarray, "
     """Write names in the middle of their marks' corners, see ``draw_names``."""
     middles = {name: corners.mean(axis=0) for name, corners in places.items()}
     draw_names(image, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
-
-
-def _draw_ring(image: Image.Image, x: float, y: float) -> None:
-    """White between two black lines."""
-    draw = ImageDraw.Draw(image)
-    for radius, color, width in ((RING_PX + 1, BLACK, 5), (RING_PX, WHITE, 3)):
-        draw.ellipse([x - radius, y - radius, x + radius, y + radius], outline=color, width=width)
 
 
 def draw_place(
@@ -135,7 +130,9 @@ def _boxes_of(
     for name, (x, y) in places.items():
         wide, half = text_width(labels[name], size) + size / 2, size / 2 + 4
         for box in _boxes_about(x, y, wide, half):
-            if _is_free(box, taken):
+            left, top, right, bottom = box
+            inside = left >= 0 and top >= 0 and right <= image.width and bottom <= image.height
+            if inside and not taken[_pixels_of(box)].any():
                 found[name] = box
                 taken[_pixels_of(box)] = True
                 break
@@ -153,14 +150,6 @@ def _boxes_about(x: float, y: float, wide: float, half: float) -> Iterator[Box]:
                 yield left, middle - half, left + wide, middle + half
         for middle in (y - away - half, y + away + half):
             yield x - wide / 2, middle - half, x + wide / 2, middle + half
-
-
-def _is_free(box: Box, taken: Bool[np.ndarray, "h w"]) -> bool:
-    """Whether a box lies in an image and on no pixel that is taken."""
-    left, top, right, bottom = box
-    height, width = taken.shape
-    inside = left >= 0 and top >= 0 and right <= width and bottom <= height
-    return inside and not taken[_pixels_of(box)].any()
 
 
 def _pixels_of(box: Box) -> tuple[slice, slice]:

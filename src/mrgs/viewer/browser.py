@@ -192,11 +192,12 @@ class Browser:
             self._moving_side_px = min(max(side, FEWEST_PIXELS), source.most_pixels["moving"])
         source.charge()
         self._sending = True
-        self._send_data(message).add_done_callback(self._picture_sent)
 
-    def _picture_sent(self, _: Future[None]) -> None:
-        self._sending = False
-        self._draw_if_idle()
+        def sent(_: Future[None]) -> None:
+            self._sending = False
+            self._draw_if_idle()
+
+        self._send_data(message).add_done_callback(sent)
 
     # --- marks ---
 

@@ -114,7 +114,13 @@ def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
             return _photo_panes(mode, view, camera.width, camera.height)
         case "difference":
             assert view is not None
-            return _difference_panes(mode, view, camera)
+            (modality,) = mode.modalities
+            photo = view.images.get(modality)
+            if photo is None:
+                return ()
+            box = (0, 0, camera.width, camera.height)
+            title = f"model - {modality.title} photo {view.name}"
+            return (_fitted("difference", modality, box, title, photo),)
     return (Pane(mode.kind, mode.modalities, camera),)
 
 
@@ -129,7 +135,9 @@ def place_at(panes: Sequence[Pane], x: float, y: float) -> Place | None:
 
 def _halves(mode: Mode, camera: Camera) -> tuple[Pane, ...]:
     """Two images of the picture's middle columns, side by side."""
-    half = _cropped(camera, camera.width // 2)
+    K, width = camera.K.clone(), camera.width // 2
+    K[0, 2] -= 0.5 * (camera.width - width)
+    half = Camera(torch.as_tensor(K), camera.viewmat, width, camera.height)
     lefts = (0, camera.width - half.width)
     return tuple(
         Pane("image", (modality,), half, left, title=Mode("image", (modality,)).label)
@@ -152,17 +160,6 @@ def _photo_panes(mode: Mode, view: View, width: int, height: int) -> tuple[Pane,
     return tuple(panes)
 
 
-def _difference_panes(mode: Mode, view: View, camera: Camera) -> tuple[Pane, ...]:
-    """The model minus the view's photo; nothing for a view without one."""
-    (modality,) = mode.modalities
-    photo = view.images.get(modality)
-    if photo is None:
-        return ()
-    box = (0, 0, camera.width, camera.height)
-    title = f"model - {modality.title} photo {view.name}"
-    return (_fitted("difference", modality, box, title, photo),)
-
-
 def _fitted(
     kind: PaneKind,
     modality: Modality,
@@ -178,13 +175,6 @@ def _fitted(
     size = max(1, int(camera.width * scale)), max(1, int(camera.height * scale))
     left, top = left + (width - size[0]) // 2, top + (height - size[1]) // 2
     return Pane(kind, (modality,), camera.resized(*size), left, top, title, photo)
-
-
-def _cropped(camera: Camera, width: int) -> Camera:
-    """The middle columns of an image."""
-    K = camera.K.clone()
-    K[0, 2] -= 0.5 * (camera.width - width)
-    return Camera(torch.as_tensor(K), camera.viewmat, width, camera.height)
 
 
 ShownImage: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]

@@ -84,10 +84,14 @@ def pack_in_order(
     }
     limits: dict[str, Any] = {"scales": scale_limits, "values": {}, "sh": {}}
     for modality in modalities:
-        planes[f"opacity_{modality}"] = _opacity_plane(baked, modality)
+        kind = np.uint16 if modality.channels == 1 else np.uint8
+        opacities = to_array(baked.opacities[modality]) * np.iinfo(kind).max
+        planes[f"opacity_{modality}"] = np.rint(opacities).astype(kind)
         if modality in sh_limits:
             limits["sh"][modality.name] = bands = sh_limits[modality]
-            planes[f"sh_{modality}"] = _harmonics_plane(to_array(baked.sh(modality)), bands)
+            sh = to_array(baked.sh(modality))
+            codes = [_quantise_band(_band(sh, band), band, ends) for band, ends in enumerate(bands)]
+            planes[f"sh_{modality}"] = np.concatenate(codes, axis=1).reshape(len(sh), -1).T
         else:
             values, ends = _quantise(to_array(baked.base_values(modality))[:, 0], 65535)
             limits["values"][modality.name] = ends
@@ -143,19 +147,6 @@ def harmonics_limits(
             bands = range(math.isqrt(sh.shape[1]))
             limits[modality] = [_band_limits(_band(sh, band), band) for band in bands]
     return limits
-
-
-def _opacity_plane(baked: BakedModel, modality: Modality) -> np.ndarray:
-    kind = np.uint16 if modality.channels == 1 else np.uint8
-    return np.rint(to_array(baked.opacities[modality]) * np.iinfo(kind).max).astype(kind)
-
-
-def _harmonics_plane(
-    sh: Float32[np.ndarray, "n _ c"], limits: Sequence[Sequence[float]]
-) -> UInt8[np.ndarray, "b n"]:
-    """The coefficients of the degrees that have limits, one after the other for all splats."""
-    codes = [_quantise_band(_band(sh, band), band, ends) for band, ends in enumerate(limits)]
-    return np.concatenate(codes, axis=1).reshape(len(sh), -1).T
 
 
 def _band(sh: Float32[np.ndarray, "n _ c"], band: int) -> Float32[np.ndarray, "n b c"]:
