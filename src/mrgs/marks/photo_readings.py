@@ -57,17 +57,16 @@ SHIFT_PX = 3
 
 
 class Shares(NamedTuple):
-    """How much of each part counts.
+    """Weights of the parts.
 
     Attributes:
-        scatter: times the standard deviation of the photos' readings. It is not divided by the root
-            of their number: what they disagree by at one place, a reflection or a wrong depth,
-            their mean keeps.
-        contrast: times the change of the model's value when the place is shifted by ``SHIFT_PX``:
-            places and poses are not known better, and detail that fine is not resolved.
-        blur: times what the camera's blur changes there: a peak that the photos show as narrow was
-            higher before they blurred it, and their noise makes some.
-        deviation: times the difference between a value and the mean of what the photos read there.
+        scatter: of the standard deviation of the photos' readings. It is not divided by the root of
+            their number: their mean keeps a reflection or a wrong depth.
+        contrast: of the change of the model's value when the place is shifted by ``SHIFT_PX``:
+            places and poses are not known better, and finer detail is not resolved.
+        blur: of the change by the camera's blur: a peak that the photos show as narrow was higher
+            before they blurred it, and their noise makes some.
+        deviation: of the difference between a value and the mean of the photos' readings.
     """
 
     scatter: float
@@ -86,9 +85,8 @@ READING, RENDERED = 0, 1
 SHIFTS = slice(2, 6)
 BLURRED = 6
 CHANNELS = 7
-"""What a photo shows of a place: what it reads, what the model shows from its camera, by how much
-that changes ``SHIFT_PX`` to each of four sides, and by how much the camera's blur changes it; in
-the unit of the values."""
+"""Channels of a photo: its readings, the model from its camera, the changes of that ``SHIFT_PX`` to
+each of four sides and by the camera's blur; in the unit of the values."""
 
 
 class PhotoParts(NamedTuple):
@@ -96,10 +94,9 @@ class PhotoParts(NamedTuple):
     photo looked.
 
     Attributes:
-        photos: from what the photos disagree by, and the rounding of their values, [P].
-        model: from how much it changes nearby, and how far the value is from what the photos read,
-            [P].
-        detail: from how narrow a peak the place is, [P].
+        photos: their disagreement, and the rounding of their values.
+        model: its change nearby, and the difference between the value and the photos' readings.
+        detail: from how narrow a peak the place is.
     """
 
     photos: Float[np.ndarray, " p"]
@@ -113,11 +110,8 @@ class PhotoParts(NamedTuple):
 
 
 class SightingSums:
-    """What photos show of P places, gathered photo by photo.
-
-    Args:
-        rounding: half the width of the interval that the rounding of the photos' values leaves, in
-            their unit; 0 if they are not rounded.
+    """What photos show of places, gathered photo by photo. ``rounding`` is half the width of the
+    interval that the rounding of the photos' values leaves, in their unit.
     """
 
     def __init__(self, places: int, rounding: float = 0.0) -> None:
@@ -128,12 +122,7 @@ class SightingSums:
         )
 
     def add(self, rows: Int64[np.ndarray, " m"], values: Float32[np.ndarray, "m c"]) -> None:
-        """Add a photo.
-
-        Args:
-            rows: the places that it shows, each once.
-            values: its channels there; places where one is NaN do not count.
-        """
+        """Add the channels of a photo at places, each once; those with NaN do not count."""
         known = np.isfinite(values).all(axis=1)
         rows, values = rows[known], values[known]
         self.photos[rows] += 1
@@ -144,11 +133,7 @@ class SightingSums:
         self._blur[rows] += values[:, BLURRED]
 
     def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
-        """The parts of the uncertainty.
-
-        Args:
-            values: of the places, [P]; only needed where their deviation counts.
-        """
+        """The parts of the uncertainty; ``values`` of the places where their deviation counts."""
         count = np.where(self.photos > 0, self.photos, np.float32(np.nan))
         scatter = np.sqrt(np.maximum(self._squares, 0) / count)
         contrast = np.sqrt(self._contrast / count)
@@ -180,8 +165,7 @@ LEAST_SHARE = 0.5
 
 
 class PhotoReadings:
-    """The thermal training photos with the model rendered from their cameras, each when it is first
-    asked for.
+    """The thermal training photos, each rendered by the model when it is first asked for.
 
     Args:
         respond: what the cameras make of a rendering.

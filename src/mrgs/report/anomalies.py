@@ -103,11 +103,8 @@ class Spot(NamedTuple):
 
 
 class _Image(NamedTuple):
-    """A rendered view.
-
-    Attributes:
-        depth: z-depth of the surface, scene units, NaN where there is none, [H, W].
-    """
+    """A rendered view: z-depth of the surface, scene units, NaN where there is none, and normalised
+    temperatures, [H, W]."""
 
     camera: Camera
     depth: Float[np.ndarray, "h w"]
@@ -115,15 +112,9 @@ class _Image(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """Surface points of all views.
-
-    Attributes:
-        values: normalised temperatures, [P].
-        views: index of the view of each, [P].
-        central: whether the pixel is away from the image's border, [P].
-        footprint: median distance between neighbouring pixels on the surfaces, scene units.
-        images: what was rendered of each view, by its index.
-    """
+    """Surface points of all views, [P]: world coordinates, normalised temperatures, indices of
+    their views, and whether the pixel is away from the image's border; the median distance between
+    neighbouring pixels on the surfaces (scene units), and each view by its index."""
 
     positions: Float[np.ndarray, "p 3"]
     values: Float[np.ndarray, " p"]
@@ -134,13 +125,8 @@ class _Points(NamedTuple):
 
 
 class _Sightings(NamedTuple):
-    """The S values that views have in cubes, sorted by cube.
-
-    Attributes:
-        values: mean of the view's points in the cube, [S].
-        positions: their mean, [S, 3].
-        points: how many, 0 if they touch the border, [S].
-    """
+    """The S values that views have in cubes, sorted by cube: mean value and position of the view's
+    points there, and their number, 0 if they touch the image's border."""
 
     cubes: Int64[np.ndarray, " s"]
     views: Int64[np.ndarray, " s"]
@@ -150,12 +136,7 @@ class _Sightings(NamedTuple):
 
 
 class _Cube(NamedTuple):
-    """The values of all views in one cube.
-
-    Attributes:
-        values: one per view, ascending, [V].
-        rows: the sightings that they come from, [V].
-    """
+    """The values of V views in one cube, ascending, and the rows of their sightings."""
 
     median: float
     values: Float[np.ndarray, " v"]
@@ -221,8 +202,7 @@ def _survey(
     positions, values, owners, central, footprints = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
-    middle = float(np.median(footprints))
-    return _Points(positions, values, owners, central, middle, images)
+    return _Points(positions, values, owners, central, float(np.median(footprints)), images)
 
 
 def _inner_depth(
@@ -275,13 +255,10 @@ def _agreed(sightings: _Sightings, min_views: int) -> list[_Cube]:
     numbers = np.diff(np.r_[starts, len(values)])
     medians = (values[starts + (numbers - 1) // 2] + values[starts + numbers // 2]) / 2
     enough = np.flatnonzero(numbers >= min_views)
+    ranked = enough[np.argsort(medians[enough], kind="stable")]
+    parts = [slice(starts[i], starts[i] + numbers[i]) for i in ranked]
     return [
-        _Cube(
-            medians[i],
-            values[starts[i] : starts[i] + numbers[i]],
-            order[starts[i] : starts[i] + numbers[i]],
-        )
-        for i in enough[np.argsort(medians[enough], kind="stable")]
+        _Cube(medians[i], values[part], order[part]) for i, part in zip(ranked, parts, strict=True)
     ]
 
 
@@ -310,8 +287,8 @@ def _apart(
     distance: float,
     judged: Sequence[Float[np.ndarray, "_ 3"]],
 ) -> list[Spot]:
-    """Step 5: the first cubes of the list that keep the distance from each other and from the marks
-    that were judged; hot ones where the sign is 1, cold ones where it is −1."""
+    """Step 5: the first cubes of the list that keep the distance from each other and from judged
+    marks; hot ones where the sign is 1, cold ones where it is −1."""
     kept: list[Spot] = []
     places = sightings.positions[[cube.rows[0] for cube in cubes]]
     free = np.ones(len(cubes), dtype=bool)
@@ -339,8 +316,8 @@ def _apart(
 
 
 def _is_local(image: _Image, position: Float[np.ndarray, "3"], value: float, sign: int) -> bool:
-    """Whether a place stands out of the picture, rather than being part of something large that
-    reaches the picture's border."""
+    """Whether a place stands out of the picture, and is no part of something large that reaches the
+    picture's border."""
     x, y = image.camera.project(torch.from_numpy(position))[0].tolist()
     about = image.values[square_about((image.camera.width, image.camera.height), x, y)]
     low, middle, high = np.percentile(about, [2, 50, 98])
@@ -363,10 +340,8 @@ def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:
 
 
 def photo_value(view: View, spot: Spot) -> float | None:
-    """Normalised temperature of the thermal photo at a spot: the mean of 3×3 pixels.
-
-    None where the photo has no valid pixel.
-    """
+    """Normalised temperature of the thermal photo at a spot: the mean of 3×3 pixels; None where
+    none is valid."""
     photo = view.images[THERMAL]
     pixels = photo.load()
     values = to_array(pixels.values[..., 0])
@@ -410,8 +385,8 @@ class Anomaly(NamedTuple):
 
     @property
     def stands_out(self) -> bool:
-        """Whether the contrast is more than its uncertainty, where that is known. The camera's
-        limit of error is no part of it: the surroundings share it."""
+        """Whether the contrast is more than its uncertainty, where known, without the camera's
+        limit of error, which the surroundings share."""
         uncertainty = self.reading.uncertainty
         return uncertainty is None or abs(self.contrast) > uncertainty.of_differences
 
@@ -430,13 +405,10 @@ class Proposals(NamedTuple):
 
 def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> Proposals:
     """Find the hottest and the coldest spots that stand out, and keep them in the run as its
-    proposals.
+    proposals; the survey may set their numbers.
 
-    Where a mark was made, or a proposal dropped, none is made again; not so in a large area, which
-    says nothing of a place in it. A spot that was proposed before keeps its name.
-
-    Args:
-        survey: may set the numbers of proposals.
+    None is made again where a mark was made, or a proposal dropped, unless in a large area, which
+    does not judge a place in it. A spot that was proposed before keeps its name.
 
     Raises:
         SceneError: a photo cannot be read.
@@ -467,9 +439,8 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> 
 def _standing_out(
     spots: Sequence[Spot], count: int, marks: RunMarks, scene: Scene, regions: Regions
 ) -> tuple[list[Anomaly], int]:
-    """The first ``count`` spots that stand out, and how many before them do not. A spot that too
-    few photos see as a mark counts as neither: what floats beside an outline is seen from one
-    place."""
+    """The first ``count`` spots that stand out, and how many before them do not; without spots that
+    too few photos see as a mark, such as what floats beside an outline."""
     least = min(LEAST_PHOTOS, len(scene.train_photos(THERMAL)))
     kept: list[Anomaly] = []
     held_back = 0

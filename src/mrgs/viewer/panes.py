@@ -45,14 +45,12 @@ class Pane:
     """One part of the picture.
 
     Attributes:
-        kind: what it shows: an image of the model, its depth or uncertainty, two images through a
-            slider, a photo, or the model minus the photo.
         modalities: of the images that it shows; of two, the left or lower one first.
         camera: what it looks through; width and height are those of the pane in the picture.
         left: column of its upper left corner, pixels of the picture.
         top: row of its upper left corner, pixels of the picture.
         title: drawn into its corner; may be empty.
-        photo: the photo that it shows or compares with, if any.
+        photo: that it shows or compares with, if any.
     """
 
     kind: PaneKind
@@ -208,7 +206,6 @@ def render_pane(
     """Render the modalities that the viewer shows.
 
     Args:
-        camera: of the pane, at the size to render.
         as_photo_of: the first camera of a captured view, to show what its cameras would have
             recorded; None to show the model itself.
         regions: surfaces with an emissivity of their own; None shows what the photos have.
@@ -233,19 +230,14 @@ def shown_image(
 ) -> ShownImage:
     """A modality's image [H, W, C] as colours [H, W, 3]; of one channel, as values in its unit
     [H, W]."""
-    if modality.channels == 1:
-        return shown_values(modality, image, temperature)
-    return to_rgb8(image)
+    one = modality.channels == 1
+    return shown_values(modality, image, temperature) if one else to_rgb8(image)
 
 
 def photo_images(
     modality: Modality, photo: PosedImage, temperature: TemperatureRange | None
 ) -> PaneImages:
-    """A photo as the images of a pane, at the photo's own size.
-
-    Raises:
-        SceneError: it cannot be read.
-    """
+    """A photo as the images of a pane, at its own size; SceneError if it cannot be read."""
     pixels = photo.load()
     height, width = pixels.values.shape[:2]
     solid = np.ones((height, width), dtype=bool) if pixels.valid is None else pixels.valid.numpy()
@@ -279,11 +271,7 @@ LEAST_SEEN = 0.5
 
 class UncertaintyPictures:
     """Draws the uncertainty: computed once at each splat that a thermal photo sees, then blended as
-    temperatures are.
-
-    Args:
-        board: has the meter, by what the survey states now, and the surfaces that have an
-            emissivity of their own.
+    temperatures are; by the board's present meter and surfaces with an emissivity of their own.
     """
 
     def __init__(
@@ -296,13 +284,8 @@ class UncertaintyPictures:
         self._lock = threading.Lock()
 
     def images(self, camera: Camera) -> PaneImages:
-        """The uncertainty in the unit of the temperatures; NaN where no thermal photo looked.
-
-        The first call renders all thermal photos.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        """The uncertainty in the unit of the temperatures; NaN where no thermal photo looked. The
+        first call renders all thermal photos. SceneError if a photo cannot be read."""
         meter = self._board.uncertainty
         assert meter is not None
         with self._lock:
@@ -345,12 +328,8 @@ def _blend(
 
 @dataclass(frozen=True)
 class ValueReading:
-    """The value of one modality at a pixel.
-
-    Attributes:
-        value: as rendered, in the modality's unit (normalised without one).
-        deviation: standard deviation of the values of what makes up the pixel, in the same unit.
-    """
+    """The value of one modality at a pixel, and the standard deviation of the values of what makes
+    up the pixel; in the modality's unit (normalised without one)."""
 
     value: float
     deviation: float
@@ -358,13 +337,8 @@ class ValueReading:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The model's values at a point.
-
-    Attributes:
-        depth: z-depth from the camera that it was read through, scene units.
-        depth_deviation: standard deviation of the depths of the splats that make up the pixel,
-            scene units.
-    """
+    """The model's values at a point: z-depth from the camera that it was read through, and the
+    standard deviation of the depths of the pixel's splats, scene units."""
 
     position: Float[np.ndarray, "3"]
     depth: float
