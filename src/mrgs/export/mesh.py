@@ -54,14 +54,9 @@ class Grid:
 
 
 def fuse(maps: Sequence[DepthMap], resolution: int) -> tuple[Float32[np.ndarray, "x y z"], Grid]:
-    """The distance field, in units of the truncation, positive before the surfaces; NaN where it is
-    not known.
-
-    Args:
-        maps: depth maps of overlapping cameras; at least one depth is known.
-        resolution: samples along the longest side of the box about the scene; fewer where the
-            pixels are coarser.
-    """
+    """The distance field of overlapping depth maps, in units of the truncation, positive before the
+    surfaces, NaN where it is not known; with ``resolution`` samples along the longest side of the
+    box about the scene, fewer where the pixels are coarser."""
     grid = _grid_of(maps, resolution)
     samples = np.argwhere(_band(maps, grid))
     positions = (grid.origin + grid.step * samples).astype(np.float32)
@@ -117,15 +112,11 @@ _EDGES = [
 def surface_nets(
     values: Float[np.ndarray, "x y z"],
 ) -> tuple[Float[np.ndarray, "v 3"], Int32[np.ndarray, "f 3"]]:
-    """Triangles of the level 0, seen counter-clockwise from the positive side.
-
-    Args:
-        values: signed distances, negative inside; NaN where nothing is known: no surface is drawn
-            in cells that touch it.
+    """Triangles of the level 0 of signed distances, seen counter-clockwise from the positive side;
+    none in cells that touch NaN.
 
     Returns:
-        vertices in grid coordinates (sample (i, j, k) lies at i, j, k), and faces as rows of
-        ``vertices``.
+        vertices in grid coordinates (sample (i, j, k) is at i, j, k), and faces as rows of them.
     """
     inside = values < 0
     active = _active_cells(inside, np.isfinite(values))
@@ -199,14 +190,9 @@ specks."""
 
 @dataclass(frozen=True, eq=False)
 class ThermalMesh:
-    """Triangles with a colour and a temperature per vertex.
-
-    Attributes:
-        vertices: world coordinates (scene units), [V, 3].
-        faces: rows of ``vertices``, counter-clockwise from outside, [F, 3].
-        columns: colours, temperatures and other values by their names in files, see
-            ``value_columns``, [V] each.
-    """
+    """Triangles with a colour and a temperature per vertex: world coordinates, faces as rows of
+    them, counter-clockwise from outside, and values by their names in files, see
+    ``value_columns``."""
 
     vertices: Float32[np.ndarray, "v 3"]
     faces: Int32[np.ndarray, "f 3"]
@@ -224,13 +210,7 @@ def export(job: ExportJob) -> list[Path]:
 
 def build_mesh(baked: BakedModel, scene: Scene, resolution: int = RESOLUTION) -> ThermalMesh:
     """Render the training cameras, fuse their depths, and draw the surface; colours, °C and other
-    values are the renderings' means.
-
-    The depth is that of ``depth_maps``.
-
-    Raises:
-        RunError: the renderings show no surface.
-    """
+    values are the renderings' means. RunError if they show no surface."""
     maps = depth_maps(baked, scene)
     field, grid = fuse(maps, resolution)
     points, faces = surface_nets(field)
@@ -245,12 +225,7 @@ def build_mesh(baked: BakedModel, scene: Scene, resolution: int = RESOLUTION) ->
 
 
 def write_mesh_ply(path: Path, mesh: ThermalMesh, comments: Sequence[str] = ()) -> Path:
-    """Write vertices with colour, ``temperature_c`` (or ``temperature_normalised``) and other
-    modalities, and faces; returns the path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write vertices with their values, and faces; returns the path."""
     columns: dict[str, np.ndarray] = {axis: mesh.vertices[:, i] for i, axis in enumerate("xyz")}
     columns |= mesh.columns
     return write_ply(path, {"vertex": columns, "face": mesh.faces}, comments)

@@ -8,7 +8,7 @@ view.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy.ndimage
@@ -22,6 +22,8 @@ from mrgs.maps.surfaces import MapGrid, pixel_size_m, survey, up_direction, vert
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
 from mrgs.scene.depth_map import MAX_STEP, DepthMap
+
+Vector: TypeAlias = Float64[np.ndarray, "3"]
 
 SAMPLES = 60_000
 CANDIDATES = 400
@@ -61,8 +63,8 @@ class Facade(NamedTuple):
     """
 
     axes: Float64[np.ndarray, "3 3"]
-    low: Float64[np.ndarray, "3"]
-    high: Float64[np.ndarray, "3"]
+    low: Vector
+    high: Vector
 
 
 class Surfaces(NamedTuple):
@@ -79,9 +81,7 @@ class Surfaces(NamedTuple):
     distance: float
 
 
-def find_facade(
-    surfaces: Surfaces, up: Float64[np.ndarray, "3"], eye: Float64[np.ndarray, "3"]
-) -> Facade:
+def find_facade(surfaces: Surfaces, up: Vector, eye: Vector) -> Facade:
     """The façade of a scene, with the vertical ``up`` of unit length, seen from ``eye`` before it;
     RunError if no upright plane has ``MIN_SHARE`` of the surfaces."""
     walls = np.abs(surfaces.normals @ up) < MAX_TURN
@@ -98,10 +98,7 @@ def find_facade(
 
 
 def given_facade(
-    surfaces: Surfaces,
-    corners: Float64[np.ndarray, "3 3"],
-    up: Float64[np.ndarray, "3"] | None,
-    eye: Float64[np.ndarray, "3"],
+    surfaces: Surfaces, corners: Float64[np.ndarray, "3 3"], up: Vector | None, eye: Vector
 ) -> Facade:
     """The façade through three points: lower left, lower right, and one above them. The vertical,
     where it is known and not across the plane, decides where its top is; else the points do.
@@ -155,8 +152,8 @@ def _surfaces(item: DepthMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _upright_plane(
-    surfaces: Surfaces, walls: Bool[np.ndarray, " n"], up: Float64[np.ndarray, "3"]
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    surfaces: Surfaces, walls: Bool[np.ndarray, " n"], up: Vector
+) -> tuple[Vector, Vector]:
     """The normal of the upright plane with most of the surfaces, and a point on it."""
     rows = np.flatnonzero(walls)
     if not len(rows):
@@ -179,10 +176,8 @@ def _upright_plane(
 
 
 def _fitted(
-    points: Float64[np.ndarray, "n 3"],
-    up: Float64[np.ndarray, "3"],
-    before: Float64[np.ndarray, "3"],
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    points: Float64[np.ndarray, "n 3"], up: Vector, before: Vector
+) -> tuple[Vector, Vector]:
     """The upright plane of least squares, its normal on the side of an earlier one."""
     middle = points.mean(axis=0)
     offsets = points - middle
@@ -193,19 +188,13 @@ def _fitted(
     return normal * (np.sign(normal @ before) or 1.0), middle
 
 
-def _members(
-    surfaces: Surfaces, normal: Float64[np.ndarray, "3"], anchor: Float64[np.ndarray, "3"]
-) -> Bool[np.ndarray, " n"]:
+def _members(surfaces: Surfaces, normal: Vector, anchor: Vector) -> Bool[np.ndarray, " n"]:
     near = np.abs((surfaces.points - anchor) @ normal) < THICKNESS * surfaces.distance
     return near & (np.abs(surfaces.normals @ normal) > np.sqrt(1 - MAX_TURN**2))
 
 
 def _outlined(
-    members: Float64[np.ndarray, "n 3"],
-    normal: Float64[np.ndarray, "3"],
-    anchor: Float64[np.ndarray, "3"],
-    up: Float64[np.ndarray, "3"],
-    eye: Float64[np.ndarray, "3"],
+    members: Float64[np.ndarray, "n 3"], normal: Vector, anchor: Vector, up: Vector, eye: Vector
 ) -> Facade:
     """The axes of a plane that is seen from ``eye``, and the extent of the largest connected part
     of its points."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float64
@@ -15,6 +16,8 @@ from mrgs.marks.mark import Mark
 from mrgs.scene import Scene
 from mrgs.scene.radiometry import PhotoRecord, Planck
 from mrgs.system.wording import Message
+
+Values: TypeAlias = Float64[np.ndarray, "..."]
 
 SECOND_RADIATION_CONSTANT_UM_K = 14_387.77
 TYPICAL_WAVELENGTH_UM = 10.0
@@ -77,9 +80,7 @@ class CaptureSettings:
             )
         return SurfaceSettings(emissivity, reflected)
 
-    def corrected(
-        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
-    ) -> Float64[np.ndarray, "..."]:
+    def corrected(self, celsius: Values, surface: SurfaceSettings) -> Values:
         """The temperatures of a surface with other settings, °C, from those that the photos give.
 
         What reaches the camera stays the same, W being the camera's signal of a black body:
@@ -88,24 +89,20 @@ class CaptureSettings:
         """
         return self.celsius_of(self.received(celsius), surface)
 
-    def as_photos(
-        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
-    ) -> Float64[np.ndarray, "..."]:
+    def as_photos(self, celsius: Values, surface: SurfaceSettings) -> Values:
         """Inverse of ``corrected``: what the photos give for temperatures of a surface."""
         there = replace(self, surface=surface)
         return self.celsius_of(there.received(celsius), self.surface)
 
-    def received(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
+    def received(self, celsius: Values) -> Values:
         """The signal that left a surface, from its temperatures in the photos, °C."""
-        own: Float64[np.ndarray, "..."] = self.law.signals(celsius) + self.law.o
+        own: Values = self.law.signals(celsius) + self.law.o
         return self.surface.emissivity * own + self._reflected(self.surface)
 
-    def celsius_of(
-        self, received: Float64[np.ndarray, "..."], surface: SurfaceSettings
-    ) -> Float64[np.ndarray, "..."]:
+    def celsius_of(self, received: Values, surface: SurfaceSettings) -> Values:
         """The temperatures, °C, of a surface that a signal left; NaN where there is none."""
         of_object = (received - self._reflected(surface)) / surface.emissivity
-        celsius: Float64[np.ndarray, "..."] = self.law.celsius(of_object - self.law.o)
+        celsius: Values = self.law.celsius(of_object - self.law.o)
         return celsius
 
     def signal_change(self, surface: SurfaceSettings) -> tuple[float, float]:

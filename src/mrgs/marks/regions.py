@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -29,6 +29,9 @@ from mrgs.scene import THERMAL, Camera, Rendering, TemperatureRange
 from mrgs.system.memory import row_chunks
 from mrgs.system.wording import Message
 
+Points: TypeAlias = Float[np.ndarray, "n 3"]
+Vector: TypeAlias = Float[np.ndarray, "3"]
+
 REGION_DEPTH = 0.08
 """A point belongs to a region if its distance from the eye differs from that of the surface by less
 than this share: more than the depths of a model differ from view to view."""
@@ -43,7 +46,7 @@ MOST_FITTED = 4_000
 class RegionPlane(NamedTuple):
     """The points of the world whose product with ``normal``, of any length, is ``offset``."""
 
-    normal: Float[np.ndarray, "3"]
+    normal: Vector
     offset: float
 
     @classmethod
@@ -62,16 +65,14 @@ class RegionPlane(NamedTuple):
         rotation, shift = camera.viewmat[:3, :3].numpy(), camera.viewmat[:3, 3].numpy()
         return cls(plane @ rotation, float(1 - plane @ shift))
 
-    def meets(
-        self, points: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "n 3"]:
+    def meets(self, points: Points, eye: Vector) -> Points:
         """Points moved along their rays from an eye to where these meet the plane; those that would
         move by more than ``REGION_DEPTH`` of their distance stay."""
         rays = points - eye
         with np.errstate(divide="ignore", invalid="ignore"):
             times = (self.offset - eye @ self.normal) / (rays @ self.normal)
             near = np.abs(times - 1) < REGION_DEPTH
-        found: Float[np.ndarray, "n 3"] = eye + np.where(near, times, 1.0)[:, None] * rays
+        found: Points = eye + np.where(near, times, 1.0)[:, None] * rays
         return found
 
 
@@ -96,9 +97,7 @@ class SurfaceRegion:
     inside: Bool[np.ndarray, "h w"]
     plane: RegionPlane | None
 
-    def holds(
-        self, points: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"] | None = None
-    ) -> Bool[np.ndarray, " n"]:
+    def holds(self, points: Points, eye: Vector | None = None) -> Bool[np.ndarray, " n"]:
         """Which points of the world lie on it, [N]; NaN does not.
 
         Args:
@@ -179,14 +178,14 @@ class Regions:
         """The model from a camera, with the temperatures of the regions corrected."""
         return self.applied_to(self._render(camera), camera)
 
-    def shares_at(self, points: Float[np.ndarray, "n 3"]) -> list[SettingsShare]:
+    def shares_at(self, points: Points) -> list[SettingsShare]:
         """The settings of some points with their shares, the largest first."""
         shares = [SettingsShare(each, float(held.mean())) for each, held in self.parts(points)]
         photos = SettingsShare(None, 1.0 - sum(each.share for each in shares))
         return sorted([photos, *shares], key=lambda each: each.share, reverse=True)
 
     def parts(
-        self, points: Float[np.ndarray, "*shape 3"], eye: Float[np.ndarray, "3"] | None = None
+        self, points: Float[np.ndarray, "*shape 3"], eye: Vector | None = None
     ) -> Iterator[tuple[SurfaceSettings, Bool[np.ndarray, "*shape"]]]:
         """The settings of each region, and which of some points on surfaces are its own; see
         ``SurfaceRegion.holds``."""
@@ -199,7 +198,7 @@ class Regions:
             yield region.settings, (owner == number).reshape(points.shape[:-1])
 
     def corrected_at(
-        self, points: Float[np.ndarray, "n 3"], celsius: Float32[np.ndarray, " n"]
+        self, points: Points, celsius: Float32[np.ndarray, " n"]
     ) -> Float32[np.ndarray, " n"]:
         """°C of points on surfaces as the photos' cameras see them, corrected where regions are;
         where there is no such temperature the value stays."""
@@ -220,10 +219,10 @@ class Regions:
 
     def _corrected(
         self,
-        points: Float[np.ndarray, "n 3"],
+        points: Points,
         values: Float[np.ndarray, " n"],
         scale: TemperatureRange | None = None,
-        eye: Float[np.ndarray, "3"] | None = None,
+        eye: Vector | None = None,
     ) -> Float[np.ndarray, " n"]:
         """Temperatures of points (°C, or normalised by ``scale``), corrected where a region has
         them, see ``SurfaceRegion.holds``; where there is no such temperature the value stays."""

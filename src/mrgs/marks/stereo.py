@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -21,6 +21,9 @@ from mrgs.marks.photo_survey import PhotoSurvey
 from mrgs.marks.surface import ROBUST_STEPS, SAME_SURFACE, tukey_weights
 from mrgs.scene import RGB, THERMAL, Camera, View, evenly_spaced
 from mrgs.scene.depth_map import DepthMap
+
+Vector: TypeAlias = Float[np.ndarray, "3"]
+Samples: TypeAlias = Float[np.ndarray, "v s c"]
 
 PHOTO_WIDTH_PX = 640
 """Wider photos are reduced to this width."""
@@ -71,7 +74,7 @@ class _Photo:
         x, y, z = self.projection[:, :3] @ points.T + self.projection[:, 3:]
         return np.stack([x, y]) / z - 0.5
 
-    def shows(self, place: Float[np.ndarray, "3"]) -> bool:
+    def shows(self, place: Vector) -> bool:
         """Whether a place that its camera sees lies in the image."""
         column, row = self.pixels(place[None])[:, 0]
         height, width, _ = self.image.shape
@@ -106,7 +109,7 @@ class _Patch(NamedTuple):
     points: Float[np.ndarray, "s 3"]
     weights: Float[np.ndarray, " s"]
     directions: Float[np.ndarray, "3 s 3"]
-    pixel: Float[np.ndarray, "3"]
+    pixel: Vector
 
 
 class PhotoStereo:
@@ -164,21 +167,21 @@ class PhotoStereo:
         return self._photos[index]
 
 
-def _normal(place: Float[np.ndarray, "3"], maps: Sequence[DepthMap]) -> Float[np.ndarray, "3"]:
+def _normal(place: Vector, maps: Sequence[DepthMap]) -> Vector:
     """Normal of the plane through most of what depth maps show about a place that all see."""
     about = [_about(item, place) for item in maps]
     points, weights = (np.concatenate(each) for each in zip(*about, strict=True))
     now = weights
     for _ in range(ROBUST_STEPS):
         away = points - (now @ points) / now.sum()
-        normal: Float[np.ndarray, "3"] = np.linalg.eigh((away * now[:, None]).T @ away)[1][:, 0]
+        normal: Vector = np.linalg.eigh((away * now[:, None]).T @ away)[1][:, 0]
         left = np.abs(away @ normal)
         now = weights * tukey_weights(left)
     return normal
 
 
 def _about(
-    item: DepthMap, place: Float[np.ndarray, "3"]
+    item: DepthMap, place: Vector
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Points of a depth map about a place, relative to it, and their weights."""
     pixel, distance = item.camera.project(torch.from_numpy(place))
@@ -195,12 +198,7 @@ def _about(
     return found - place, 1 / depth[near] ** 2
 
 
-def _patch(
-    place: Float[np.ndarray, "3"],
-    normal: Float[np.ndarray, "3"],
-    sight: Float[np.ndarray, "3"],
-    photos: Sequence[_Photo],
-) -> _Patch:
+def _patch(place: Vector, normal: Vector, sight: Vector, photos: Sequence[_Photo]) -> _Patch:
     """The patch about a place, so large that photos show it on some pixels; ``sight`` is from the
     eye to the place."""
     depths = (each.projection[2] @ [*place, 1.0] for each in photos)
@@ -252,17 +250,13 @@ def _step_to_agreement(photos: Sequence[_Photo], patch: _Patch) -> float:
     return float(now[0])
 
 
-def _shown(
-    photos: Sequence[_Photo], patch: _Patch, parameters: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "v s c"]:
+def _shown(photos: Sequence[_Photo], patch: _Patch, parameters: Vector) -> Samples:
     """What photos show of a moved patch, each without its mean: exposures differ."""
     points = patch.points + np.tensordot(parameters, patch.directions, axes=1)
     values = np.stack([photo.values(points) for photo in photos])
     return values - np.average(values, axis=1, weights=patch.weights)[:, None]
 
 
-def _apart(
-    values: Float[np.ndarray, "v s c"], weights: Float[np.ndarray, " v"]
-) -> Float[np.ndarray, "v s c"]:
+def _apart(values: Samples, weights: Float[np.ndarray, " v"]) -> Samples:
     """Differences to the mean of all photos."""
     return values - np.average(values, axis=0, weights=weights)

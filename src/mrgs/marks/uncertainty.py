@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, astuple, dataclass, field, replace
 from statistics import median
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
@@ -23,6 +24,8 @@ from mrgs.scene import CameraResponse, Scene, TemperatureRange
 from mrgs.scene.radiometry import ObjectParameters
 from mrgs.survey import Survey
 from mrgs.system.wording import Message
+
+Values: TypeAlias = Float64[np.ndarray, "..."]
 
 COVERAGE = 2.0
 """Times the standard uncertainty: an interval that holds the truth in 95 of 100 cases."""
@@ -171,25 +174,21 @@ class Budget:
         total: Float64[np.ndarray, "*shape"] = np.sqrt(squares)
         return total
 
-    def _camera(self, celsius: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
+    def _camera(self, celsius: Values) -> Values:
         """Half the width of the interval of the camera's error in 95 of 100 cases."""
         if self.accuracy is None:
             return np.full(celsius.shape, np.nan)
         kelvin, percent = self.accuracy
         return WITHIN_LIMIT * np.maximum(kelvin, percent / 100 * np.abs(celsius))
 
-    def _gain(
-        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
-    ) -> Float64[np.ndarray, "..."]:
+    def _gain(self, celsius: Values, surface: SurfaceSettings) -> Values:
         """Derivative of a surface's temperature by that of the photos."""
         if surface == self.capture.surface:
             return np.ones(celsius.shape)
         ends = [self.capture.corrected(celsius + step, surface) for step in (-0.5, 0.5)]
         return np.abs(ends[1] - ends[0])
 
-    def _settings(
-        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
-    ) -> list[Float64[np.ndarray, "..."]]:
+    def _settings(self, celsius: Values, surface: SurfaceSettings) -> list[Values]:
         """Standard uncertainties by emissivity, reflected temperature and distance; NaN where
         neither photos nor mark state these."""
         unknown = np.full(celsius.shape, np.nan)
@@ -205,9 +204,7 @@ class Budget:
         distance = unknown if self.parameters is None else self._distance(celsius, surface)
         return [*map(_half, *ends), distance]
 
-    def _distance(
-        self, celsius: Float64[np.ndarray, "..."], surface: SurfaceSettings
-    ) -> Float64[np.ndarray, "..."]:
+    def _distance(self, celsius: Values, surface: SurfaceSettings) -> Values:
         """Standard uncertainty by the distance: with another transmission τ of the air, what
         reaches the camera, τ S + (1 − τ) S_air with S what left the surface, stays."""
         assert self.parameters is not None
@@ -220,9 +217,7 @@ class Budget:
         return _half(*(self.capture.celsius_of(each, surface) for each in signals))
 
 
-def _half(
-    low: Float64[np.ndarray, "..."], high: Float64[np.ndarray, "..."]
-) -> Float64[np.ndarray, "..."]:
+def _half(low: Values, high: Values) -> Values:
     return np.abs(high - low) / 2
 
 

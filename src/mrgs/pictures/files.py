@@ -72,19 +72,11 @@ def write_rendering(
 def shown_depth(
     depth: Float[Tensor, "h w"], image: PosedImage | None, ball: SceneBounds | None
 ) -> Float[np.ndarray, "h w"]:
-    """The depth as pictures show it: infinite where it is the background's, which would take up the
-    whole scale.
-
-    Args:
-        depth: z-depth in scene units.
-        image: whose camera saw it; None, or no ``ball``, leaves the depth as it is.
-        ball: how far the scene reaches.
-    """
-    return to_array(
-        depth
-        if image is None or ball is None
-        else ball.without_background(image.camera, depth.cpu())
-    )
+    """The z-depth that an image's camera saw as pictures show it: infinite beyond the scene's
+    ``ball``, since the background would take up the whole scale."""
+    if image is not None and ball is not None:
+        depth = ball.without_background(image.camera, depth.cpu())
+    return to_array(depth)
 
 
 def to_array(tensor: Float[Tensor, "..."]) -> Float32[np.ndarray, "..."]:
@@ -114,11 +106,7 @@ def shown_values(
 
 
 def write_png(path: Path, image: Image.Image | UInt8[np.ndarray, "h w 3"]) -> Path:
-    """Write an RGB PNG; returns the path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write an RGB PNG; returns the path. RunError if it cannot be written."""
     with replacing(path) as temporary:
         (image if isinstance(image, Image.Image) else Image.fromarray(image)).save(temporary)
     return path
@@ -130,14 +118,8 @@ def write_rgb_png(path: Path, image: Float[Tensor, "h w c"]) -> Path:
 
 
 def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], description: str) -> Path:
-    """Write values [H, W], unchanged, into a one-channel float32 TIFF; returns the path.
-
-    Args:
-        description: what the values are and their unit, ASCII; the TIFF's ImageDescription.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write values [H, W], unchanged, into a one-channel float32 TIFF; returns the path. The
+    description (ASCII) has their unit. RunError if the file cannot be written."""
     tags = ImageFileDirectory_v2()
     tags[_IMAGE_DESCRIPTION_TAG] = description
     with replacing(path) as temporary:

@@ -41,12 +41,9 @@ def inline_image(
     image: Image.Image, text: str, *, quality: int = 80, png: bool = False
 ) -> InlineImage:
     """Encode a picture as JPEG, or as PNG, for use inside a page."""
-    buffer = io.BytesIO()
-    if png:
-        image.save(buffer, "PNG", optimize=True)
-    else:
-        image.save(buffer, "JPEG", quality=quality)
-    kind, content = "png" if png else "jpeg", base64.b64encode(buffer.getvalue()).decode("ascii")
+    buffer, kind = io.BytesIO(), "png" if png else "jpeg"
+    image.save(buffer, kind, **({"optimize": True} if png else {"quality": quality}))
+    content = base64.b64encode(buffer.getvalue()).decode("ascii")
     return InlineImage(Markup(f"data:image/{kind};base64,{content}"), *image.size, text)
 
 
@@ -114,19 +111,9 @@ def _filled(
 
 
 def write_html(path: Path, template: str, **values: Any) -> Path:
-    """Write a page that needs nothing from the network, and whose policy forbids requests.
-
-    Args:
-        path: ends with .html.
-        template: and all further arguments: see ``make_page``. What the template loops over may be
-            an iterator: the file is written as it goes.
-
-    Returns:
-        The path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write a page that needs nothing from the network, and whose policy forbids requests; returns
+    the path. For the arguments see ``make_page``; what the template loops over may be an iterator,
+    as the file is written as it goes. RunError if it cannot be written."""
     return write_texts(path, _environment().get_template(template).generate(_filled(**values)))
 
 

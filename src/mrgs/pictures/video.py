@@ -32,10 +32,7 @@ def can_write_mp4() -> bool:
 
 @contextmanager
 def frame_writer(
-    folder: Path,
-    name: str,
-    size: tuple[int, int],
-    mp4: bool | None = None,
+    folder: Path, name: str, size: tuple[int, int], mp4: bool | None = None
 ) -> Iterator[AddFrame]:
     """Give a function that writes frames into ``NAME/00000.png`` and so on and, if possible, into
     ``NAME.mp4``.

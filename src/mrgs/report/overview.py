@@ -58,11 +58,8 @@ MOST_STEPS = 6
 def draw_marks(
     image: Image.Image, marks: Mapping[str, Mark], places: Mapping[str, Float64[np.ndarray, "_ 2"]]
 ) -> None:
-    """A ring about each spot and the outline of the other marks, then their names.
-
-    Args:
-        places: pixels of the corners of the marks to draw.
-    """
+    """A ring about each spot and the outline of the other marks, then their names, at the pixels of
+    their corners."""
     for name, corners in places.items():
         path = [*map(tuple, corners)]
         if marks[name].kind == "spot":
@@ -177,15 +174,8 @@ CAMERA = (31, 95, 168)
 
 
 class Plan:
-    """The start points of a scene in their colours, on which marks are drawn.
-
-    Args:
-        marks: that the plan must reach.
-
-    Attributes:
-        from_the_front: whether it is an elevation, along the cameras' mean level direction; else it
-            is seen from above, along the scene's z axis.
-    """
+    """The start points of a scene in their colours, on which marks are drawn: from the front, along
+    the cameras' mean level direction, if they face one side; else from above."""
 
     def __init__(self, scene: Scene, marks: Sequence[Mark]) -> None:
         self.from_the_front = faces_one_side(scene)
@@ -317,8 +307,8 @@ class TemperatureMap:
         return bool(((corners >= 0) & (corners <= size)).all())
 
     def picture(self, marks: Mapping[str, Mark], decimal: str = ".") -> Image.Image:
-        """The temperatures with legend and scale bar, and the marks that lie on the map under
-        their names; ``decimal`` is written before the decimals of the legend's numbers."""
+        """The temperatures with legend and scale bar, and the marks on the map under their names;
+        ``decimal`` is written before the decimals of the legend's numbers."""
         scale = map_scale(self.drawn, "inferno")._replace(decimal=decimal)
         body, metres_per_px = map_body(self.drawn, scale)
         zoom = self.drawn.grid.pixel_m / metres_per_px
@@ -329,8 +319,7 @@ class TemperatureMap:
         return frame_map(body, metres_per_px, scale, 0.0 if self.north else None)
 
     def small(self, mark: Mark) -> Image.Image:
-        """Where a mark is that lies on the map: in the colours of the photos, where there are
-        any."""
+        """The place of a mark on the map, in the colours of the photos, where there are any."""
         colors = self.drawn.bands[1:4].transpose(1, 2, 0)
         if np.isnan(colors).all():
             image, metres_per_px = map_body(self.drawn, map_scale(self.drawn, "grey"))

@@ -37,14 +37,8 @@ class BrowserMessage(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Look(BrowserMessage, tag="look"):
-    """Draw a picture.
-
-    Attributes:
-        number: returned with the picture.
-        rotation: rows of the camera's axes in the world (right, down, forward).
-        focal: fx and fy, pixels.
-        centre: principal point, pixels.
-    """
+    """Draw a picture from a camera whose axes in the world (right, down, forward) are the rows of
+    ``rotation``, for a window of the screen's pixels; ``number`` is returned with it."""
 
     number: Index
     rotation: Annotated[tuple[Number, ...], msgspec.Meta(min_length=9, max_length=9)]
@@ -56,11 +50,7 @@ class Look(BrowserMessage, tag="look"):
     effort: Effort
 
     def camera(self) -> Camera:
-        """The camera to draw from.
-
-        Raises:
-            ValueError: the rotation is none.
-        """
+        """The camera to draw from; ValueError if the rotation is not one."""
         rotation = np.array(self.rotation).reshape(3, 3)
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
             raise ValueError("the camera's axes must be of unit length and perpendicular")
@@ -71,15 +61,8 @@ class Look(BrowserMessage, tag="look"):
 
 
 class Choose(BrowserMessage, tag="choose"):
-    """The choices of the panel; see ``Settings``.
-
-    Attributes:
-        mode: index of the subject's modes.
-        scaled: name of the modality that the limits and the isotherm apply to.
-        limits: values of the palette's ends; None lets them follow the picture.
-        isotherm: first and last value of the band; None for none.
-        marks: whether they are drawn into the picture.
-    """
+    """The choices of the panel, see ``Settings``; ``limits`` and ``isotherm`` are those of the
+    modality named ``scaled``."""
 
     mode: Index
     palette: PaletteName
@@ -119,11 +102,7 @@ class AddMark(BrowserMessage, tag="add_mark"):
 
 
 class ChangeMark(BrowserMessage, tag="change_mark"):
-    """Give a mark other fields, see ``Mark``; those that are left out stay as they are.
-
-    Attributes:
-        mark: its number, see ``MarkNumbers``.
-    """
+    """Give the mark of a number (see ``MarkNumbers``) other fields; those left out stay."""
 
     mark: Index
     name: Text | UnsetType = UNSET
@@ -146,11 +125,7 @@ class DeleteMark(BrowserMessage, tag="delete_mark"):
 
 
 class Judge(BrowserMessage, tag="judge"):
-    """Make a proposal of the report a mark, or drop it.
-
-    Attributes:
-        mark: its name.
-    """
+    """Make the report's proposal of a name a mark, or drop it."""
 
     mark: Text
     accept: bool
@@ -210,11 +185,7 @@ _decoder = msgspec.json.Decoder(AnyMessage)
 
 
 def decode(data: str | bytes) -> AnyMessage:
-    """A message from a browser.
-
-    Raises:
-        ValueError: it is none: not JSON, unknown, or a value out of its range.
-    """
+    """A message from a browser; ValueError if it is not JSON, unknown, or out of its range."""
     try:
         return _decoder.decode(data)
     except ValueError as error:

@@ -18,6 +18,8 @@ from mrgs.scene import Camera, Modality, SceneBounds, TemperatureRange
 from mrgs.viewer.panes import Pane, PaneImages, PaneKind
 from mrgs.viewer.settings import Settings, in_kelvin
 
+Colors: TypeAlias = UInt8[np.ndarray, "h w 3"]
+
 ISOTHERM_COLOR = (0, 230, 118)
 ISOTHERM_ON_RAINBOW = (255, 0, 220)
 """The rainbow palette contains green."""
@@ -50,7 +52,7 @@ class DrawnPicture:
     panes: tuple[Pane, ...]
     images: tuple[PaneImages, ...]
     scales: Scales
-    pixels: UInt8[np.ndarray, "h w 3"]
+    pixels: Colors
 
     @property
     def size(self) -> tuple[int, int]:
@@ -132,9 +134,7 @@ def _scene_depth(
     return ball.without_background(camera.resized(width, height), torch.from_numpy(depth)).numpy()
 
 
-def paint(
-    pane: Pane, images: PaneImages, scales: Scales, settings: Settings
-) -> UInt8[np.ndarray, "h w 3"]:
+def paint(pane: Pane, images: PaneImages, scales: Scales, settings: Settings) -> Colors:
     """The colours of a pane at the size of its images, [H, W, 3]."""
     if pane.kind in OWN_SCALE:
         values = images.depth if pane.kind == "depth" else images.images[pane.modalities[0]]
@@ -147,16 +147,14 @@ def paint(
     return painted[0]
 
 
-def _where_solid(
-    painted: UInt8[np.ndarray, "h w 3"], images: PaneImages
-) -> UInt8[np.ndarray, "h w 3"]:
+def _where_solid(painted: Colors, images: PaneImages) -> Colors:
     painted[~images.solid] = NO_SURFACE_COLOR
     return painted
 
 
 def _paint_modality(
     modality: Modality, images: PaneImages, scales: Scales, settings: Settings
-) -> UInt8[np.ndarray, "h w 3"]:
+) -> Colors:
     """The colours of one modality: its own, or those of its scale and of the isotherm."""
     values = images.images[modality]
     if modality.channels > 1:
@@ -171,16 +169,12 @@ def _paint_modality(
     return _where_solid(painted, images) if modality.is_metric else painted
 
 
-def blend(
-    below: UInt8[np.ndarray, "h w 3"], above: UInt8[np.ndarray, "h w 3"], share: float
-) -> UInt8[np.ndarray, "h w 3"]:
+def blend(below: Colors, above: Colors, share: float) -> Colors:
     """Mix two images [H, W, 3]: ``share`` 0 shows only the lower, 1 only the upper."""
     return np.rint((1 - share) * below + share * above.astype(np.float32)).astype(np.uint8)
 
 
-def split(
-    left: UInt8[np.ndarray, "h w 3"], right: UInt8[np.ndarray, "h w 3"], share: float
-) -> UInt8[np.ndarray, "h w 3"]:
+def split(left: Colors, right: Colors, share: float) -> Colors:
     """Join two images [H, W, 3] at a vertical white line; the right one takes ``share`` of the
     width."""
     width = left.shape[1]
@@ -197,7 +191,7 @@ def compose(
     images: Sequence[PaneImages],
     scales: Scales,
     settings: Settings,
-) -> UInt8[np.ndarray, "h w 3"]:
+) -> Colors:
     """The picture alone, without marks and scales, [H, W, 3]; the images of each pane are stretched
     to it."""
     painted = [

@@ -107,12 +107,11 @@ class Settings:
 
     Attributes:
         palette: colours of values with a unit.
-        limits: values of the palette's first and last colour, of each modality in its unit; those
-            of a modality that is not in it follow the picture.
+        limits: values of the palette's first and last colour, of each modality in its unit; others
+            follow the picture.
         isotherm: first and last value of the band that is marked in one colour, in the unit of
             ``scaled``; None marks nothing.
-        share: of the slider in the kinds ``blend`` and ``split``: 0 shows only the lower or left
-            image, 1 only the other.
+        share: of the slider: 0 shows only the lower or left image, 1 only the other.
         scaled: the modality that ``isotherm`` applies to.
         marks: whether they are drawn into the picture.
     """

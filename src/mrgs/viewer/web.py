@@ -235,22 +235,20 @@ class Viewer:
 
 
 def _html(status: HTTPStatus, page: Page) -> Response:
-    response = _response(status, "text/html", page.html.encode("utf-8", "replace"))
-    response.headers["Content-Security-Policy"] = f"{page.policy}; frame-ancestors 'none'"
-    return response
+    body = page.html.encode("utf-8", "replace")
+    return _response(status, "text/html", body, page.policy)
 
 
 def _text(status: HTTPStatus, text: str) -> Response:
-    response = _response(status, "text/plain", text.encode())
-    response.headers["Content-Security-Policy"] = "default-src 'none'; frame-ancestors 'none'"
-    return response
+    return _response(status, "text/plain", text.encode(), "default-src 'none'")
 
 
-def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
+def _response(status: HTTPStatus, kind: str, body: bytes, policy: str) -> Response:
     headers = Headers(
         {
             "Content-Type": f"{kind}; charset=utf-8",
             "Content-Length": str(len(body)),
+            "Content-Security-Policy": f"{policy}; frame-ancestors 'none'",
             "Cache-Control": "no-store",
             "Cross-Origin-Opener-Policy": "same-origin",
             "Cross-Origin-Resource-Policy": "same-origin",

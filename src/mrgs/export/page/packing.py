@@ -47,14 +47,10 @@ SAMPLED = 2**18
 
 
 class PackedModel(NamedTuple):
-    """A compressed model for the page.
-
-    Attributes:
-        header: ``count``, ``chunk``, ``sh_steps``, ``planes`` (name, type and length
-            in order), ``limits`` of scales (natural logarithms), and by the name of the modality of
-            ``values`` (normalised) and of each degree of ``sh``; plain JSON.
-        data: the planes, compressed.
-    """
+    """A compressed model for the page: the planes, and a header of plain JSON: ``count``,
+    ``chunk``, ``sh_steps``, ``planes`` (name, type and length in order), ``limits`` of scales
+    (natural logarithms), and by the name of the modality of ``values`` (normalised) and of each
+    degree of ``sh``."""
 
     header: dict[str, Any]
     data: bytes
@@ -67,12 +63,7 @@ HarmonicsLimits: TypeAlias = dict[Modality, list[list[float]]]
 def pack_in_order(
     baked: BakedModel, modalities: Sequence[Modality], sh_limits: HarmonicsLimits
 ) -> PackedModel:
-    """Quantise and compress all splats in their order.
-
-    Args:
-        baked: N splats, as ``curve_rows`` chooses and orders them.
-        sh_limits: see ``harmonics_limits``.
-    """
+    """Quantise and compress all splats in their order, see ``curve_rows``."""
     low, high, positions = _chunked_positions(to_array(baked.means))
     scales, scale_limits = _quantise(np.log(to_array(baked.scales)), 1023)
     planes: dict[str, np.ndarray] = {
@@ -114,11 +105,7 @@ def pack_in_order(
 
 def curve_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np.ndarray, " k"]:
     """The splats that some pixel can show (an opacity is 1/255 or more), along the space-filling
-    curve.
-
-    Raises:
-        ConfigError: there are none.
-    """
+    curve; ConfigError if there are none."""
     means = to_array(baked.means)
     opacity = np.max([to_array(baked.opacities[each]) for each in modalities], axis=0)
     rows = np.flatnonzero((opacity >= ALPHA_MIN) & np.isfinite(means).all(axis=1))
@@ -132,11 +119,7 @@ def curve_rows(baked: BakedModel, modalities: Sequence[Modality]) -> Int64[np.nd
 def harmonics_limits(
     baked: BakedModel, rows: Int64[np.ndarray, " k"], modalities: Sequence[Modality]
 ) -> HarmonicsLimits:
-    """The limits of each degree's coefficients, that all but a few of the splats keep.
-
-    Args:
-        rows: of the splats that count; of many, some are looked at.
-    """
+    """The limits of each degree's coefficients, within which all but a few of some splats are."""
     some = torch.from_numpy(rows[:: -(-len(rows) // SAMPLED)])
     limits = {}
     for modality in modalities:
@@ -155,11 +138,8 @@ def _band(sh: Float32[np.ndarray, "n _ c"], band: int) -> Float32[np.ndarray, "n
 
 
 def morton_order(means: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """The rows along a space-filling curve, so that neighbours in the file are neighbours in space.
-
-    Each axis is ranked rather than measured: a few splats far away would otherwise leave one cell
-    for all others.
-    """
+    """The rows along a space-filling curve, so that neighbours in the file are neighbours in space;
+    by the ranks on each axis, which a few splats far away do not change."""
     ranks = np.empty(means.shape, dtype=np.uint64)
     for axis in range(3):
         ranks[np.argsort(means[:, axis], kind="stable"), axis] = np.arange(
