@@ -26,11 +26,7 @@ Negative where the baked model is closer to the photos.
 
 def baking_loss_db(run: Run, baked: BakedModel, scene: Scene) -> BakingLoss:
     """PSNR of each modality that baking costs, averaged over the held-out views, dB; None for a
-    modality without photos.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    modality without photos. SceneError if a photo cannot be read."""
     losses: dict[Modality, list[float]] = {modality: [] for modality in baked.modalities}
     for view in scene.eval:
         cameras = {each: camera for each, camera in view.cameras.items() if each in losses}
@@ -60,13 +56,8 @@ WIDTH_PX = 320
 def correction_note(
     uncorrected: BakedModel, corrected: BakedModel, regions: Regions, cameras: Sequence[Camera]
 ) -> str:
-    """How far the blend of corrected splats is from the correction of the blend, in the pixels of
-    the regions in some of the views, as a sentence.
-
-    Args:
-        uncorrected: the splats as the photos have them.
-        corrected: the same, see ``Regions.of_splats``.
-    """
+    """A sentence on how far the blend of splats that were corrected one by one is from the
+    correction of the uncorrected blend, in the pixels of the regions in some of the views."""
     note = (
         "Marked surfaces with an emissivity of their own are corrected splat by splat, which is "
         "not exact there and right beside them"

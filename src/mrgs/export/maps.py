@@ -36,11 +36,7 @@ TILE_PX = 256
 
 
 def require_rasterio() -> ModuleType:
-    """Import the package rasterio.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """Import the package rasterio. ConfigError if it is not installed."""
     return optional_package("rasterio", "maps", "export")
 
 
@@ -87,11 +83,7 @@ STOPS = 16
 
 def write_style(path: Path, scale: Scale) -> Path:
     """Write the style of a map's first band, which QGIS applies by its name: ``NAME.qml`` beside
-    ``NAME.tif``; returns the path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    ``NAME.tif``; returns the path. RunError if the file cannot be written."""
     low, high = min(scale.low, scale.high), max(scale.low, scale.high)
     document = ElementTree.Element("qgis", styleCategories="Symbology")
     renderer = ElementTree.SubElement(
@@ -125,12 +117,8 @@ COMPASS = ("north", "north-east", "east", "south-east", "south", "south-west", "
 
 
 def require_elevation(scene: Scene, crs: str | None = None) -> None:
-    """Check that the map of a façade can be written, which is in no CRS.
-
-    Raises:
-        ConfigError: rasterio or pyproj is not installed, the scene has no °C, or is not known to be
-            in metres.
-    """
+    """Check that the map of a façade can be written, which is in no CRS. ConfigError if rasterio or
+    pyproj is not installed, the scene has no °C, or is not known to be in metres."""
     require_rasterio()
     require_pyproj()
     if scene.temperature is None or THERMAL not in scene.modalities:

@@ -41,12 +41,7 @@ is left out."""
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A regular grid: sample (i, j, k) lies at ``origin`` + ``step`` · (i, j, k).
-
-    Attributes:
-        origin: world coordinates of the first sample, [3].
-        step: distance between samples, scene units.
-    """
+    """A regular grid: sample (i, j, k) is at ``origin`` + ``step`` · (i, j, k), scene units."""
 
     origin: Float64[np.ndarray, "3"]
     step: float

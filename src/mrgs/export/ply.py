@@ -40,10 +40,7 @@ def export(job: ExportJob) -> list[Path]:
 
 def write_splat_ply(path: Path, splats: SplatArrays, comments: Sequence[str] = ()) -> Path:
     """Write the layout of 3DGS: scales as logarithms, the opacity as a logit, rotations wxyz.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    RunError if the file cannot be written."""
     return write_ply(path, {"vertex": splat_columns(splats)}, comments)
 
 

@@ -27,11 +27,7 @@ def export(job: ExportJob) -> list[Path]:
 
 def write_points_ply(path: Path, points: SurfacePoints, comments: Sequence[str] = ()) -> Path:
     """Write x, y, z, red, green, blue, the temperature, other modalities and the opacity; returns
-    the path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    the path. RunError if the file cannot be written."""
     columns: dict[str, np.ndarray] = {axis: points.positions[:, i] for i, axis in enumerate("xyz")}
     columns |= {**points.columns, "opacity": points.opacities}
     return write_ply(path, {"vertex": columns}, comments)
@@ -62,11 +58,8 @@ def export_las(job: ExportJob) -> list[Path]:
 
 
 def require_las(scene: Scene, crs: str | None = None) -> None:
-    """Check that LAS files can be written, in a CRS if the scene has a place on Earth.
-
-    Raises:
-        ConfigError: laspy is not installed, or the CRS cannot be used, see ``coordinate_system``.
-    """
+    """Check that LAS files can be written, in a CRS if the scene has a place on Earth. ConfigError
+    if laspy is not installed, or the CRS cannot be used, see ``coordinate_system``."""
     require_laspy()
     if scene.world.is_georeferenced:
         coordinate_system(scene, crs)
@@ -115,9 +108,5 @@ def write_las(path: Path, points: SurfacePoints, system: CoordinateSystem | None
 
 
 def require_laspy() -> ModuleType:
-    """Import the package laspy.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """Import the package laspy. ConfigError if it is not installed."""
     return optional_package("laspy", "LAS files", "export")

@@ -103,11 +103,8 @@ def comment_lines(facts: Mapping[str, Any]) -> list[str]:
 
 
 def write_sidecar(path: Path, facts: Mapping[str, Any]) -> Path:
-    """Write the facts about a file beside it, as ``NAME.SUFFIX.json``; returns that path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write the facts about a file beside it, as ``NAME.SUFFIX.json``; returns that path. RunError
+    if the file cannot be written."""
     content = json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False)
     return write_text(path.with_name(f"{path.name}.json"), content)
 

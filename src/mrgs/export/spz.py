@@ -57,11 +57,8 @@ def export(job: ExportJob) -> list[Path]:
 
 
 def write_spz(path: Path, splats: SplatArrays) -> Path:
-    """Write an SPZ file; returns the path.
-
-    Raises:
-        RunError: a splat lies too far out for the format, or the file cannot be written.
-    """
+    """Write an SPZ file; returns the path. RunError if a splat lies too far out for the format, or
+    the file cannot be written."""
     farthest = float(np.abs(splats.means).max())
     bits = min(
         MAX_FRACTIONAL_BITS, math.floor(math.log2((POSITION_LIMIT - 1) / max(farthest, 1e-3)))

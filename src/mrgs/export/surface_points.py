@@ -92,13 +92,8 @@ Columns: TypeAlias = Mapping[str, Float32[np.ndarray, " m"] | UInt8[np.ndarray, 
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """M points with what they carry into a file.
-
-    Attributes:
-        columns: colours, temperatures and other values by their names in files, see
-            ``value_columns``, [M] each.
-        opacities: the largest of all modalities, [M].
-    """
+    """M points with what they carry into a file: values by their names there, see
+    ``value_columns``, and the largest opacity of all modalities."""
 
     positions: Float32[np.ndarray, "m 3"]
     columns: Columns

@@ -201,10 +201,7 @@ def _from_scene(
 ) -> tuple[Float64[np.ndarray, "4 4"], float]:
     """The similarity from ENU to a projected CRS that fits best in the plane within a radius
     (metres), and the largest distance from the exact projection there; heights are kept.
-
-    Raises:
-        ConfigError: none fits.
-    """
+    ConfigError if none fits."""
     height = origin.altitude_m or 0.0
     place = f"+lat_0={origin.latitude_deg!r} +lon_0={origin.longitude_deg!r} +h_0={height!r}"
     to_degrees = pyproj.Transformer.from_pipeline(

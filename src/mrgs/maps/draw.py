@@ -56,12 +56,8 @@ BANDS = {
 
 @dataclass(frozen=True, eq=False)
 class OrthographicMap:
-    """A map.
-
-    Attributes:
-        bands: see ``BANDS``; NaN where there is no surface, temperatures also where no photo
-            looked, the scatter where fewer than two did, [7, H, W].
-    """
+    """A map: its pixels, and its ``BANDS``, [7, H, W]; NaN where there is no surface, temperatures
+    also where no photo looked, the scatter where fewer than two did."""
 
     grid: MapGrid
     bands: Float32[np.ndarray, "b h w"]

@@ -55,12 +55,8 @@ _TRIMMED_PERCENT = 0.2
 
 
 class Facade(NamedTuple):
-    """A façade.
-
-    Attributes:
-        axes: right, up and out of the wall as rows, unit length, [3, 3].
-        low: smallest coordinates along the axes of what belongs to it, [3].
-    """
+    """A façade: right, up and out of the wall as rows, unit length, and the smallest and largest
+    coordinates along them of what belongs to it."""
 
     axes: Float64[np.ndarray, "3 3"]
     low: Vector
@@ -68,13 +64,8 @@ class Facade(NamedTuple):
 
 
 class Surfaces(NamedTuple):
-    """Points on surfaces that photos show.
-
-    Attributes:
-        points: scene coordinates, [N, 3].
-        normals: towards the camera, unit length, [N, 3].
-        distance: median distance from the cameras, scene units.
-    """
+    """Points on surfaces that photos show, with normals of unit length towards the camera, and
+    their median distance from the cameras, scene units."""
 
     points: Float64[np.ndarray, "n 3"]
     normals: Float64[np.ndarray, "n 3"]

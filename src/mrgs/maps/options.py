@@ -61,11 +61,7 @@ class MapOptions:
 
 
 def parse_plane(first: str, second: str, third: str) -> ThreePoints:
-    """Three points ``X,Y,Z``.
-
-    Raises:
-        ConfigError: they are not.
-    """
+    """Three points ``X,Y,Z``. ConfigError if they are not."""
     return _point(first), _point(second), _point(third)
 
 

@@ -213,12 +213,8 @@ def on_seen_surface(
 
 
 class PhotoStatistics:
-    """What photos show of the places of a map, gathered photo by photo.
-
-    Args:
-        points: the surface in the pixels of the map, scene coordinates; NaN where there is none,
-            [H, W, 3].
-    """
+    """What photos show of the places of a map, gathered photo by photo; ``points`` is the surface
+    in its pixels, scene coordinates, NaN where there is none."""
 
     def __init__(self, points: Float32[np.ndarray, "h w 3"], grid: MapGrid) -> None:
         self._points, self._grid = points, grid
@@ -292,12 +288,8 @@ SMOOTHED_CELLS = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """How many photos show the places of a map, in square cells.
-
-    Attributes:
-        low: map coordinates of the corner of the first cell, [2].
-        share: photos that show a cell, as a share of the most that show any, [U, V].
-    """
+    """How many photos show the places of a map, as a share of the most that show any, in square
+    cells of ``cell_m`` map metres from the map coordinates ``low`` on."""
 
     low: Float64[np.ndarray, "2"]
     cell_m: float

@@ -29,13 +29,8 @@ TYPICAL_LAW = Planck(1.0, 1.0, SECOND_RADIATION_CONSTANT_UM_K / TYPICAL_WAVELENG
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """How a surface radiates.
-
-    Attributes:
-        emissivity: above 0, at most 1.
-        reflected_c: reflected apparent temperature, °C; None if not known, which an emissivity of 1
-            does not need.
-    """
+    """How a surface radiates: its emissivity, above 0 and at most 1, and the reflected apparent
+    temperature, °C, None if not known, which an emissivity of 1 does not need."""
 
     emissivity: float
     reflected_c: float | None
@@ -43,13 +38,8 @@ class SurfaceSettings:
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """What the temperatures of a scene's photos were computed with.
-
-    Attributes:
-        surface: emissivity and reflected temperature.
-        law: the camera's calibration.
-        notes: what is not known and was assumed, one sentence each.
-    """
+    """What the temperatures of a scene's photos were computed with: settings of the surface, the
+    camera's calibration, and what was assumed, one sentence each."""
 
     surface: SurfaceSettings = SurfaceSettings(1.0, None)
     law: Planck = TYPICAL_LAW
@@ -64,11 +54,8 @@ class CaptureSettings:
         return cls(surface, law, (*surface_notes, *law_notes))
 
     def of_mark(self, mark: Mark) -> SurfaceSettings:
-        """The settings of the surface in a mark: its own, else those of the photos.
-
-        Raises:
-            ConfigError: the reflected temperature is needed, and neither has one.
-        """
+        """The settings of the surface in a mark: its own, else those of the photos. ConfigError if
+        the reflected temperature is needed, and neither has one."""
         emissivity = self.surface.emissivity if mark.emissivity is None else mark.emissivity
         reflected = self.surface.reflected_c if mark.reflected_c is None else mark.reflected_c
         if emissivity < 1 and reflected is None:

@@ -59,13 +59,8 @@ without °C a share of the range."""
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The values along a line.
-
-    Attributes:
-        distances: from its first point, along its straight pieces, scene units, [S].
-        values: of the surface that is seen there, in the unit of the reading, NaN where there is
-            none, [S].
-    """
+    """The values along a line, in the unit of the reading, NaN where there is no surface, at
+    distances from its first point along its straight pieces, scene units."""
 
     distances: Float[np.ndarray, " s"]
     values: Float[np.ndarray, " s"]

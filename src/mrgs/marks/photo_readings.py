@@ -31,14 +31,10 @@ _TERMS = 50
 
 def rounding_of_mean(variance: float) -> float:
     """Half the width of the interval for 95 of 100 cases that rounding leaves in the mean of many
-    values, in steps.
+    values with normal noise of a variance, in steps.
 
     The error of the mean of rounded values is a Fourier series in the true value; this is twice its
-    root mean square.
-
-    Args:
-        variance: of normal noise before the rounding, in steps squared.
-    """
+    root mean square."""
     k = np.arange(1, _TERMS)
     squares = np.exp(-4 * np.pi**2 * k**2 * variance) / k**2
     return float(2 * np.sqrt(squares.sum() / 2) / np.pi)
@@ -165,12 +161,8 @@ LEAST_SHARE = 0.5
 
 
 class PhotoReadings:
-    """The thermal training photos, each rendered by the model when it is first asked for.
-
-    Args:
-        respond: what the cameras make of a rendering.
-        views: of the scene; those with a thermal photo count, at most ``MAX_VIEWS``.
-    """
+    """The thermal training photos, at most ``MAX_VIEWS``, each rendered by the model when it is
+    first asked for; ``respond`` applies the cameras' response to a rendering."""
 
     def __init__(
         self,
@@ -192,11 +184,8 @@ class PhotoReadings:
         return len(self._views)
 
     def __getitem__(self, index: int) -> DepthMap:
-        """Depth and channels of one photo; NaN where it is masked.
-
-        Raises:
-            SceneError: the photo cannot be read.
-        """
+        """Depth and channels of one photo; NaN where it is masked. SceneError if the photo cannot
+        be read."""
         if index not in self._maps:
             self._maps[index] = self._witness(self._views[index])
         return self._maps[index]

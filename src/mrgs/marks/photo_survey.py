@@ -74,14 +74,9 @@ class Resolution:
         self._image = lru_cache(KEPT_IMAGES)(self._render_photo)
 
     def width_px(self, place: Sequence[float], sign: int, least: float) -> float:
-        """Width of a hot or a cold place at half its height, across its narrowest direction, in
-        pixels of the photo that shows it largest; infinite where it does not stand out on both
-        sides, or no photo shows it.
-
-        Args:
-            sign: 1 for a hot place, -1 for a cold one.
-            least: what it must stand out by, normalised.
-        """
+        """Width of a hot (``sign`` 1) or a cold place (-1) at half its height, across its narrowest
+        direction, in pixels of the photo that shows it largest; infinite where it does not stand
+        out by ``least`` (normalised) on both sides, or no photo shows it."""
         largest = self._largest(place)
         if largest is None:
             return np.inf

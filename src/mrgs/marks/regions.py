@@ -85,12 +85,8 @@ class SettingsShare(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceRegion:
-    """The surface within the outline of a mark, as seen from the mark's eye.
-
-    Attributes:
-        inside: the pixels within the outline, [H, W].
-        plane: of the surface; None where it is not flat.
-    """
+    """The surface within the outline of a mark, as seen from the mark's eye: the pixels within the
+    outline, and its plane, None where it is not flat."""
 
     settings: SurfaceSettings
     surface: SeenSurface
@@ -98,12 +94,9 @@ class SurfaceRegion:
     plane: RegionPlane | None
 
     def holds(self, points: Points, eye: Vector | None = None) -> Bool[np.ndarray, " n"]:
-        """Which points of the world lie on it, [N]; NaN does not.
-
-        Args:
-            eye: that sees them, if they are pixels of an image. Their depths differ from pixel to
-                pixel, which from the side would make the edge of a flat region ragged.
-        """
+        """Which points of the world are on it, [N]; not NaN. ``eye`` sees them, if they are pixels
+        of an image: their depths differ from pixel to pixel, which from the side would make the
+        edge of a flat region ragged."""
         if eye is not None and self.plane is not None:
             points = self.plane.meets(points, eye)
         camera = self.surface.camera
@@ -117,11 +110,8 @@ class SurfaceRegion:
 
 
 class Regions:
-    """All regions of a model with settings of their own.
-
-    Args:
-        marks: those with settings are regions; where two overlap, the later one counts.
-        temperature: the scale of the thermal values; without known °C there are no regions.
+    """All regions of a model with settings of their own: those of marks with settings; where two
+    overlap, the later one counts. Without known °C there are none.
 
     Attributes:
         problems: of marks that cannot be regions, one sentence by name.
@@ -205,12 +195,9 @@ class Regions:
         return self._corrected(points, celsius)
 
     def of_splats(self, baked: BakedModel) -> BakedModel:
-        """A model of splats whose temperatures are corrected one by one.
-
-        What is blended of them is off by degrees where splats are large beside the region: those
-        outside reach into it uncorrected, those inside reach out. ``applied_to`` and
-        ``corrected_at`` correct what is blended.
-        """
+        """A model of splats whose temperatures are corrected one by one. Their blend is off by
+        degrees where splats are large beside the region, which those outside reach into
+        uncorrected; ``applied_to`` and ``corrected_at`` correct the blend."""
         if not self:
             return baked
         means, values = baked.means.double().numpy(), baked.temperatures.double().numpy()

@@ -59,12 +59,8 @@ FARTHEST = 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """A photo with its camera.
-
-    Attributes:
-        projection: from homogeneous world coordinates to pixels, [3, 4].
-        image: values from 0 to 1, [H, W, C].
-    """
+    """A photo with values from 0 to 1, and its camera as projection from homogeneous world
+    coordinates to pixels."""
 
     projection: Float[np.ndarray, "3 4"]
     image: Float[np.ndarray, "h w c"]
@@ -95,16 +91,10 @@ class _Photo:
 
 
 class _Patch(NamedTuple):
-    """A square of a surface.
-
-    Attributes:
-        points: its samples, world coordinates, [S, 3].
-        weights: of the samples, [S].
-        directions: how far parameters of 1 move the samples along the normal, [3, S, 3]: until the
-            plane lies twice as far from the eye, and two slopes about the middle.
-        pixel: change of the parameters that moves what a photo shows by about a third of a pixel,
-            [3].
-    """
+    """A square of a surface: its samples in the world with weights; how far parameters of 1 move
+    them along the normal (until the plane is twice as far from the eye, and two slopes about the
+    middle); and the change of the parameters that moves the photos' images by about a third of a
+    pixel."""
 
     points: Float[np.ndarray, "s 3"]
     weights: Float[np.ndarray, " s"]
@@ -113,12 +103,8 @@ class _Patch(NamedTuple):
 
 
 class PhotoStereo:
-    """Finds depths at which photos agree.
-
-    Args:
-        survey: of the cameras of the views' thermal photos, in their order.
-        views: of the thermal photos. Compared are the RGB photos, or without any the thermal ones.
-    """
+    """Finds depths at which photos agree: RGB photos of the views of a survey's thermal photos, or
+    without any the thermal ones."""
 
     def __init__(self, survey: PhotoSurvey, views: Sequence[View]) -> None:
         self._survey = survey

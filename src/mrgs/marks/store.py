@@ -39,12 +39,8 @@ Content = TypeVar("Content")
 
 @dataclass(frozen=True)
 class CameraSpread:
-    """Positions of a scene's cameras in brief, to recognise its coordinate frame.
-
-    Attributes:
-        centre: mean of their positions, scene units.
-        extent: largest distance from it.
-    """
+    """Positions of a scene's cameras in brief, to recognise its coordinate frame: their number,
+    their mean and the largest distance from it, scene units."""
 
     images: int
     centre: tuple[float, float, float]

@@ -81,13 +81,8 @@ class SeenSurface:
 
 
 class PixelPlaces(NamedTuple):
-    """Pixels of an image at which points of the world appear.
-
-    Attributes:
-        rows: [N].
-        columns: [N].
-        inside: whether the point appears in the image, [N]; row and column are 0 where it does not.
-    """
+    """Pixels of an image at which points of the world appear; row and column are 0 outside of
+    it."""
 
     rows: Int64[np.ndarray, " n"]
     columns: Int64[np.ndarray, " n"]

@@ -86,14 +86,9 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Budget:
-    """The uncertainties that do not depend on the place, and what follows from them.
-
-    Attributes:
-        parameters: of the photos, their median; None if they are not known.
-        reflected_c: standard uncertainty, K.
-        accuracy: limit of error of the camera, K and per cent of °C; None if it is not known.
-        notes: what was assumed, one sentence each.
-    """
+    """The uncertainties that do not depend on the place, and what follows from them: medians of the
+    photos' parameters, standard uncertainties (K for ``reflected_c``), the camera's limit of error
+    (K and per cent of °C), each None if not known; and what was assumed, one sentence each."""
 
     capture: CaptureSettings = field(default_factory=CaptureSettings)
     parameters: ObjectParameters | None = None
@@ -139,14 +134,9 @@ class Budget:
         celsius: Float64[np.ndarray, "*shape"],
         surface: SurfaceSettings | None = None,
     ) -> list[Float64[np.ndarray, "*shape"]]:
-        """All parts of temperatures' uncertainties: those of the photos as the surface has them,
-        then camera, emissivity, reflected temperature and distance.
-
-        Args:
-            of_photos: the parts of the photos and the model, as the photos have the places.
-            celsius: temperatures in the photos.
-            surface: emissivity and reflected temperature there; those of the photos if None.
-        """
+        """All parts of temperatures' uncertainties: those of photos and model, given as the photos
+        have the places, as the surface has them; then camera, emissivity, reflected temperature and
+        distance. ``surface`` has the settings there, by default those of the photos."""
         surface = surface or self.capture.surface
         gain = self._gain(celsius, surface)
         settings = [COVERAGE * part for part in self._settings(celsius, surface)]
@@ -260,14 +250,8 @@ def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | N
 
 
 class UncertaintyMeter:
-    """Estimates how far temperatures may be from the truth, in 95 of 100 cases.
-
-    Args:
-        budget: of what does not depend on the place; None without known °C.
-
-    Attributes:
-        notes: what was assumed, one sentence each.
-    """
+    """Estimates how far temperatures may be from the truth, in 95 of 100 cases, by the thermal
+    photos and a budget, None without known °C; ``notes`` are assumptions, one sentence each."""
 
     def __init__(self, witnesses: PhotoReadings, budget: Budget | None) -> None:
         self.notes = () if budget is None else budget.notes
@@ -283,12 +267,8 @@ class UncertaintyMeter:
         temperature: TemperatureRange | None,
         survey: Survey,
     ) -> UncertaintyMeter:
-        """The meter of a model.
-
-        Args:
-            respond: applies the response of the scene's cameras to a rendering.
-            survey: states uncertainties of camera and settings.
-        """
+        """The meter of a rendered model of a scene; ``respond`` applies the response of the scene's
+        cameras, the survey states uncertainties of camera and settings."""
         witnesses = PhotoReadings(render, respond, scene.train, temperature)
         return cls(witnesses, None if temperature is None else Budget.of(scene, survey))
 
@@ -298,15 +278,9 @@ class UncertaintyMeter:
         value: float,
         surface: SurfaceSettings | None = None,
     ) -> Uncertainty:
-        """Uncertainty of the mean of a mark.
-
-        Args:
-            value: the mean as the photos have it, °C or normalised.
-            surface: emissivity and reflected temperature there; those of the photos if None.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        """Uncertainty of the mean of a mark with points on its surface; ``value`` is the mean as
+        the photos have it, ``surface`` its settings, by default those of the photos. SceneError if
+        a photo cannot be read."""
         parts = Uncertainty(*(float(part[0]) for part in self._witnesses.of_mark(points, value)))
         if self._budget is None or math.isnan(parts.photos):
             return parts
@@ -318,15 +292,9 @@ class UncertaintyMeter:
         values: Float32[np.ndarray, " n"],
         regions: Regions | None = None,
     ) -> Float32[np.ndarray, " n"]:
-        """Total uncertainty of temperatures at points on surfaces; NaN where no photo looked, [N].
-
-        Args:
-            values: seen there by the cameras of the photos, not corrected, °C or normalised.
-            regions: surfaces whose temperatures are corrected for settings of their own.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        """Total uncertainty of temperatures at points on surfaces, NaN where no photo looked, [N];
+        ``values`` are seen there by the cameras of the photos, not corrected for ``regions``.
+        SceneError if a photo cannot be read."""
         return self.together(self.of_photos(points), points, values, regions).astype(np.float32)
 
     def of_photos(self, points: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:

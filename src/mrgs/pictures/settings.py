@@ -22,14 +22,9 @@ measurement."""
 
 
 class Setting(NamedTuple):
-    """A parameter of the measurement, over all photos.
-
-    Attributes:
-        low: smallest value, with decimals and a proper minus sign; empty where no photo has one.
-        unit: as written behind a number.
-        given: whether the user gave it, in place of what the photos say.
-        missing: number of photos whose value is not known.
-    """
+    """A parameter of the measurement over all photos: its smallest and largest value as texts,
+    empty where no photo has one; the unit as written behind a number; whether the user gave it; and
+    for how many photos it is missing."""
 
     label: str
     low: str

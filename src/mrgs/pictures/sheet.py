@@ -32,12 +32,7 @@ HEADING_PX = 60
 
 
 class Panel(NamedTuple):
-    """A picture in a row.
-
-    Attributes:
-        image: sRGB; None if there is none.
-        missing: text in the place of a picture that is missing.
-    """
+    """A picture (sRGB) in a row with a caption, or a text in place of one that is missing."""
 
     image: UInt8[np.ndarray, "h w 3"] | None
     caption: str = ""
@@ -57,13 +52,8 @@ class PanelRow(NamedTuple):
 
 
 class Bar(NamedTuple):
-    """A scale bar below a section.
-
-    Attributes:
-        note: line below it.
-        columns: the first and the last column that it spans; None to share the width of all columns
-            equally with the other bars.
-    """
+    """A scale bar below a section with a line below it, from the first to the last of two columns;
+    without them, bars share the width of all columns equally."""
 
     scale: Scale
     note: str
@@ -79,13 +69,8 @@ def draw_section(
     label_px: int,
     title: str = "",
 ) -> Image.Image:
-    """Draw rows of pictures; a picture is as large as its cell allows, in its middle.
-
-    Args:
-        cell_px: width of a picture.
-        label_px: width of the labels.
-        title: above the columns; empty for none.
-    """
+    """Draw rows of pictures, under an optional title; a picture is as large as its cell allows, in
+    its middle, and ``cell_px`` wide, labels ``label_px``."""
     lefts = [label_px + index * (cell_px + GAP_PX) for index in range(len(columns))]
     top = TITLE_PX * (2 if title else 1)
     heights = [_picture_height(row, cell_px) for row in rows]

@@ -372,12 +372,8 @@ SAME_PLACE = 10.0
 
 
 class Anomaly(NamedTuple):
-    """A spot that was measured.
-
-    Attributes:
-        reading: of the spot as a mark.
-        contrast: its temperature minus that of its surroundings, in the unit of the reading.
-    """
+    """A spot, its reading as a mark, and its temperature minus that of its surroundings, in the
+    unit of the reading."""
 
     spot: Spot
     reading: MarkReading
@@ -392,12 +388,8 @@ class Anomaly(NamedTuple):
 
 
 class Proposals(NamedTuple):
-    """What the report proposes.
-
-    Attributes:
-        anomalies: by name, the hottest first.
-        held_back: how many were as hot or as cold, but do not stand out of their uncertainty.
-    """
+    """Anomalies that the report proposes, by name, the hottest first; and how many were as hot or
+    as cold, but do not stand out of their uncertainty."""
 
     anomalies: Mapping[str, Anomaly]
     held_back: int

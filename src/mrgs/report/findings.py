@@ -81,11 +81,7 @@ def mark_pictures(
     reading: MarkReading, view: View, regions: Regions, scene: Scene, decimal: str = "."
 ) -> list[InlineImage]:
     """The thermal rendering of a view with its scale, and its photo. ``decimal`` is written before
-    the decimals of the scale's numbers.
-
-    Raises:
-        SceneError: the photo cannot be read.
-    """
+    the decimals of the scale's numbers. SceneError if the photo cannot be read."""
     name = reading.mark.name
     camera = _about(reading.mark, view.images[THERMAL].camera)
     values = to_array(regions.render(camera)[THERMAL].image[..., 0])
@@ -174,12 +170,8 @@ CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 64
 
 
 class ProfileChart(NamedTuple):
-    """The values along a line as a chart of ``CHART_WIDTH`` × ``CHART_HEIGHT``.
-
-    Attributes:
-        path: of the curve, in the language of SVG.
-        end: length of the line, as text.
-    """
+    """The values along a line as an SVG path of ``CHART_WIDTH`` × ``CHART_HEIGHT``, with the texts
+    of its lowest and highest value and its length."""
 
     path: str
     low: str
@@ -368,15 +360,8 @@ class ShownProposal(NamedTuple):
 
 
 class Findings(NamedTuple):
-    """What was measured and what was found.
-
-    Attributes:
-        proposals: anomalies that nobody has judged.
-        plan: with all of them; None without any, or where the map shows them all.
-        from_the_front: whether the plan is an elevation.
-        map: temperatures to scale; None where the scene has no such map.
-        map_caption: what the map shows.
-    """
+    """What was measured and what was found; the plan is None without marks, or where the map shows
+    them all, the map where the scene has none."""
 
     marks: Sequence[ShownMark] = ()
     proposals: Sequence[ShownProposal] = ()
@@ -396,10 +381,7 @@ def show_findings(
     t: Texts,
 ) -> Findings:
     """Measure the marks, and draw them and the anomalies into photos, renderings, plan and map.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    SceneError if a photo cannot be read."""
     known = marks.marks
     readings = marks.meter.measure(known, regions)
     proposed = [anomaly.reading for anomaly in anomalies.values()]

@@ -343,11 +343,7 @@ class TemperatureMap:
 
 def temperature_map(run: Run, scene: Scene, regions: Regions) -> TemperatureMap | None:
     """The map of a scene that has °C and metres, and is a façade or seen from above; None for all
-    others.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    others. SceneError if a photo cannot be read."""
     if scene.temperature is None or not scene.world.metric:
         return None
     down = [-camera.forward[2].item() for camera in scene.train_cameras]
@@ -363,13 +359,8 @@ def temperature_map(run: Run, scene: Scene, regions: Regions) -> TemperatureMap 
 def draw_temperature_map(
     baked: BakedModel, scene: Scene, regions: Regions | None = None
 ) -> TemperatureMap:
-    """The map of a façade, or of a scene from above.
-
-    Raises:
-        ConfigError: which way is up is not known, or pyproj is not installed.
-        RunError: there is no façade.
-        SceneError: a photo cannot be read.
-    """
+    """The map of a façade, or of a scene from above. ConfigError if the vertical is not known or
+    pyproj not installed, RunError if there is no façade, SceneError if a photo cannot be read."""
 
     def corrected(
         points: Float32[np.ndarray, "n 3"], celsius: Float32[np.ndarray, " n"]
@@ -394,13 +385,8 @@ TAIL_PERCENT = 0.2
 
 
 class Overview(NamedTuple):
-    """A view with the marks that it sees.
-
-    Attributes:
-        seen: names of the marks.
-        pictures: the photo of every modality but thermal, RGB first; then the thermal rendering
-            above its scale.
-    """
+    """A view with the names of the marks that it sees, the photo of every modality but thermal, RGB
+    first, and the thermal rendering above its scale."""
 
     view: str
     seen: list[str]

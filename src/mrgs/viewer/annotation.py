@@ -39,16 +39,8 @@ HIDDEN_BEHIND = 1.05
 
 @dataclass(frozen=True, eq=False)
 class MarkLabel:
-    """A mark with a label.
-
-    Attributes:
-        corners: of a line or an area; of a spot its middle; world coordinates, [N, 3].
-        label: drawn beside it.
-        short: the same where there is no room for the label; may be empty.
-        closed: whether the last corner is joined to the first.
-        low_at: world coordinates of the smallest value, [3]; empty for none.
-        high_at: of the largest value.
-    """
+    """A mark with its label, and a short one for little room: world coordinates of its corners, of
+    a spot its middle, [N, 3]; and of the smallest and the largest value, empty for none."""
 
     corners: Float[np.ndarray, "n 3"]
     label: str

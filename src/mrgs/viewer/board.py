@@ -7,6 +7,7 @@ import threading
 import warnings
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning
@@ -67,8 +68,7 @@ class CachedMeter(MarkMeter):
         super().__init__(*args, **more)
         self._own: list[tuple[str, Mark]] = []
         self._regions: Regions | None = None
-        self._measured_with: tuple[Regions, UncertaintyMeter | None] | None = None
-        self._readings: dict[tuple[Mark, str], MarkReading] = {}
+        self._known = lru_cache(MOST_CACHED)(self._read)
 
     def regions(self, marks: Marks) -> Regions:
         """The parts of the surface with an emissivity of their own; the same object as long as
@@ -78,24 +78,22 @@ class CachedMeter(MarkMeter):
         renamed = known is not None and known.problems and own != before  # they have names
         if known is None or renamed or [each for _, each in own] != [each for _, each in before]:
             known = self._regions = super().regions(marks)
+            self._known.cache_clear()
         self._own = own  # not before: if that fails, the regions are still to be computed
         return known
 
     def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
         """One mark by itself, from the cache if its reading is still valid."""
-        if regions is None:
-            return super().read(mark)
-        measured_with = regions, self.uncertainty
-        if self._measured_with != measured_with or len(self._readings) > MOST_CACHED:
-            self._measured_with = measured_with
-            self._readings.clear()
-        key = _surface_of(mark), regions.problems.get(mark.name, "")
-        if key in self._readings:
-            return replace(self._readings[key], mark=mark)
-        reading = super().read(mark, regions)
-        if not reading.problem:  # which has the mark's name
-            self._readings[key] = reading
-        return reading
+        if regions is not None and mark.name not in regions.problems:
+            reading = self._known(_surface_of(mark), regions, self.uncertainty)
+            if not reading.problem:  # which has the mark's name
+                return replace(reading, mark=mark)
+        return super().read(mark, regions)
+
+    def _read(
+        self, surface: Mark, regions: Regions, uncertainty: UncertaintyMeter | None
+    ) -> MarkReading:
+        return super().read(surface, regions)
 
 
 def _surface_of(mark: Mark) -> Mark:

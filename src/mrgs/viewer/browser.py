@@ -203,11 +203,7 @@ class Browser:
 
     @property
     def board(self) -> MarkBoard:
-        """The marks of the run.
-
-        Raises:
-            ConfigError: there are none without the scene.
-        """
+        """The marks of the run. ConfigError if there are none without the scene."""
         if self._subject.board is None:
             raise ConfigError("marks need the scene: open the run with it")
         return self._subject.board
@@ -307,13 +303,8 @@ class Browser:
 
 
 class Handler(NamedTuple):
-    """How messages of a class are handled.
-
-    Attributes:
-        handle: does what a message asks for; its errors are sent to the page.
-        job: name of the worker's job that runs it, which replaces a waiting one of the same name
-            (but see ``CHANGE``); empty to run it at once, for what does not use the model.
-    """
+    """Handles messages of a class, at once, or as the worker's job of a name, which replaces a
+    waiting one of that name (but see ``CHANGE``); for all that uses the model."""
 
     handle: Callable[[Browser, Any], None]
     job: str = ""

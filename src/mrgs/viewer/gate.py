@@ -13,11 +13,7 @@ from mrgs.errors import ConfigError
 
 
 def require_port(port: int) -> None:
-    """Check that there is such a port.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """Check that there is such a port. ConfigError if there is none."""
     if not 0 <= port <= 65535:
         raise ConfigError(
             f"the port must be from 1 to 65535, or 0 for any that is free, not {port}",
@@ -27,10 +23,7 @@ def require_port(port: int) -> None:
 
 def require_free(host: str, port: int) -> None:
     """Check that the port can be used, before a training begins that is to be watched there.
-
-    Raises:
-        ConfigError: it cannot.
-    """
+    ConfigError if it cannot."""
     require_port(port)
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(

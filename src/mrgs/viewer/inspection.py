@@ -38,13 +38,8 @@ PHOTOS_KEPT = 4
 
 @dataclass(frozen=True, eq=False)
 class PointReading:
-    """A reading at a point of a pane.
-
-    Attributes:
-        modality: the one whose value is named first; None for a model without readable values.
-        photo_value: what the pane's photo has there, in the unit of ``modality``; None where no
-            photo of it is shown.
-    """
+    """A reading at a point of a pane; the modality whose value is named first, if any has a
+    readable one, and the value of the pane's photo there, if it is shown, in its unit."""
 
     reading: Reading
     modality: Modality | None
@@ -276,11 +271,7 @@ class Inspection:
         return place_at(drawn.panes, x * drawn.size[0], y * drawn.size[1])
 
     def add_keyframe(self) -> None:
-        """Add the current camera to the path.
-
-        Raises:
-            ConfigError: no picture has been drawn yet.
-        """
+        """Add the current camera to the path. ConfigError if no picture has been drawn yet."""
         if self.drawn is None:
             raise ConfigError("wait for the first picture, then add a keyframe")
         self.keyframes = (*self.keyframes, self.drawn.camera)
@@ -298,13 +289,8 @@ class Inspection:
 def nearest_view(
     views: Sequence[View], camera: Camera, extent: float, preferred: int | None = None
 ) -> int:
-    """Index of the captured view whose position and direction are closest to a camera's; ties go to
-    ``preferred``.
-
-    Args:
-        extent: of the scene; a way of this length weighs as much as a right angle.
-        preferred: index of the view shown now.
-    """
+    """Index of the captured view whose position and direction are closest to a camera's, a way of
+    the scene's ``extent`` weighing as much as a right angle; ties go to ``preferred``."""
     costs = []
     for index, view in enumerate(views):
         other = view.camera

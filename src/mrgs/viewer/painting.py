@@ -40,13 +40,8 @@ OWN_SCALE = ("depth", "difference", "uncertainty")
 
 @dataclass(frozen=True, eq=False)
 class DrawnPicture:
-    """A picture, and what it was painted from.
-
-    Attributes:
-        camera: that it was drawn from, at its size.
-        images: of each pane.
-        pixels: the colours, without marks and scales, [H, W, 3].
-    """
+    """A picture of a camera and what it was painted from; pixels without marks and scales, [H, W,
+    3]."""
 
     camera: Camera
     panes: tuple[Pane, ...]
@@ -74,12 +69,8 @@ def measure_scales(
     ball: SceneBounds | None = None,
 ) -> Scales:
     """The scales that suit a picture: the limits that the user has set, else percentiles of what is
-    seen; intensities are always shown from 0 to 1.
-
-    Args:
-        ball: how far the scene reaches; the background beyond it does not count on the scale of the
-            depth. None if there is none.
-    """
+    seen; intensities always from 0 to 1. The background beyond the scene's ``ball`` does not count
+    on the scale of the depth."""
     seen: dict[Modality | PaneKind, list[np.ndarray]] = {}
     for pane, shown in zip(panes, images, strict=True):
         key, modality = pane.kind if pane.kind in OWN_SCALE else pane.scaled, pane.scaled

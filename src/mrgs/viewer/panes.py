@@ -74,12 +74,7 @@ class Pane:
 
 
 class Place(NamedTuple):
-    """A point of a pane.
-
-    Attributes:
-        u: to the right, 0 to 1 over the pane.
-        v: down, 0 to 1 over the pane.
-    """
+    """A point of a pane: u to the right and v down, 0 to 1 over the pane."""
 
     pane: Pane
     u: float
@@ -98,12 +93,8 @@ def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
 
 
 def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
-    """The panes of a mode.
-
-    Args:
-        camera: the browser's, as large as the picture.
-        view: the captured view that the modes with photos show; they need one.
-    """
+    """The panes of a mode for the browser's camera, which is as large as the picture; modes with
+    photos show a captured view."""
     match mode.kind:
         case "side_by_side":
             return _halves(mode, camera)
@@ -181,15 +172,9 @@ ShownImage: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
 
 @dataclass(frozen=True, eq=False)
 class PaneImages:
-    """Images of one pane, all of the same size.
-
-    Attributes:
-        images: colours [h, w, 3], or values in their unit [h, w], of each modality; or the
-            difference of values to the photo. NaN where the photo is masked.
-        depth: z-depth in scene units, blended and divided by alpha, [h, w]; NaN where the model is
-            empty. None for a photo.
-        solid: where the model, or the photo, shows something, [h, w].
-    """
+    """Images of one pane, all of the same size: colours [h, w, 3], values in their unit or their
+    differences to the photo [h, w], NaN where the photo is masked; z-depth in scene units, NaN
+    where the model is empty, None for a photo; and where model or photo show something."""
 
     images: Mapping[Modality, ShownImage]
     depth: Float[np.ndarray, "h w"] | None
@@ -203,13 +188,8 @@ def render_pane(
     as_photo_of: Camera | None = None,
     regions: Regions | None = None,
 ) -> PaneImages:
-    """Render the modalities that the viewer shows.
-
-    Args:
-        as_photo_of: the first camera of a captured view, to show what its cameras would have
-            recorded; None to show the model itself.
-        regions: surfaces with an emissivity of their own; None shows what the photos have.
-    """
+    """Render the modalities that the viewer shows; as the camera ``as_photo_of`` of a captured view
+    would have recorded them, or the model itself with the temperatures of regions corrected."""
     with torch.no_grad():
         cameras = subject.cameras(camera)
         rendering, _ = render(model, cameras, with_median_depth=bool(regions))

@@ -33,12 +33,8 @@ Kind = Literal[
 
 
 class Start(NamedTuple):
-    """Where a browser begins.
-
-    Attributes:
-        camera: the first viewpoint, as ``camera_facts`` writes it.
-        world: what the camera turns about, and the upright direction, see ``world_facts``.
-    """
+    """Where a browser begins: a ``camera_facts``, and what the camera turns about,
+    ``world_facts``."""
 
     camera: dict[str, Any]
     world: dict[str, list[float]]
@@ -46,13 +42,9 @@ class Start(NamedTuple):
 
 @dataclass(frozen=True)
 class Mode:
-    """A way to show a model.
-
-    Attributes:
-        kind: ``image``, ``uncertainty`` and ``difference`` (model minus photo) show one modality,
-            ``side_by_side``, ``blend`` and ``split`` two; ``photos`` shows photos beside the model.
-        modalities: that are shown; of two, the left or lower one first.
-    """
+    """A way to show a model: ``image``, ``uncertainty`` and ``difference`` (model minus photo) show
+    one modality, ``side_by_side``, ``blend`` and ``split`` two, the left or lower one first;
+    ``photos`` shows photos beside the model."""
 
     kind: Kind
     modalities: tuple[Modality, ...] = ()

@@ -213,12 +213,7 @@ class TrainedSource:
 
 class LiveSource:
     """A model in training: jobs run on the training's thread between two steps, within a share of
-    its time.
-
-    Args:
-        share: of the time that jobs may take.
-        thread_clock: processor time of the calling thread, seconds.
-    """
+    its time."""
 
     most_pixels: Mapping[Effort, int] = {"moving": 400, "resting": 640, "still": 640}
 

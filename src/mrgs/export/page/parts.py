@@ -34,12 +34,8 @@ FINITE_LOGITS = (1e-6, 1 - 1e-6)
 
 
 class PagePart(NamedTuple):
-    """Some splats of a page's model.
-
-    Attributes:
-        first: place of the first among the page's splats, a multiple of ``ROW``.
-        replaces: the first and behind the last of the coarse splats that it replaces.
-    """
+    """Some splats of a page's model: the place of the first among the page's splats, a multiple of
+    ``ROW``, and the range of the coarse splats that they replace."""
 
     packed: PackedModel
     first: int
@@ -53,14 +49,9 @@ class PagePart(NamedTuple):
 
 
 class PageModel:
-    """A model, cut into parts for the page; splats that no pixel can show are left out.
-
-    Args:
-        camera: that the page opens on: the parts that fill most of its image come first.
-
-    Raises:
-        ConfigError: no splat can be seen.
-    """
+    """A model, cut into parts of ``size`` splats for the page, without splats that no pixel can
+    show; those that fill most of the first camera's image come first. ConfigError if no splat can
+    be seen."""
 
     def __init__(
         self, baked: BakedModel, modalities: Sequence[Modality], camera: Camera, size: int = PART
