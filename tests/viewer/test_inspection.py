@@ -15,9 +15,9 @@ from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Scene, SceneBounds
 from mrgs.scene.rendering import SOLID_ALPHA
 from mrgs.training import make_config, train
-from mrgs.viewer.annotation import SCALE_FROM_PX
 from mrgs.viewer.facts import header_text, point_text
 from mrgs.viewer.inspection import Inspection
+from mrgs.viewer.painting import SCALE_FROM_PX
 from mrgs.viewer.saving import render_video, save_keyframes, save_screenshot
 from mrgs.viewer.server import board_of
 from mrgs.viewer.settings import Mode, Settings

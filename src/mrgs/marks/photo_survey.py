@@ -82,7 +82,9 @@ class Resolution:
             return np.inf
         photo, x, y = largest
         image = sign * self._image(photo)
-        row, column = _peak(image, int(y), int(x))
+        row, column = int(y) - 1, int(x) - 1  # the largest of the nine pixels about
+        down, right = np.unravel_index(image[row:, column:][:3, :3].argmax(), (3, 3))
+        row, column = row + int(down), column + int(right)
         return min(_width(_profile(image, row, column, each), least) for each in DIRECTIONS)
 
     def side_of(self, place: Sequence[float]) -> int:
@@ -124,13 +126,6 @@ def square_about(size: tuple[int, int], x: float, y: float) -> tuple[slice, slic
     left = min(max(round(x - side / 2), 0), size[0] - side)
     top = min(max(round(y - side / 2), 0), size[1] - side)
     return slice(top, top + side), slice(left, left + side)
-
-
-def _peak(image: Float[np.ndarray, "h w"], row: int, column: int) -> tuple[int, int]:
-    """The pixel with the largest value within one of a pixel."""
-    about = image[row - 1 : row + 2, column - 1 : column + 2]
-    down, right = np.unravel_index(int(about.argmax()), about.shape)
-    return row - 1 + int(down), column - 1 + int(right)
 
 
 def _profile(

@@ -20,11 +20,7 @@ def escape_markdown(text: str) -> str:
     """Text on one line that shows as it is, wherever it stands: no HTML, link, markup or cell."""
     line = " ".join(text.split())
     escaped = _ACTIVE.sub(lambda found: f"\\{found[0]}", html.escape(line, quote=False))
-    return _AT_START.sub(_escaped_start, escaped)
-
-
-def _escaped_start(found: re.Match[str]) -> str:
-    return f"{found[1]}\\" if found[1].isdigit() else f"\\{found[1]}"
+    return _AT_START.sub(lambda m: f"{m[1]}\\" if m[1].isdigit() else f"\\{m[1]}", escaped)
 
 
 def escape_cell(text: str) -> str:

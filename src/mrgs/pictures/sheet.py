@@ -84,7 +84,10 @@ def draw_section(
     for left, text in zip(lefts, columns, strict=True):
         draw_text(section, (left, top - 10), fit_text(text, 15, cell_px), 15, INK)
     for row, height, pitch in zip(rows, heights, pitches, strict=True):
-        _draw_label(section, row, y, label_px)
+        draw_text(section, (0, y + 15), fit_text(row.label, 15, label_px - 14), 15, INK)
+        for line, (caption, value) in enumerate(row.figures):
+            draw_text(section, (0, y + 40 + 18 * line), caption, 12, MUTED)
+            draw_text(section, (54, y + 40 + 18 * line), value, 12, INK)
         for left, panel in zip(lefts, row.panels, strict=True):
             _draw_panel(section, panel, (left, y), (cell_px, height))
         y += pitch
@@ -128,13 +131,6 @@ def _picture_height(row: PanelRow, cell_px: int) -> int:
     images = [panel.image for panel in row.panels if panel.image is not None]
     heights = [round(cell_px * image.shape[0] / image.shape[1]) for image in images]
     return min(max([*heights, cell_px // 2]), cell_px * 4 // 3)
-
-
-def _draw_label(section: Image.Image, row: PanelRow, y: int, label_px: int) -> None:
-    draw_text(section, (0, y + 15), fit_text(row.label, 15, label_px - 14), 15, INK)
-    for line, (caption, value) in enumerate(row.figures):
-        draw_text(section, (0, y + 40 + 18 * line), caption, 12, MUTED)
-        draw_text(section, (54, y + 40 + 18 * line), value, 12, INK)
 
 
 def _draw_panel(

@@ -227,7 +227,9 @@ def _widened(mask: Bool[torch.Tensor, "h w"], pixels: int) -> Bool[torch.Tensor,
 def _sightings(points: _Points) -> tuple[_Sightings, float]:
     """Step 2, and the edge of the cubes in scene units."""
     edge = CUBE_PX * points.footprint
-    cubes = _cube_numbers(points.positions, edge)
+    cells = np.floor(points.positions / edge)
+    x, y, z = np.minimum(cells - cells.min(axis=0), 2**CELL_BITS - 1).astype(np.int64).T
+    cubes = (x << 2 * CELL_BITS) | (y << CELL_BITS) | z
     order = np.lexsort((points.views, cubes))
     cubes, views = cubes[order], points.views[order]
     starts = np.flatnonzero(np.r_[True, (np.diff(cubes) != 0) | (np.diff(views) != 0)])
@@ -238,13 +240,6 @@ def _sightings(points: _Points) -> tuple[_Sightings, float]:
     enough = number >= MIN_POINTS
     sightings = (cubes[starts], views[starts], values, positions, np.where(central, number, 0))
     return _Sightings(*(column[enough] for column in sightings)), edge
-
-
-def _cube_numbers(positions: Float[np.ndarray, "p 3"], edge: float) -> Int64[np.ndarray, " p"]:
-    """Numbers of positions' cubes, in the order of x, y, z."""
-    cells = np.floor(positions / edge)
-    x, y, z = np.minimum(cells - cells.min(axis=0), 2**CELL_BITS - 1).astype(np.int64).T
-    return (x << 2 * CELL_BITS) | (y << CELL_BITS) | z
 
 
 def _agreed(sightings: _Sightings, min_views: int) -> list[_Cube]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -325,17 +325,6 @@ def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:
     return ProfileChart(path, low, high, size_text(reading, scene.world))
 
 
-class ShownOverview(NamedTuple):
-    """A view in which marks are shown.
-
-    Attributes:
-        pictures: its photos, and its thermal rendering above the scale.
-    """
-
-    view: str
-    pictures: list[InlineImage]
-
-
 class ShownProposal(NamedTuple):
     """A proposal as the report shows it; numbers are formatted.
 
@@ -365,7 +354,7 @@ class Findings(NamedTuple):
 
     marks: Sequence[ShownMark] = ()
     proposals: Sequence[ShownProposal] = ()
-    overviews: Sequence[ShownOverview] = ()
+    overviews: Sequence[Mapping[str, Any]] = ()
     plan: InlineImage | None = None
     from_the_front: bool = False
     map: InlineImage | None = None
@@ -407,10 +396,12 @@ def show_findings(
         marks=shown,
         proposals=[_shown(anomalies[mark.name], mark, marks.run, scene) for mark in candidates],
         overviews=[
-            ShownOverview(
-                each.view,
-                [inline_image(one, ", ".join(each.seen), quality=88) for one in each.pictures],
-            )
+            {
+                "view": each.view,
+                "pictures": [
+                    inline_image(one, ", ".join(each.seen), quality=88) for one in each.pictures
+                ],
+            }
             for each in overviews(scene, named, marks.meter.survey, regions.render, t.decimal)
         ],
         plan=None if all_on_map else inline_image(plan.whole(named), "plan", png=True),

@@ -21,7 +21,7 @@ from mrgs.pictures.values import capitalised
 from mrgs.report.conditions import known_row
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View, WorldFrame, in_order
+from mrgs.scene import THERMAL, Modality, Scene, View, WorldFrame, in_order
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.survey import Survey
 
@@ -60,6 +60,10 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
         for view in views
         for modality, other in pairwise(modalities)
     )
+    recorded, scale = t("no °C known: relative values"), scene.temperature
+    if scale is not None:
+        low, high = (t.number(number_text(end, 1)) for end in (scale.min_c, scale.max_c))
+        recorded = t("{low} to {high}", low=low, high=high) + " °C"
     counts = {"train": len(scene.train), "evaluation": len(scene.eval)}
     return [
         (t("Views"), t("{train} training, {evaluation} evaluation", **counts)),
@@ -68,17 +72,10 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
             t("Cameras"),
             t("one for all images of a view") if shared else t("each image has its own"),
         ),
-        (t("Temperature range"), _range(scene.temperature, t)),
+        (t("Temperature range"), recorded),
         (t("Lengths"), _lengths(scene.world, t)),
         *_record_rows(scene.records, survey, t),
     ]
-
-
-def _range(temperature: TemperatureRange | None, t: Texts) -> str:
-    if temperature is None:
-        return t("no °C known: relative values")
-    low, high = (t.number(number_text(end, 1)) for end in (temperature.min_c, temperature.max_c))
-    return t("{low} to {high}", low=low, high=high) + " °C"
 
 
 def _lengths(world: WorldFrame, t: Texts) -> str:

@@ -80,27 +80,23 @@ def write_report(
 ) -> Path:
     """Write a page about the run for a thermographer; returns its path.
 
-    It holds what ``survey.yaml`` in the run's folder states, the marks of the run with their
-    uncertainties, pictures and places on a plan, the anomalies that are proposed, the data of the
-    capture, the limits of the measurement, and in an appendix scores, the contact sheet of
-    ``RUN/eval`` (or how to get them) and the training. The page needs no script and nothing from
-    the network; its style sheet also fits printing on A4.
+    It has the contents of ``survey.yaml`` in the run's folder, the marks of the run with their
+    uncertainties, pictures and places on a plan, the proposed anomalies, the data of the capture,
+    the limits of the measurement, and in an appendix scores, the contact sheet of ``RUN/eval`` (or
+    how to get them) and the training. It needs no script and nothing from the network; its style
+    sheet also fits printing on A4.
 
     The hottest and the coldest spots are proposed as anomalies, and kept in ``marks.json`` until
     they are accepted (``RunMarks.accept``), which makes them marks, or dropped.
 
     Args:
-        run: what ``load_run`` returns.
-        scene: that the run was trained on, as ``run.load_scene()`` returns it.
-        path: ends with .html.
+        scene: that the run was trained on.
         progress: called before each of ``PARTS``.
-        language: of the page.
 
     Raises:
-        ConfigError: the survey holds a value that cannot be.
+        ConfigError: the survey has a value that cannot be.
         SceneError: a photo that is to be shown cannot be read.
-        RunError: ``metrics.json`` or the contact sheet cannot be read, or the file cannot be
-            written.
+        RunError: scores or contact sheet cannot be read, or the file cannot be written.
     """
 
     def begin(part: int) -> None:

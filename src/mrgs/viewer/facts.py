@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Mapping
 from typing import Any, TypedDict
 
 from PIL import Image
@@ -29,11 +28,10 @@ from mrgs.pictures.page_data import (
 )
 from mrgs.pictures.values import range_of
 from mrgs.scene import THERMAL, Modality, WorldFrame
-from mrgs.viewer.annotation import MarkLabel, pane_scale, seen_labels
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.inspection import Inspection, PointReading
 from mrgs.viewer.messages import LONGEST_SIDE_PX, VIDEO_SECONDS, Look, encode
-from mrgs.viewer.painting import DrawnPicture
+from mrgs.viewer.painting import DrawnPicture, MarkLabel, pane_scale, seen_labels
 from mrgs.viewer.panes import ValueReading
 from mrgs.viewer.settings import Mode, Start, Subject
 
@@ -52,7 +50,7 @@ MARK_LIMITS = {
 
 def hello_facts(inspection: Inspection, start: Start) -> dict[str, Any]:
     """All that the page must know of the model before it asks for a picture."""
-    subject = inspection.subject
+    subject, scale = inspection.subject, inspection.subject.temperature
     return {
         "name": subject.name,
         "known": header_text(subject),
@@ -61,19 +59,16 @@ def hello_facts(inspection: Inspection, start: Start) -> dict[str, Any]:
         "views": [{"name": view.name, **camera_facts(view.camera)} for view in subject.views],
         "palettes": palette_facts([*PALETTE_CHOICES, "depth", "error"]),
         "choices": PALETTE_CHOICES,
-        "modalities": [_modality(each, inspection) for each in subject.modalities],
+        "modalities": [
+            modality_facts(each, scale, inspection.settings.limits.get(each, range_of(each, scale)))
+            for each in subject.modalities
+        ],
         "marks": subject.board is not None,
         "mark_limits": MARK_LIMITS,
         "longest_side_px": LONGEST_SIDE_PX,
         "video_seconds": VIDEO_SECONDS,
         "air": {} if subject.board is None else air_facts(subject.board.survey),
     }
-
-
-def _modality(modality: Modality, inspection: Inspection) -> Mapping[str, Any]:
-    temperature = inspection.subject.temperature
-    limits = inspection.settings.limits.get(modality, range_of(modality, temperature))
-    return modality_facts(modality, temperature, limits)
 
 
 def _mode(mode: Mode) -> dict[str, Any]:

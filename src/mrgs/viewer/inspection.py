@@ -17,8 +17,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.tables import label_text
 from mrgs.pictures.page_data import rounded
 from mrgs.scene import Camera, Modality, View
-from mrgs.viewer.annotation import MarkLabel, annotate
-from mrgs.viewer.painting import DrawnPicture, Scales, compose, measure_scales
+from mrgs.viewer.painting import DrawnPicture, MarkLabel, Scales, annotate, compose, measure_scales
 from mrgs.viewer.panes import (
     Pane,
     PaneImages,

@@ -19,8 +19,8 @@ from mrgs.scene import Camera
 from mrgs.scene.camera import field_of_view
 from mrgs.scene.rotations import opengl_camera_to_world, rigid_transform
 from mrgs.system.atomic import require_folder, write_text
-from mrgs.viewer.annotation import annotate
 from mrgs.viewer.inspection import Inspection
+from mrgs.viewer.painting import annotate
 from mrgs.viewer.panes import fitted_size
 
 VIDEO_SIDE_PX = 960

@@ -80,7 +80,10 @@ class PageModel:
         """The parts in the order of the file; each is packed when it is asked for."""
         ends = np.cumsum([0, *map(len, self._coarse)]).tolist()
         if self._coarse:
-            yield PagePart(self._pack(_joined(self._coarse)), 0, (0, 0))
+            tensors = zip(*(each.tensors().values() for each in self._coarse), strict=True)
+            joined = iter([torch.cat(each) for each in tensors])
+            coarse = self._coarse[0].map_tensors(lambda tensor: next(joined))
+            yield PagePart(self._pack(coarse), 0, (0, 0))
         first = _whole_rows(ends[-1])
         for number, rows in enumerate(self._parts):
             replaces = (ends[number], ends[number + 1]) if self._coarse else (0, 0)
@@ -119,12 +122,6 @@ def _share(baked: BakedModel, rows: Int64[np.ndarray, " k"], camera: Camera) -> 
     opacity = torch.stack([each[part] for each in baked.opacities.values()]).amax(dim=0)
     covers = opacity * (baked.scales[part].amax(dim=1) / depth).square()
     return float(covers[camera.contains(pixels)].sum())
-
-
-def _joined(models: Sequence[BakedModel]) -> BakedModel:
-    tensors = zip(*(each.tensors().values() for each in models), strict=True)
-    joined = iter([torch.cat(parts) for parts in tensors])
-    return models[0].map_tensors(lambda tensor: next(joined))
 
 
 def _as_gaussians(baked: BakedModel) -> Gaussians:

@@ -5,8 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from mrgs.viewer.annotation import MarkLabel, annotate, seen_labels
-from mrgs.viewer.painting import DrawnPicture, compose, measure_scales
+from mrgs.viewer.painting import (
+    DrawnPicture,
+    MarkLabel,
+    annotate,
+    compose,
+    measure_scales,
+    seen_labels,
+)
 from mrgs.viewer.settings import Settings
 from tests.helpers.panes import RANGE, SIZE, heat, thermal_pane
 
