@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32
 
 from mrgs.evaluation.metrics import psnr
 from mrgs.marks.regions import Regions
@@ -62,27 +61,17 @@ def correction_note(
         "Marked surfaces with an emissivity of their own are corrected splat by splat, which is "
         "not exact there and right beside them"
     )
-    errors = np.concatenate(
-        [
-            _errors_c(uncorrected, corrected, regions, cameras[index])
-            for index in evenly_spaced(len(cameras), VIEWS)
-        ]
-    )
+    assert uncorrected.temperature is not None
+    span_c, found = uncorrected.temperature.span_c, []
+    for index in evenly_spaced(len(cameras), VIEWS):
+        camera = cameras[index].with_width(min(cameras[index].width, WIDTH_PX))
+        plain = uncorrected.render({THERMAL: camera})
+        exact = regions.applied_to(plain, camera)[THERMAL].image
+        blended = corrected.render({THERMAL: camera})[THERMAL].image
+        own = exact != plain[THERMAL].image
+        found.append(to_array(span_c * (blended - exact)[own].abs()))
+    errors = np.concatenate(found)
     if not len(errors):
         return f"{note}."
     half, most = np.percentile(errors, [50, 95])
     return f"{note}: half of their pixels are off by up to {half:.1f} °C, 95 % by up to {most:.1f}."
-
-
-def _errors_c(
-    uncorrected: BakedModel, corrected: BakedModel, regions: Regions, camera: Camera
-) -> Float32[np.ndarray, " n"]:
-    """Errors in the pixels of the regions in a view, K."""
-    assert uncorrected.temperature is not None
-    if camera.width > WIDTH_PX:
-        camera = camera.with_width(WIDTH_PX)
-    plain = uncorrected.render({THERMAL: camera})
-    exact = regions.applied_to(plain, camera)[THERMAL].image
-    blended = corrected.render({THERMAL: camera})[THERMAL].image
-    own = exact != plain[THERMAL].image
-    return to_array(uncorrected.temperature.span_c * (blended - exact)[own].abs())

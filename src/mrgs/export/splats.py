@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float32, UInt8
 from torch import Tensor
 
 from mrgs.errors import ConfigError, RunError
@@ -141,8 +141,17 @@ def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedMod
     """A copy of the model with one value of each modality per splat: its mean over at most
     ``MEAN_OVER`` cameras that have the splat in their image, in [0, 1]. Closer to the photos than
     without the higher degrees, whose mean over these directions is not zero."""
-    asked = [cameras[index] for index in evenly_spaced(len(cameras), MEAN_OVER)]
-    means = {modality: _mean_values(baked, modality, asked) for modality in baked.sh_dc}
+    means = {}
+    for modality in baked.sh_dc:
+        total = baked.means.new_zeros(len(baked), modality.channels)
+        weight = torch.zeros_like(total[:, :1])
+        for index in evenly_spaced(len(cameras), MEAN_OVER):
+            camera = cameras[index]
+            inside = camera.contains(camera.project(baked.means)[0])
+            seen = torch.where(inside, 1.0, UNSEEN_WEIGHT)[:, None].to(total)
+            total += seen * baked.values(modality, camera.position)
+            weight += seen
+        means[modality] = (total / weight).clamp(0, 1)
     return replace(
         baked,
         sh_dc={each: ((mean - 0.5) / C0)[:, None] for each, mean in means.items()},
@@ -179,20 +188,6 @@ def temperature_name(baked: BakedModel) -> str:
 def to_bytes(values: Float32[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
     """Values in [0, 1], clamped, as 0 to 255."""
     return np.rint(values.clip(0, 1) * 255).astype(np.uint8)
-
-
-def _mean_values(
-    baked: BakedModel, modality: Modality, cameras: Sequence[Camera]
-) -> Float[Tensor, "n c"]:
-    """Each splat's values, averaged over the cameras that have it in their image, in [0, 1]."""
-    total = baked.means.new_zeros(len(baked), modality.channels)
-    weight = torch.zeros_like(total[:, :1])
-    for camera in cameras:
-        inside = camera.contains(camera.project(baked.means)[0])
-        seen = torch.where(inside, 1.0, UNSEEN_WEIGHT)[:, None].to(total)
-        total += seen * baked.values(modality, camera.position)
-        weight += seen
-    return (total / weight).clamp(0, 1)
 
 
 def _splats(baked: BakedModel, opacity: Tensor, sh: Float32[np.ndarray, "n b 3"]) -> SplatArrays:

@@ -19,7 +19,7 @@ from mrgs.export.splats import to_bytes, value_names
 from mrgs.pictures.files import to_array
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import RGB, Camera, Modality, Scene, SceneBounds
+from mrgs.scene import RGB, Scene
 from mrgs.scene.depth_map import (
     MAX_STEP,
     MIN_ALPHA,
@@ -43,11 +43,16 @@ def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     Raises:
         RunError: no pixel is opaque enough to have a depth.
     """
-    ball, surface = scene.reach, scene.modalities[0]
-    maps = [
-        _depth_map(baked, camera, surface, ball)
-        for camera in surveying_cameras(scene.train_cameras)
-    ]
+    maps, surface = [], scene.modalities[0]
+    for camera in surveying_cameras(scene.train_cameras):
+        rendering = baked.render(camera, surface)
+        depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)
+        distant = to_array(scene.reach.without_background(camera, depth))
+        images = [
+            to_array(in_unit(modality, blend.image, baked.temperature))
+            for modality, blend in rendering.items()
+        ]
+        maps.append(DepthMap(camera, distant, np.concatenate(images, axis=2)))
     if not any(np.isfinite(item.depth).any() for item in maps):
         raise RunError(
             "no view of the model is opaque enough to show a surface: train the model longer"
@@ -67,18 +72,6 @@ def value_columns(
         shown = to_bytes(part) if modality == RGB else part
         columns |= {name: shown[:, channel] for channel, name in enumerate(names)}
     return columns
-
-
-def _depth_map(baked: BakedModel, camera: Camera, surface: Modality, ball: SceneBounds) -> DepthMap:
-    """The depth of the surface that a pixel of one modality shows, and the values of all."""
-    rendering = baked.render(camera, surface)
-    depth = rendering.surface_depth(surface, MIN_ALPHA, MAX_STEP)
-    images = [
-        to_array(in_unit(modality, blend.image, baked.temperature))
-        for modality, blend in rendering.items()
-    ]
-    distant = to_array(ball.without_background(camera, depth))
-    return DepthMap(camera, distant, np.concatenate(images, axis=2))
 
 
 MIN_OPACITY = 0.3

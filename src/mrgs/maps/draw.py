@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TypeAlias
 
 import numpy as np
@@ -105,7 +106,10 @@ def draw_map(
     bands = np.full((len(BANDS), grid.height, grid.width), np.nan, np.float32)
     points = np.full((grid.height, grid.width, 3), np.nan, np.float32)
     shown = ShownPlaces(maps, grid)
-    for part, camera in _parts(grid):
+    for top, left in product(range(0, grid.height, PART_PX), range(0, grid.width, PART_PX)):
+        height, width = min(PART_PX, grid.height - top), min(PART_PX, grid.width - left)
+        part = slice(top, top + height), slice(left, left + width)
+        camera = grid.camera(left, top, width, height)
         bands[1:4, part[0], part[1]], points[part] = _draw_part(splats, scene, camera, part, shown)
     if coverage is not None:
         beyond = ~coverage.holds(*grid.middles)
@@ -121,15 +125,6 @@ def draw_map(
         known = np.isfinite(bands[0])
         bands[0][known], bands[6][known] = appraise(points[known], bands[0][known])
     return OrthographicMap(grid, bands)
-
-
-def _parts(grid: MapGrid) -> Iterator[tuple[tuple[slice, slice], Camera]]:
-    """Rows and columns of the parts of a map, and the camera of each."""
-    for top in range(0, grid.height, PART_PX):
-        for left in range(0, grid.width, PART_PX):
-            width, height = min(PART_PX, grid.width - left), min(PART_PX, grid.height - top)
-            part = slice(top, top + height), slice(left, left + width)
-            yield part, grid.camera(left, top, width, height)
 
 
 def _draw_part(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float64, Int64, Shaped
+from jaxtyping import Bool, Float, Int64, Shaped
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError
@@ -128,7 +128,12 @@ def measuring_camera(mark: Mark) -> Camera:
     as a photo; ConfigError if the mark lies around its eye, so that no camera sees all of it."""
     points, eye = np.array(mark.points), np.array(mark.eye)
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    viewmat = _upright_viewmat(eye, target)
+    forward = target - eye
+    distance = np.linalg.norm(forward)
+    if not distance > 0:
+        raise ConfigError("a mark must not lie where it was drawn from")
+    upright = abs(forward[2]) < 0.99 * distance
+    viewmat = viewmat_towards(eye, target, [0.0, 0.0, 1.0] if upright else [0.0, 1.0, 0.0])
     in_camera = (points - eye) @ viewmat[:3, :3].numpy().T
     slopes = np.abs(in_camera[:, :2] / np.maximum(in_camera[:, 2:], 1e-12))
     if not in_camera[:, 2].min() > 0 or not slopes.max() <= WIDEST_SLOPE:
@@ -145,17 +150,6 @@ def measuring_camera(mark: Mark) -> Camera:
     size = max(pixels + 2 * MARGIN_PX, around)
     K = [[focal, 0.0, size / 2], [0.0, focal, size / 2], [0.0, 0.0, 1.0]]
     return Camera(K, viewmat, size, size)
-
-
-def _upright_viewmat(
-    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]
-) -> Float64[torch.Tensor, "4 4"]:
-    """World to camera of a camera at the eye with its axis through the target."""
-    forward = target - eye
-    if not np.linalg.norm(forward) > 0:
-        raise ConfigError("a mark must not lie where it was drawn from")
-    upright = abs(forward[2]) < 0.99 * np.linalg.norm(forward)
-    return viewmat_towards(eye, target, [0.0, 0.0, 1.0] if upright else [0.0, 1.0, 0.0])
 
 
 def pixels_of(camera: Camera, points: Float[np.ndarray, "n 3"]) -> PixelPlaces:

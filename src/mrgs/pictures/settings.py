@@ -48,7 +48,13 @@ class Setting(NamedTuple):
 
 def settings_of(records: Sequence[PhotoRecord]) -> dict[str, Setting]:
     """The settings by the names of ``SETTINGS``; those of a window only where there is one."""
-    found = {name: _setting(name, records) for name in SETTINGS}
+    found = {}
+    for name, (label, unit, decimals) in SETTINGS.items():
+        values = [value for record in records if (value := record.setting(name)) is not None]
+        ends = (min(values), max(values)) if values else ()
+        low, high = [number_text(value, decimals) for value in ends] or ("", "")
+        given = any(name in record.given for record in records)
+        found[name] = Setting(label, low, high, unit, given, len(records) - len(values))
     windows = [record.setting("window_transmission") for record in records]
     if all(value is None or value == 1 for value in windows):
         del found["window_c"], found["window_transmission"]
@@ -62,12 +68,3 @@ def settings_text(settings: Mapping[str, Setting], given: str) -> str:
         for each in settings.values()
         if each.value
     )
-
-
-def _setting(name: str, records: Sequence[PhotoRecord]) -> Setting:
-    label, unit, decimals = SETTINGS[name]
-    values = [value for record in records if (value := record.setting(name)) is not None]
-    ends = (min(values), max(values)) if values else ()
-    low, high = [number_text(value, decimals) for value in ends] or ("", "")
-    given = any(name in record.given for record in records)
-    return Setting(label, low, high, unit, given, len(records) - len(values))

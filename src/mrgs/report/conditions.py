@@ -46,7 +46,12 @@ def conditions_of(survey: Survey, pixel_m: float | None = None) -> list[Conditio
     if survey.standard is None:
         return []
     if survey.standard == "IEC TS 62446-3":
-        return [*(_compared(survey, *each) for each in _PLANT), _resolution(pixel_m)]
+        pixel = "" if pixel_m is None else f"{pixel_cm_text(pixel_m)} cm"
+        met = None if pixel_m is None else _rounded(100 * pixel_m) <= MOST_PIXEL_CM
+        return [
+            *(_compared(survey, *each) for each in _PLANT),
+            Condition("Pixel of the thermal photos", "at most 3 cm", pixel, met),
+        ]
     found = None
     if survey.inside_c is not None and survey.outside_c is not None:
         found = _rounded(survey.inside_c - survey.outside_c)
@@ -92,13 +97,6 @@ def _steady(survey: Survey) -> Condition:
         least = min(warmer, colder, key=abs) if warmer * colder > 0 else 0.0
         stated, met = _derived(least, "K"), abs(_rounded(least)) >= LEAST_DIFFERENCE_K
     return Condition("The same, over the 24 hours before", "at least 10 K", stated, met)
-
-
-def _resolution(pixel_m: float | None) -> Condition:
-    found = None if pixel_m is None else 100 * pixel_m
-    met = None if found is None else _rounded(found) <= MOST_PIXEL_CM
-    stated = "" if pixel_m is None else f"{pixel_cm_text(pixel_m)} cm"
-    return Condition("Pixel of the thermal photos", "at most 3 cm", stated, met)
 
 
 def pixel_cm_text(pixel_m: float) -> str:

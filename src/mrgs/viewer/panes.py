@@ -96,8 +96,14 @@ def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
     """The panes of a mode for the browser's camera, which is as large as the picture; modes with
     photos show a captured view."""
     match mode.kind:
-        case "side_by_side":
-            return _halves(mode, camera)
+        case "side_by_side":  # the picture's middle columns
+            K, width = camera.K.clone(), camera.width // 2
+            K[0, 2] -= 0.5 * (camera.width - width)
+            half = Camera(torch.as_tensor(K), camera.viewmat, width, camera.height)
+            return tuple(
+                Pane("image", (each,), half, left, title=Mode("image", (each,)).label)
+                for each, left in zip(mode.modalities, (0, camera.width - width), strict=True)
+            )
         case "photos":
             assert view is not None
             return _photo_panes(mode, view, camera.width, camera.height)
@@ -120,18 +126,6 @@ def place_at(panes: Sequence[Pane], x: float, y: float) -> Place | None:
         if 0 <= u < 1 and 0 <= v < 1:
             return Place(pane, u, v)
     return None
-
-
-def _halves(mode: Mode, camera: Camera) -> tuple[Pane, ...]:
-    """Two images of the picture's middle columns, side by side."""
-    K, width = camera.K.clone(), camera.width // 2
-    K[0, 2] -= 0.5 * (camera.width - width)
-    half = Camera(torch.as_tensor(K), camera.viewmat, width, camera.height)
-    lefts = (0, camera.width - half.width)
-    return tuple(
-        Pane("image", (modality,), half, left, title=Mode("image", (modality,)).label)
-        for modality, left in zip(mode.modalities, lefts, strict=True)
-    )
 
 
 def _photo_panes(mode: Mode, view: View, width: int, height: int) -> tuple[Pane, ...]:
@@ -355,11 +349,27 @@ def read_point(
             return None
         if regions is not None:
             rendering = regions.applied_to(rendering, camera)
-        depth_deviation = _depth_deviation(model, camera, rendering, depth, column, row)
-        values = {
-            modality: _read_value(model, camera, rendering, modality, subject, column, row)
-            for modality in subject.readable
-        }
+        means = model.gaussians.means
+
+        def deviation(modality: Modality, squares: Float[Tensor, " n"], beyond: float) -> float:
+            blend = _blend(model, camera, modality, squares[:, None], (beyond,))
+            return math.sqrt(max(blend.image[row, column, 0].item(), 0.0))
+
+        values = {}
+        for modality in subject.readable:
+            value = rendering[modality].image[row, column, 0].item()
+            own = model.values(modality, camera.position.to(means))[:, 0]
+            low, high = range_of(modality, subject.temperature)
+            values[modality] = ValueReading(
+                in_unit(modality, value, subject.temperature),
+                (high - low) * deviation(modality, (own - value).square(), value**2),
+            )
+        alphas = {each: rendering[each].alpha[row, column].item() for each in rendering}
+        # The pixel has a depth, so one modality covers it: the blend that gives the depth.
+        surface = next(each for each in metric_first(rendering) if alphas[each] >= SOLID_ALPHA)
+        viewmat = camera.viewmat.to(means)
+        squares = (means @ viewmat[2, :3] + viewmat[2, 3] - depth).square()
+        depth_deviation = deviation(surface, squares, 0.0) / math.sqrt(alphas[surface])
     pixel = torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64)
     position = camera.unproject(pixel, pixel.new_tensor(depth)).numpy()
     return Reading(position, depth, depth_deviation, values)
@@ -369,38 +379,3 @@ def render_surface(model: Model, camera: Camera, subject: Subject) -> Rendering:
     """The modalities that are shown, with the depths of their surfaces."""
     with torch.no_grad():
         return render(model, subject.cameras(camera), with_median_depth=True)[0]
-
-
-def _read_value(
-    model: Model,
-    camera: Camera,
-    rendering: Rendering,
-    modality: Modality,
-    subject: Subject,
-    column: int,
-    row: int,
-) -> ValueReading:
-    """A modality's value at a pixel, and the weighted standard deviation of what makes it up."""
-    value = rendering[modality].image[row, column, 0].item()
-    own = model.values(modality, camera.position.to(model.gaussians.means))[:, 0]
-    blend = _blend(model, camera, modality, (own - value).square()[:, None], (value**2,))
-    deviation = math.sqrt(max(blend.image[row, column, 0].item(), 0.0))
-    low, high = range_of(modality, subject.temperature)
-    return ValueReading(in_unit(modality, value, subject.temperature), deviation * (high - low))
-
-
-def _depth_deviation(
-    model: Model, camera: Camera, rendering: Rendering, depth: float, column: int, row: int
-) -> float:
-    """Weighted standard deviation of the depths of a pixel's splats, in the blend that gives the
-    pixel its depth."""
-    gaussians, viewmat = model.gaussians, camera.viewmat.to(model.gaussians.means)
-    modality = next(  # the pixel has a depth, so one of them covers it
-        each
-        for each in metric_first(rendering)
-        if rendering[each].alpha[row, column] >= SOLID_ALPHA
-    )
-    alpha, opacities = rendering[modality].alpha, gaussians.opacity(modality)
-    squares = (gaussians.means @ viewmat[2, :3] + viewmat[2, 3] - depth).square()
-    total = _blend(model, camera, opacities, squares, 0.0)[row, column]
-    return math.sqrt(total / alpha[row, column].item())

@@ -154,24 +154,13 @@ class LevelsOfDetail:
                 )
             )
             members.append(coarse.of)
-        self._levels = [
-            DetailLevel(model, _counted(members[number:], len(models[-1].gaussians)))
-            for number, model in enumerate(models)
-        ]
-
-
-def _counted(members: Sequence[Tensor], coarsest: int) -> Float[Tensor, " m"]:
-    """How many Gaussians of a level each of the coarsest stands for.
-
-    Args:
-        members: which Gaussian of the next level each stands in, from this level on.
-    """
-    if not members:
-        return torch.ones(coarsest)
-    of = members[0]
-    for coarser in members[1:]:
-        of = coarser[of]
-    return of.bincount(minlength=coarsest).float()
+        coarsest = len(models[-1].gaussians)
+        of = torch.arange(coarsest)  # which of the coarsest each Gaussian of a level stands in
+        levels = [DetailLevel(models[-1], torch.ones(coarsest))]
+        for model, coarser in zip(models[-2::-1], members[::-1], strict=True):
+            of = of[coarser]
+            levels.append(DetailLevel(model, of.bincount(minlength=coarsest).float()))
+        self._levels = levels[::-1]
 
 
 Result = TypeVar("Result")
