@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float64
 from PIL import Image
-from torch import Tensor
 
 from mrgs.data.ply import write_points
 from mrgs.data.transforms import (
@@ -168,27 +167,19 @@ def _write_images(folder: Path, view: View, temperature: TemperatureRange | None
     for modality, image in view.images.items():
         pixels = image.load()
         path = folder / _image_path(view, modality, temperature is not None)
-        paths.append(_write_image(path, modality, pixels.values, temperature))
+        if modality.channels == 3:
+            paths.append(write_rgb_png(path, pixels.values))
+        elif modality == THERMAL and temperature is not None:
+            celsius = to_array(temperature.to_celsius(pixels.values[..., 0]))
+            paths.append(write_float_tiff(path, celsius, "temperature, degrees Celsius"))
+        else:
+            grey = np.rint(to_array(pixels.values[..., 0]).clip(0, 1) * 65535).astype(np.uint16)
+            paths.append(write_png(path, Image.fromarray(grey)))
         if pixels.valid is not None:
             masks = folder / ("masks" if modality == RGB else f"{modality}_masks")
             mask = Image.fromarray(pixels.valid.numpy().astype(np.uint8) * 255)
             paths.append(write_png(masks / f"{view.name}.png", mask))
     return paths
-
-
-def _write_image(
-    path: Path,
-    modality: Modality,
-    values: Float32[Tensor, "h w c"],
-    temperature: TemperatureRange | None,
-) -> Path:
-    if modality.channels == 3:
-        return write_rgb_png(path, values)
-    if modality == THERMAL and temperature is not None:
-        celsius = to_array(temperature.to_celsius(values[..., 0]))
-        return write_float_tiff(path, celsius, "temperature, degrees Celsius")
-    grey = np.rint(to_array(values[..., 0]).clip(0, 1) * 65535).astype(np.uint16)
-    return write_png(path, Image.fromarray(grey))
 
 
 def _row(values: Sequence[float] | Float64[np.ndarray, " n"]) -> str:

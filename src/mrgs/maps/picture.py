@@ -8,16 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from mrgs.maps.draw import OrthographicMap
-from mrgs.pictures.drawing import (
-    INK,
-    MUTED,
-    PAPER,
-    Scale,
-    blank,
-    draw_text,
-    fit_text,
-    scale_bar,
-)
+from mrgs.pictures.drawing import INK, MUTED, PAPER, Scale, blank, draw_text, fit_text, scale_bar
 from mrgs.pictures.palette import PaletteName, display_range, tick_labels
 
 SMALLEST_PX, LARGEST_PX = 900, 2400
@@ -105,11 +96,7 @@ def _fitted(image: Image.Image) -> tuple[Image.Image, float]:
 
 
 def _draw_length(
-    picture: Image.Image,
-    position: tuple[int, int],
-    width: int,
-    metres_per_px: float,
-    decimal: str,
+    picture: Image.Image, position: tuple[int, int], width: int, metres_per_px: float, decimal: str
 ) -> None:
     """A bar of a round length in four fields, black and white in turn."""
     length, (zero, half, whole) = bar_length(width, metres_per_px, decimal)

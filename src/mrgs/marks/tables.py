@@ -359,10 +359,7 @@ def value_with_uncertainty(reading: MarkReading, temperature: TemperatureRange |
 
 
 def mark_text(
-    reading: MarkReading,
-    reference: str,
-    temperature: TemperatureRange | None,
-    world: WorldFrame,
+    reading: MarkReading, reference: str, temperature: TemperatureRange | None, world: WorldFrame
 ) -> MarkText:
     """A mark that was measured.
 

@@ -20,13 +20,7 @@ from mrgs.report.conditions import (
     given_rows,
     stated_rows,
 )
-from mrgs.report.findings import (
-    CHART_HEIGHT,
-    CHART_LEFT,
-    CHART_WIDTH,
-    known_parts,
-    show_findings,
-)
+from mrgs.report.findings import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, known_parts, show_findings
 from mrgs.report.pdf import require_weasyprint, write_pdf
 from mrgs.report.sections import (
     capture_rows,
@@ -72,11 +66,7 @@ def report_run(
 
 
 def write_report(
-    run: Run,
-    scene: Scene,
-    path: Path,
-    progress: Progress | None = None,
-    language: Language = "en",
+    run: Run, scene: Scene, path: Path, progress: Progress | None = None, language: Language = "en"
 ) -> Path:
     """Write a page about the run for a thermographer; returns its path.
 

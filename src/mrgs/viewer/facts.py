@@ -9,13 +9,7 @@ from typing import Any, TypedDict
 
 from PIL import Image
 
-from mrgs.marks.mark import (
-    EMISSIVITY,
-    LONGEST_NAME,
-    LONGEST_NOTE,
-    LONGEST_SEVERITY,
-    REFLECTED_C,
-)
+from mrgs.marks.mark import EMISSIVITY, LONGEST_NAME, LONGEST_NOTE, LONGEST_SEVERITY, REFLECTED_C
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.tables import MarkText, mark_text
 from mrgs.pictures.numbers import number_text

@@ -76,11 +76,7 @@ class Viewer:
             "viewer/page/page.html",
             title=subject.name,
             styles=[STAGE_STYLE, MARKS_STYLE, "viewer/page/page.css"],
-            scripts=[
-                *STAGE_SCRIPTS,
-                "viewer/page/marks.js",
-                "viewer/page/app.js",
-            ],
+            scripts=[*STAGE_SCRIPTS, "viewer/page/marks.js", "viewer/page/app.js"],
             sources=POLICY,
         )
         self._question = make_page(

@@ -41,15 +41,7 @@ from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.pictures.values import in_unit, range_of
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import (
-    THERMAL,
-    Camera,
-    Modality,
-    WorldFrame,
-    evenly_spaced,
-    in_order,
-    metric_first,
-)
+from mrgs.scene import THERMAL, Camera, Modality, WorldFrame, evenly_spaced, in_order, metric_first
 from mrgs.scene.preview import best_view
 from mrgs.survey import SURVEY_FILE, read_survey
 
@@ -273,10 +265,7 @@ def write_page(
 
 
 def visible_range(
-    baked: BakedModel,
-    modality: Modality,
-    cameras: Sequence[Camera],
-    regions: Regions | None = None,
+    baked: BakedModel, modality: Modality, cameras: Sequence[Camera], regions: Regions | None = None
 ) -> tuple[float, float]:
     """Limits of a one-channel modality: percentiles 0.5 and 99.5 of what some of the cameras see,
     in its unit, with the temperatures of regions corrected."""
