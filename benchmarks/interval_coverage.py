@@ -21,7 +21,7 @@ from mrgs.evaluation.truth import Truth
 from mrgs.marks import open_marks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.run_marks import RunMarks, eye_of, spot_radius
-from mrgs.report.anomalies import find_spots, views_of
+from mrgs.report.anomalies import find_spots
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Camera, Scene, View
 from mrgs.scene.depth_map import SURFACE_DEPTH
@@ -183,7 +183,7 @@ def _box(marks: RunMarks, view: ExactView, generator: np.random.Generator) -> Pl
 
 def _peaks(scene: Scene, marks: RunMarks) -> Iterator[Mark]:
     """Spots on the hottest and the coldest places, as the report measures them."""
-    views = views_of(scene)
+    views = scene.views
     for spots in find_spots(views, marks.run.render, PEAKS, scene.reach, []):
         for spot in spots:
             camera = views[spot.view].images[THERMAL].camera

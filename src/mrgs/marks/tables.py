@@ -14,7 +14,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from mrgs.data.earth import geodetic
-from mrgs.marks.mark import Mark, Place
+from mrgs.marks.mark import Mark
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.uncertainty import COVERAGE, Uncertainty
 from mrgs.pictures.escape import escape_cell
@@ -259,20 +259,19 @@ def write_geojson(
 
 
 def _geometry(mark: Mark, world: WorldFrame | None) -> dict[str, Any]:
-    places = [_on_earth(point, world) for point in mark.points]
+    """A mark in longitude, latitude and height, or in the scene's own x, y, z without a world."""
+    places = [list(point) for point in mark.points]
+    if world is not None and world.origin is not None:
+        found = [geodetic(np.array(point), world.origin) for point in mark.points]
+        places = [
+            [round(e.longitude_deg, 9), round(e.latitude_deg, 9), e.altitude_m or 0.0]
+            for e in found
+        ]
     if mark.kind == "spot":
         return {"type": "Point", "coordinates": places[0]}
     if mark.kind == "line":
         return {"type": "LineString", "coordinates": places}
     return {"type": "Polygon", "coordinates": [[*places, places[0]]]}
-
-
-def _on_earth(point: Place, world: WorldFrame | None) -> list[float]:
-    """Longitude, latitude and height of a place; the place itself without a world."""
-    if world is None or world.origin is None:
-        return list(point)
-    place = geodetic(np.array(point), world.origin)
-    return [round(place.longitude_deg, 9), round(place.latitude_deg, 9), place.altitude_m or 0.0]
 
 
 def _csv_text(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:

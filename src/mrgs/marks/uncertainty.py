@@ -138,9 +138,13 @@ class Budget:
         have the places, as the surface has them; then camera, emissivity, reflected temperature and
         distance. ``surface`` has the settings there, by default those of the photos."""
         surface = surface or self.capture.surface
+        camera = np.full(celsius.shape, np.nan)
+        if self.accuracy is not None:
+            kelvin, percent = self.accuracy
+            camera = WITHIN_LIMIT * np.maximum(kelvin, percent / 100 * np.abs(celsius))
         gain = self._gain(celsius, surface)
         settings = [COVERAGE * part for part in self._settings(celsius, surface)]
-        return [*(gain * part for part in (*of_photos, self._camera(celsius))), *settings]
+        return [*(gain * part for part in (*of_photos, camera)), *settings]
 
     def with_settings(
         self, parts: Uncertainty, celsius: float, surface: SurfaceSettings | None = None
@@ -163,13 +167,6 @@ class Budget:
         squares = np.square(first) + sum(np.square(np.nan_to_num(part)) for part in others)
         total: Float64[np.ndarray, "*shape"] = np.sqrt(squares)
         return total
-
-    def _camera(self, celsius: Values) -> Values:
-        """Half the width of the interval of the camera's error in 95 of 100 cases."""
-        if self.accuracy is None:
-            return np.full(celsius.shape, np.nan)
-        kelvin, percent = self.accuracy
-        return WITHIN_LIMIT * np.maximum(kelvin, percent / 100 * np.abs(celsius))
 
     def _gain(self, celsius: Values, surface: SurfaceSettings) -> Values:
         """Derivative of a surface's temperature by that of the photos."""

@@ -82,8 +82,16 @@ def _remove_video(folder: Path, name: str) -> None:
 @contextmanager
 def _mp4_encoder(path: Path, size: tuple[int, int]) -> Iterator[AddFrame]:
     """Feed frames to ffmpeg; an OSError with the last line that it printed if it fails."""
+    import imageio_ffmpeg  # an extra: only where it is installed
+
+    raw = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {VIDEO_FPS} -i -".split()
+    even = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0"]
+    # H.264 in the pixel format that every player knows.
+    target = ["-c:v", "libx264", "-crf", str(CRF), "-pix_fmt", "yuv420p", str(path)]
     process = subprocess.Popen(
-        _ffmpeg_command(path, size), stdin=subprocess.PIPE, stderr=subprocess.PIPE
+        [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *raw, *even, *target],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
 
     def add(frame: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -104,13 +112,3 @@ def _mp4_encoder(path: Path, size: tuple[int, int]) -> Iterator[AddFrame]:
             printed.decode(errors="replace").strip().rpartition("\n")[2]
             or f"ffmpeg: {process.returncode}"
         )
-
-
-def _ffmpeg_command(path: Path, size: tuple[int, int]) -> list[str]:
-    """Raw RGB frames from standard input into H.264 in the pixel format that every player knows."""
-    import imageio_ffmpeg  # an extra: only where it is installed
-
-    raw = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {VIDEO_FPS} -i -".split()
-    even = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0"]
-    target = ["-c:v", "libx264", "-crf", str(CRF), "-pix_fmt", "yuv420p", str(path)]
-    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *raw, *even, *target]

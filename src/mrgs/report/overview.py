@@ -439,7 +439,12 @@ def _overview(
             picture = Image.fromarray(pixels)
         size = OVERVIEW_PX, max(1, round(picture.height * OVERVIEW_PX / picture.width))
         picture = picture.resize(size, Image.Resampling.LANCZOS)
-        _draw_marks(picture, camera, marks)
+        zoom, shown = picture.width / camera.width, {}
+        for name, mark in marks.items():
+            corners = zoom * camera.project(torch.tensor(mark.points).double())[0].numpy()
+            if np.isfinite(corners).all():  # not behind the camera
+                shown[name] = corners
+        draw_marks(picture, marks, shown)
         pictures.append(
             picture if modality != THERMAL else above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
         )
@@ -455,14 +460,3 @@ def _thermal(
     limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
     scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
     return Image.fromarray(scale.colorize(values)), scale
-
-
-def _draw_marks(image: Image.Image, camera: Camera, marks: Mapping[str, Mark]) -> None:
-    """Draw the marks that do not reach behind the camera."""
-    zoom = image.width / camera.width
-    shown = {}
-    for name, mark in marks.items():
-        corners = zoom * camera.project(torch.tensor(mark.points).double())[0].numpy()
-        if np.isfinite(corners).all():
-            shown[name] = corners
-    draw_marks(image, marks, shown)

@@ -27,7 +27,7 @@ from mrgs.viewer.inspection import Inspection, PointReading
 from mrgs.viewer.messages import LONGEST_SIDE_PX, VIDEO_SECONDS, Look, encode
 from mrgs.viewer.painting import DrawnPicture, MarkLabel, pane_scale, seen_labels
 from mrgs.viewer.panes import ValueReading
-from mrgs.viewer.settings import Mode, Start, Subject
+from mrgs.viewer.settings import Start, Subject
 
 MOVING_JPEG: dict[str, Any] = {"quality": 80}
 SHARP_JPEG: dict[str, Any] = {"quality": 93, "subsampling": 0}
@@ -49,7 +49,16 @@ def hello_facts(inspection: Inspection, start: Start) -> dict[str, Any]:
         "name": subject.name,
         "known": header_text(subject),
         "start": start._asdict(),
-        "modes": [_mode(mode) for mode in subject.modes],
+        "modes": [
+            {  # with the controls that count in it
+                "label": mode.label,
+                "slider": mode.has_slider,
+                "compares": mode.kind not in ("image", "depth", "uncertainty"),
+                "scaled": None if mode.scaled is None else mode.scaled.name,
+                "palette": mode.has_palette,
+            }
+            for mode in subject.modes
+        ],
         "views": [{"name": view.name, **camera_facts(view.camera)} for view in subject.views],
         "palettes": palette_facts([*PALETTE_CHOICES, "depth", "error"]),
         "choices": PALETTE_CHOICES,
@@ -62,17 +71,6 @@ def hello_facts(inspection: Inspection, start: Start) -> dict[str, Any]:
         "longest_side_px": LONGEST_SIDE_PX,
         "video_seconds": VIDEO_SECONDS,
         "air": {} if subject.board is None else air_facts(subject.board.survey),
-    }
-
-
-def _mode(mode: Mode) -> dict[str, Any]:
-    """A mode, with the controls that count in it."""
-    return {
-        "label": mode.label,
-        "slider": mode.has_slider,
-        "compares": mode.kind not in ("image", "depth", "uncertainty"),
-        "scaled": None if mode.scaled is None else mode.scaled.name,
-        "palette": mode.has_palette,
     }
 
 
