@@ -240,7 +240,8 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         readings = PhotoReadings(draw, subject.camera_response, scene.train, temperature)
 
         def appraise(survey: Survey) -> UncertaintyMeter:
-            return UncertaintyMeter(readings, temperature and Budget.of(scene, survey))
+            budget = None if temperature is None else Budget.of(scene, survey)
+            return UncertaintyMeter(readings, budget)
 
     return MarkBoard(MarkStore(subject.folder, spread), picker, appraise)
 
