@@ -179,7 +179,7 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
 def test_depths_have_the_unit_of_the_scene(page, baked, cameras, tmp_path):
     assert json.loads(page.texts["facts"])["length_unit"] == "scene units"
     assert "scene units" in page.texts["dd"]
-    path = write_page(baked, cameras, "t", tmp_path / "p.html", length_unit="m")
+    path = write_page(baked, cameras, "t", tmp_path / "p.html", PageContent(length_unit="m"))
     metric = Elements(path.read_text(encoding="utf-8"))
     assert json.loads(metric.texts["facts"])["length_unit"] == "m"
     assert "scene units" not in "".join(metric.texts.values())
@@ -205,15 +205,8 @@ def test_every_modality_of_the_model_is_offered(with_nir, cameras, tmp_path):
 
 
 def test_palette_range_and_start_can_be_chosen(baked, cameras, tmp_path):
-    path = write_page(
-        baked,
-        cameras,
-        "t",
-        tmp_path / "p.html",
-        palette="iron",
-        range_c=(10.0, 30.0),
-        start="view 3",
-    )
+    content = PageContent("iron", (10.0, 30.0), start="view 3")
+    path = write_page(baked, cameras, "t", tmp_path / "p.html", content)
     page = Elements(path.read_text(encoding="utf-8"))
     facts = json.loads(page.texts["facts"])
     assert facts["modalities"][0]["range"] == [10.0, 30.0]
@@ -235,7 +228,7 @@ def test_palette_range_and_start_can_be_chosen(baked, cameras, tmp_path):
 )
 def test_bad_options_are_named(baked, cameras, tmp_path, options, message):
     with pytest.raises(ConfigError, match=message):
-        write_page(baked, cameras, "t", tmp_path / "page.html", **options)
+        write_page(baked, cameras, "t", tmp_path / "page.html", PageContent(**options))
     assert not list(tmp_path.iterdir())
 
 
