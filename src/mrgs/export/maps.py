@@ -41,16 +41,9 @@ def require_rasterio() -> ModuleType:
 
 
 def write_geotiff(path: Path, drawn: OrthographicMap, wkt: str, tags: Mapping[str, str]) -> Path:
-    """Write the bands of a map, tiled and compressed without loss; returns the path.
-
-    Args:
-        wkt: its coordinate reference system as well-known text.
-        tags: facts by name.
-
-    Raises:
-        ConfigError: rasterio is not installed.
-        RunError: the file cannot be written.
-    """
+    """Write the bands of a map in a coordinate system (WKT) with tags, tiled and compressed without
+    loss; returns the path. ConfigError if rasterio is not installed, RunError if the file cannot be
+    written."""
     rasterio = require_rasterio()
     grid = drawn.grid
     profile = {

@@ -47,17 +47,9 @@ def write_splat_ply(path: Path, splats: SplatArrays, comments: Sequence[str] = (
 def write_combined_ply(
     path: Path, shown: SplatArrays, baked: BakedModel, comments: Sequence[str] = ()
 ) -> Path:
-    """Write the layout of 3DGS, and behind it of each modality but RGB ``opacity_NAME`` (a logit)
-    and its values, see ``value_names``.
-
-    Temperatures are ``temperature_c``, or ``temperature_normalised`` where the scene has no °C.
-
-    Args:
-        shown: what viewers show that do not know these properties: RGB if the model has it.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write the layout of 3DGS for viewers that do not know more, and behind it of each modality
+    but RGB ``opacity_NAME`` (a logit) and its values, see ``value_names``: temperatures are
+    ``temperature_c``, or ``temperature_normalised`` where the scene has no °C."""
     columns = splat_columns(shown)
     for modality in baked.modalities:
         if modality != RGB:

@@ -67,17 +67,9 @@ def require_las(scene: Scene, crs: str | None = None) -> None:
 
 def write_las(path: Path, points: SurfacePoints, system: CoordinateSystem | None = None) -> Path:
     """Write coordinates, 16-bit RGB if there is any, and as float32 the dimensions
-    ``temperature_c`` (or _normalised), other modalities by name, and ``opacity``.
-
-    Args:
-        points: in the scene's own frame.
-        system: the coordinate reference system to write them in; None writes them as they are, and
-            names none.
-
-    Raises:
-        ConfigError: laspy is not installed.
-        RunError: the file cannot be written.
-    """
+    ``temperature_c`` (or _normalised), other modalities by name, and ``opacity``; in a coordinate
+    system, or as they are without naming one. ConfigError if laspy is not installed, RunError if
+    the file cannot be written."""
     laspy = require_laspy()
     columns = {**points.columns, "opacity": points.opacities}
     colors = {name: columns.pop(name) for name in COLORS if name in columns}

@@ -30,13 +30,8 @@ def facts_of(
     crs: str | None = None,
 ) -> dict[str, Any]:
     """Facts about every file of an export: program, frame, units, temperatures, and the PSNR lost
-    by baking.
-
-    Args:
-        up: the up direction of the scene's frame, see ``up_direction``.
-        loss: in dB; None if the trained model was not available.
-        crs: that the user wants, see ``coordinate_system``.
-    """
+    by baking, None if the trained model was not available; the CRS is the user's wish, see
+    ``coordinate_system``."""
     return {
         "program": f"mrgs {version('mrgs')}",
         "scene": scene.name,

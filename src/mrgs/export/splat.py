@@ -39,11 +39,7 @@ def write_splat(path: Path, splats: SplatArrays) -> Path:
 
     Centre and standard deviations as float32, RGB of degree 0 and opacity as bytes, the quaternion
     wxyz as bytes about 128. The largest and most opaque splats come first, so that a file shows
-    something while it loads.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    something while it loads."""
     order = np.argsort(-splats.scales.prod(axis=1) * splats.opacities, kind="stable")
     rows = np.empty(len(splats), dtype=_LAYOUT)
     rows["mean"] = splats.means[order]

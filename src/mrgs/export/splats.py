@@ -28,16 +28,9 @@ UNSEEN_WEIGHT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SplatArrays:
-    """N coloured splats; row i of every array belongs to splat i.
-
-    Attributes:
-        means: centres in world coordinates (scene units), [N, 3].
-        quats: rotations wxyz, unit length, [N, 4].
-        scales: standard deviations along the rotated axes, [N, 3].
-        opacities: in (0, 1), [N].
-        sh: colour coefficients as 3DGS has them (colour = max(0, 0.5 + Σ)), [N, B, 3]; B is 1, 4, 9
-            or 16.
-    """
+    """N coloured splats: centres in the world (scene units), rotations wxyz of unit length,
+    standard deviations along the rotated axes, opacities in (0, 1), and colour coefficients as 3DGS
+    has them (colour = max(0, 0.5 + Σ)), B of them 1, 4, 9 or 16."""
 
     means: Float32[np.ndarray, "n 3"]
     quats: Float32[np.ndarray, "n 4"]

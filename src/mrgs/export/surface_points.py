@@ -34,15 +34,10 @@ COLORS = ("red", "green", "blue")
 
 
 def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
-    """The renderings of the training cameras; the channels are those of the model's modalities, one
-    behind the other, temperatures in °C where known.
-
-    The depth is that of the first modality of which the scene has photos: of RGB if it has any.
-    It is infinite where the sky is seen.
-
-    Raises:
-        RunError: no pixel is opaque enough to have a depth.
-    """
+    """The renderings of the training cameras with the channels of all modalities of the model one
+    behind the other, temperatures in °C where known. The depth is that of the first modality of
+    which the scene has photos, infinite where the sky is seen. RunError if no pixel is opaque
+    enough to have one."""
     maps, surface = [], scene.modalities[0]
     for camera in surveying_cameras(scene.train_cameras):
         rendering = baked.render(camera, surface)
@@ -94,14 +89,8 @@ class SurfacePoints:
 
 
 def surface_points(baked: BakedModel, scene: Scene) -> SurfacePoints:
-    """The centres of the splats that are opaque in any modality and lie on a surface that a
-    training camera sees.
-
-    Colours, temperatures and other values are those that the cameras see there, see ``rendered``.
-
-    Raises:
-        RunError: there is no such splat.
-    """
+    """The centres of the splats that are opaque in any modality and on a surface that a training
+    camera sees, with what the cameras see there, see ``depth_maps``. RunError if there is none."""
     opacities = to_array(torch.stack(list(baked.opacities.values())).amax(dim=0))
     rows = np.flatnonzero(opacities >= MIN_OPACITY)
     if not len(rows):

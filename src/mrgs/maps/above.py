@@ -38,14 +38,9 @@ def map_from_above(
     appraise: Appraise | None = None,
     most_px: int | None = None,
 ) -> OrthographicMap:
-    """The map of a scene from above, in the coordinates of ``system``; ``options`` has the pixel
-    size, for the others see ``draw_map`` and ``pixel_size_m``.
-
-    Raises:
-        ConfigError: which way is up is not known, or the map has too many pixels.
-        RunError: the photos show no surface.
-        SceneError: a photo cannot be read.
-    """
+    """The map of a scene from above, in the coordinates of ``system``; for the others see
+    ``facade_map``. ConfigError if the vertical is not known or the map has too many pixels,
+    RunError if the photos show no surface, SceneError if a photo cannot be read."""
     axes, scale, offset = _plan_view(system, vertical(scene))
     maps = survey(baked, scene)
     limit = TIMES_MEDIAN * median_distance(maps)

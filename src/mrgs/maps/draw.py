@@ -81,17 +81,12 @@ def draw_map(
 
     The drawing gives the surface of each pixel and its colour. Its temperature is the mean of what
     the cameras of the photos see there in the model, as in all exports: from where no photo was
-    taken, splats may leave gaps.
+    taken, splats may leave gaps. ``maps`` are the model's ``survey``; without ``appraise``,
+    temperatures are as the photos have them, without uncertainty; ``coverage`` leaves empty what
+    too few photos show.
 
-    Args:
-        maps: its surfaces, see ``survey``.
-        appraise: see there; None shows temperatures as the photos have them, without uncertainty.
-        coverage: what enough photos show; all else stays empty. None draws everything.
-
-    Raises:
-        ConfigError: the map has more than ``MAX_PIXELS``.
-        RunError: no photo shows anything of it.
-    """
+    ConfigError if the map has more than ``MAX_PIXELS``, RunError if no photo shows anything of
+    it."""
     if grid.width * grid.height > MAX_PIXELS:
         raise ConfigError(
             f"the map would have {grid.width}×{grid.height} pixels of {grid.pixel_m:g} m, more "

@@ -226,13 +226,8 @@ def facade_map(
     most_px: int | None = None,
 ) -> OrthographicMap:
     """The map of a façade; ``options`` has plane and pixel size, for the others see ``draw_map``
-    and ``pixel_size_m``.
-
-    Raises:
-        ConfigError: which way is up is not known, or the map has too many pixels.
-        RunError: no façade was found.
-        SceneError: a photo cannot be read.
-    """
+    and ``pixel_size_m``. ConfigError if the vertical is not known or the map has too many pixels,
+    RunError if no façade was found, SceneError if a photo cannot be read."""
     maps = survey(baked, scene)
     surfaces = surfaces_of(maps)
     eye = torch.stack([item.camera.position for item in maps]).mean(dim=0).numpy()

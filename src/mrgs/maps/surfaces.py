@@ -336,12 +336,9 @@ LEAST_POINTS = 3
 
 
 class ShownPlaces:
-    """The surfaces in the pixels of a map. From far away, where no photo was taken, a model also
-    shows what floats before its surfaces, and what is behind gaps between its splats.
-
-    Args:
-        maps: what the photos show, see ``survey``.
-    """
+    """The surfaces in the pixels of a map, by a ``survey``: from far away, where no photo was
+    taken, a model also shows what floats before its surfaces, and what is behind gaps between its
+    splats."""
 
     def __init__(self, maps: Sequence[DepthMap], grid: MapGrid) -> None:
         self._grid = grid

@@ -192,11 +192,8 @@ class MarkPicker:
 
     def pick(self, kind: MarkKind, camera: Camera, pixels: Sequence[Sequence[float]]) -> PickedMark:
         """A mark through pixels (x, y) of a camera's image, of a box also two opposite corners.
-
-        Raises:
-            ConfigError: a pixel lies outside the image, or shows no surface.
-            SceneError: a photo cannot be read.
-        """
+        ConfigError if a pixel is outside the image, or shows no surface; SceneError if a photo
+        cannot be read."""
         if kind == "box" and len(pixels) == 2:
             (x0, y0), (x1, y1) = pixels
             pixels = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]

@@ -106,12 +106,8 @@ class MarkStore:
         return self._read(self.file, _marks_of, Marks())
 
     def edit(self, change: Change) -> Marks:
-        """Change the marks as they are on the disk now, and save them; returns them.
-
-        Raises:
-            ConfigError: the change is not possible; nothing is changed.
-            RunError: as for ``read``, or the file cannot be written.
-        """
+        """Change the marks as they are on the disk now, and save them; returns them. ConfigError if
+        the change is not possible, RunError as for ``read``, or if the file cannot be written."""
         with self._locked():
             before = self.read()
             after = change(before)

@@ -64,13 +64,8 @@ def area_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
 def value_text(
     value: float, temperature: TemperatureRange | None, *, sign: bool = False, unit: bool = False
 ) -> str:
-    """A temperature or a difference with a proper minus sign; a dash for NaN.
-
-    Args:
-        value: in °C, or normalised.
-        sign: whether positive values have a plus sign.
-        unit: whether it is followed by its unit; that of a difference is the kelvin.
-    """
+    """A temperature (°C or normalised) or a difference with a proper minus sign, a dash for NaN;
+    with a plus sign, and with its unit, where asked: that of a difference is the kelvin."""
     if math.isnan(value):
         return DASH
     text = number_text(value, decimals_of(THERMAL, temperature), sign=sign)

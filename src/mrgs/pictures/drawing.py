@@ -43,13 +43,9 @@ Box: TypeAlias = tuple[float, float, float, float]
 
 
 class Scale(NamedTuple):
-    """The meaning of a map's colours.
-
-    Attributes:
-        low: value of the first colour; larger than ``high`` where the palette runs the other way.
-        unit: written after the largest number; may be empty.
-        decimal: between a number's whole and its decimals.
-    """
+    """The meaning of a map's colours: values of the first and the last colour, the first larger
+    where the palette runs the other way, the unit after the largest number, and the sign before
+    decimals."""
 
     palette: PaletteName
     low: float

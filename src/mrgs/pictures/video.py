@@ -34,20 +34,12 @@ def can_write_mp4() -> bool:
 def frame_writer(
     folder: Path, name: str, size: tuple[int, int], mp4: bool | None = None
 ) -> Iterator[AddFrame]:
-    """Give a function that writes frames into ``NAME/00000.png`` and so on and, if possible, into
-    ``NAME.mp4``.
+    """Give a function that writes frames into ``NAME/00000.png`` and so on and, if asked for or by
+    default if imageio-ffmpeg is installed, into ``NAME.mp4``.
 
     Frames and mp4 of an earlier video of this name are removed. The mp4 is complete when the
     context ends. H.264 needs even sides: an odd image loses its last column or row in the mp4.
-
-    Args:
-        folder: made if it does not exist.
-        size: width and height of the frames, pixels.
-        mp4: whether to write it; None writes it if imageio-ffmpeg is installed.
-
-    Raises:
-        RunError: a file cannot be written, or an old one cannot be removed.
-    """
+    RunError if a file cannot be written, or an old one cannot be removed."""
     _remove_video(folder, name)
     with ExitStack() as stack:
         add_to_mp4 = None

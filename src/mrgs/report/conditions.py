@@ -22,13 +22,9 @@ ONE_DECIMAL = ("°C", "K", "m/s")
 
 
 class Condition(NamedTuple):
-    """One condition of a standard; texts are English, for ``Texts``.
-
-    Attributes:
-        stated: the quantity with its unit; empty if neither survey nor photos say it.
-        met: whether it is met; None if that cannot be said.
-        words: the inspector's own in place of ``stated``, printed as they are.
-    """
+    """One condition of a standard; texts are English, for ``Texts``. ``stated`` is empty if neither
+    survey nor photos have the quantity, ``met`` None if that is to be judged, and ``words`` are the
+    inspector's own in place of ``stated``, printed as they are."""
 
     what: str
     asked: str

@@ -180,23 +180,11 @@ class ProfileChart(NamedTuple):
 
 
 class ShownMark(NamedTuple):
-    """A mark as the report shows it; numbers are formatted.
-
-    Attributes:
-        severity: as the user states it.
-        around: the uncertainty of the mean; empty if it is not known.
-        parts: of the uncertainty, as ``SHOWN_PARTS``; a dash for those not known.
-        factor: temperature factor of a surface inside; a dash if the air is not known, or it does
-            not lie from 0 to 1.
-        difference: to the reference, or to the mark that it is compared with.
-        compared_with: name of that mark; empty for none.
-        settings: emissivity and reflected temperature of its surface; empty for those of the
-            photos.
-        problem: why it has no temperature.
-        view: name of the view in the pictures; empty without pictures.
-        pictures: the thermal rendering, then the photo.
-        chart: of a line; else None.
-    """
+    """A mark as the report shows it; numbers are formatted, ``parts`` of the uncertainty as
+    ``SHOWN_PARTS`` with a dash for those not known. ``around`` is empty if not known, ``factor``
+    (of a surface inside) a dash if the air is not known or it is not from 0 to 1, ``settings`` are
+    empty for those of the photos, and ``pictures`` are the thermal rendering, then the photo, of
+    ``view``, none without one."""
 
     name: str
     kind: str
@@ -326,17 +314,10 @@ def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:
 
 
 class ShownProposal(NamedTuple):
-    """A proposal as the report shows it; numbers are formatted.
-
-    Attributes:
-        mark: as it would be if it were accepted.
-        contrast: its temperature minus that of its surroundings.
-        low: 10th percentile over the views.
-        high: 90th percentile over the views.
-        position: x, y, z in scene units.
-        photo: temperature of the thermal photo there; None where it has no valid pixel.
-        at_end: whether the photo is at an end of the recorded range there.
-    """
+    """A proposal as the report shows it, with the mark that it would become; numbers are formatted.
+    ``low`` and ``high`` are the 10th and 90th percentile over the views, ``position`` is in scene
+    units, ``photo`` the thermal photo's temperature there, None where it has no valid pixel, and
+    ``at_end`` whether that is an end of the recorded range."""
 
     mark: ShownMark
     contrast: str

@@ -40,14 +40,8 @@ def require_weasyprint() -> Any:
 
 
 def write_pdf(page: Path, path: Path) -> Path:
-    """Write a page of one HTML file as PDF; returns the path.
-
-    What the page does not hold itself is not fetched.
-
-    Raises:
-        ConfigError: weasyprint is not installed.
-        RunError: the file cannot be written.
-    """
+    """Write a page of one HTML file as PDF; returns the path. Nothing outside the page is fetched.
+    ConfigError if weasyprint is not installed, RunError if the file cannot be written."""
     weasyprint = require_weasyprint()
     logging.getLogger("weasyprint").setLevel(logging.CRITICAL)  # style sheets are for browsers too
     fetcher = weasyprint.urls.URLFetcher(allowed_protocols=["data"])

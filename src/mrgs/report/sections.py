@@ -33,15 +33,10 @@ KNOCK_OUT_DECIMALS = {"thermal_psnr": 2, "rgb_psnr": 2, "truth_mae_c": 3}
 
 
 class Scores(NamedTuple):
-    """Contents of ``eval/metrics.json``.
-
-    Attributes:
-        rows: name and value of each score; with aligned poses where those of the photos are wrong.
-        pose_error_px: how far off what the model shows a typical photo is, if so; None else.
-        spreads: name and standard deviation of what the paper's parts add to a Gaussian; empty for
-            a model without them.
-        knock_outs: what is knocked out of the model, then its scores without it.
-    """
+    """Contents of ``eval/metrics.json``: name and value of each score, with aligned poses where
+    those of the photos are wrong, by ``pose_error_px``; name and standard deviation of what the
+    paper's parts add to a Gaussian, and what is knocked out of the model with its scores then, both
+    empty for a model without them."""
 
     steps: int
     rows: list[tuple[str, str]]

@@ -214,12 +214,8 @@ class MarkBoard:
         self.edit(change)
 
     def edit(self, change: Callable[[Marks], Marks]) -> None:
-        """Change the marks, save, measure and notify.
-
-        Raises:
-            ConfigError: the change is not possible.
-            RunError: it cannot be saved.
-        """
+        """Change the marks, save, measure and notify. ConfigError if the change is not possible,
+        RunError if it cannot be saved."""
         self._show_saved(self._store.edit(change))
 
     def undo(self) -> None:

@@ -65,15 +65,9 @@ Send = Callable[[str | bytes], "Future[None]"]
 
 
 class Browser:
-    """One connected browser; its state is ``inspection``.
-
-    A picture is drawn only when the browser asks for one, and a browser whose page is hidden does
-    not ask. While one picture is being sent no other is drawn for it.
-
-    Args:
-        start: the first viewpoint, and what the camera turns about.
-        send: sends a text or bytes, from any thread.
-    """
+    """One connected browser; its state is ``inspection``. A picture is drawn only when the browser
+    asks for one, which a hidden page does not, and none while another is being sent. ``send`` sends
+    a text or bytes, from any thread."""
 
     def __init__(
         self, subject: Subject, start: Start, note: str, worker: Worker, send: Send

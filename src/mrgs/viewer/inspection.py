@@ -81,13 +81,9 @@ class Inspection:
         return None if self.view_index is None else self.subject.views[self.view_index]
 
     def picture(self, camera: Camera, moving: bool = False) -> DrawnPicture:
-        """Draw what the camera sees; the modes with photos show the captured camera nearest to it.
-
-        Args:
-            camera: of the picture, at its size.
-            moving: whether the next camera is on its way: then the scales that follow the picture
-                stay those of the last picture at rest, so that colours do not flicker.
-        """
+        """Draw what the camera sees, at its size; the modes with photos show the captured camera
+        nearest to it. While it is ``moving``, scales that follow the picture stay those of the last
+        picture at rest, so that colours do not flicker."""
         if self.subject.scene is not None:
             self.view_index = nearest_view(
                 self.subject.views, camera, self.subject.scene.extent, self.view_index
@@ -158,16 +154,9 @@ class Inspection:
         )
 
     def add_mark(self, kind: MarkKind, points: Sequence[tuple[float, float]]) -> None:
-        """Add a mark through places of the latest picture, from 0 to 1, and save it.
-
-        Args:
-            points: two opposite corners of a box; the corners of the others.
-
-        Raises:
-            ConfigError: a place lies outside the picture, or shows no surface.
-            SceneError: a photo cannot be read.
-            RunError: the mark cannot be saved.
-        """
+        """Add a mark through places of the latest picture, from 0 to 1, of a box two opposite
+        corners, and save it. ConfigError if a place is outside the picture, or shows no surface;
+        SceneError if a photo cannot be read; RunError if the mark cannot be saved."""
         board = self.subject.board
         if board is None:
             raise ConfigError("marks need the scene: open the run with it")

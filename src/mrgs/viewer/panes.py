@@ -42,16 +42,9 @@ _GAP_PX = 4
 
 @dataclass(frozen=True, eq=False)
 class Pane:
-    """One part of the picture.
-
-    Attributes:
-        modalities: of the images that it shows; of two, the left or lower one first.
-        camera: what it looks through; width and height are those of the pane in the picture.
-        left: column of its upper left corner, pixels of the picture.
-        top: row of its upper left corner, pixels of the picture.
-        title: drawn into its corner; may be empty.
-        photo: that it shows or compares with, if any.
-    """
+    """One part of the picture, with its upper left corner there in pixels: images of modalities (of
+    two, the left or lower one first) through a camera as large as the pane, under a title, and the
+    photo that it shows or compares with, if any."""
 
     kind: PaneKind
     modalities: tuple[Modality, ...]

@@ -40,12 +40,7 @@ class VideoProgress(NamedTuple):
 
 def save_screenshot(inspection: Inspection) -> Path:
     """Write the current view, sharp and with its marks, into ``renders/screenshots``; returns the
-    file.
-
-    Raises:
-        ConfigError: no picture has been drawn yet.
-        RunError: the file cannot be written.
-    """
+    file. ConfigError if no picture has been drawn yet, RunError if the file cannot be written."""
     if inspection.drawn is None:
         raise ConfigError("wait for the first picture, then take a screenshot")
     folder = _folder(inspection, "screenshots")
@@ -56,11 +51,7 @@ def save_screenshot(inspection: Inspection) -> Path:
 
 def save_keyframes(inspection: Inspection, seconds: float) -> Path:
     """Write the keyframes into ``renders/paths``, in nerfstudio's format; returns the file.
-
-    Raises:
-        ConfigError: there are no keyframes.
-        RunError: the file cannot be written.
-    """
+    ConfigError if there are none, RunError if the file cannot be written."""
     folder = _folder(inspection, "paths")
     return save_path(_next_free(folder, ".json"), inspection.keyframes, seconds, VIDEO_FPS)
 

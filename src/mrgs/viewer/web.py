@@ -48,20 +48,10 @@ class Viewer:
     """A web server that shows one model to any number of browsers.
 
     It has three threads, however many browsers come: one for the network, one for the model, and
-    one that watches the files of the run, which may lie on a drive that does not answer.
-
-    Args:
-        host: the address to listen on; anything but this computer's own makes the model visible to
-            the network, for whoever has the token.
-        port: TCP port; 0 takes a free one.
-
-    Attributes:
-        note: a sentence for whoever connects; may be empty.
-        url: the address to open, with the token.
-
-    Raises:
-        ConfigError: the address or port cannot be used.
-    """
+    one that watches the files of the run, which may be on a drive that does not answer. A ``host``
+    other than this computer's own makes the model visible to the network, for whoever has the
+    token; port 0 takes a free one. ``url`` is the address to open, with the token. ConfigError if
+    address or port cannot be used."""
 
     def __init__(self, subject: Subject, start: Start, host: str, port: int) -> None:
         require_port(port)
