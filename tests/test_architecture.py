@@ -63,7 +63,7 @@ FORBIDDEN_ATTRIBUTES = {
 }
 
 
-BUDGET = {"lines": 68_200, "files": 392, "floors": 14}
+BUDGET = {"lines": 64_800, "files": 370, "floors": 12}
 """What ``src/mrgs`` may have at most: a new feature folds or deletes as much as it adds."""
 
 
