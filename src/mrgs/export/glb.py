@@ -32,7 +32,7 @@ _MAGIC, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
 def export(job: ExportJob) -> list[Path]:
-    """Write a file for each modality, with its sidecar; each holds the temperatures and the values
+    """Write a file for each modality, with its sidecar; each has the temperatures and the values
     of modalities other than RGB."""
     model = job.splat_model
     properties = {

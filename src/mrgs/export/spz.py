@@ -57,7 +57,7 @@ def export(job: ExportJob) -> list[Path]:
 
 
 def write_spz(path: Path, splats: SplatArrays) -> Path:
-    """Write an SPZ file; returns the path. RunError if a splat lies too far out for the format, or
+    """Write an SPZ file; returns the path. RunError if a splat is too far out for the format, or
     the file cannot be written."""
     farthest = float(np.abs(splats.means).max())
     bits = min(

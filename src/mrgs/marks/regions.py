@@ -111,7 +111,7 @@ class SurfaceRegion:
 
 class Regions:
     """All regions of a model with settings of their own: those of marks with settings; where two
-    overlap, the later one counts. Without known °C there are none.
+    overlap, the later one counts. Without known °C the list is empty.
 
     Attributes:
         problems: of marks that cannot be regions, one sentence by name.

@@ -125,7 +125,7 @@ def thermal_values(rendering: Rendering) -> Float[np.ndarray, "h w"]:
 
 def measuring_camera(mark: Mark) -> Camera:
     """The camera that a mark is measured with: at its eye, towards its middle, and about as wide
-    as a photo; ConfigError if the mark lies around its eye, so that no camera sees all of it."""
+    as a photo; ConfigError if the mark is around its eye, so that no camera sees all of it."""
     points, eye = np.array(mark.points), np.array(mark.eye)
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     forward = target - eye

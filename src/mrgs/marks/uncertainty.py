@@ -28,7 +28,7 @@ from mrgs.system.wording import Message
 Values: TypeAlias = Float64[np.ndarray, "..."]
 
 COVERAGE = 2.0
-"""Times the standard uncertainty: an interval that holds the truth in 95 of 100 cases."""
+"""Times the standard uncertainty: an interval that contains the truth in 95 of 100 cases."""
 
 EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT = 0.02, 2.0, 10.0
 """Standard uncertainties of settings where the survey states none."""

@@ -173,7 +173,7 @@ def scale_bar(
 
 
 def above_scale(picture: Image.Image, scale: Scale, size: int, gap: int) -> Image.Image:
-    """A picture with its scale so many pixels below, on white."""
+    """A picture with its scale below, ``gap`` pixels apart, on white."""
     bar = scale_bar(scale, picture.width, "horizontal", size)
     whole = blank((picture.width, picture.height + bar.height + gap))
     whole.paste(picture, (0, 0))

@@ -219,7 +219,7 @@ def _inner_depth(
 
 
 def _widened(mask: Bool[torch.Tensor, "h w"], pixels: int) -> Bool[torch.Tensor, "h w"]:
-    """A mask with what lies within so many pixels of it."""
+    """A mask grown by a number of pixels."""
     grown = torch.nn.functional.max_pool2d(mask[None].float(), 2 * pixels + 1, 1, pixels)
     return grown[0] > 0
 
@@ -348,7 +348,7 @@ def photo_value(view: View, spot: Spot) -> float | None:
 
 
 def _pixel(camera: Camera, spot: Spot) -> tuple[float, float]:
-    """Column and row of a spot, which may lie outside the image; NaN behind the camera."""
+    """Column and row of a spot, perhaps outside the image; NaN behind the camera."""
     column, row = camera.project(torch.from_numpy(spot.position))[0].tolist()
     return column, row
 

@@ -13,7 +13,7 @@ from mrgs.errors import ConfigError
 
 
 def require_port(port: int) -> None:
-    """Check that there is such a port. ConfigError if there is none."""
+    """Check that a port number is possible; ConfigError if not."""
     if not 0 <= port <= 65535:
         raise ConfigError(
             f"the port must be from 1 to 65535, or 0 for any that is free, not {port}",

@@ -101,7 +101,7 @@ PageMark: TypeAlias = dict[str, Any]
 
 def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
     """The marks of a run, and what was assumed for their uncertainties and for surfaces with an
-    emissivity of their own. RunError if ``marks.json`` holds the marks of another model."""
+    emissivity of their own. RunError if ``marks.json`` is of another model."""
     known, temperature = marks.marks, marks.run.temperature
     if not len(known):
         return [], ()
