@@ -45,23 +45,15 @@ class PhotoPair:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A file or a view that is not used.
-
-    Attributes:
-        name: of the file, or of the view.
-        reason: half a sentence.
-    """
+    """A file or a view that is not used, and why: half a sentence."""
 
     name: str
     reason: str
 
 
 class TooFewPosesError(SceneError):
-    """Structure from motion found fewer poses than a scene needs.
-
-    Attributes:
-        failed: the images without a pose, and why.
-    """
+    """Structure from motion found fewer poses than a scene needs; ``failed`` lists the images
+    without one."""
 
     def __init__(self, message: str, failed: tuple[Skipped, ...]) -> None:
         super().__init__(message)
@@ -102,10 +94,9 @@ class ConvertedImage:
 
 @dataclass(frozen=True)
 class ConvertedView:
-    """A pair whose images lie in the scene's folder.
+    """A pair whose images are in the scene's folder.
 
     Attributes:
-        name: of the pair.
         images: by modality. ``images/NAME.*`` is the RGB image, missing in a thermal-only set.
             ``thermal/NAME.*`` is a float32 TIFF in °C, NaN where there is no temperature; an 8-bit
             grey PNG if the photos hold no temperatures.
@@ -129,13 +120,8 @@ class ConvertedView:
 
 @dataclass(frozen=True)
 class ConvertedPhotos:
-    """All photos, read and written into the scene's folder.
-
-    Attributes:
-        views: those that could be read.
-        skipped: pairs with a photo that could not be read, with the reader's message.
-        warnings: sentences about the whole set.
-    """
+    """All photos that could be read, written into the scene's folder; pairs that are skipped, with
+    the reader's message; and warnings about the whole set."""
 
     views: tuple[ConvertedView, ...]
     skipped: tuple[Skipped, ...]
@@ -148,9 +134,8 @@ class Reconstruction:
 
     Attributes:
         viewmats: world to camera, OpenCV axes, [4, 4], by the view's name; registered views only.
-        lenses: the lens of each registered view, for its image at full size; views of one camera
-            share theirs.
-        points: triangulated ones.
+        lenses: of each registered view, for its image at full size; views of one camera share
+            theirs.
         visible: for each registered view, the indices of the points that it observes; None if not
             known.
         failed: views without a pose, and why.
@@ -158,7 +143,7 @@ class Reconstruction:
         source: origin of the poses, one sentence.
         images: modality of the images with these poses.
         warnings: sentences that the user should read.
-        world: what the file of given poses says about their frame.
+        world: what is known of the frame of given poses.
     """
 
     viewmats: Mapping[str, Float64[Tensor, "4 4"]]
@@ -180,15 +165,12 @@ class Georeference:
 
     Attributes:
         scale: new lengths over old ones.
-        rotation: [3, 3].
-        translation: [3].
         metric: whether the new lengths are metres.
         north: whether the new axes are east, north, up.
         origin: position of the new origin on Earth; None if not known.
         residual_m: median distance of the cameras from their GPS positions; None without GPS.
         scale_error: standard uncertainty of the scale, as a share; None where it is not from GPS.
         text: one or two sentences for the user.
-        warnings: sentences that the user should read.
     """
 
     scale: float
@@ -206,22 +188,13 @@ class Georeference:
     def world(self) -> WorldFrame:
         """The frame of the scene's world."""
         place = self.origin
-        origin = (
-            None
-            if place is None
-            else EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
-        )
+        origin = place and EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
         return WorldFrame(self.metric, self.north, origin, self.residual_m, self.scale_error)
 
 
 @dataclass(frozen=True)
 class StageSummary:
-    """The result of a stage, for the user.
-
-    Attributes:
-        lines: one sentence each, the most important first.
-        warnings: sentences that the user should read.
-    """
+    """The result of a stage, for the user: a sentence a line, the most important first."""
 
     lines: tuple[str, ...]
     warnings: tuple[str, ...] = ()
@@ -232,9 +205,8 @@ class StageReport:
     """A finished stage, for the terminal and for the page.
 
     Attributes:
-        title: of the stage, such as "poses".
+        title: such as "poses".
         lines: its results, one sentence each.
-        warnings: sentences that the user should read.
         seconds: how long it took; 0 if its result was reused.
         reused: whether the result of an earlier call was reused.
     """
@@ -248,14 +220,8 @@ class StageReport:
 
 @dataclass(frozen=True)
 class Preparation:
-    """Result of ``prepare``.
-
-    Attributes:
-        scene: the scene's folder.
-        page: the HTML page that shows the results.
-        stages: reports, in order.
-        skipped: files and views that are not in the scene.
-    """
+    """Result of ``prepare``: the scene's folder, the HTML page that shows it, the stages' reports,
+    and files and views that are not in the scene."""
 
     scene: Path
     page: Path

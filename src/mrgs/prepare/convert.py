@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from mrgs.data.files import scene_error
@@ -54,9 +53,9 @@ Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
 
 
-class _Conversion(NamedTuple):
-    """Settings for the conversion of a pair: the scene's folder, the user's overrides, the unit
-    that was guessed for numbers in this file format, and the orientations."""
+class _Settings(NamedTuple):
+    """Of the conversion of a pair: the scene's folder, the user's overrides, the unit that was
+    guessed for numbers in this file format, and the orientations."""
 
     scene: Path
     overrides: Overrides
@@ -70,11 +69,6 @@ class _CachedPair:
 
     view: ConvertedView | None
     refusal: str = ""
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """The images, relative to the scene's folder."""
-        return () if self.view is None else self.view.files
 
 
 def convert_photos(
@@ -95,8 +89,6 @@ def convert_photos(
     Args:
         scene: the scene's folder, made if it is missing. Images with the names of views are
             replaced.
-        overrides: values that replace those in the thermal photos.
-        cache: keeps what each pair was converted to.
         turn: rotate the images upright by their EXIF orientation; False keeps them as stored,
             which given poses and lenses are for.
 
@@ -108,9 +100,13 @@ def convert_photos(
     """
     _check_folders(pairing, scene)
     orientations = _common_orientations(pairing.pairs) if turn else dict.fromkeys(IMAGE_FOLDERS, 1)
-    _remove_other_views(scene, cache, {pair.name for pair in pairing.pairs})
+    names = {pair.name for pair in pairing.pairs}
+    for file in sorted((cache.folder / VIEWS).glob("*.safetensors")):
+        if file.stem not in names:  # a view of an earlier call
+            _remove_images(scene, file.stem)
+            remove(file)
     contents = Digests(cache.folder / CONTENTS)
-    settings = _Conversion(scene, overrides, None, orientations)
+    settings = _Settings(scene, overrides, None, orientations)
     whole = False
     try:
         views, skipped = _convert_all(pairing.pairs, settings, cache, contents, progress)
@@ -121,8 +117,10 @@ def convert_photos(
     if not views:
         first = f"; the first: {skipped[0].reason}" if skipped else "; find pairs first"
         raise SceneError(f"none of the {len(pairing.pairs)} pairs can be used{first}")
-    views, without_c = _of_one_kind(views)
-    skipped += without_c
+    if with_c := [view for view in views if view.range_c is not None]:
+        reason = "its thermal photo holds no temperatures, while those of others do"
+        skipped += [Skipped(view.name, reason) for view in views if view.range_c is None]
+        views = with_c  # the others cannot be compared with these
     for item in skipped:
         _remove_images(scene, item.name)
     _check_sizes(views, pairing)
@@ -131,7 +129,7 @@ def convert_photos(
 
 def _convert_all(
     pairs: Sequence[PhotoPair],
-    settings: _Conversion,
+    settings: _Settings,
     cache: Cache,
     contents: Digests,
     progress: Progress,
@@ -155,7 +153,7 @@ def _convert_all(
     return views, skipped
 
 
-def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache, contents: Digests) -> _CachedPair:
+def _cached(pair: PhotoPair, settings: _Settings, cache: Cache, contents: Digests) -> _CachedPair:
     """The pair's view or refusal, from the cache if the content of its photos is unchanged, and its
     images are there."""
 
@@ -176,13 +174,15 @@ def _cached(pair: PhotoPair, settings: _Conversion, cache: Cache, contents: Dige
             _CachedPair,
             (_VERSION, pair, held, *settings[1:]),
             make,
-            lambda found: [settings.scene / file for file in found.files],
+            lambda found: [
+                settings.scene / file for file in (found.view and found.view.files) or ()
+            ],
         )
     except SceneError as error:
         return _CachedPair(None, str(error))
 
 
-def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Conversion) -> ConvertedView:
+def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> ConvertedView:
     """Read a pair, rotate it upright and write it.
 
     Raises:
@@ -204,11 +204,14 @@ def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Conversion) ->
             "this photo or its RGB photo changed while it was read; wait until it is copied",
         )
     _remove_transforms(scene)
-    images = {
-        modality: _written(scene, f"{IMAGE_FOLDERS[modality]}/{pair.name}{file.suffix}", file)
-        for modality, file in files.items()
-        if file is not None
-    }
+    images = {}
+    for modality, file in files.items():
+        if file is not None:
+            name = f"{IMAGE_FOLDERS[modality]}/{pair.name}{file.suffix}"
+            with replacing(scene / name) as temporary:
+                temporary.write_bytes(file.content)
+            digest_of_file = hashlib.sha256(file.content).hexdigest()
+            images[modality] = ConvertedImage(name, file.size, digest_of_file)
     _remove_images(scene, pair.name, keep=[image.file for image in images.values()])
     notes = () if unit is None else (f"The numbers are taken for {unit}.",)
     rgb = pair.exif.get(RGB, ExifFacts())
@@ -217,13 +220,6 @@ def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Conversion) ->
     celsius = thermal.temperature_c
     range_c = None if celsius is None else (float(np.nanmin(celsius)), float(np.nanmax(celsius)))
     return ConvertedView(pair.name, images, _merged_exif(pair, facts), facts, range_c)
-
-
-def _written(scene: Path, name: str, file: ImageFile) -> ConvertedImage:
-    """The image after it was written into the scene's folder."""
-    with replacing(scene / name) as temporary:
-        temporary.write_bytes(file.content)
-    return ConvertedImage(name, file.size, hashlib.sha256(file.content).hexdigest())
 
 
 def _rgb_file(
@@ -243,20 +239,15 @@ def _rgb_file(
 
 def _thermal_file(thermal: ThermalPhoto, orientation: int) -> ImageFile:
     """A float TIFF in °C, or a grey PNG without temperatures."""
-    image = upright(Image.fromarray(_pixels(thermal)), orientation)
-    suffix, encoder = (".png", "PNG") if thermal.temperature_c is None else (".tiff", "TIFF")
-    file = io.BytesIO()
-    image.save(file, encoder)
-    return ImageFile(file.getvalue(), suffix, image.size)
-
-
-def _pixels(thermal: ThermalPhoto) -> Float32[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]:
-    """Float32 °C, NaN where there is no temperature; or 8-bit shades of grey."""
     if thermal.temperature_c is not None:
-        return np.where(thermal.valid, thermal.temperature_c, np.float32(np.nan))
-    if thermal.relative is None:
-        raise ValueError("a thermal photo holds either temperatures or relative values")
-    return np.rint(255 * thermal.relative).astype(np.uint8)
+        suffix, pixels = ".tiff", np.where(thermal.valid, thermal.temperature_c, np.float32(np.nan))
+    elif thermal.relative is not None:
+        suffix, pixels = ".png", np.rint(255 * thermal.relative).astype(np.uint8)
+    else:
+        raise ValueError("a thermal photo has either temperatures or relative values")
+    image, file = upright(Image.fromarray(pixels), orientation), io.BytesIO()
+    image.save(file, suffix[1:].upper())
+    return ImageFile(file.getvalue(), suffix, image.size)
 
 
 def _merged_exif(pair: PhotoPair, facts: PhotoFacts) -> ExifFacts:
@@ -268,18 +259,12 @@ def _merged_exif(pair: PhotoPair, facts: PhotoFacts) -> ExifFacts:
 
 
 def _common_orientations(pairs: Sequence[PhotoPair]) -> Orientations:
-    return {
-        modality: _most_frequent(
-            pair.exif[modality].orientation for pair in pairs if modality in pair.exif
-        )
-        for modality in IMAGE_FOLDERS
-    }
-
-
-def _most_frequent(orientations: Iterable[int]) -> int:
-    """The smallest of equally frequent ones."""
-    counts = Counter(orientations)
-    return min(counts, key=lambda found: (-counts[found], found), default=1)
+    """The most frequent one of each modality; the smallest of equally frequent ones."""
+    common = {}
+    for modality in IMAGE_FOLDERS:
+        counts = Counter(pair.exif[modality].orientation for pair in pairs if modality in pair.exif)
+        common[modality] = min(counts, key=lambda each: (-counts[each], each), default=1)
+    return common
 
 
 def _stamps(pair: PhotoPair) -> list[Stamp]:
@@ -312,14 +297,6 @@ def _check_folders(pairing: Pairing, scene: Path) -> None:
             )
 
 
-def _remove_other_views(scene: Path, cache: Cache, names: set[str]) -> None:
-    """Remove the images of an earlier call's views that are no longer in the set."""
-    for file in sorted((cache.folder / VIEWS).glob("*.safetensors")):
-        if file.stem not in names:
-            _remove_images(scene, file.stem)
-            remove(file)
-
-
 def _remove_images(scene: Path, name: str, keep: Iterable[str] = ()) -> None:
     """Remove a view's images, in any format, except those to keep."""
     kept = {scene / path for path in keep}
@@ -335,15 +312,6 @@ def _remove_transforms(scene: Path) -> None:
     """A scene whose images change is incomplete until it is written again."""
     if (scene / TRANSFORMS).is_file():
         remove(scene / TRANSFORMS)
-
-
-def _of_one_kind(views: Sequence[ConvertedView]) -> tuple[list[ConvertedView], list[Skipped]]:
-    """The views with temperatures, if any has them: the others cannot be compared with them."""
-    with_c = [view for view in views if view.range_c is not None]
-    if not with_c or len(with_c) == len(views):
-        return list(views), []
-    reason = "its thermal photo holds no temperatures, while those of others do"
-    return with_c, [Skipped(view.name, reason) for view in views if view.range_c is None]
 
 
 def _check_sizes(views: Sequence[ConvertedView], pairing: Pairing) -> None:
@@ -363,16 +331,15 @@ def _check_sizes(views: Sequence[ConvertedView], pairing: Pairing) -> None:
             (size, most), (other_size, other) = sorted(
                 groups.items(), key=lambda group: -len(group[1])
             )[:2]
+            counts = [
+                "no" if each is None else "{} x {}".format(*each) for each in (other_size, size)
+            ]
             raise scene_error(
                 other[0],
-                f"its {modality.title} image has {_pixel_count(other_size)} pixels, while "
-                f"{len(most)} such as {most[0].name} have {_pixel_count(size)}; photos of two "
-                f"cameras cannot be one scene, remove those of one",
+                f"its {modality.title} image has {counts[0]} pixels, while {len(most)} such as "
+                f"{most[0].name} have {counts[1]}; photos of two cameras cannot be one scene, "
+                f"remove those of one",
             )
-
-
-def _pixel_count(size: tuple[int, int] | None) -> str:
-    return "no" if size is None else f"{size[0]} x {size[1]}"
 
 
 def _differing_parameters(views: Sequence[ConvertedView]) -> tuple[str, ...]:

@@ -80,7 +80,7 @@ def existing_poses(
 ) -> Reconstruction:
     """The poses in a folder for images with the same names (extensions and folders may differ).
 
-    The folder holds a ``transforms.json`` with its images, or a COLMAP model. Where an image is
+    The folder has a ``transforms.json`` with its images, or a COLMAP model. Where an image is
     larger or smaller than the one in the file, the lens is scaled.
 
     Args:
@@ -92,40 +92,37 @@ def existing_poses(
         SceneError: no poses are found, they are damaged, or fewer than three belong to the images.
     """
     given = _read(folder)
-    what, points = given.file, given.points
-    by_stem = _unique(given.poses, folder)
-    viewmats, lenses, failed = {}, {}, []
-    for name, path in images.items():
-        pose = by_stem.get(name)
-        if pose is None:
-            failed.append(Skipped(name, f"{what} has no pose of this name"))
-            continue
-        viewmats[name], lenses[name] = pose.viewmat, _scaled(pose.lens, path)
+    counts = Counter(pose.name for pose in given.poses)
+    if several := sorted(name for name, count in counts.items() if count > 1):
+        raise scene_error(
+            folder,
+            f"has several poses named {', '.join(several[:3])}; give each photo a name of its own "
+            f"in it",
+        )
+    poses = {pose.name: pose for pose in given.poses}
+    viewmats = {name: poses[name].viewmat for name in images if name in poses}
     if len(viewmats) < MIN_VIEWS:
-        theirs = ", ".join(sorted(by_stem)[:3])
         raise scene_error(
             folder,
             f"{len(viewmats)} of {len(images)} photos have a pose of their name there, and "
-            f"{MIN_VIEWS} are needed; "
-            f"the names there are like {theirs}: give the poses of these photos",
+            f"{MIN_VIEWS} are needed; the names there are like {', '.join(sorted(poses)[:3])}: "
+            f"give the poses of these photos",
         )
     warnings = tuple(given.notes.repaired)
-    if points is None:
-        points = PointCloud(torch.zeros(0, 3), torch.zeros(0, 3))
-        if two_cameras:
-            warnings += (
-                f"{what} has no points: the thermal camera cannot be found from the photos without "
-                f"them.",
-            )
-    source = f"The poses of {len(viewmats)} of {len(images)} photos are those of {what}."
+    if given.points is None and two_cameras:
+        warnings += (
+            f"{given.file} has no points: the thermal camera cannot be found from the photos "
+            f"without them.",
+        )
+    reason = f"{given.file} has no pose of this name"
     return Reconstruction(
         viewmats,
-        lenses,
-        points,
+        {name: _scaled(poses[name].lens, images[name]) for name in viewmats},
+        given.points or PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)),
         None,
-        tuple(failed),
+        tuple(Skipped(name, reason) for name in images if name not in poses),
         None,
-        source,
+        f"The poses of {len(viewmats)} of {len(images)} photos are those of {given.file}.",
         warnings=warnings,
         world=given.world,
     )
@@ -147,14 +144,20 @@ def _is_transforms(path: Path) -> bool:
 
 
 def _read(folder: Path) -> _Given:
+    root, file = folder.resolve(), None
     if _is_transforms(folder):
-        return _from_transforms(folder.parent.resolve(), folder.parent.resolve() / folder.name)
-    if not folder.is_dir():
+        root = folder.parent.resolve()
+        file = root / folder.name
+    elif not folder.is_dir():
         raise scene_error(folder, "is not a folder; give the one with the poses")
-    root = folder.resolve()
-    if file := find_transforms(root):
-        return _from_transforms(root, file)
-    model = find_model(root) or _model_itself(root)
+    if file := file or find_transforms(root):
+        source = read_transforms(root, file)
+        firsts = [(view.key, _first(view.images)) for view in source.views]
+        poses = [RegisteredImage(_stem(key), image.lens, image.viewmat) for key, image in firsts]
+        return _Given(poses, source.points, file.name, source.notes, source.world)
+    here = [ColmapModel(root, suffix) for suffix in (".bin", ".txt")]
+    here = [one for one in here if all(is_file(one.file(each)) for each in ("cameras", "images"))]
+    model = find_model(root) or next(iter(here), None)
     if model is None:
         looked_for = ", ".join(f"{name}/cameras.bin or .txt" for name in MODEL_FOLDERS)
         raise scene_error(
@@ -170,42 +173,13 @@ def _read(folder: Path) -> _Given:
     return _Given(poses, points, model.file("images").name, notes)
 
 
-def _from_transforms(root: Path, file: Path) -> _Given:
-    source = read_transforms(root, file)
-    poses = []
-    for view in source.views:
-        image = _first(view.images)
-        poses.append(RegisteredImage(_stem(view.key), image.lens, image.viewmat))
-    return _Given(poses, source.points, file.name, source.notes, source.world)
-
-
 def _first(images: Mapping[Modality, Item]) -> Item:
     """The image that the poses belong to: RGB if there is one."""
     return images[in_order(images)[0]]
 
 
-def _model_itself(root: Path) -> ColmapModel | None:
-    """A model whose files lie in the folder itself."""
-    for suffix in (".bin", ".txt"):
-        model = ColmapModel(root, suffix)
-        if is_file(model.file("cameras")) and is_file(model.file("images")):
-            return model
-    return None
-
-
 def _stem(name: str) -> str:
     return without_image_suffix(PurePosixPath(name.replace("\\", "/")).name)
-
-
-def _unique(poses: Sequence[RegisteredImage], folder: Path) -> dict[str, RegisteredImage]:
-    counts = Counter(pose.name for pose in poses)
-    if several := sorted(stem for stem, count in counts.items() if count > 1):
-        raise scene_error(
-            folder,
-            f"has several poses named {', '.join(several[:3])}; give each photo a name of its own "
-            f"in it",
-        )
-    return {pose.name: pose for pose in poses}
 
 
 def _scaled(lens: Lens, path: Path) -> Lens:
@@ -218,7 +192,7 @@ def _scaled(lens: Lens, path: Path) -> Lens:
     if abs(info.width / lens.width / (info.height / lens.height) - 1) > _ASPECT_TOLERANCE:
         raise SceneError(
             f"{path} is {info.width}×{info.height} px, but its pose is for "
-            f"{lens.width}×{lens.height} px; "
-            "give the photos as they were when the poses were made, not cropped"
+            f"{lens.width}×{lens.height} px; give the photos as they were when the poses were "
+            f"made, not cropped"
         )
     return lens.resized(info.width, info.height)

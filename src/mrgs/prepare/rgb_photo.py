@@ -4,7 +4,6 @@ converted."""
 from __future__ import annotations
 
 import io
-import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,13 +33,7 @@ _SUFFIXES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image file in memory.
-
-    Attributes:
-        content: of the file.
-        suffix: of its name, such as ``.jpg``.
-        size: width and height in pixels.
-    """
+    """An image file in memory: its bytes, suffix such as ``.jpg``, and width and height."""
 
     content: bytes
     suffix: str
@@ -63,7 +56,15 @@ def read_rgb(path: Path, orientation: int) -> ImageFile:
     """
     probe(path)
     data = read_bytes(path)
-    image = _decoded(data, path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF"))
+            image.load()
+    except Exception as error:  # Pillow raises almost anything where files are damaged
+        raise scene_error(
+            path, f"cannot be decoded as an image ({error}); copy it from the camera again"
+        ) from None
     suffix = next((suffix for mark, suffix in _SUFFIXES.items() if data.startswith(mark)), None)
     if suffix is not None and orientation == read_exif(data).orientation == 1:
         return ImageFile(data, suffix, image.size)
@@ -85,19 +86,6 @@ def read_embedded(visible: VisibleImage, orientation: int) -> ImageFile:
 def _turned(image: Image.Image, orientation: int, suffix: str) -> ImageFile:
     turned = upright(image, orientation)
     return ImageFile(_encoded(turned, image, suffix), suffix, turned.size)
-
-
-def _decoded(data: bytes, path: Path) -> Image.Image:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF"))
-            image.load()
-    except Exception as error:  # Pillow raises almost anything where files are damaged
-        raise scene_error(
-            path, f"cannot be decoded as an image ({error}); copy it from the camera again"
-        ) from None
-    return image
 
 
 def _encoded(image: Image.Image, original: Image.Image, suffix: str) -> bytes:
@@ -132,25 +120,14 @@ def _kept_exif(original: Image.Image) -> bytes:
             photo = main.get_ifd(IFD.Exif)
             texts = {tag: clean_text(main.get(tag)) for tag in (Base.Make, Base.Model)}
             kept.update({tag: text for tag, text in texts.items() if text is not None})
-            details = {
-                Base.DateTimeOriginal: clean_text(photo.get(Base.DateTimeOriginal)),
-                Base.FocalLength: _focal_length_mm(photo.get(Base.FocalLength)),
-                Base.FocalLengthIn35mmFilm: _short(photo.get(Base.FocalLengthIn35mmFilm)),
-            }
-            kept.get_ifd(IFD.Exif).update(
-                {tag: value for tag, value in details.items() if value is not None}
-            )
+            details = kept.get_ifd(IFD.Exif)
+            if taken := clean_text(photo.get(Base.DateTimeOriginal)):
+                details[Base.DateTimeOriginal] = taken
+            focal_mm, film_mm = photo.get(Base.FocalLength), photo.get(Base.FocalLengthIn35mmFilm)
+            if isinstance(focal_mm, (int, float, IFDRational)) and 0 < float(focal_mm) < 1e5:
+                details[Base.FocalLength] = IFDRational(float(focal_mm))
+            if isinstance(film_mm, int) and 0 < film_mm < 2**16:
+                details[Base.FocalLengthIn35mmFilm] = film_mm
             return kept.tobytes()
     except Exception:  # Pillow raises almost anything where tags are damaged; the pixels are fine
         return b""
-
-
-def _focal_length_mm(value: object) -> IFDRational | None:
-    if not isinstance(value, (int, float, IFDRational)):
-        return None
-    focal_mm = float(value)
-    return IFDRational(focal_mm) if math.isfinite(focal_mm) and 0 < focal_mm < 1e5 else None
-
-
-def _short(value: object) -> int | None:
-    return value if isinstance(value, int) and 0 < value < 2**16 else None

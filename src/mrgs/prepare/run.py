@@ -31,6 +31,8 @@ LOCK = ".lock"
 """File in the cache that a running ``prepare`` keeps locked."""
 
 MARKER = "README.txt"
+"""File in the cache by which the user and later calls know that the folder is the program's own."""
+
 MARKER_TEXT = """mrgs prepare keeps the results of its stages here. Run the same command again to
 resume. The images, transforms.json and prepare.html in the parent folder are generated too. To
 start over, delete the parent folder.
@@ -39,14 +41,7 @@ start over, delete the parent folder.
 
 @dataclass(frozen=True)
 class Steps:
-    """The slow steps of ``prepare``; others may be given in their place.
-
-    Attributes:
-        reconstruct: finds the poses.
-        calibrate_rig: finds the thermal camera.
-        write_scene: writes the scene's files.
-        write_page: writes the page.
-    """
+    """The slow steps of ``prepare``; others may be given in their place."""
 
     reconstruct: Callable[..., Reconstruction] = reconstruct
     calibrate_rig: Calibrate = calibrate_rig
@@ -93,10 +88,13 @@ def prepare(
     _check_folders(work.photos, work.scene)
     with locked(work.cache.folder):
         remove_abandoned(work.scene)
-        _write_marker(work.cache.folder)
+        if not (work.cache.folder / MARKER).exists():
+            write_text(work.cache.folder / MARKER, MARKER_TEXT)
         work.run("pairs", stages.pairs)
         if not (work.scene / TRANSFORMS).exists():
-            _check_room(work)
+            photos = [photo for pair in work.pairing.pairs for photo in pair.photos.values()]
+            needed = GROWTH * sum(photo.stat().st_size for photo in photos if photo.is_file())
+            warn_if_short(work.scene, needed, f"the images of {len(photos)} photos")
         work.run("images", stages.images)
         with stages.page_on_error(work, steps.write_page):
             work.run("poses", stages.poses, steps.reconstruct)
@@ -105,19 +103,6 @@ def prepare(
         work.run("scene files", stages.scene_files, steps.write_scene)
         work.run("page", stages.page, steps.write_page)
     return Preparation(work.scene, work.scene / PAGE, tuple(work.reports), work.skipped)
-
-
-def _check_room(work: Work) -> None:
-    """Warn if the disk has too little room for the images that are made of the photos."""
-    photos = [photo for pair in work.pairing.pairs for photo in pair.photos.values()]
-    needed = GROWTH * sum(photo.stat().st_size for photo in photos if photo.is_file())
-    warn_if_short(work.scene, needed, f"the images of {len(photos)} photos")
-
-
-def _write_marker(folder: Path) -> None:
-    """Mark the folder as the program's own, for the user and for later calls."""
-    if not (folder / MARKER).exists():
-        write_text(folder / MARKER, MARKER_TEXT)
 
 
 def _check_folders(photos: Path, scene: Path) -> None:

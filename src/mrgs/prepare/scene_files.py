@@ -55,8 +55,13 @@ def write_scene(work: Work) -> None:
             f"{scene}: no view has a pose, so there is no scene to write; see which views failed "
             f"and why"
         )
-    held_out = (
-        {view.name for view in views[::eval_every]} if eval_every and len(views) > 1 else set()
+    held_out: set[str] = set()
+    if eval_every and len(views) > 1:
+        held_out = {view.name for view in views[::eval_every]}
+    files = {view.name: view.images[posed.images].file for view in views}
+    split = (
+        [file for name, file in files.items() if name not in held_out],
+        [file for name, file in files.items() if name in held_out],
     )
     _write_points(scene / POINTS, posed.points)
     _write_bounds(scene / BOUNDS, views, work.options.overrides.bounds_c)
@@ -66,7 +71,7 @@ def write_scene(work: Work) -> None:
         lens=posed.lenses[views[0].name] if _one_lens(posed) else None,
         lenses=_thermal_lens(scene, views, posed, rig),
         points=POINTS if len(posed.points.positions) else None,
-        split=_split(views, held_out, posed),
+        split=split,
         facts={
             **({} if work.georeference is None else world_json(work.georeference.world)),
             **({EXTRINSICS: rig.extrinsics.tolist()} if rig and work.metric else {}),
@@ -111,16 +116,6 @@ def _thermal_lens(
     if (info.width, info.height) == (lens.width, lens.height):
         return {}
     return {THERMAL: lens.resized(info.width, info.height)}
-
-
-def _split(
-    views: Sequence[ConvertedView], held_out: set[str], reconstruction: Reconstruction
-) -> tuple[list[str], list[str]]:
-    """Paths of the training and of the evaluation images."""
-    paths: dict[bool, list[str]] = {False: [], True: []}
-    for view in views:
-        paths[view.name in held_out].append(view.images[reconstruction.images].file)
-    return paths[False], paths[True]
 
 
 def _write_bounds(

@@ -6,7 +6,7 @@ A stage takes its result from the cache, unless something that it depends on has
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,27 +38,22 @@ from mrgs.prepare.work import Work
 from mrgs.scene import THERMAL, Modality
 from mrgs.scene.camera import field_of_view
 from mrgs.scene.modality import in_order
-from mrgs.scene.radiometry import PhotoRecord
 from mrgs.system.wording import counted
 
 
 def pairs(work: Work) -> StageSummary:
     """Which photos belong together; depends on the names and times of all files."""
-    rule, table, tolerance_s = (
-        work.options.pairs,
-        work.options.pair_table,
-        work.options.tolerance_s,
-    )
+    options, table = work.options, work.options.pair_table
     table_content = None if table is None else (table.resolve(), digest(table))
     work.pairing = work.cache.get(
         "pairs",
         Pairing,
-        (work.photos, stamps(work.photos), rule, table_content, tolerance_s),
+        (work.photos, stamps(work.photos), options.pairs, table_content, options.tolerance_s),
         lambda: find_pairs(
             work.photos,
-            rule=rule,
+            rule=options.pairs,
             table=table,
-            tolerance_s=tolerance_s,
+            tolerance_s=options.tolerance_s,
             progress=work.progress,
         ),
     )
@@ -105,9 +100,8 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
 
 def scale_and_north(work: Work) -> StageSummary:
     """From the world of the poses to the scene's world: metres, and axes east, north, up."""
-    found, distance = work.posed, work.options.known_distance
+    found, gps, distance = work.posed, work.gps, work.options.known_distance
     as_given = work.options.poses is not None
-    gps = work.gps
     work.georeference = work.cache.get(
         "scale and north",
         Georeference,
@@ -158,12 +152,11 @@ def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary
         problems = tuple(f"{each.text} {each.remedy}".rstrip() for each in fast_problems(read))
         return WrittenScene(len(read.train), len(read.eval), range_c, problems)
 
-    options = work.options
-    split_and_bounds = (options.eval_every, options.overrides.bounds_c)
+    split, bounds_c = work.options.eval_every, work.options.overrides.bounds_c
     written = work.cache.get(
         "scene files",
         WrittenScene,
-        (work.images, work.posed, work.rig, work.georeference, *split_and_bounds),
+        (work.images, work.posed, work.rig, work.georeference, split, bounds_c),
         write,
         lambda _: [work.scene / TRANSFORMS],
     )
@@ -246,7 +239,13 @@ def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
         )
     lines = [", ".join(facts) + "."]
     if ranges:
-        lines.append(_settings_line([view.facts.record for view in views]))
+        known = settings_text(settings_of([view.facts.record for view in views]), "given by you")
+        lines.append(
+            f"Temperatures computed with {known}."
+            if known
+            else "The photos' files do not say with which emissivity, reflected temperature and "
+            "distance the temperatures were computed."
+        )
     if photos.skipped:
         lines.append(f"{counted(len(photos.skipped), 'pair')} skipped.")
     by_text: dict[str, list[str]] = {}
@@ -258,17 +257,6 @@ def summarize_photos(photos: ConvertedPhotos) -> StageSummary:
         for text, names in by_text.items()
     )
     return StageSummary(tuple(lines), (*photos.warnings, *repeated))
-
-
-def _settings_line(records: Sequence[PhotoRecord]) -> str:
-    """What the temperatures were computed with."""
-    known = settings_text(settings_of(records), "given by you")
-    if known:
-        return f"Temperatures computed with {known}."
-    return (
-        "The photos' files do not say with which emissivity, reflected temperature and distance "
-        "the temperatures were computed."
-    )
 
 
 def summarize_poses(reconstruction: Reconstruction) -> StageSummary:
@@ -295,43 +283,30 @@ def summarize_thermal_camera(
         return StageSummary(
             ("There are only thermal images." if alone else "One camera took both images.",)
         )
+    by_target = None if rig.target is None else rig.target.metres_per_unit
     width_deg = math.degrees(field_of_view(rig.lens.width, rig.lens.fx))
-    baseline = float(rig.extrinsics[:3, 3].norm())
-    scale = rig.target.metres_per_unit if rig.target is not None and not metric else None
-    offset = (
-        f"{100 * baseline * (scale or 1.0):.1f} cm"
-        if metric or scale
-        else f"{baseline:.3g} scene units"
-    )
+    offset = float(rig.extrinsics[:3, 3].norm())
+    metres = 1.0 if metric else by_target
+    length = f"{offset:.3g} scene units" if metres is None else f"{100 * offset * metres:.1f} cm"
     lines = [
-        f"{width_deg:.1f}° wide, {offset} from the RGB camera; residual "
+        f"{width_deg:.1f}° wide, {length} from the RGB camera; residual "
         f"{rig.residual_px[0]:.2f} px, uncertainty ±{rig.uncertainty_px:.2f} px."
     ]
-    if turn_deg := _quarter_turn_deg(rig):
+    turn_rad = math.atan2(rig.extrinsics[1, 0].item(), rig.extrinsics[0, 0].item())
+    if quarters := abs(round(2 * turn_rad / math.pi)):
         lines.append(
-            f"The thermal images are turned by about {turn_deg}° relative to the RGB images; the "
-            f"offset includes this turn."
+            f"The thermal images are turned by about {90 * quarters}° relative to the RGB images; "
+            f"the offset includes this turn."
         )
     if rig.target is not None:
         pairs, residual_px = counted(rig.target.pairs, "pair"), rig.target.residual_px[0]
         lines.append(f"The target is in {pairs}; residual {residual_px:.2f} px.")
-    if scale:
+    warnings = rig.warnings
+    if by_target and not metric:
         lines.append("The target gives the scale: the scene is in metres.")
-    return StageSummary(tuple(lines), (*rig.warnings, *_scales_that_differ(rig, metric)))
-
-
-def _quarter_turn_deg(rig: RigCalibration) -> int:
-    """By how many quarter turns the thermal images are turned: 0°, 90° or 180°."""
-    sine, cosine = rig.extrinsics[1, 0].item(), rig.extrinsics[0, 0].item()
-    return abs(90 * round(math.degrees(math.atan2(sine, cosine)) / 90))
-
-
-def _scales_that_differ(rig: RigCalibration, metric: bool) -> tuple[str, ...]:
-    """A warning if the target contradicts the scale from GPS or the known distance."""
-    scale = None if rig.target is None else rig.target.metres_per_unit
-    if not metric or scale is None or abs(scale - 1) <= SCALE_TOLERANCE:
-        return ()
-    return (
-        f"The target's squares make the scene {scale:.2f} times as large as GPS or the known "
-        f"distance: check the side of a square, and the distance.",
-    )
+    elif by_target and abs(by_target - 1) > SCALE_TOLERANCE:
+        warnings += (
+            f"The target's squares make the scene {by_target:.2f} times as large as GPS or the "
+            f"known distance: check the side of a square, and the distance.",
+        )
+    return StageSummary(tuple(lines), warnings)

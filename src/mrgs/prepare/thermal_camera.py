@@ -18,7 +18,7 @@ from mrgs.data.posed import decode_rgb, posed_image
 from mrgs.data.poses import matrix_from_json, nearest_rotation
 from mrgs.data.sources import ImageSource
 from mrgs.errors import ConfigError
-from mrgs.prepare.contract import ConvertedView, Georeference, Reconstruction
+from mrgs.prepare.contract import ConvertedView, Georeference
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair
 from mrgs.prepare.work import Work
@@ -37,14 +37,9 @@ numbers."""
 
 @dataclass(frozen=True, eq=False)
 class ThermalCamera:
-    """A thermal camera as a file describes it.
-
-    Attributes:
-        lens: its intrinsics and radial distortion k1, k2, for its photos as they are; None to find
-            them.
-        extrinsics: from RGB camera to thermal camera axes [4, 4], OpenCV, metres; None to
-            find it.
-    """
+    """A thermal camera as a file describes it: intrinsics and radial distortion k1, k2 for its
+    photos as they are, and the motion from RGB camera to thermal camera axes, OpenCV, metres; None
+    for what is to be found."""
 
     lens: Lens | None
     extrinsics: Float64[Tensor, "4 4"] | None
@@ -102,31 +97,38 @@ def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration
     """
     options, posed = work.options, work.posed
     if posed.images == THERMAL:
-        _check_unused(options)
+        names = ("thermal_fov_deg", "thermal_camera", "target", "one_camera")
+        given = tuple(name for name in names if getattr(options, name) not in (None, False))
+        if given:
+            raise ConfigError(
+                "there are only thermal images, so options for a second camera have no effect; "
+                "remove them",
+                options=given,
+            )
         return None
     views = [view for view in work.images.views if view.name in posed.viewmats]
     if options.one_camera:
         _check_same_shape(work.scene, views[0])
         return None
-    pairs = [_rig_pair(view, work.scene, posed) for view in views]
+    pairs = [
+        RigPair(
+            view.name,
+            posed_image(
+                ImageSource(
+                    work.scene / view.images[RGB].file,
+                    posed.lenses[view.name],
+                    posed.viewmats[view.name],
+                ),
+                decode_rgb,
+                None,
+            ),
+            partial(_first_channel, work.scene / view.images[THERMAL].file),
+            None if posed.visible is None else posed.visible.get(view.name),
+        )
+        for view in views
+    ]
     known = _known(options, work.scene / views[0].images[THERMAL].file, work.metric)
     return calibrate(pairs, posed.points, known, work.progress)
-
-
-def _check_unused(options: PrepareOptions) -> None:
-    """Thermal images alone need no second camera.
-
-    Raises:
-        ConfigError: an option on the thermal camera, which would have no effect.
-    """
-    names = ("thermal_fov_deg", "thermal_camera", "target", "one_camera")
-    given = tuple(name for name in names if getattr(options, name) not in (None, False))
-    if given:
-        raise ConfigError(
-            "there are only thermal images, so options for a second camera have no effect; remove "
-            "them",
-            options=given,
-        )
 
 
 def _check_same_shape(scene: Path, view: ConvertedView) -> None:
@@ -136,14 +138,16 @@ def _check_same_shape(scene: Path, view: ConvertedView) -> None:
         SceneError: they do.
     """
     rgb, thermal = (probe(scene / view.images[modality].file) for modality in (RGB, THERMAL))
-    if _alike(rgb.width / rgb.height, thermal.width / thermal.height):
+    upright, turned = rgb.width / rgb.height, rgb.height / rgb.width
+    ratio = thermal.height / thermal.width
+    if abs(upright * ratio - 1) <= SHAPE_TOLERANCE:
         return
     sizes = (
         f"its RGB image has {rgb.width}×{rgb.height} px and its thermal image "
         f"{thermal.width}×{thermal.height}: they cannot show the same pixel for pixel, as from one "
         f"camera"
     )
-    if _alike(rgb.height / rgb.width, thermal.width / thermal.height):
+    if abs(turned * ratio - 1) <= SHAPE_TOLERANCE:
         sizes += (
             ". They would after a quarter turn: only one of the two files says in its EXIF "
             "orientation how the camera was held. Give both the same orientation, or leave out "
@@ -152,26 +156,7 @@ def _check_same_shape(scene: Path, view: ConvertedView) -> None:
     raise scene_error(view.name, sizes, options=("one_camera",))
 
 
-def _alike(aspect: float, other: float) -> bool:
-    return abs(aspect / other - 1) <= SHAPE_TOLERANCE
-
-
-def _rig_pair(view: ConvertedView, scene: Path, reconstruction: Reconstruction) -> RigPair:
-    source = ImageSource(
-        scene / view.images[RGB].file,
-        reconstruction.lenses[view.name],
-        reconstruction.viewmats[view.name],
-    )
-    visible = None if reconstruction.visible is None else reconstruction.visible.get(view.name)
-    return RigPair(
-        view.name,
-        posed_image(source, decode_rgb, None),
-        partial(_load, scene / view.images[THERMAL].file),
-        visible,
-    )
-
-
-def _load(path: Path) -> Pixels:
+def _first_channel(path: Path) -> Pixels:
     decoded = decode(path)
     return Pixels(decoded.values[..., :1].contiguous(), decoded.valid)
 
@@ -199,8 +184,7 @@ def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
             raise scene_error(
                 file,
                 f"is for images of {lens.width}×{lens.height} px, but {image.name} has "
-                f"{info.width}×{info.height} px; "
-                "give the camera that took these photos",
+                f"{info.width}×{info.height} px; give the camera that took these photos",
             )
     return RigOptions(
         thermal_lens=lens,
@@ -232,7 +216,4 @@ def in_metres_of_target(
 
 
 def _scaled(motion: Float64[Tensor, "4 4"], factor: float) -> Float64[Tensor, "4 4"]:
-    """A rigid motion with its translation scaled."""
-    motion = motion.clone()
-    motion[:3, 3] *= factor
-    return motion
+    return rigid_transform(motion[:3, :3], factor * motion[:3, 3])

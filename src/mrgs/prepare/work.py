@@ -31,15 +31,10 @@ class Work:
     """A scene in preparation: the user's input, and the results of the stages so far.
 
     Attributes:
-        photos: folder of the photos.
-        scene: folder of the scene.
-        options: facts about the photos.
         trains: whether the caller goes on to train by itself, so that the page names no command.
         on_progress: called with "stage: step", and how many of the step's parts are done and there
-            are (0 of 0 if that is not known).
-        on_report: called with each stage's report.
+            are (0 of 0 if not known).
         reports: of the finished stages.
-        pairing: which photos belong together.
         images: the photos as images in the scene's folder.
         poses: of the images, in the world of the reconstruction; None until found.
         georeference: from that world to the scene's; None until found.

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from mrgs.prepare.rig.images import structure
-from mrgs.prepare.rig.matching import Masked, Patches, match, whole_displacement
+from mrgs.prepare.rig.refine import Masked, Patches, match, whole_displacement
 
 PATCHES = Patches(sigma=12, spacing=12, reach=4)
 IMAGE = gaussian_filter(np.random.default_rng(3).uniform(size=(120, 160)), 3.0)

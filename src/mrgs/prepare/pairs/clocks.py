@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 from scipy.optimize import linear_sum_assignment
 
 _NEARLY = 0.9
@@ -43,67 +43,31 @@ class ClockOffset:
 def match_times(
     first_s: Sequence[float], second_s: Sequence[float], tolerance_s: float
 ) -> list[tuple[int, int]]:
-    """Pairs of indices at most ``tolerance_s`` seconds apart: as many as possible, and then the
-    nearest.
-
-    Args:
-        first_s: times of the first camera's photos, seconds, ascending.
-        second_s: times of the second camera's photos on the same clock, seconds, ascending.
-        tolerance_s: largest time difference within a pair, seconds.
-    """
+    """Pairs of indices of photos at most ``tolerance_s`` seconds apart, by ascending times on one
+    clock: as many as possible, and then the nearest."""
     first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
-    pairs: list[tuple[int, int]] = []
-    for rows, columns in _clusters(first, second, tolerance_s):
-        pairs += _assign(first, second, rows, columns, tolerance_s)
-    return sorted(pairs, key=lambda pair: pair[1])
-
-
-def _clusters(
-    first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], tolerance_s: float
-) -> list[tuple[Int64[np.ndarray, " a"], Int64[np.ndarray, " b"]]]:
-    """Indices of photos between which there are gaps that no pair bridges."""
     times = np.sort(np.concatenate([first, second]))
-    if len(first) == 0 or len(second) == 0:
-        return []
-    starts = times[1:][np.diff(times) > tolerance_s]
-    of_first, of_second = (
-        np.searchsorted(starts, first, "right"),
-        np.searchsorted(starts, second, "right"),
-    )
-    both = np.intersect1d(of_first, of_second)
-    return [
-        (np.flatnonzero(of_first == cluster), np.flatnonzero(of_second == cluster))
-        for cluster in both
-    ]
-
-
-def _assign(
-    first: Float64[np.ndarray, " m"],
-    second: Float64[np.ndarray, " n"],
-    rows: Int64[np.ndarray, " a"],
-    columns: Int64[np.ndarray, " b"],
-    tolerance_s: float,
-) -> list[tuple[int, int]]:
-    """The best pairs within one cluster. Squares keep the order where times are equal."""
-    apart = first[rows, None] - second[columns]
-    ranks = _RANK_S * (np.arange(len(rows))[:, None] - np.arange(len(columns)))
-    near = np.abs(apart) <= tolerance_s
-    cost = (apart + ranks) ** 2
-    forbidden = (1 + cost[near].max(initial=0.0)) * (1 + min(cost.shape))
-    chosen = zip(*linear_sum_assignment(np.where(near, cost, forbidden)), strict=True)
-    return [(int(rows[i]), int(columns[j])) for i, j in chosen if near[i, j]]
+    starts = times[1:][np.diff(times) > tolerance_s]  # no pair bridges these gaps
+    clusters = [np.searchsorted(starts, each, "right") for each in (first, second)]
+    pairs: list[tuple[int, int]] = []
+    for cluster in np.intersect1d(*clusters):
+        rows, columns = (np.flatnonzero(each == cluster) for each in clusters)
+        apart = first[rows, None] - second[columns]
+        near = np.abs(apart) <= tolerance_s
+        # Squares keep the order where times are equal.
+        order = np.arange(len(rows))[:, None] - np.arange(len(columns))
+        cost = (apart + _RANK_S * order) ** 2
+        forbidden = (1 + cost[near].max(initial=0.0)) * (1 + min(cost.shape))
+        chosen = zip(*linear_sum_assignment(np.where(near, cost, forbidden)), strict=True)
+        pairs += [(int(rows[i]), int(columns[j])) for i, j in chosen if near[i, j]]
+    return sorted(pairs, key=lambda pair: pair[1])
 
 
 def clock_offset(
     first_s: Sequence[float], second_s: Sequence[float], tolerance_s: float
 ) -> ClockOffset:
-    """The clock offset with which most photos find a partner; 0 where that is nearly as good.
-
-    Args:
-        first_s: times on the first camera's clock, seconds, ascending.
-        second_s: times on the second camera's clock, seconds, ascending.
-        tolerance_s: largest time difference within a pair, seconds.
-    """
+    """The clock offset with which most photos find a partner within ``tolerance_s`` seconds, by
+    ascending times; 0 where that is nearly as good."""
     first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
     in_step = ClockOffset(0.0, _count(first, second, tolerance_s))
     smaller = min(len(first), len(second))

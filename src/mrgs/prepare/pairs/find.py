@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from mrgs.data.files import scene_error
@@ -81,8 +81,16 @@ def find_pairs(
         match = _match(inventory, root_name, rule, tolerance_s)
     pairs = [pair for pair in match.pairs if pair.partner or pair.embedded] or [*match.pairs]
     warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory))
-    names = view_names([pair.reference.origin.with_name(_key(pair.reference)) for pair in pairs])
-    found = [_photo_pair(name, pair) for name, pair in zip(names, pairs, strict=True)]
+    names = view_names([_name_without_suffix(pair.reference) for pair in pairs])
+    found = [
+        PhotoPair(
+            name,
+            {modality: photo.path for modality, photo in pair.photos.items()},
+            pair.embedded,
+            {modality: photo.exif for modality, photo in pair.photos.items()},
+        )
+        for name, pair in zip(names, pairs, strict=True)
+    ]
     skipped = [*inventory.skipped, *_unused(inventory, root_name, match, pairs)]
     return Pairing(
         tuple(sorted(found, key=lambda pair: natural(pair.name))),
@@ -92,18 +100,10 @@ def find_pairs(
     )
 
 
-def _photo_pair(name: str, pair: Pair) -> PhotoPair:
-    return PhotoPair(
-        name,
-        {modality: photo.path for modality, photo in pair.photos.items()},
-        pair.embedded,
-        {modality: photo.exif for modality, photo in pair.photos.items()},
-    )
-
-
-def _key(reference: Photo) -> str:
-    """Name of a view: that of its reference photo without the camera suffix."""
-    return read_stem(reference.origin.name, reference.is_thermal).key or reference.origin.name
+def _name_without_suffix(reference: Photo) -> PurePosixPath:
+    """The path of a photo without the camera suffix, which names the view."""
+    key = read_stem(reference.origin.name, reference.is_thermal).key
+    return reference.origin.with_name(key) if key else reference.origin
 
 
 def _match(inventory: Inventory, root_name: str, rule: Rule, tolerance_s: float) -> Match:
@@ -136,7 +136,8 @@ def _best_match(
     if rule in ("auto", "names"):
         if 2 * _count(best) <= pairable:
             best = _larger(best, by_numbers(photos))
-        best = _unless_nearly(best, by_embedded(photos))
+        embedded = by_embedded(photos)  # smaller than separate photos
+        best = embedded if _count(best) < NEARLY * _count(embedded) else best
     if rule == "time" or (rule == "auto" and 2 * _count(best) < pairable):
         best = _larger(best, by_time(photos, root_name, tolerance_s))
     return best
@@ -149,11 +150,6 @@ def _count(match: Match | None) -> int:
 def _larger(first: Match | None, second: Match | None) -> Match | None:
     """The one with more pairs; the first if they are equal."""
     return second if _count(second) > _count(first) else first
-
-
-def _unless_nearly(separate: Match | None, embedded: Match | None) -> Match | None:
-    """Separate RGB photos are larger than embedded ones, so they win even if a few are missing."""
-    return embedded if _count(separate) < NEARLY * _count(embedded) else separate
 
 
 def _mostly_alone(references: list[Photo], others: list[Photo]) -> Match:

@@ -46,19 +46,17 @@ _UNSUPPORTED = {
 
 @dataclass(frozen=True)
 class Photo:
-    """A file that can be a photo of a pair.
+    """A file that can be a photo of a pair; None where its header does not say.
 
     Attributes:
-        path: the file.
         origin: path of the camera's original file without the extension, relative to the folder of
             photos.
         kind: what it holds.
-        size: width and height in pixels; None if the header does not say.
-        embedded: whether a photo in visible light lies inside.
-        exif: facts about the photo.
-        focal_mm: focal length in mm; None if the file does not say.
-        field_of_view_deg: horizontal, of the thermal camera's lens; None if the file does not say.
-        serial: the camera's serial number; None if the file does not say.
+        size: width and height in pixels.
+        embedded: whether a photo in visible light is inside.
+        focal_mm: focal length in mm.
+        field_of_view_deg: horizontal, of the thermal camera's lens.
+        serial: the camera's serial number.
     """
 
     path: Path
@@ -83,23 +81,17 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
     Args:
         relative: its path below the folder of photos.
     """
+    suffix, origin = path.suffix.lower(), relative.with_suffix("")
     try:
-        return _inspect(path, relative)
+        data = _head(path)
+        if not data:
+            return "is empty; copy it again"
+        reader = reader_of(data, path)
+        if reader is None and suffix in _UNSUPPORTED:
+            return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
+        return "is no photo" if reader is None else _PHOTOS[reader.kind](path, origin, data)
     except SceneError as error:
         return str(error).removeprefix(f"{path}: ")
-
-
-def _inspect(path: Path, relative: PurePosixPath) -> Photo | str:
-    suffix, origin = path.suffix.lower(), relative.with_suffix("")
-    data = _head(path)
-    if not data:
-        return "is empty; copy it again"
-    reader = reader_of(data, path)
-    if reader is None and suffix in _UNSUPPORTED:
-        return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
-    if reader is None:
-        return "is no photo"
-    return _PHOTOS[reader.kind](path, origin, data)
 
 
 def _head(path: Path) -> bytes:
@@ -169,9 +161,7 @@ _PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {
 def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # of damaged tags; the photo's pixels are judged when they are read
+            warnings.simplefilter("ignore")  # of damaged tags
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 size, mode = image.size, image.mode
                 details = image.getexif().get_ifd(IFD.Exif)
@@ -197,16 +187,9 @@ def _focal_mm(value: object) -> float | None:
 
 
 def _is_wide(start: bytes) -> bool:
-    text = start.decode(
-        "utf-16" if start.startswith((b"\xff\xfe", b"\xfe\xff")) else "latin-1", errors="replace"
-    )
-    lines = text.splitlines()[:100]
+    encoding = "utf-16" if start.startswith((b"\xff\xfe", b"\xfe\xff")) else "latin-1"
+    lines = start.decode(encoding, errors="replace").splitlines()[:100]
     return any(line.count(separator) >= _TABLE_COLUMNS for line in lines for separator in ";\t,")
-
-
-_REMEMBERED = 20_000
-"""Files whose headers a process remembers: ``prepare`` asks for them again after its duration was
-estimated."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +199,7 @@ class Inventory:
     Attributes:
         root: the folder.
         photos: in natural order of their paths.
-        skipped: all other files; hidden ones are not counted.
+        skipped: all other files, but for hidden ones.
     """
 
     root: Path
@@ -236,9 +219,6 @@ def below(root: Path, path: Path) -> str:
 def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
     """All files below a folder.
 
-    Args:
-        progress: called with a step's name, the number of files that are done, and of all.
-
     Raises:
         SceneError: the folder cannot be listed, or holds no file that can be a photo.
     """
@@ -250,41 +230,33 @@ def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
         if progress is not None:
             progress("reading headers", done, len(files))
         relative = PurePosixPath(path.relative_to(root))
-        found = (
-            "is a link to a folder, which is not followed"
-            if path.is_dir()
-            else _inspected(path, relative)
-        )
+        found: Photo | str = "is a link to a folder, which is not followed"
+        if not path.is_dir():
+            stamp = stamp_of(path) if path.exists() else None
+            found = _inspected(path, relative, stamp) if stamp else inspect(path, relative)
         if isinstance(found, str):
             skipped.append(Skipped(below(root, path), found))
         else:
             photos.append(found)
     if not photos:
-        what = (
-            f"none of its {len(skipped)} files is a photo that can be read"
-            if skipped
-            else "holds no photos"
-        )
-        first = f", such as {skipped[0].name}, which {skipped[0].reason}" if skipped else ""
+        what = "holds no photos"
+        if skipped:
+            what = (
+                f"none of its {len(skipped)} files is a photo that can be read, such as "
+                f"{skipped[0].name}, which {skipped[0].reason}"
+            )
         raise scene_error(
-            root, f"{what}{first}; give the folder with the camera's JPEG, PNG or TIFF files"
+            root, f"{what}; give the folder with the camera's JPEG, PNG or TIFF files"
         )
     photos, copies = _without_copies(root, photos)
     kept, replaced = _one_file_per_photo(root, photos)
     return Inventory(root, tuple(kept), tuple(skipped + copies + replaced))
 
 
-def _inspected(path: Path, relative: PurePosixPath) -> Photo | str:
-    """What ``inspect`` finds; a file is read once by a process, until it changes."""
-    try:
-        stamp = stamp_of(path)
-    except OSError:
-        return inspect(path, relative)
-    return _inspected_once(path, relative, stamp)
-
-
-@lru_cache(maxsize=_REMEMBERED)
-def _inspected_once(path: Path, relative: PurePosixPath, stamp: Stamp) -> Photo | str:
+@lru_cache(maxsize=20_000)
+def _inspected(path: Path, relative: PurePosixPath, stamp: Stamp) -> Photo | str:
+    """``inspect``, once until the file changes: ``prepare`` asks again after its duration was
+    estimated."""
     return inspect(path, relative)
 
 
@@ -299,23 +271,18 @@ def _without_copies(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[
         camera, _ = folder_modality(photo.origin.parts[:-1])
         key = composed(photo.path.name.casefold()), photo.path.stat().st_size, camera
         by_name.setdefault(key, []).append(photo)
-    originals: dict[Photo, Photo] = {}
+    copies: dict[Photo, Photo] = {}
     for group in by_name.values():
-        firsts: dict[str, Photo] = {}
-        for photo in sorted(group, key=_length) if len(group) > 1 else ():
+        originals: dict[str, Photo] = {}
+        for photo in sorted(group, key=lambda one: len(str(one.origin))) if group[1:] else ():
             content = digest(photo.path)
-            if content:
-                originals[photo] = firsts.setdefault(content, photo)
-    copies = {photo: first for photo, first in originals.items() if first is not photo}
+            if content and originals.setdefault(content, photo) is not photo:
+                copies[photo] = originals[content]
     skipped = [
         Skipped(below(root, photo.path), f"is a copy of {below(root, first.path)}")
         for photo, first in copies.items()
     ]
     return [photo for photo in photos if photo not in copies], skipped
-
-
-def _length(photo: Photo) -> int:
-    return len(str(photo.origin))
 
 
 def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
@@ -334,8 +301,7 @@ def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], l
             beside = [
                 other
                 for other in group
-                if other.path.parent == photo.path.parent
-                and (photo.is_thermal and other.is_thermal)
+                if photo.is_thermal and other.is_thermal and other.path.parent == photo.path.parent
             ]
             best[photo] = min([photo, *beside], key=lambda one: PREFERENCE.index(one.kind))
             if best[photo].kind == "dji" and len(finished) == 1:

@@ -13,7 +13,7 @@ from datetime import datetime, timedelta
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from mrgs.prepare.pairs.clocks import ClockOffset, clock_offset, match_times
+from mrgs.prepare.pairs.clocks import clock_offset, match_times
 from mrgs.prepare.pairs.inventory import PREFERENCE, Photo
 from mrgs.prepare.pairs.names import (
     PARTNER,
@@ -60,7 +60,6 @@ class Match:
         rule: one sentence.
         without: what a photo without partner lacks; ends the reason "has no RGB photo ...".
         reasons: why a photo is not used, where that needs another sentence.
-        warnings: sentences that the user should read.
     """
 
     pairs: tuple[Pair, ...]
@@ -146,25 +145,30 @@ def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> M
     """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
     else unique; those that are equal to the letter before those that differ in a camera suffix."""
     candidates = [candidate_by_folder(photo, root_name) for photo in photos]
-    pairs, reasons = _by_keys([_with_whole_name(each) for each in candidates], tolerance_s)
-    taken = {*reasons, *(photo for pair in pairs for photo in pair.photos.values())}
-    left = [candidate for candidate in candidates if candidate.photo not in taken]
-    suffixed, more_reasons = _by_keys(left, tolerance_s)
-    pairs, reasons = (*pairs, *suffixed), reasons | more_reasons
+    pairs: list[Pair] = []
+    reasons: dict[Photo, str] = {}
+
+    def add(found: tuple[tuple[Pair, ...], dict[Photo, str]]) -> list[Candidate]:
+        """Add what was found; returns the candidates that are left."""
+        pairs.extend(found[0])
+        reasons.update(found[1])
+        done = {*reasons, *(photo for pair in pairs for photo in pair.photos.values())}
+        return [candidate for candidate in candidates if candidate.photo not in done]
+
+    left = add(_by_keys([_with_whole_name(each) for each in candidates], tolerance_s))
+    left = add(_by_keys(left, tolerance_s))
     partners = {pair.partner for pair in pairs}
-    done = {*reasons, *partners, *(pair.reference for pair in pairs)}
     marks = {candidate.mark for candidate in candidates if candidate.photo in partners}
     rest = [
         candidate._replace(key=PurePosixPath(candidate.key).name)
-        for candidate in candidates
-        if candidate.photo not in done
-        and (candidate.is_reference or not marks or candidate.mark in marks)
+        for candidate in left
+        if candidate.is_reference or not marks or candidate.mark in marks
     ]
-    more, _ = _by_keys(_unique(rest), tolerance_s)
-    if not pairs and not more:
-        return None
+    counts = Counter((candidate.is_reference, candidate.key) for candidate in rest)
+    unique = [each for each in rest if counts[each.is_reference, each.key] == 1]
+    pairs += _by_keys(unique, tolerance_s)[0]
     rule = "A pair has the same name in the folders of the two cameras."
-    return Match(in_order([*pairs, *more]), rule, "of its name", reasons)
+    return Match(in_order(pairs), rule, "of its name", reasons) if pairs else None
 
 
 def _with_whole_name(candidate: Candidate) -> Candidate:
@@ -172,14 +176,6 @@ def _with_whole_name(candidate: Candidate) -> Candidate:
     folder, _, _ = candidate.key.rpartition("/")
     stem = composed(candidate.photo.origin.name.casefold())
     return candidate._replace(key=f"{folder}/{stem}", mark="", moment=None)
-
-
-def _unique(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The photos whose key no other photo of the same camera has."""
-    counts = Counter((candidate.is_reference, candidate.key) for candidate in candidates)
-    return [
-        candidate for candidate in candidates if counts[candidate.is_reference, candidate.key] == 1
-    ]
 
 
 def _by_keys(
@@ -233,18 +229,12 @@ def _within_key(
     """Pairs among photos of one name: the best two, or those whose names hold close times."""
     if any(candidate.moment is None for candidate in [*references, *partners]):
         return [Pair(_best(references).photo, partners[0].photo)] if partners else []
-    first = [_best(group) for group in _by_moment(references)]
-    second = [group[0] for group in _by_moment(partners)]
+    moments = dict.fromkeys(candidate.moment for candidate in references)
+    first = [_best([each for each in references if each.moment == moment]) for moment in moments]
+    second = [*{candidate.moment: candidate for candidate in reversed(partners)}.values()]
     # The cameras of a drone may write their times a second apart.
     pairs = _matched(first, second, lambda candidate: candidate.moment, 0.0, max(tolerance_s, 1.0))
     return [Pair(one.photo, other.photo) for one, other in pairs]
-
-
-def _by_moment(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
-    moments: dict[datetime | None, list[Candidate]] = {}
-    for candidate in candidates:
-        moments.setdefault(candidate.moment, []).append(candidate)
-    return [*moments.values()]
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:
@@ -317,7 +307,13 @@ def by_embedded(photos: Sequence[Photo]) -> Match | None:
 
 def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
     """The nearest in time by EXIF, after the clocks are compared."""
-    references, partners = (_timed(group) for group in by_modality(photos, root_name))
+    references, partners = (
+        sorted(
+            (photo for photo in group if photo.exif.taken is not None),
+            key=lambda photo: (_taken(photo), natural(str(photo.origin))),
+        )
+        for group in by_modality(photos, root_name)
+    )
     if not references or not partners:
         return None
     start = min(_taken(photo) for photo in [*references, *partners])
@@ -334,14 +330,17 @@ def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Matc
     }
     rule = f"The photos of a pair were taken within {tolerance_s:g} s."
     if offset.seconds:
-        rule = f"{rule[:-1]}, after aligning the clocks: {_ahead(offset.seconds)}."
+        side = "ahead of" if offset.seconds > 0 else "behind"
+        rule = (
+            f"{rule[:-1]}, after aligning the clocks: the {PARTNER.title} camera's is "
+            f"{abs(offset.seconds):.1f} s {side} the {REFERENCE.title} camera's."
+        )
+    doubt = () if offset.rival_s is None else (
+        f"The clock offset may also be {offset.rival_s:.1f} s instead of {offset.seconds:.1f} s: "
+        f"check the first pairs, and give a table of pairs if they are wrong.",
+    )  # fmt: skip
     pairs = in_order(Pair(*pair) for pair in matched)
-    return Match(pairs, rule, f"within {tolerance_s:g} s", unknown, _doubts(offset))
-
-
-def _timed(photos: Sequence[Photo]) -> list[Photo]:
-    known = [photo for photo in photos if photo.exif.taken is not None]
-    return sorted(known, key=lambda photo: (_taken(photo), natural(str(photo.origin))))
+    return Match(pairs, rule, f"within {tolerance_s:g} s", unknown, doubt)
 
 
 def _taken(photo: Photo) -> datetime:
@@ -366,20 +365,3 @@ def _matched(
     partners_s = [(moment_of(one) - offset - start).total_seconds() for one in partners]
     matched = match_times(partners_s, references_s, tolerance_s)
     return [(references[j], partners[i]) for i, j in matched]
-
-
-def _ahead(offset_s: float) -> str:
-    side = "ahead of" if offset_s > 0 else "behind"
-    return (
-        f"the {PARTNER.title} camera's is {abs(offset_s):.1f} s {side} the {REFERENCE.title} "
-        f"camera's"
-    )
-
-
-def _doubts(offset: ClockOffset) -> tuple[str, ...]:
-    if offset.rival_s is None:
-        return ()
-    return (
-        f"The clock offset may also be {offset.rival_s:.1f} s instead of {offset.seconds:.1f} s: "
-        f"check the first pairs, and give a table of pairs if they are wrong.",
-    )

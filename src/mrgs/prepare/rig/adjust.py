@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
@@ -32,12 +33,7 @@ POSE = slice(6, 12)
 
 @dataclass(frozen=True, eq=False)
 class ThermalCameras:
-    """The parameters of a rig and of the motions of its pairs.
-
-    Attributes:
-        rig: [12], see ``RIG``.
-        motions: [V, 6], see ``MOTION``.
-    """
+    """The parameters of a rig (``RIG``) and of the motions of its pairs (``MOTION``)."""
 
     rig: Float64[Tensor, "12"]
     motions: Float64[Tensor, "v 6"]
@@ -45,7 +41,7 @@ class ThermalCameras:
     def lens(self, width: int, height: int) -> Lens:
         """Intrinsics and distortion, for images of this size."""
         log_fx, log_aspect, cx, cy, k1, k2 = self.rig[LENS].tolist()
-        fx, fy = torch.tensor([log_fx, log_fx + log_aspect], dtype=torch.float64).exp().tolist()
+        fx, fy = math.exp(log_fx), math.exp(log_fx + log_aspect)
         return Lens(width, height, fx, fy, cx, cy, (k1, k2, 0.0, 0.0))
 
     def extrinsics(self) -> Float64[Tensor, "4 4"]:
@@ -59,11 +55,8 @@ class ThermalCameras:
 
 def lens_parameters(lens: Lens) -> Float64[Tensor, "6"]:
     """The rig's parameters of a lens; higher and tangential distortion are left out."""
-    numbers = torch.tensor(
-        [lens.fx, lens.fy / lens.fx, lens.cx, lens.cy, *lens.radial[:2]], dtype=torch.float64
-    )
-    numbers[:2] = numbers[:2].log()
-    return numbers
+    logarithms = math.log(lens.fx), math.log(lens.fy / lens.fx)
+    return torch.tensor([*logarithms, lens.cx, lens.cy, *lens.radial[:2]], dtype=torch.float64)
 
 
 def motion_parameters(matrix: Float64[Tensor, "4 4"]) -> Float64[Tensor, "6"]:
@@ -91,13 +84,13 @@ def project_jacobian(
     _, inside, turned, shifted = _project(rig, motions, points)
     own_rotation = _rotations(motions[:, :3])
     by_lens, by_inside = _lens_jacobian(rig, inside)
-    by_motion = [
+    by_place = [
+        own_rotation @ -cross_matrix(turned) @ left_jacobian(rig[None, 6:9]),
+        own_rotation,
         -cross_matrix(shifted) @ left_jacobian(motions[:, :3]),
         torch.eye(3, dtype=points.dtype).expand(len(points), 3, 3),
     ]
-    by_rotvec = own_rotation @ -cross_matrix(turned) @ left_jacobian(rig[None, 6:9])
-    by_pose = [by_rotvec, own_rotation]
-    return torch.cat([by_lens, by_inside @ torch.cat(by_pose + by_motion, dim=2)], dim=2)
+    return torch.cat([by_lens, by_inside @ torch.cat(by_place, dim=2)], dim=2)
 
 
 def _project(rig: Tensor, motions: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -157,8 +150,8 @@ class Observations:
 
     Attributes:
         views: index of the pair.
-        points: observed points in the axes of the pair's photo camera.
-        pixels: their positions in the thermal image.
+        points: in the axes of the pair's photo camera.
+        pixels: in the thermal image.
         information: inverse covariance of ``pixels``, up to a factor for each kind.
         independent: share of each observation that is statistically independent: overlapping
             patches share their errors.
@@ -180,13 +173,8 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Normal distributions of the rig, and of the motions about zero, before any observation.
-
-    Attributes:
-        rig: mean of the rig's parameters.
-        rig_sigma: standard deviations; 0 fixes a parameter.
-        motion_sigma: standard deviations of each pair's motion.
-    """
+    """Normal distributions of the rig, and of the motions about zero, before any observation: mean
+    and standard deviations, of which 0 fixes a parameter."""
 
     rig: Float64[Tensor, "12"]
     rig_sigma: Float64[Tensor, "12"]
@@ -198,7 +186,6 @@ class Adjusted:
     """The adjusted cameras, their covariance and the residuals.
 
     Attributes:
-        cameras: the rig and the motions.
         covariance: of the rig's parameters and each pair's motion [V, 18, 18], with overlapping
             patches taken into account.
         residual_px: of each observation [N].
@@ -227,19 +214,15 @@ def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> A
     The scale of the weights follows from the median residual of each kind.
     """
     rig, motions = start.rig, start.motions
-    for _ in range(_STEPS):
+    for step in range(_STEPS + 1):
         residual, weight = _weights(observations, rig, motions)
         equations = _normal_equations(observations, residual, weight, rig, motions, prior)
-        rig_step, motion_steps = equations.solution()
-        rig, motions = rig + rig_step, motions + motion_steps
-    residual, weight = _weights(observations, rig, motions)
-    equations = _normal_equations(observations, residual, weight, rig, motions, prior)
-    return Adjusted(
-        ThermalCameras(rig, motions),
-        equations.covariances(),
-        residual.norm(dim=1),
-        weight > _INLIER_WEIGHT * weight.max(),
-    )
+        if step < _STEPS:
+            rig_step, motion_steps = equations.solution()
+            rig, motions = rig + rig_step, motions + motion_steps
+    inlier = weight > _INLIER_WEIGHT * weight.max()
+    cameras = ThermalCameras(rig, motions)
+    return Adjusted(cameras, equations.covariances(), residual.norm(dim=1), inlier)
 
 
 def pixel_sigma(
@@ -249,11 +232,8 @@ def pixel_sigma(
     axes."""
     motions = adjusted.cameras.motions[view].repeat(len(points), 1)
     jacobian = project_jacobian(adjusted.cameras.rig, motions, points)
-    return (
-        torch.einsum("nia,ab,nib->n", jacobian, adjusted.covariance[view], jacobian)
-        .clamp(min=0)
-        .sqrt()
-    )
+    variance = torch.einsum("nia,ab,nib->n", jacobian, adjusted.covariance[view], jacobian)
+    return variance.clamp(min=0).sqrt()
 
 
 def _weights(
@@ -271,17 +251,10 @@ def _weights(
 
 
 class _NormalEquations(NamedTuple):
-    """Gauss-Newton's equations. No observation depends on the motions of two pairs, so the Hessian
-    is zero but for the blocks below, and the motions can be eliminated one by one (Schur's
-    complement): the work grows with the number of pairs, not with its cube.
-
-    Attributes:
-        rig: Hessian of the rig's parameters.
-        coupling: between these and each pair's motion.
-        motions: of each pair's motion.
-        rig_gradient: negative.
-        motion_gradients: negative.
-    """
+    """Gauss-Newton's equations: blocks of the Hessian, and negative gradients. No observation
+    depends on the motions of two pairs, so all other blocks are zero, and the motions can be
+    eliminated one by one (Schur's complement): the work grows with the number of pairs, not with
+    its cube."""
 
     rig: Float64[Tensor, "12 12"]
     coupling: Float64[Tensor, "v 12 6"]
@@ -292,10 +265,8 @@ class _NormalEquations(NamedTuple):
     def solution(self) -> tuple[Float64[Tensor, "12"], Float64[Tensor, "v 6"]]:
         """The steps of the rig and of the motions."""
         reduced, eliminated = self._reduced()
-        gradient = (
-            self.rig_gradient - (eliminated @ self.motion_gradients[:, :, None]).sum(dim=0)[:, 0]
-        )
-        rig = torch.linalg.solve(reduced, gradient)
+        known = torch.einsum("vij,vj->i", eliminated, self.motion_gradients)
+        rig = torch.linalg.solve(reduced, self.rig_gradient - known)
         left = self.motion_gradients - (self.coupling.mT @ rig[:, None])[:, :, 0]
         return rig, torch.linalg.solve(self.motions, left)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -28,7 +29,7 @@ from mrgs.prepare.rig.adjust import (
     project,
 )
 from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair, RigView, TargetFit
-from mrgs.prepare.rig.images import ReducedPair, reduced_pair, too_few_points
+from mrgs.prepare.rig.images import FEWEST_POINTS, ReducedPair, reduced_pair
 from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
 from mrgs.prepare.rig.search import Guess, first_guess
 from mrgs.prepare.rig.target import LocatedTarget, find_target
@@ -83,20 +84,16 @@ def calibrate_rig(
     """
     options = options or RigOptions()
     report = progress or (lambda stage, done, total: None)
-    target = (
-        None
-        if options.target is None
-        else find_target(pairs, options.target, options.metres_per_unit, report)
-    )
+    target = corners = fit = None
+    if options.target is not None:
+        target = find_target(pairs, options.target, options.metres_per_unit, report)
     reduced, size = _reduced(pairs, points, target, report)
     guess = _guess(reduced, size, target, options, report)
     start, prior = _start(reduced, size, guess, options)
-    corners = None
     if target is not None:
         corners = target.observations([pair.name for pair in reduced])
         start = adjust(corners, prior, aimed(start, corners)).cameras
     adjusted, observations = refine(reduced, size, start, prior, report, corners)
-    fit = None
     if target is not None and options.target is not None:
         fit = target.fit(adjusted, observations, options.target.square_m)
     return _result(pairs, reduced, size, adjusted, observations, options, fit)
@@ -123,11 +120,15 @@ def _reduced(
         (a, b), (first, second) = list(sizes)[:2], list(sizes.values())[:2]
         raise SceneError(
             f"the thermal images are of several sizes ({first} has {a[0]}×{a[1]} px, {second} "
-            f"{b[0]}×{b[1]}): "
-            "prepare each camera separately"
+            f"{b[0]}×{b[1]}): prepare each camera separately"
         )
     if len(reduced) < FEWEST_PAIRS:
-        raise too_few_points([pair.name for pair in reduced])
+        raise SceneError(
+            f"the thermal camera cannot be placed: only {len(reduced)} photos see {FEWEST_POINTS} "
+            f"or more sparse points; take more overlapping photos, or say that one camera took "
+            f"both images",
+            options=("one_camera",),
+        )
     return reduced, next(iter(sizes))
 
 
@@ -215,16 +216,12 @@ def _result(
     Raises:
         SceneError: the result is less certain than the options ask for.
     """
-    seen = {pair.name: index for index, pair in enumerate(reduced)}
     rows = _rows_of_views(observations, len(reduced))
-    views = tuple(
-        _view(pair.name, seen[pair.name], rows[seen[pair.name]], adjusted, observations)
-        if pair.name in seen
-        else _unseen(pair.name)
-        for pair in pairs
-    )
-    certain = [view for view in views if view.name in seen]
-    uncertainty_px = float(np.median([view.uncertainty_px for view in certain]))
+    calibrated = {
+        pair.name: _view(pair.name, view, rows[view], adjusted, observations)
+        for view, pair in enumerate(reduced)
+    }
+    uncertainty_px = float(np.median([view.uncertainty_px for view in calibrated.values()]))
     if not uncertainty_px <= options.max_uncertainty_px:
         raise SceneError(
             f"the thermal camera cannot be placed: the photos leave {uncertainty_px:.1f} px open "
@@ -232,16 +229,17 @@ def _result(
             f"its field of view, its lens or offset, or more pairs",
             options=("thermal_fov_deg", "thermal_camera"),
         )
+    alone = RigView("", torch.eye(4, dtype=torch.float64), 0, float("nan"), float("inf"))
     residuals = adjusted.residual_px[adjusted.inlier].numpy()
     motion_px = float(np.median(_motion_px(adjusted.cameras, observations, rows)))
     return RigCalibration(
         lens=adjusted.cameras.lens(*size),
         extrinsics=adjusted.cameras.extrinsics(),
-        views=views,
+        views=tuple(calibrated.get(each.name, replace(alone, name=each.name)) for each in pairs),
         residual_px=(float(np.median(residuals)), float(np.quantile(residuals, 0.9))),
         uncertainty_px=uncertainty_px,
         motion_px=motion_px,
-        warnings=tuple(_warnings(views, set(seen), motion_px, options)),
+        warnings=tuple(_warnings(pairs, calibrated, motion_px, options)),
         target=target,
     )
 
@@ -259,43 +257,36 @@ def _view(
     adjusted: Adjusted,
     observations: Observations,
 ) -> RigView:
-    """What is known of a pair from its ``own`` rows of the observations."""
+    """The result of a pair, from its ``own`` rows of the observations."""
     agreeing = own[adjusted.inlier[own]]
-    points = observations.points[own]
-    return RigView(
-        name=name,
-        correction=adjusted.cameras.correction(view),
-        matches=len(agreeing),
-        residual_px=float(adjusted.residual_px[agreeing].median())
-        if len(agreeing)
-        else float("nan"),
-        uncertainty_px=float(pixel_sigma(adjusted, view, points).median())
-        if len(own)
-        else float("inf"),
-    )
-
-
-def _unseen(name: str) -> RigView:
-    return RigView(name, torch.eye(4, dtype=torch.float64), 0, float("nan"), float("inf"))
+    residual_px = float(adjusted.residual_px[agreeing].median()) if len(agreeing) else math.nan
+    sigma_px = pixel_sigma(adjusted, view, observations.points[own])
+    uncertainty_px = float(sigma_px.median()) if len(own) else math.inf
+    correction = adjusted.cameras.correction(view)
+    return RigView(name, correction, len(agreeing), residual_px, uncertainty_px)
 
 
 def _motion_px(
     cameras: ThermalCameras, observations: Observations, rows: Sequence[Int64[Tensor, "_"]]
 ) -> list[float]:
     """Displacement of each pair's patches by its own motion, median, in thermal pixels."""
-    moved = project(cameras.rig, cameras.motions[observations.views], observations.points)
-    still = project(
-        cameras.rig, torch.zeros_like(cameras.motions)[observations.views], observations.points
+    motions = cameras.motions[observations.views]
+    moved, still = (
+        project(cameras.rig, each, observations.points)
+        for each in (motions, torch.zeros_like(motions))
     )
     distance = (moved - still).norm(dim=1)
     return [float(distance[own].median()) for own in rows if len(own)]
 
 
 def _warnings(
-    views: Sequence[RigView], seen: set[str], motion_px: float, options: RigOptions
+    pairs: Sequence[RigPair],
+    calibrated: Mapping[str, RigView],
+    motion_px: float,
+    options: RigOptions,
 ) -> list[str]:
     found = []
-    unseen = [view.name for view in views if view.name not in seen]
+    unseen = [pair.name for pair in pairs if pair.name not in calibrated]
     if unseen:
         found.append(
             f"{len(unseen)} photos see too few points to correct their thermal camera: "
@@ -303,15 +294,13 @@ def _warnings(
         )
     doubtful = [
         view.name
-        for view in views
-        if view.name in seen
-        and (view.matches < FEWEST_MATCHES or view.uncertainty_px > options.max_uncertainty_px)
+        for view in calibrated.values()
+        if view.matches < FEWEST_MATCHES or view.uncertainty_px > options.max_uncertainty_px
     ]
     if doubtful:
         found.append(
             f"{len(doubtful)} thermal images could not be placed well ({', '.join(doubtful)}): "
-            f"few edges agree with "
-            "their photos. Leave these pairs out if they look wrong."
+            f"few edges agree with their photos. Leave these pairs out if they look wrong."
         )
     if motion_px > _MOVING:
         found.append(

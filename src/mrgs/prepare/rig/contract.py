@@ -22,7 +22,6 @@ class RigPair:
     """An RGB photo and the thermal photo of the same moment.
 
     Attributes:
-        name: of the view, for messages.
         photo: undistorted, with its pose.
         load_thermal: reads the thermal photo with its lens distortion; one channel in any unit.
         visible: indices of the points that this photo observes (tracks of structure from motion);
@@ -73,13 +72,12 @@ class RigOptions:
     """Known quantities of the rig, and the largest uncertainty that is accepted.
 
     Attributes:
-        thermal_lens: intrinsics and distortion of the thermal camera, used unchanged; None to
-            calibrate them.
+        thermal_lens: used unchanged; None to calibrate it.
         extrinsics: rigid motion from the RGB camera to the thermal camera [4, 4] in scene
-            units, taken as it is; None to find it.
+            units, used unchanged; None to find it.
         field_of_view_deg: horizontal, of the thermal camera, from its data sheet; narrows the
             search to ±10 %.
-        target: a chessboard that is in some of the pairs; None if there is none.
+        target: a chessboard that is in some of the pairs.
         metres_per_unit: of the scene, if known; only needed for a target that is moved.
         max_uncertainty_px: a result with a larger standard deviation is refused, in thermal
             pixels.
@@ -98,7 +96,6 @@ class RigView:
     """The thermal camera of one pair.
 
     Attributes:
-        name: the pair's.
         correction: the pair's own rigid motion after the rig's [4, 4], in the thermal camera's axes
             and scene units, because two shutters rarely fire together.
         matches: number of patches and target corners that were found in both images and are
@@ -149,7 +146,6 @@ class RigCalibration:
         motion_px: displacement of the image by the correction, median over the views, in thermal
             pixels.
         warnings: sentences that the user should read.
-        target: fit of the target; None if none was given.
     """
 
     lens: Lens

@@ -34,12 +34,8 @@ FEWEST_POINTS = 8
 
 @dataclass(frozen=True, eq=False)
 class InverseDepth:
-    """Inverse depth 1 / z over a photo; linear in the image over planes, and 0 at infinity.
-
-    Attributes:
-        values: one per ``STEP_PX`` photo pixels, in 1 / scene units, [rows, columns].
-        median: of the points that the photo sees.
-    """
+    """Inverse depth 1 / z over a photo, in 1 / scene units, one value per ``STEP_PX`` photo pixels;
+    and the median of the points that the photo sees."""
 
     values: Float[np.ndarray, "rows columns"]
     median: float
@@ -60,13 +56,15 @@ def inverse_depth(
         return None
     if visible is None:
         uv, inverse = _unhidden(uv, inverse, camera.width)
-    uv, inverse = _without_outliers(uv, inverse)
+    _, nearest = cKDTree(uv).query(uv, k=min(_NEIGHBOURS, len(uv)))
+    usual = np.median(inverse[nearest], axis=1)
+    kept = np.abs(inverse - usual) < _OUTLIER * usual
+    uv, inverse = uv[kept], inverse[kept]
     if len(uv) < FEWEST_POINTS:
         return None
     every = -(-len(uv) // _MOST_POINTS)
-    return InverseDepth(
-        _interpolated(uv[::every], inverse[::every], camera), float(np.median(inverse))
-    )
+    values = _interpolated(uv[::every], inverse[::every], camera)
+    return InverseDepth(values, float(np.median(inverse)))
 
 
 def _project(
@@ -102,23 +100,12 @@ def _unhidden(
     return uv[seen], inverse[seen]
 
 
-def _without_outliers(
-    uv: Float[np.ndarray, "n 2"], inverse: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
-    _, nearest = cKDTree(uv).query(uv, k=min(_NEIGHBOURS, len(uv)))
-    usual = np.median(inverse[nearest], axis=1)
-    kept = np.abs(inverse - usual) < _OUTLIER * usual
-    return uv[kept], inverse[kept]
-
-
 def _interpolated(
     uv: Float[np.ndarray, "n 2"], inverse: Float[np.ndarray, " n"], camera: Camera
 ) -> Float[np.ndarray, "rows columns"]:
     """Linear between the points, that of the nearest point beyond them."""
-    grid = np.meshgrid(
-        np.arange(STEP_PX / 2, camera.width, STEP_PX),
-        np.arange(STEP_PX / 2, camera.height, STEP_PX),
-    )
+    sides = (camera.width, camera.height)
+    grid = np.meshgrid(*(np.arange(STEP_PX / 2, side, STEP_PX) for side in sides))
     values = NearestNDInterpolator(uv, inverse)(*grid)
     try:
         between = LinearNDInterpolator(uv, inverse)(*grid)
@@ -149,15 +136,8 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class ReducedPair:
-    """A pair at working size.
-
-    Attributes:
-        name: the pair's.
-        photo: its luma.
-        camera: of ``photo``, at its working size.
-        depth: of the surfaces in ``photo``.
-        thermal: the thermal image, with lens distortion.
-    """
+    """A pair at working size: the luma of the photo, its camera and depth, and the thermal image
+    with lens distortion."""
 
     name: str
     photo: Plane
@@ -181,36 +161,19 @@ def reduced_pair(
     """
     thermal = pair.load_thermal()
     height, width = thermal.values.shape[:2]
-    camera = pair.photo.camera
-    camera = camera.with_width(min(PHOTO_WIDTH_PX, camera.width))
-    visible = (
-        None
-        if pair.visible is None
-        else np.append(pair.visible.numpy(), len(points) + np.arange(len(target)))
-    )
+    camera = pair.photo.camera.with_width(min(PHOTO_WIDTH_PX, pair.photo.camera.width))
+    visible = None
+    if pair.visible is not None:
+        visible = np.append(pair.visible.numpy(), len(points) + np.arange(len(target)))
     depth = inverse_depth(np.concatenate([points, target]), camera, visible)
     if depth is None:
         return None, (width, height)
-    reduced = min(THERMAL_WIDTH_PX, width)
     photo = grey_plane(pair.photo.look(DRAFT_MARGIN * PHOTO_WIDTH_PX), pair.name)
-    return ReducedPair(
-        name=pair.name,
-        photo=photo.resized(camera.width, camera.height),
-        camera=camera,
-        depth=depth,
-        thermal=grey_plane(thermal, pair.name).resized(
-            reduced, max(1, round(height * reduced / width))
-        ),
-    ), (width, height)
-
-
-def too_few_points(names: list[str]) -> SceneError:
-    """The error of too few photos with enough sparse points."""
-    return SceneError(
-        f"the thermal camera cannot be placed: only {len(names)} photos see {FEWEST_POINTS} or "
-        "more sparse points; take more overlapping photos, or say that one camera took both images",
-        options=("one_camera",),
-    )
+    photo = photo.resized(camera.width, camera.height)
+    reduced = min(THERMAL_WIDTH_PX, width)
+    size = reduced, max(1, round(height * reduced / width))
+    plane = grey_plane(thermal, pair.name).resized(*size)
+    return ReducedPair(pair.name, photo, camera, depth, plane), (width, height)
 
 
 def grey_plane(pixels: Pixels, name: str) -> Plane:
@@ -243,7 +206,6 @@ def structure(
     It does not change when the image is inverted, scaled or shifted in value.
 
     Args:
-        image: any unit.
         blur_px: distance at which edges still correlate (σ of a Gaussian), pixels.
         valid: mask of usable pixels; the structure is 0 at and near the others.
     """

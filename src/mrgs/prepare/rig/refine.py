@@ -3,21 +3,196 @@ fine."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
+from torch.nn import functional
 
 from mrgs.data.lens import Lens
 from mrgs.data.undistort import sampled
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, ThermalCameras, adjust
 from mrgs.prepare.rig.images import STEP_PX, ReducedPair, structure
-from mrgs.prepare.rig.matching import Masked, Patches, match, whole_displacement
+
+_BORDER_PX = 3
+_WHOLE_STEP_PX = 2
+_LEAST_SEEN = 0.7
+_LEAST_SCORE = 0.3
+_MOST_STEP_PX = 1.0
+_LEAST_CURVATURE = 1e-5
+
+
+@dataclass(frozen=True)
+class Patches:
+    """The layout of the patches; all lengths in pixels of the compared images.
+
+    Attributes:
+        sigma: of the Gaussian window.
+        spacing: of the patches' centres.
+        reach: largest displacement that is searched, in x and in y.
+    """
+
+    sigma: float
+    spacing: int
+    reach: int
+
+    @property
+    def independent(self) -> float:
+        """Share of the patches with independent errors, because neighbouring windows overlap."""
+        return min(1.0, self.spacing**2 / (4 * np.pi * self.sigma**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Masked:
+    """The structure of an image, and the mask of its valid pixels; None if all are."""
+
+    values: Float32[np.ndarray, "c h w"]
+    seen: Bool[np.ndarray, "h w"] | None = None
+
+    def within_border(self) -> tuple[Float32[Tensor, "c h w"], Float32[Tensor, "h w"]]:
+        """The structure, 0 where it is not valid or affected by the image's border; and that mask
+        as 0 and 1."""
+        mask = torch.zeros(self.values.shape[1:])
+        inner = (slice(_BORDER_PX, -_BORDER_PX), slice(_BORDER_PX, -_BORDER_PX))
+        mask[inner] = 1.0 if self.seen is None else torch.from_numpy(self.seen[inner]).float()
+        return torch.from_numpy(self.values) * mask, mask
+
+
+class Matches(NamedTuple):
+    """M matched patches; positions in pixels of the compared images.
+
+    Attributes:
+        centres: column and row of the patch in the photo's image; whole numbers, between four
+            pixels.
+        displacements: from there to the matching position in the thermal image.
+        information: inverse covariance of the displacement, up to a common factor.
+        scores: normalised correlation.
+    """
+
+    centres: Float[np.ndarray, "m 2"]
+    displacements: Float[np.ndarray, "m 2"]
+    information: Float[np.ndarray, "m 2 2"]
+    scores: Float[np.ndarray, " m"]
+
+    def sharpest(self, share: float) -> Matches:
+        """The share of the patches whose positions are the most certain."""
+        if not len(self.scores):
+            return self
+        sharpness = np.trace(self.information, axis1=1, axis2=2)
+        kept = sharpness >= np.quantile(sharpness, 1 - share)
+        return Matches(*(values[kept] for values in self))
+
+
+def match(thermal: Masked, photo: Masked, patches: Patches) -> Matches:
+    """Match each patch by normalised correlation of the two structures, to a fraction of a pixel.
+
+    Both are normalised over the pixels that overlap at a displacement: otherwise patches at the
+    border would be biased inwards, and the focal length with them. A patch without a maximum within
+    reach is left out. The information is the curvature of the correlation s at its maximum times
+    s / (1 - s²): the certainty of a maximum whose height is lowered by independent noise.
+    """
+    scores, share, columns, rows = _scores(thermal, photo, patches)
+    ny, nx = share.shape
+    flat = scores.reshape(scores.shape[0], scores.shape[1], ny * nx).transpose(2, 0, 1)
+    best = flat.reshape(ny * nx, -1).argmax(axis=1)
+    i, j = np.unravel_index(best, flat.shape[1:])
+    side = 2 * patches.reach + 1
+    usable = (share.ravel() > _LEAST_SEEN) & (i > 0) & (i < side - 1) & (j > 0) & (j < side - 1)
+    usable &= flat[np.arange(ny * nx), i, j] > _LEAST_SCORE
+    kept = np.flatnonzero(usable)
+    i, j = i[kept], j[kept]
+    across = np.arange(-1, 2)
+    around = flat[
+        kept[:, None, None], i[:, None, None] + across[:, None], j[:, None, None] + across
+    ]
+    step, curvature = _vertex(around)
+    score = np.minimum(around[:, 1, 1], 0.999).astype(np.float64)
+    sharp = np.linalg.eigvalsh(curvature)[:, 0] > _LEAST_CURVATURE
+    centres = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)[kept].astype(np.float64)
+    displacements = np.column_stack([j, i]) - patches.reach + step
+    information = curvature * (score / (1 - score**2))[:, None, None]
+    return Matches(centres[sharp], displacements[sharp], information[sharp], score[sharp])
+
+
+def whole_displacement(thermal: Masked, photo: Masked, reach: int) -> tuple[int, int]:
+    """Displacement of the whole thermal image, pixels right and down: the best normalised
+    correlation within ``reach`` pixels, in steps of ``_WHOLE_STEP_PX``."""
+    steps = range(-(reach // _WHOLE_STEP_PX) * _WHOLE_STEP_PX, reach + 1, _WHOLE_STEP_PX)
+    places = [(right, down) for down in steps for right in steps]
+    scores = list(_correlations(thermal, photo, reach, places, lambda values: values.sum()))
+    return places[int(torch.stack(scores).argmax())]
+
+
+def _correlations(
+    thermal: Masked,
+    photo: Masked,
+    reach: int,
+    places: Iterable[tuple[int, int]],
+    pooled: Callable[[Tensor], Tensor],
+) -> Iterator[Tensor]:
+    """Normalised correlations at displacements right and down of the thermal image, over the pixels
+    that overlap; ``pooled`` sums parts of an image."""
+    here, here_seen = photo.within_border()
+    there, there_seen = (functional.pad(values, 4 * [reach]) for values in thermal.within_border())
+    here_energy, there_energy = here.square().sum(dim=0), there.square().sum(dim=0)
+    height, width = here_seen.shape
+    for right, down in places:
+        top, left = reach + down, reach + right
+        part = (..., slice(top, top + height), slice(left, left + width))
+        norm = pooled(there_energy[part] * here_seen) * pooled(here_energy * there_seen[part])
+        yield pooled((there[part] * here).sum(dim=0)) / (norm + 1e-9).sqrt()
+
+
+def _scores(
+    thermal: Masked, photo: Masked, patches: Patches
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Correlations [displacement y, displacement x, patch row, patch column], the share of each
+    patch that is seen, and the patches' columns and rows."""
+    _, height, width = photo.values.shape
+    margin = round(1.5 * patches.sigma)
+    rows, columns = (np.arange(margin, n - margin + 1, patches.spacing) for n in (height, width))
+    across, down = _windows(width, columns, patches.sigma), _windows(height, rows, patches.sigma)
+
+    def pooled(values: Tensor) -> Tensor:
+        return down @ values @ across.T
+
+    reach, side = patches.reach, 2 * patches.reach + 1
+    places = [
+        (right, down) for down in range(-reach, reach + 1) for right in range(-reach, reach + 1)
+    ]
+    scores = torch.stack([*_correlations(thermal, photo, reach, places, pooled)])
+    _, seen = photo.within_border()
+    share = pooled(seen) / pooled(torch.ones_like(seen))
+    return scores.reshape(side, side, *share.shape).numpy(), share.numpy(), columns, rows
+
+
+def _windows(count: int, centres: np.ndarray, sigma: float) -> Float32[Tensor, "k n"]:
+    offsets = (np.arange(count) + 0.5 - centres[:, None]) / sigma
+    weights = np.where(np.abs(offsets) < 2, np.exp(-0.5 * offsets**2), 0.0)
+    return torch.from_numpy(weights.astype(np.float32))
+
+
+def _vertex(
+    around: Float[np.ndarray, "m 3 3"],
+) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2 2"]]:
+    """Position (x, y) of the maximum of the parabola through 3×3 values, from their middle, and its
+    negated Hessian."""
+    a = around.astype(np.float64)
+    slope = np.column_stack([a[:, 1, 2] - a[:, 1, 0], a[:, 2, 1] - a[:, 0, 1]]) / 2
+    xx = 2 * a[:, 1, 1] - a[:, 1, 2] - a[:, 1, 0]
+    yy = 2 * a[:, 1, 1] - a[:, 2, 1] - a[:, 0, 1]
+    xy = (a[:, 0, 2] + a[:, 2, 0] - a[:, 2, 2] - a[:, 0, 0]) / 4
+    curvature = np.stack([xx, xy, xy, yy], axis=-1).reshape(-1, 2, 2)
+    safe = curvature + np.eye(2) * 1e-6
+    step = np.linalg.solve(safe, slope[..., None])[..., 0]
+    return np.clip(step, -_MOST_STEP_PX, _MOST_STEP_PX), curvature
+
 
 FEWEST_MATCHES = 12
 _SHARPEST = 0.5
@@ -90,10 +265,9 @@ def refine(
     return adjusted, observations
 
 
-@dataclass(frozen=True, eq=False)
-class _ComparedPair:
-    """A pair at a level: the photo warped to the thermal camera, and the structures of both
-    images."""
+class _ComparedPair(NamedTuple):
+    """A pair at a level: the photo warped to the thermal camera, the structures of both images, and
+    thermal file pixels per compared pixel."""
 
     warped: Warped
     thermal: Masked
@@ -108,18 +282,16 @@ def _compared(
     level: Level,
     report: Callable[[int], None],
 ) -> Iterator[_ComparedPair]:
-    """The pairs with the current cameras; ``scale`` is thermal file pixels per compared pixel, and
-    ``report`` is called with the number of each pair."""
+    """The pairs with the current cameras; ``report`` is called with the number of each."""
     lens = cameras.lens(*size)
     width = min(level.width_px, pairs[0].thermal.values.shape[1])
     height = max(1, round(size[1] * width / size[0]))
     rays, scale = thermal_rays(lens, width, height), size[0] / width
     for view, pair in enumerate(pairs):
         report(view)
-        photo_from_thermal = torch.linalg.inv(
-            cameras.correction(view) @ cameras.extrinsics()
-        ).numpy()
-        warped = warp(pair, rays, photo_from_thermal, pair.camera.K[0, 0].item() * scale / lens.fx)
+        thermal_from_photo = cameras.correction(view) @ cameras.extrinsics()
+        spacing = pair.camera.K[0, 0].item() * scale / lens.fx
+        warped = warp(pair, rays, torch.linalg.inv(thermal_from_photo).numpy(), spacing)
         thermal = pair.thermal.resized(width, height)
         yield _ComparedPair(
             warped,
@@ -180,15 +352,9 @@ def _observe(
 _ITERATIONS = 6
 
 
-@dataclass(frozen=True, eq=False)
-class Warped:
-    """A photo on the thermal camera's pixel grid.
-
-    Attributes:
-        values: the photo's luma.
-        points: surface point of each pixel [H, W, 3], in the axes of the photo's camera.
-        seen: whether the photo shows it.
-    """
+class Warped(NamedTuple):
+    """A photo on the thermal camera's pixel grid: luma, the surface point of each pixel in the axes
+    of the photo's camera, and whether the photo shows it."""
 
     values: Float32[np.ndarray, "h w"]
     points: Float[np.ndarray, "h w 3"]
@@ -233,14 +399,8 @@ def warp(
         points = centre + along[..., None] * directions
         u, v = fx * points[..., 0] / points[..., 2] + cx, fy * points[..., 1] / points[..., 2] + cy
         inverse = sampled(pair.depth.values, u, v, STEP_PX)
-    seen = (
-        ahead
-        & (along > 0)
-        & (u > 1)
-        & (u < pair.camera.width - 1)
-        & (v > 1)
-        & (v < pair.camera.height - 1)
-    )
+    inside = (u > 1) & (u < pair.camera.width - 1) & (v > 1) & (v < pair.camera.height - 1)
+    seen = ahead & (along > 0) & inside
     if pair.photo.valid is not None:
         seen &= sampled(pair.photo.valid.astype(np.float32), u, v) > 0.99
     photo = pair.photo.values

@@ -63,8 +63,8 @@ class Guess:
 
 @dataclass(frozen=True)
 class Found:
-    """The best guess, and the best score among clearly different ones: the level of chance in these
-    images; of so many pairs."""
+    """The best guess, the best score among clearly different ones (the level of chance in these
+    images), and the number of pairs."""
 
     best: Guess
     chance: float
@@ -73,9 +73,8 @@ class Found:
     @property
     def stands_out(self) -> bool:
         """Whether the guess is no chance."""
-        return self.best.score >= max(
-            CLEAR * self.chance, LEAST_CORRELATION / math.sqrt(self.pairs)
-        )
+        least = LEAST_CORRELATION / math.sqrt(self.pairs)
+        return self.best.score >= max(CLEAR * self.chance, least)
 
 
 def first_guess(
@@ -95,58 +94,47 @@ def first_guess(
     thermal = [_structure(pair.thermal) for pair in pairs]
     focals = _focals(field_of_view_deg)
     each = len(focals) + len(_FINE_STEPS) * len(_TURNS_DEG)
+    counts, rounds = itertools.count(), 1
 
-    def tried(rounds: int, of: int) -> Callable[[], None]:
-        counts = itertools.count(rounds * each)
-        return lambda: None if report is None else report(next(counts), of * each)
+    def correlated(focal: float, turn_deg: float) -> Found:
+        if report is not None:
+            report(next(counts), rounds * each)
+        return _correlated(pairs, thermal, focal, turn_deg)
 
-    upright = _about(pairs, thermal, focals, 0.0, tried(0, 1))
-    if upright.stands_out:
-        return upright
-    found = [upright]
-    for turn in _QUARTERS_DEG:
-        at = tried(len(found), 1 + len(_QUARTERS_DEG))
-        found.append(_about(pairs, thermal, focals, turn, at))
+    found = [_best_about(0.0, focals, correlated)]
+    if found[0].stands_out:
+        return found[0]
+    rounds += len(_QUARTERS_DEG)
+    found += [_best_about(turn_deg, focals, correlated) for turn_deg in _QUARTERS_DEG]
     found.sort(key=lambda one: -one.best.score)
     return Found(found[0].best, max(found[0].chance, found[1].best.score), len(pairs))
 
 
-def _about(
-    pairs: Sequence[ReducedPair],
-    thermal: Sequence[Float32[np.ndarray, "c h w"]],
-    focals: Sequence[float],
-    about_deg: float,
-    tried: Callable[[], None],
+def _best_about(
+    about_deg: float, focals: Sequence[float], correlated: Callable[[float, float], Found]
 ) -> Found:
-    """The best guess near a rotation; ``tried`` is called for each camera."""
-
-    def correlated(focal: float, turn: float) -> Found:
-        tried()
-        return _correlated(pairs, thermal, focal, about_deg + turn)
-
-    coarse = [correlated(focal, 0.0) for focal in focals]
+    """The best guess near a rotation; ``correlated`` finds the best for a focal length and a
+    rotation."""
+    coarse = [correlated(focal, about_deg) for focal in focals]
     best, second = max(coarse, key=lambda found: found.best.score), 0.0
     fine = [
-        correlated(best.best.focal_widths * step, turn)
+        correlated(best.best.focal_widths * step, about_deg + turn_deg)
         for step in _FINE_STEPS
-        for turn in _TURNS_DEG
+        for turn_deg in _TURNS_DEG
     ]
     best = max([best, *fine], key=lambda found: found.best.score)
     for found in coarse:
         near = abs(np.log(found.best.focal_widths / best.best.focal_widths)) < np.log(_NEAR_SCALE)
         second = max(second, found.chance if near else found.best.score)
-    return Found(best.best, second, len(pairs))
+    return Found(best.best, second, best.pairs)
 
 
 def _focals(field_of_view_deg: float | None) -> list[float]:
     """Focal lengths to try, in image widths."""
-    if field_of_view_deg is None:
-        low, high = focal_widths(_WIDEST_DEG), focal_widths(_NARROWEST_DEG)
-    else:
-        low, high = (
-            focal_widths(field_of_view_deg) / _KNOWN_WITHIN,
-            focal_widths(field_of_view_deg) * _KNOWN_WITHIN,
-        )
+    low, high = focal_widths(_WIDEST_DEG), focal_widths(_NARROWEST_DEG)
+    if field_of_view_deg is not None:
+        known = focal_widths(field_of_view_deg)
+        low, high = known / _KNOWN_WITHIN, known * _KNOWN_WITHIN
     steps = round(np.log(high / low) / np.log(_SCALE_STEP)) + 1
     return [float(value) for value in np.geomspace(low, high, steps)]
 
@@ -198,9 +186,8 @@ def _shifts(count: int, thermal: int, side: int) -> Float[np.ndarray, " n"]:
     """The shift of the photo's middle from the thermal image's, in widths, for each place of a
     cyclic correlation."""
     places = np.arange(count)
-    return (
-        side / 2 - np.where(places < count - thermal, places, places - count) - thermal / 2
-    ) / WIDTH_PX
+    places = np.where(places < count - thermal, places, places - count)
+    return (side / 2 - places - thermal / 2) / WIDTH_PX
 
 
 def _photo(
@@ -211,7 +198,7 @@ def _photo(
     values = pair.photo.values
     if scale < 1:
         values = gaussian_filter(values, 0.5 * np.sqrt(1 / scale**2 - 1))
-    x, y = np.meshgrid(np.arange(side) + 0.5 - side / 2, np.arange(side) + 0.5 - side / 2)
+    x, y = np.meshgrid(*2 * [np.arange(side) + 0.5 - side / 2])
     cos, sin = np.cos(np.radians(turn_deg)) / scale, np.sin(np.radians(turn_deg)) / scale
     u = cos * x - sin * y + pair.camera.K[0, 2].item()
     v = sin * x + cos * y + pair.camera.K[1, 2].item()
@@ -238,6 +225,5 @@ def _correlation(
     overlap = irfft2(window * area, size)
     enough = overlap > _LEAST_OVERLAP * min(ones.size, float(seen.sum()))
     energy = np.sqrt(np.maximum(of_thermal * of_photo, 1e-6))
-    return np.where(
-        enough, product / energy * np.sqrt(overlap.clip(min=0) / ones.size), 0.0
-    ).astype(np.float32)
+    found = product / energy * np.sqrt(overlap.clip(min=0) / ones.size)
+    return np.where(enough, found, 0.0).astype(np.float32)
