@@ -24,14 +24,8 @@ _REWEIGHTINGS = 10
 
 @dataclass(frozen=True)
 class KnownDistance:
-    """A known distance between two points in a photo.
-
-    Attributes:
-        view: name of the view.
-        pixel_a: one end, (x, y) in pixels from the image's upper left corner.
-        pixel_b: the other end.
-        metres: the distance.
-    """
+    """A known distance between two points in a photo: the view's name, and x, y of both ends in
+    pixels from the image's upper left corner."""
 
     view: str
     pixel_a: tuple[float, float]
@@ -59,12 +53,12 @@ def length_of(known: KnownDistance, reconstruction: Reconstruction) -> float:
         )
     points, pixels = _seen_points(known.view, reconstruction)
     lens = reconstruction.lenses[known.view]
-    ends = [
+    first, second = (
         _place(np.array(pixel, dtype=float), known.view, lens, points, pixels)
         for pixel in (known.pixel_a, known.pixel_b)
-    ]
-    length = float(np.linalg.norm(ends[1] - ends[0]))
-    if not length > 1e-9 * float(np.linalg.norm(ends[0])):
+    )
+    length = float(np.linalg.norm(second - first))
+    if not length > 1e-9 * float(np.linalg.norm(first)):
         raise SceneError(
             f"the two ends of the known distance in {known.view} are one point; give two "
             f"different pixels"

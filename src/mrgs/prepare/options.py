@@ -20,7 +20,7 @@ class PrepareOptions:
     Attributes:
         overrides: values that replace those stored in the thermal photos.
         pairs: how RGB and thermal photos are paired; ``thermal`` uses the thermal photos only.
-        pair_table: a CSV file with the pairs; None for none.
+        pair_table: a CSV file with the pairs.
         tolerance_s: maximum time difference within a pair, seconds.
         poses: a folder with a COLMAP model or a ``transforms.json`` of these photos; None for
             structure from motion.

@@ -28,14 +28,9 @@ class Similarity:
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """A similarity, and how well the points fit it.
-
-    Attributes:
-        similarity: fitted to the inliers.
-        inliers: mask of the points that fit it [N].
-        sigma: standard deviation of the inliers' coordinates, in units of the target.
-        freedom: degrees of freedom: coordinates of the inliers minus fitted numbers; at least 1.
-    """
+    """A similarity that was fitted to the inliers, the standard deviation of their coordinates in
+    units of the target, and their degrees of freedom: coordinates minus fitted numbers, at least
+    1."""
 
     similarity: Similarity
     inliers: Bool[np.ndarray, " n"]
@@ -76,20 +71,14 @@ def fit_robustly(
 def _least_median(
     source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
 ) -> Similarity:
-    """Of those through ``TRIALS`` random triples, and that through all, the one with the least
-    median distance."""
+    """The one through ``TRIALS`` random triples, or through all points, with the least median
+    distance."""
     order = np.random.default_rng(0).random((TRIALS, len(source))).argsort(axis=1)[:, :3]
-    scales, rotations, translations = _umeyama(source[order], target[order])
-    whole = fit_similarity(source, target)
-    scales, rotations = (
-        np.append(scales, whole.scale),
-        np.append(rotations, whole.rotation[None], axis=0),
-    )
-    translations = np.append(translations, whole.translation[None], axis=0)
-    moved = (
-        scales[:, None, None] * np.einsum("tij,nj->tni", rotations, source) + translations[:, None]
-    )
-    best = np.median(np.linalg.norm(moved - target, axis=2), axis=1).argmin()
+    fits = _umeyama(source[order], target[order]), _umeyama(source[None], target[None])
+    scales, rotations, translations = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+    moved = scales[:, None, None] * np.einsum("tij,nj->tni", rotations, source)
+    off = np.linalg.norm(moved + translations[:, None] - target, axis=2)
+    best = np.median(off, axis=1).argmin()
     return Similarity(float(scales[best]), rotations[best], translations[best])
 
 
@@ -105,8 +94,5 @@ def _umeyama(
     signs[..., -1] = np.sign(np.linalg.det(left) * np.linalg.det(right))
     rotation = np.einsum("...ij,...j,...jk->...ik", left, signs, right)
     scale = (singular * signs).sum(axis=-1) / np.maximum((centred**2).sum(axis=(-2, -1)), 1e-300)
-    return (
-        scale,
-        rotation,
-        target_mean - scale[..., None] * np.einsum("...ij,...j->...i", rotation, source_mean),
-    )
+    moved = scale[..., None] * np.einsum("...ij,...j->...i", rotation, source_mean)
+    return scale, rotation, target_mean - moved

@@ -13,16 +13,17 @@ import torch
 from mrgs.check.problem import views_text
 from mrgs.data.lens import Lens
 from mrgs.pictures.palette import round_down
-from mrgs.prepare.page.pairs import (
+from mrgs.prepare.page.temperatures import histogram, spread_chart, temperatures
+from mrgs.prepare.page.views import (
     EDGE_COLOR,
     MOST_SHOWN,
+    Preview,
+    PreviewImage,
     edge_layer,
     pairs,
     thermal_overlay,
     thumbnail_width,
 )
-from mrgs.prepare.page.previews import Preview, PreviewImage
-from mrgs.prepare.page.temperatures import histogram, spread_chart, temperatures
 from mrgs.prepare.page.world import World, frustum_size, orbit_facts
 from mrgs.prepare.page.write import lens_text
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud

@@ -18,9 +18,15 @@ from mrgs.data.transforms import pinhole_lens
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import Progress
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlays, thumbnail_width
-from mrgs.prepare.page.previews import Preview, preview_of_pixels
 from mrgs.prepare.page.temperatures import setting_rows, temperatures
+from mrgs.prepare.page.views import (
+    MOST_SHOWN,
+    Preview,
+    pairs,
+    preview_of_pixels,
+    thermal_overlays,
+    thumbnail_width,
+)
 from mrgs.prepare.page.world import World
 from mrgs.prepare.page.write import lens_rows, write_scene_page
 from mrgs.scene import Modality, Pixels, Scene

@@ -14,7 +14,7 @@ from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range, palette_table, round_ticks, tick_labels
 from mrgs.pictures.settings import settings_of
 from mrgs.pictures.values import capitalised
-from mrgs.prepare.page.previews import Preview
+from mrgs.prepare.page.views import Preview
 from mrgs.scene import THERMAL
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.system.wording import counted

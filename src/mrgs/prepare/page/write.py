@@ -22,14 +22,17 @@ from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.pictures.page_data import BASE64_SCRIPT
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import Georeference, Reconstruction, Skipped, StageReport
-from mrgs.prepare.page.pairs import MOST_SHOWN, pairs, thermal_overlays, thumbnail_width
-from mrgs.prepare.page.previews import (
+from mrgs.prepare.page.temperatures import Temperatures, setting_rows, temperatures
+from mrgs.prepare.page.views import (
+    MOST_SHOWN,
     Preview,
     measured_photos,
+    pairs,
     preview_of_files,
     preview_of_pixels,
+    thermal_overlays,
+    thumbnail_width,
 )
-from mrgs.prepare.page.temperatures import Temperatures, setting_rows, temperatures
 from mrgs.prepare.page.world import World, orbit_facts
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.work import Work

@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float64
+from scipy.spatial import cKDTree
 
 from mrgs.data.files import scene_error
 from mrgs.prepare.pairs.inventory import Inventory, Photo
@@ -41,30 +41,23 @@ def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...
     warnings: tuple[str, ...] = ()
     for modality in (PARTNER, REFERENCE):
         photos = [pair.photos[modality] for pair in pairs if modality in pair.photos]
-        for attribute in (lambda photo: photo.exif.model, lambda photo: photo.size):
-            _check_alike(modality, photos, attribute, inventory)
+        for groups in (
+            _grouped(photos, lambda photo: photo.exif.model),
+            _grouped(photos, lambda photo: photo.size),
+        ):
+            if len(groups) < 2:
+                continue
+            most, other = sorted(groups.values(), key=len, reverse=True)[:2]
+            raise scene_error(
+                inventory.root,
+                f"the {modality.title} photos are of {len(groups)} cameras or sizes: {len(most)} "
+                f"of {_described(most[0], inventory)}, and {len(other)} of "
+                f"{_described(other[0], inventory)}; prepare each camera separately, from a "
+                f"folder of its own",
+            )
         _check_lenses(modality, photos, inventory)
         warnings += (*_zoomed(modality, photos), *_several(modality, photos, inventory))
     return warnings
-
-
-def _check_alike(
-    modality: Modality,
-    photos: Sequence[Photo],
-    attribute: Callable[[Photo], Value | None],
-    inventory: Inventory,
-) -> None:
-    groups = _grouped(photos, attribute)
-    if len(groups) < 2:
-        return
-    most, other = sorted(groups.values(), key=len, reverse=True)[:2]
-    raise scene_error(
-        inventory.root,
-        f"the {modality.title} photos are of {len(groups)} cameras or sizes: {len(most)} of "
-        f"{_described(most[0], inventory)}, and "
-        f"{len(other)} of {_described(other[0], inventory)}; prepare each camera "
-        f"separately, from a folder of its own",
-    )
 
 
 def _described(photo: Photo, inventory: Inventory) -> str:
@@ -119,8 +112,7 @@ def _zoomed(modality: Modality, photos: Sequence[Photo]) -> tuple[str, ...]:
         return ()
     return (
         f"The {modality.title} photos were taken with focal lengths of {min(focal_mm):g} mm to "
-        f"{max(focal_mm):g} mm, yet one "
-        "lens is assumed for all: leave out those that were zoomed.",
+        f"{max(focal_mm):g} mm, yet one lens is assumed for all: leave out those that were zoomed.",
     )
 
 
@@ -147,7 +139,8 @@ def shifted(pairs: Sequence[Pair]) -> tuple[str, ...]:
     partners_s = np.array([(taken - start).total_seconds() for _, _, taken in timed])
     aligned_s = partners_s - np.median(partners_s - references_s)
     gaps_s = np.abs(aligned_s - references_s)
-    wrong = (gaps_s > _nearest(aligned_s, references_s) + _NEARER_S).nonzero()[0]
+    nearest_s = cKDTree(references_s[:, None]).query(aligned_s[:, None])[0]
+    wrong = (gaps_s > nearest_s + _NEARER_S).nonzero()[0]
     if len(wrong) < max(_FEWEST_SHIFTED, (1 - NEARLY) * len(timed)):
         return ()
     names = [printable(photo.path.name) for photo in timed[wrong[0]][0].photos.values()]
@@ -156,12 +149,3 @@ def shifted(pairs: Sequence[Pair]) -> tuple[str, ...]:
         f"{' and '.join(names)}: a photo may be missing in the row. Pair by time, or list the "
         f"pairs in a CSV file.",
     )
-
-
-def _nearest(
-    values: Float64[np.ndarray, " n"], others: Float64[np.ndarray, " m"]
-) -> Float64[np.ndarray, " n"]:
-    """Distance of each value to the nearest of the others."""
-    others = np.sort(others)
-    after = np.clip(np.searchsorted(others, values), 1, len(others) - 1)
-    return np.minimum(np.abs(values - others[after - 1]), np.abs(values - others[after]))

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from mrgs.data.files import scene_error
+from mrgs.data.files import contained, decoded_text, is_file, read_bytes, scene_error
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras, shifted
 from mrgs.prepare.pairs.inventory import Inventory, Photo, take_inventory
-from mrgs.prepare.pairs.names import PARTNER, REFERENCE, natural, read_stem, view_names
+from mrgs.prepare.pairs.names import (
+    HEADINGS,
+    PARTNER,
+    REFERENCE,
+    composed,
+    natural,
+    printable,
+    read_stem,
+    view_names,
+)
 from mrgs.prepare.pairs.rules import (
     NEARLY,
     Match,
@@ -23,9 +33,11 @@ from mrgs.prepare.pairs.rules import (
     by_names,
     by_numbers,
     by_time,
+    in_order,
     needed_root_name,
 )
-from mrgs.prepare.pairs.table import by_table
+from mrgs.scene import Modality
+from mrgs.system.wording import shown
 
 Rule = Literal["auto", "names", "folders", "time", "thermal"]
 
@@ -75,10 +87,11 @@ def find_pairs(
         )
     inventory = take_inventory(photos, progress)
     root_name = needed_root_name(inventory.photos, inventory.root.resolve().name)
-    if table is not None:
-        match = by_table(table, inventory)
-    else:
-        match = _match(inventory, root_name, rule, tolerance_s)
+    match = (
+        _match(inventory, root_name, rule, tolerance_s)
+        if table is None
+        else by_table(table, inventory)
+    )
     pairs = [pair for pair in match.pairs if pair.partner or pair.embedded] or [*match.pairs]
     warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory))
     names = view_names([_name_without_suffix(pair.reference) for pair in pairs])
@@ -220,3 +233,103 @@ def _unused(inventory: Inventory, root_name: str, match: Match, pairs: list[Pair
         for photo in inventory.photos
         if photo not in used
     ]
+
+
+_MAX_BYTES = 16 * 2**20
+_COLUMNS = (PARTNER, REFERENCE)
+_EXAMPLE = "write lines such as " + ",".join(f"{modality}/a.jpg" for modality in _COLUMNS)
+
+
+def by_table(table: Path, inventory: Inventory) -> Match:
+    """The pairs in a CSV file: the RGB photo and the thermal photo, relative to the folder of
+    photos.
+
+    The RGB photo may be left empty: then it is embedded in the thermal photo's file, or there is
+    none. A first line with headings (``rgb``, ``thermal``) gives the order of the columns. Columns
+    are separated by commas, semicolons or tabs; see ``decoded_text`` for the encodings.
+
+    Raises:
+        SceneError: the table cannot be read, or a line names something other than two photos of the
+            folder.
+    """
+    photos = {photo.path.resolve(): photo for photo in inventory.photos}
+    pairs, used = [], dict[Photo, int]()
+    for number, names in _rows(table):
+        reference = _photo(names[REFERENCE], photos, inventory, table, number)
+        partner = None
+        if names[PARTNER]:
+            partner = _photo(names[PARTNER], photos, inventory, table, number)
+        for photo in filter(None, (partner, reference)):
+            if (before := used.setdefault(photo, number)) != number:
+                both = f"lines {before} and {number} both name {inventory.name(photo)}"
+                raise scene_error(table, f"{both}; delete one of them")
+        if partner is reference:
+            raise scene_error(
+                table,
+                f"line {number} names one photo twice; leave out the {PARTNER.title} photo if it "
+                f"lies inside the {REFERENCE.title} one",
+            )
+        pairs.append(Pair(reference, partner, partner is None and reference.embedded))
+    if not pairs:
+        raise scene_error(table, f"holds no pairs; {_EXAMPLE}")
+    reasons = dict.fromkeys(inventory.photos, f"is not in {printable(table.name)}")
+    rule = f"The pairs are those of {printable(table.name)}."
+    return Match(in_order(pairs), rule, reasons=reasons)
+
+
+def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
+    """Number of the line, and the names of its photos by modality."""
+    lines = decoded_text(read_bytes(table, _MAX_BYTES)).splitlines()
+    separator = next((sign for sign in ";\t" if any(sign in line for line in lines)), ",")
+    columns: tuple[Modality, ...] = _COLUMNS
+    for number, line in enumerate(lines, 1):
+        try:
+            row = next(csv.reader([line], delimiter=separator), [])
+        except csv.Error as error:
+            raise scene_error(
+                table, f"line {number} cannot be read ({error}); {_EXAMPLE}"
+            ) from None
+        cells = [cell.strip() for cell in row]
+        if not any(cells):
+            continue
+        words = [cell.lower() for cell in cells]
+        headings = [each for word in words for each in _COLUMNS if word in HEADINGS[each]]
+        if len(cells) == 2 and set(headings) == set(_COLUMNS):
+            columns = tuple(headings)
+        elif len(cells) == 2 and cells[columns.index(REFERENCE)]:
+            yield number, dict(zip(columns, cells, strict=True))
+        else:
+            raise scene_error(
+                table,
+                f"line {number} does not name an {PARTNER.title} and a {REFERENCE.title} photo; "
+                f"{_EXAMPLE}",
+            )
+
+
+def _photo(
+    text: str, photos: dict[Path, Photo], inventory: Inventory, table: Path, number: int
+) -> Photo:
+    try:
+        path = contained(inventory.root.resolve(), text, table)
+    except SceneError:
+        raise scene_error(
+            table,
+            f"line {number}: {shown(text)} lies outside {inventory.root}; name photos relative to "
+            f"that folder",
+        ) from None
+    if not is_file(path):  # perhaps the same text in another Unicode form
+        names = [one.path.relative_to(inventory.root).as_posix() for one in inventory.photos]
+        names += [item.name for item in inventory.skipped]
+        root, wanted = inventory.root.resolve(), composed(str(path))
+        same = (root / name for name in names if composed(str(root / name)) == wanted)
+        path = next(same, path)
+    if not is_file(path):
+        raise scene_error(
+            table, f"line {number}: there is no {shown(text)} in {inventory.root}; correct the name"
+        )
+    if path.resolve() not in photos:
+        name = path.relative_to(inventory.root.resolve()).as_posix()
+        reasons = (item.reason for item in inventory.skipped if item.name == name)
+        why = next(reasons, "is no photo")
+        raise scene_error(table, f"line {number}: {shown(text)} {why}; name another file")
+    return photos[path.resolve()]

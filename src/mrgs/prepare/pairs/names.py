@@ -58,14 +58,8 @@ _LONGEST_NAME = 100
 
 @dataclass(frozen=True)
 class StemFacts:
-    """Facts in the stem of a file's name.
-
-    Attributes:
-        key: the stem without camera suffix and time.
-        modality: by the camera suffix; None without one.
-        mark: the camera suffix in lower case; empty without one.
-        moment: the time in the name; None without one.
-    """
+    """Facts in the stem of a file's name: the stem without camera suffix and time; the modality by
+    the camera suffix; that suffix in lower case; and the time."""
 
     key: str
     modality: Modality | None = None
@@ -99,10 +93,6 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
     if found := _LAST_LETTER.search(stem):
         mark = (found["camera"] or found["thermal"]).lower()
         return StemFacts(stem[: found.start()], _LETTERS[mark], mark)
-    return _by_words(stem)
-
-
-def _by_words(stem: str) -> StemFacts:
     parts = re.split(r"[_\-. ]+", stem)
     for index in reversed(range(len(parts))):
         word, number = _word_and_number(parts[index])
@@ -114,14 +104,11 @@ def _by_words(stem: str) -> StemFacts:
 
 
 def _word_and_number(part: str) -> tuple[str, str]:
-    """``ir0001`` and ``0001ir`` hold a word and a number; any other part is a word."""
-    if part.lower() in _WORDS[THERMAL]:
+    """``ir0001`` and ``0001ir`` are a word and a number; any other part is a word."""
+    found = re.fullmatch(r"([A-Za-z]+)([0-9]+)|([0-9]+)([A-Za-z]+)", part)
+    if part.lower() in _WORDS[THERMAL] or found is None:
         return part, ""
-    if found := re.fullmatch(r"([A-Za-z]+)([0-9]+)", part):
-        return found[1], found[2]
-    if found := re.fullmatch(r"([0-9]+)([A-Za-z]+)", part):
-        return found[2], found[1]
-    return part, ""
+    return found[1] or found[4], found[2] or found[3]
 
 
 def _modality_of(word: str) -> Modality | None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
 from mrgs.prepare.similarity import fit_robustly
@@ -35,17 +35,17 @@ def are_informative(positions: Float64[np.ndarray, "n 3"] | None) -> bool:
 
 def pairs_nearby(positions: Float64[np.ndarray, "n 3"]) -> list[tuple[int, int]]:
     """Each image with the ``NEAREST`` that were taken closest to it."""
-    count = min(NEAREST + 1, len(positions))
-    _, nearest = cKDTree(positions).query(positions, count)
-    others = np.reshape(nearest, (len(positions), count)).tolist()
-    return sorted(
-        {
-            (min(image, other), max(image, other))
-            for image, row in enumerate(others)
-            for other in row
-            if other != image
-        }
-    )
+    _, nearest = cKDTree(positions).query(positions, range(1, min(NEAREST + 1, len(positions)) + 1))
+    return _couples(nearest)
+
+
+def _couples(others: Int64[np.ndarray, "n k"]) -> list[tuple[int, int]]:
+    """Each image, by its row, with each of the others; once, the smaller number first."""
+    rows = np.broadcast_to(np.arange(len(others))[:, None], others.shape)
+    couples = np.stack([np.minimum(rows, others), np.maximum(rows, others)], axis=-1)[
+        rows != others
+    ]
+    return [(int(first), int(second)) for first, second in np.unique(couples, axis=0)]
 
 
 def misfit(centres: Float64[np.ndarray, "n 3"], positions: Float64[np.ndarray, "n 3"]) -> float:
@@ -88,19 +88,12 @@ def pairs_to_match(
         return list(combinations(range(count), 2))
     if positions is not None and are_informative(positions):
         return pairs_nearby(positions)
-    chosen = {
-        (first, second)
-        for first in range(count)
-        for second in range(first + 1, min(first + 1 + NEIGHBOURS, count))
-    }
     signatures = image_signatures(descriptors())
     likeness = signatures @ signatures.T
     np.fill_diagonal(likeness, -np.inf)
-    for image, others in enumerate(
-        np.argsort(-likeness, axis=1, kind="stable")[:, :ALIKE].tolist()
-    ):
-        chosen |= {(min(image, other), max(image, other)) for other in others}
-    return sorted(chosen)
+    alike = np.argsort(-likeness, axis=1, kind="stable")[:, :ALIKE]
+    after = np.minimum(np.arange(count)[:, None] + np.arange(1, NEIGHBOURS + 1), count - 1)
+    return _couples(np.hstack([alike, after]))
 
 
 def image_signatures(descriptors: list[UInt8[np.ndarray, "_ d"]]) -> Float32[np.ndarray, "n f"]:

@@ -117,15 +117,12 @@ def run_colmap(folder: Path, progress: Progress, program: Sequence[str] = CHILD)
     finally:
         child.close()
     if reason := child.failure():
-        raise SceneError(f"finding the poses failed: {reason}{_remedy(child, reason)}; see {log}")
-
-
-def _remedy(child: Child, reason: str) -> str:
-    if child.end:  # the message says it all
-        return ""
-    if reason == OUT_OF_MEMORY:
-        return "; close other programs or use smaller photos, and call again to continue"
-    return "; call again to continue"
+        remedy = "; call again to continue"
+        if child.end:  # the message is complete
+            remedy = ""
+        elif reason == OUT_OF_MEMORY:
+            remedy = "; close other programs or use smaller photos, and call again to continue"
+        raise SceneError(f"finding the poses failed: {reason}{remedy}; see {log}")
 
 
 def installed_version() -> str | None:
@@ -231,13 +228,11 @@ def _warnings(groups: Sequence[int], reprojection_px: float) -> tuple[str, ...]:
         sizes = ", ".join(str(size) for size in groups)
         found += (
             f"The photos fall into {len(groups)} groups that are not connected ({sizes} photos); "
-            f"the largest is used. "
-            "Photos that overlap both would join them.",
+            f"the largest is used. Photos that overlap both would join them.",
         )
     if reprojection_px > ROUGH_PX:
         found += (
             f"The poses are rough: points lie {reprojection_px:.1f} px from where they were seen "
-            f"(mean). "
-            "Sharper photos with more texture would help.",
+            f"(mean). Sharper photos with more texture would help.",
         )
     return found
