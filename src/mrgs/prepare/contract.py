@@ -187,8 +187,9 @@ class Georeference:
     @property
     def world(self) -> WorldFrame:
         """The frame of the scene's world."""
-        place = self.origin
-        origin = place and EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
+        place, origin = self.origin, None
+        if place is not None:
+            origin = EarthPosition(place.latitude_deg, place.longitude_deg, place.altitude_m)
         return WorldFrame(self.metric, self.north, origin, self.residual_m, self.scale_error)
 
 

@@ -18,7 +18,7 @@ from PIL import Image
 
 from mrgs.data.files import scene_error
 from mrgs.data.kept import Cache, Digests, Stamp, digest, stamp_of
-from mrgs.data.radiometric import ExifFacts, Overrides, PhotoFacts, ThermalPhoto, read_thermal_photo
+from mrgs.data.radiometric import ExifFacts, Overrides, ThermalPhoto, read_thermal_photo
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import RunError, SceneError, ToolError
 from mrgs.pictures.settings import SETTINGS
@@ -217,9 +217,12 @@ def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> C
     rgb = pair.exif.get(RGB, ExifFacts())
     taken = thermal.facts.taken or rgb.taken
     facts = thermal.facts.adding(notes=notes, visible=None, taken=taken)
+    own = pair.exif.get(THERMAL, ExifFacts())
+    camera = (rgb.make, rgb.model) if rgb.model else (own.make, own.model or facts.camera)
+    exif = ExifFacts(*camera, rgb.taken or facts.taken, rgb.gps or facts.gps)
     celsius = thermal.temperature_c
     range_c = None if celsius is None else (float(np.nanmin(celsius)), float(np.nanmax(celsius)))
-    return ConvertedView(pair.name, images, _merged_exif(pair, facts), facts, range_c)
+    return ConvertedView(pair.name, images, exif, facts, range_c)
 
 
 def _rgb_file(
@@ -248,14 +251,6 @@ def _thermal_file(thermal: ThermalPhoto, orientation: int) -> ImageFile:
     image, file = upright(Image.fromarray(pixels), orientation), io.BytesIO()
     image.save(file, suffix[1:].upper())
     return ImageFile(file.getvalue(), suffix, image.size)
-
-
-def _merged_exif(pair: PhotoPair, facts: PhotoFacts) -> ExifFacts:
-    """EXIF of the RGB photo, completed from the thermal photo; maker and model are of one
-    camera."""
-    rgb, thermal = (pair.exif.get(modality, ExifFacts()) for modality in (RGB, THERMAL))
-    camera = (rgb.make, rgb.model) if rgb.model else (thermal.make, thermal.model or facts.camera)
-    return ExifFacts(*camera, rgb.taken or facts.taken, rgb.gps or facts.gps)
 
 
 def _common_orientations(pairs: Sequence[PhotoPair]) -> Orientations:

@@ -4,7 +4,7 @@ the cameras were held."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -193,7 +193,13 @@ def _by_gps(
     found = _placed(solution, scale, warnings)
     if not as_given:
         return found
-    if not _agrees(solution):
+    similarity = solution.similarity
+    turn_deg = math.degrees(np.linalg.norm(Rotation.from_matrix(similarity.rotation).as_rotvec()))
+    agrees = (
+        abs(math.log(similarity.scale)) <= AGREEMENT * solution.scale_error
+        and turn_deg <= AGREEMENT * solution.turn_deg
+    )
+    if not agrees:
         return replace(found, text=f"{found.text} The given poses are turned and scaled to them.")
     places = torch.from_numpy(centres(reconstruction, used)[solution.inliers])
     middle, kept = places.mean(dim=0), 1.0 if scale is None else scale
@@ -239,8 +245,10 @@ def _solution(
     Raises:
         UnusableGpsError: the scale is left open.
     """
-    origin = _middle(list(gps.values()))
-    source, target = centres(reconstruction, gps), enu(list(gps.values()), origin)
+    positions = list(gps.values())
+    earth = np.array([ecef(position) for position in positions])
+    origin = positions[int(np.argmin([np.linalg.norm(earth - one, axis=1).sum() for one in earth]))]
+    source, target = centres(reconstruction, gps), enu(positions, origin)
     if level is None:
         fit = fit_robustly(source, target)
         whole = fit.similarity
@@ -268,13 +276,6 @@ def _solution(
     if scale_matters and solution.scale_error > MAX_SCALE_ERROR:
         raise UnusableGpsError(_too_close(solution))
     return solution
-
-
-def _middle(positions: Sequence[GpsPosition]) -> GpsPosition:
-    """The position with the least sum of distances to the others."""
-    places = np.array([ecef(position) for position in positions])
-    sums = [np.linalg.norm(places - place, axis=1).sum() for place in places]
-    return positions[int(np.argmin(sums))]
 
 
 def _with_vertical(fit: RobustFit, level: Similarity, height: float) -> Similarity:
@@ -327,16 +328,6 @@ def _placed(solution: _Solution, scale: float | None, warnings: tuple[str, ...])
         text=text if scale is None else f"{KNOWN} {text}",
         warnings=warnings,
         scale_error=solution.scale_error if scale is None else None,
-    )
-
-
-def _agrees(solution: _Solution) -> bool:
-    """Whether the poses had this scale and these axes before, as far as GPS knows."""
-    similarity = solution.similarity
-    turn_deg = math.degrees(np.linalg.norm(Rotation.from_matrix(similarity.rotation).as_rotvec()))
-    return (
-        abs(math.log(similarity.scale)) <= AGREEMENT * solution.scale_error
-        and turn_deg <= AGREEMENT * solution.turn_deg
     )
 
 

@@ -92,9 +92,9 @@ def prepare(
             write_text(work.cache.folder / MARKER, MARKER_TEXT)
         work.run("pairs", stages.pairs)
         if not (work.scene / TRANSFORMS).exists():
-            photos = [photo for pair in work.pairing.pairs for photo in pair.photos.values()]
-            needed = GROWTH * sum(photo.stat().st_size for photo in photos if photo.is_file())
-            warn_if_short(work.scene, needed, f"the images of {len(photos)} photos")
+            files = [file for pair in work.pairing.pairs for file in pair.photos.values()]
+            needed = GROWTH * sum(file.stat().st_size for file in files if file.is_file())
+            warn_if_short(work.scene, needed, f"the images of {len(files)} photos")
         work.run("images", stages.images)
         with stages.page_on_error(work, steps.write_page):
             work.run("poses", stages.poses, steps.reconstruct)

@@ -27,7 +27,7 @@ from mrgs.prepare.contract import ConvertedView, Reconstruction
 from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.thermal_camera import EXTRINSICS
 from mrgs.prepare.work import Work
-from mrgs.scene import THERMAL, Modality, PointCloud, TemperatureRange
+from mrgs.scene import THERMAL, Modality, TemperatureRange
 from mrgs.system.atomic import remove
 
 
@@ -63,14 +63,19 @@ def write_scene(work: Work) -> None:
         [file for name, file in files.items() if name not in held_out],
         [file for name, file in files.items() if name in held_out],
     )
-    _write_points(scene / POINTS, posed.points)
+    points = posed.points
+    if len(points.positions):
+        colors = (points.colors.clamp(0, 1) * 255).round().to(torch.uint8)
+        write_points(scene / POINTS, points.positions.numpy(), colors.numpy())
+    else:
+        remove(scene / POINTS)  # of an earlier call
     _write_bounds(scene / BOUNDS, views, work.options.overrides.bounds_c)
     write_transforms(
         scene / TRANSFORMS,
         [_frame(view, posed, rig) for view in views],
         lens=posed.lenses[views[0].name] if _one_lens(posed) else None,
         lenses=_thermal_lens(scene, views, posed, rig),
-        points=POINTS if len(posed.points.positions) else None,
+        points=POINTS if len(points.positions) else None,
         split=split,
         facts={
             **({} if work.georeference is None else world_json(work.georeference.world)),
@@ -132,12 +137,3 @@ def _write_bounds(
         remove(path)  # what an earlier call wrote would be wrong now
         return
     write_bounds(path, *given)
-
-
-def _write_points(path: Path, points: PointCloud) -> None:
-    """Coloured points as a binary PLY file."""
-    if not len(points.positions):
-        remove(path)  # what an earlier call wrote would be wrong now
-        return
-    colors = (points.colors.clamp(0, 1) * 255).round().to(torch.uint8)
-    write_points(path, points.positions.numpy(), colors.numpy())

@@ -140,7 +140,7 @@ def test_a_camera_alone_can_be_drawn():
 def test_spreads_are_those_of_the_valid_pixels():
     values = np.array([[np.nan, 10.0], [20.0, 30.0]])
     found = temperatures([preview_of(values, None, None)], "°C", [], {}, 1)
-    assert "view: 10.0 to 30.0 °C" in found.spreads
+    assert "view: 10.0 to 30.0 °C" in found["spreads"]
     nothing = preview_of(np.full((2, 2), np.nan), None, None)
     assert temperatures([nothing], "°C", [], {}, 1) is None
 

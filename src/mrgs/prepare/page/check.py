@@ -150,16 +150,11 @@ def _write(
     previews: Sequence[Preview] = (),
 ) -> Path:
     """Write the page; the scene is None if it cannot be read."""
-    world = None
-    if scene is not None:
-        cameras = {view.name: view.camera for view in scene.views}
-        held_out = {view.name for view in scene.eval}
-        world = World(cameras, held_out, scene.points, scene.world.metric, scene.world.north)
     return write_scene_page(
         page,
         "prepare/page/check.html",
         f"Scene check: {folder.resolve().name}",
-        world,
+        World.of(scene),
         problems=problems,
         errors=sum(problem.severity == "error" for problem in problems),
         lines=lines,

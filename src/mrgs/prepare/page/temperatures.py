@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -37,34 +37,15 @@ _LABEL_MARGIN = 60
 """Labels nearer than this to the right border end at their tick, px."""
 
 
-class Temperatures(NamedTuple):
-    """The section ``temperatures`` of ``sections.html``.
-
-    Attributes:
-        has_celsius: whether the values are °C.
-        facts: rows of the table.
-        histogram: SVG of all pixels.
-        spreads: SVG with a column per photo.
-        notes: sentences from the thermal files.
-        counted: which photos' pixels are counted.
-    """
-
-    has_celsius: bool
-    facts: Sequence[tuple[str, str]]
-    histogram: Markup
-    spreads: Markup
-    notes: list[str]
-    counted: str
-
-
 def temperatures(
     previews: Sequence[Preview],
     unit: str,
     facts: Sequence[tuple[str, str]],
     notes: Mapping[str, int],
     total: int,
-) -> Temperatures | None:
-    """Charts of the thermal images; None without any.
+) -> dict[str, Any] | None:
+    """The section ``temperatures`` of ``sections.html``: charts of the thermal images; None without
+    any.
 
     Args:
         previews: views whose pixels are counted.
@@ -82,14 +63,17 @@ def temperatures(
     low, high = (low, high) if high > low else display_range(np.array([low, high]))
     counts, _ = np.histogram(values, bins=_BINS, range=(low, high))
     spreads = {name: np.percentile(own, [0, 5, 50, 95, 100]) for name, own in known.items()}
-    return Temperatures(
-        bool(unit),
-        facts,
-        histogram(counts.astype(np.float64), low, high, unit),
-        spread_chart(spreads, low, high, unit),
-        [text if count == 1 else f"{text} ({count} photos)" for text, count in notes.items()],
-        "All photos" if total == len(previews) else f"{len(previews)} of {total} photos",
-    )
+    shown = "All photos" if total == len(previews) else f"{len(previews)} of {total} photos"
+    return {
+        "has_celsius": bool(unit),
+        "facts": facts,
+        "histogram": histogram(counts.astype(np.float64), low, high, unit),
+        "spreads": spread_chart(spreads, low, high, unit),
+        "notes": [
+            text if count == 1 else f"{text} ({count} photos)" for text, count in notes.items()
+        ],
+        "counted": shown,
+    }
 
 
 SETTINGS_THAT_COUNT = ("emissivity", "reflected_c", "distance_m")

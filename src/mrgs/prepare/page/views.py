@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int64, UInt8
+from jaxtyping import Bool, Float32, Int64, UInt8
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
@@ -74,7 +74,7 @@ def preview_of_pixels(
     images = {
         modality: PreviewImage(
             _shown(modality, found.values, found.valid, temperature, width),
-            _no_wider(view.images[modality].camera, width),
+            view.images[modality].camera.with_width(min(width, view.images[modality].camera.width)),
         )
         for modality, found in pixels.items()
     }
@@ -95,10 +95,6 @@ def preview_of_files(
     except (SceneError, ValueError) as error:
         status = f"{status}; {error}"
     return Preview(view.name, status, False, images)
-
-
-def _no_wider(camera: Camera, width: int) -> Camera:
-    return camera.with_width(width) if camera.width > width else camera
 
 
 def _shown(
@@ -190,7 +186,10 @@ def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
     strength = np.hypot(down, right) * (
         gaussian_filter(known.astype(np.float64), 2.0, mode="nearest") > 0.98
     )
-    ridge = _on_ridge(strength, down, right)
+    padded = np.pad(strength, 1)
+    vertical = np.maximum(padded[:-2, 1:-1], padded[2:, 1:-1])
+    horizontal = np.maximum(padded[1:-1, :-2], padded[1:-1, 2:])
+    ridge = strength >= np.where(np.abs(down) > np.abs(right), vertical, horizontal)
     limit = np.quantile(strength, 1 - _EDGE_SHARE)
     top = max(float(strength.max()), 1e-12)
     opacity = np.where(ridge & (strength > limit), 0.35 + 0.65 * np.sqrt(strength / top), 0.0)
@@ -200,19 +199,6 @@ def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
         round(255 * level / (_EDGE_LEVELS - 1)) for level in range(_EDGE_LEVELS)
     )
     return layer
-
-
-def _on_ridge(
-    strength: Float[np.ndarray, "h w"],
-    down: Float[np.ndarray, "h w"],
-    right: Float[np.ndarray, "h w"],
-) -> np.ndarray:
-    """Where the strength is a maximum among both neighbours across the edge."""
-    across_rows = np.abs(down) > np.abs(right)
-    padded = np.pad(strength, 1)
-    vertical = np.maximum(padded[:-2, 1:-1], padded[2:, 1:-1])
-    horizontal = np.maximum(padded[1:-1, :-2], padded[1:-1, 2:])
-    return strength >= np.where(across_rows, vertical, horizontal)
 
 
 THUMBNAIL_PX, SMALL_THUMBNAIL_PX = 320, 240

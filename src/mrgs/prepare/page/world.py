@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from mrgs.pictures.page_data import camera_facts, world_facts
-from mrgs.scene import Camera, PointCloud
+from mrgs.scene import Camera, PointCloud, Scene
 from mrgs.scene.view import evenly_spaced
 
 MOST_POINTS = 4000
@@ -24,22 +24,24 @@ _NEAR, _FAR = 2.5, 50.0
 
 
 class World(NamedTuple):
-    """Cameras and points.
-
-    Attributes:
-        cameras: of the first image of each view, by the view's name, in order; at least one.
-        held_out: names of the views that are not trained on.
-        points: in the same world.
-        metric: whether scene units are metres.
-        north: whether the axes are east, north, up. Otherwise up is the mean direction of the
-            cameras' upper edges.
-    """
+    """Cameras of the first image of each view, by the view's name, at least one; the views that are
+    not trained on; points; whether scene units are metres; and whether the axes are east, north,
+    up. Otherwise up is the mean direction of the cameras' upper edges."""
 
     cameras: Mapping[str, Camera]
     held_out: Collection[str]
     points: PointCloud
     metric: bool
     north: bool
+
+    @classmethod
+    def of(cls, scene: Scene | None) -> World | None:
+        """The cameras and points of a scene."""
+        if scene is None:
+            return None
+        cameras = {view.name: view.camera for view in scene.views}
+        held_out = {view.name for view in scene.eval}
+        return cls(cameras, held_out, scene.points, scene.world.metric, scene.world.north)
 
 
 def orbit_facts(world: World) -> dict[str, Any]:

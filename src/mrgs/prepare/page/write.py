@@ -22,7 +22,7 @@ from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.pictures.page_data import BASE64_SCRIPT
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import Georeference, Reconstruction, Skipped, StageReport
-from mrgs.prepare.page.temperatures import Temperatures, setting_rows, temperatures
+from mrgs.prepare.page.temperatures import setting_rows, temperatures
 from mrgs.prepare.page.views import (
     MOST_SHOWN,
     Preview,
@@ -90,7 +90,7 @@ def write_page(
         work.scene / PAGE,
         "prepare/page/prepare.html",
         f"Prepared scene: {work.scene.resolve().name}",
-        _world(work, scene),
+        World.of(scene),
         views=None
         if scene is None
         else {
@@ -144,12 +144,6 @@ def write_scene_page(
     )
 
 
-def _with_status(scene: Scene) -> dict[str, tuple[View, str]]:
-    """The views by name, with their status."""
-    views = {view.name: (view, "training") for view in scene.train}
-    return views | {view.name: (view, "held out") for view in scene.eval}
-
-
 def _previews(
     work: Work,
     scene: Scene | None,
@@ -159,7 +153,10 @@ def _previews(
 ) -> list[Preview]:
     """The views that are shown: as the scene has them, else from their files."""
     temperature = None if scene is None else scene.temperature
-    views = {} if scene is None else _with_status(scene)
+    views: dict[str, tuple[View, str]] = {}
+    if scene is not None:
+        views |= {view.name: (view, "training") for view in scene.train}
+        views |= {view.name: (view, "held out") for view in scene.eval}
     failed = {} if posed is None else {item.name: item.reason for item in posed.failed}
     previews = []
     for done, index in enumerate(shown):
@@ -197,21 +194,6 @@ def _disagreements(
     return (f"{problem.text} {problem.remedy}",)
 
 
-def _world(work: Work, scene: Scene | None) -> World | None:
-    """Cameras in the order of the views, and points."""
-    if scene is None:
-        return None
-    views = {view.name: view for view in scene.views}
-    names = [view.name for view in work.images.views if view.name in views]
-    return World(
-        {name: views[name].camera for name in names},
-        {view.name for view in scene.eval},
-        scene.points,
-        work.metric,
-        work.georeference is not None and work.georeference.north,
-    )
-
-
 def _time(stage: StageReport) -> str:
     if stage.reused:
         return "from before"
@@ -222,7 +204,7 @@ def _time(stage: StageReport) -> str:
 
 def _temperatures(
     work: Work, previews: Sequence[Preview], scene: Scene | None, unit: str
-) -> Temperatures | None:
+) -> dict[str, Any] | None:
     views = work.images.views
     ranges = sum(view.range_c is not None for view in views)
     without = f", {len(views) - ranges} without" if ranges < len(views) else ""

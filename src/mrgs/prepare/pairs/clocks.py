@@ -48,10 +48,10 @@ def match_times(
     first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
     times = np.sort(np.concatenate([first, second]))
     starts = times[1:][np.diff(times) > tolerance_s]  # no pair bridges these gaps
-    clusters = [np.searchsorted(starts, each, "right") for each in (first, second)]
+    of_first, of_second = (np.searchsorted(starts, each, "right") for each in (first, second))
     pairs: list[tuple[int, int]] = []
-    for cluster in np.intersect1d(*clusters):
-        rows, columns = (np.flatnonzero(each == cluster) for each in clusters)
+    for cluster in np.intersect1d(of_first, of_second):
+        rows, columns = np.flatnonzero(of_first == cluster), np.flatnonzero(of_second == cluster)
         apart = first[rows, None] - second[columns]
         near = np.abs(apart) <= tolerance_s
         # Squares keep the order where times are equal.

@@ -139,7 +139,10 @@ def _image(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
 
 
 def _table(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
-    return Photo(path, origin, "table") if _is_wide(data) else "is no photo"
+    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "latin-1"
+    lines = data.decode(encoding, errors="replace").splitlines()[:100]
+    is_wide = any(line.count(sign) >= _TABLE_COLUMNS for line in lines for sign in ";\t,")
+    return Photo(path, origin, "table") if is_wide else "is no photo"
 
 
 def _bare_numbers(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
@@ -184,12 +187,6 @@ def _focal_mm(value: object) -> float | None:
     except (TypeError, ValueError, ZeroDivisionError):
         return None
     return focal_mm if math.isfinite(focal_mm) and focal_mm > 0 else None
-
-
-def _is_wide(start: bytes) -> bool:
-    encoding = "utf-16" if start.startswith((b"\xff\xfe", b"\xfe\xff")) else "latin-1"
-    lines = start.decode(encoding, errors="replace").splitlines()[:100]
-    return any(line.count(separator) >= _TABLE_COLUMNS for line in lines for separator in ";\t,")
 
 
 @dataclass(frozen=True)

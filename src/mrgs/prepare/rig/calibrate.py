@@ -216,7 +216,8 @@ def _result(
     Raises:
         SceneError: the result is less certain than the options ask for.
     """
-    rows = _rows_of_views(observations, len(reduced))
+    counts = torch.bincount(observations.views, minlength=len(reduced))
+    rows = observations.views.argsort(stable=True).split(counts.tolist())
     calibrated = {
         pair.name: _view(pair.name, view, rows[view], adjusted, observations)
         for view, pair in enumerate(reduced)
@@ -242,12 +243,6 @@ def _result(
         warnings=tuple(_warnings(pairs, calibrated, motion_px, options)),
         target=target,
     )
-
-
-def _rows_of_views(observations: Observations, count: int) -> tuple[Int64[Tensor, "_"], ...]:
-    """The rows of the observations of each of ``count`` pairs."""
-    counts = torch.bincount(observations.views, minlength=count)
-    return observations.views.argsort(stable=True).split(counts.tolist())
 
 
 def _view(

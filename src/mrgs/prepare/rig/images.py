@@ -51,7 +51,10 @@ def inverse_depth(
         points: [N, 3], in world coordinates.
         visible: indices of the points that the photo sees; None to find hidden ones by their depth.
     """
-    uv, inverse = _project(points if visible is None else points[visible], camera)
+    pixels, depth = camera.project(points if visible is None else points[visible])
+    seen = camera.contains(pixels)
+    uv, first = np.unique(pixels[seen].numpy(), axis=0, return_index=True)
+    inverse = 1.0 / depth[seen].numpy()[first]
     if len(uv) < FEWEST_POINTS:
         return None
     if visible is None:
@@ -65,17 +68,6 @@ def inverse_depth(
     every = -(-len(uv) // _MOST_POINTS)
     values = _interpolated(uv[::every], inverse[::every], camera)
     return InverseDepth(values, float(np.median(inverse)))
-
-
-def _project(
-    points: Float[np.ndarray, "n 3"], camera: Camera
-) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
-    """Pixel positions and inverse depths of the points inside the image; of points at one position,
-    one."""
-    pixels, depth = camera.project(points)
-    seen = camera.contains(pixels)
-    uv, first = np.unique(pixels[seen].numpy(), axis=0, return_index=True)
-    return uv, 1.0 / depth[seen].numpy()[first]
 
 
 def _unhidden(

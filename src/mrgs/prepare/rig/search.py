@@ -19,7 +19,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter
 
 from mrgs.data.undistort import sampled
-from mrgs.prepare.rig.images import Plane, ReducedPair, structure
+from mrgs.prepare.rig.images import ReducedPair, structure
 
 CLEAR = 1.3
 LEAST_CORRELATION = 0.35
@@ -91,7 +91,10 @@ def first_guess(
         report: called with the number of cameras that were tried, and of all: of those that are
             nearly upright, and where none of them stands out, of those at all quarter turns.
     """
-    thermal = [_structure(pair.thermal) for pair in pairs]
+    height, width = pairs[0].thermal.values.shape
+    size = WIDTH_PX, max(1, round(height * WIDTH_PX / width))
+    planes = [pair.thermal.resized(*size) for pair in pairs]
+    thermal = [structure(plane.values, _BLUR_PX, plane.valid) for plane in planes]
     focals = _focals(field_of_view_deg)
     each = len(focals) + len(_FINE_STEPS) * len(_TURNS_DEG)
     counts, rounds = itertools.count(), 1
@@ -142,12 +145,6 @@ def _focals(field_of_view_deg: float | None) -> list[float]:
 def focal_widths(field_of_view_deg: float) -> float:
     """Focal length in image widths, from the horizontal field of view."""
     return float(0.5 / np.tan(np.radians(field_of_view_deg) / 2))
-
-
-def _structure(plane: Plane) -> Float32[np.ndarray, "c h w"]:
-    height, width = plane.values.shape
-    small = plane.resized(WIDTH_PX, max(1, round(height * WIDTH_PX / width)))
-    return structure(small.values, _BLUR_PX, small.valid)
 
 
 def _correlated(

@@ -160,8 +160,11 @@ def find_target(
         thermal = detect_chessboard(grey_plane(pair.load_thermal(), pair.name).values, target.inner)
         in_thermal += thermal is not None
         if photo is not None:
-            ordered = None if thermal is None else _in_order_of(photo, thermal)
-            found.append(Sighting(pair.name, pair.photo.camera, photo, ordered))
+            if thermal is not None:  # in the photo's order: least rotation between the images
+                centred = photo.pixels - photo.pixels.mean(axis=0)
+                likeness = [(centred * each.pixels).sum() for each in thermal.orderings()]
+                thermal = thermal.orderings()[int(np.argmax(likeness))]
+            found.append(Sighting(pair.name, pair.photo.camera, photo, thermal))
     if not any(sighting.thermal is not None for sighting in found):
         columns, rows = target.inner
         raise SceneError(
@@ -175,13 +178,6 @@ def find_target(
     if target.square_m is not None and metres_per_unit is not None:
         square = target.square_m / metres_per_unit
     return localise(found, square)
-
-
-def _in_order_of(photo: Corners, thermal: Corners) -> Corners:
-    """The thermal corners in the photo's order: the one with the least rotation between the two
-    images."""
-    centred = photo.pixels - photo.pixels.mean(axis=0)
-    return max(thermal.orderings(), key=lambda corners: float((centred * corners.pixels).sum()))
 
 
 class _BoardPose(NamedTuple):
@@ -226,7 +222,10 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Loca
     """
     rows, columns, _ = sightings[0].photo.grid.shape
     plane = board_points(columns, rows)
-    views = [_board_poses(sighting, plane) for sighting in sightings]
+    views = [
+        [_BoardPose(each, plane_pose(each.rays, plane)) for each in sighting.orderings()]
+        for sighting in sightings
+    ]
     board, stationary = _stationary_board(views, plane)
     width = square if board is None else board.square
     if width is None:
@@ -246,21 +245,6 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Loca
         located.append(pose.sighting)
         points.append(np.column_stack([pose.sighting.rays, np.ones(len(plane))]) * depth[:, None])
     return LocatedTarget(tuple(located), tuple(points), width, len(stationary))
-
-
-def _board_poses(sighting: Sighting, plane: Float[np.ndarray, "n 2"]) -> list[_BoardPose]:
-    """The sighting in each order of its corners, with the board's pose in that order."""
-    motion = plane_pose(sighting.rays, plane)
-    reordered = Corners(plane.reshape(sighting.photo.grid.shape)).orderings()
-    poses = []
-    for ordering, corners in zip(sighting.orderings(), reordered, strict=True):
-        first = corners.grid[0, 0]
-        axes = np.eye(4)
-        axes[:2, [0, 1, 3]] = np.column_stack(
-            [corners.grid[0, 1] - first, corners.grid[1, 0] - first, first]
-        )
-        poses.append(_BoardPose(ordering, motion @ axes))
-    return poses
 
 
 def plane_pose(

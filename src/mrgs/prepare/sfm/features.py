@@ -30,8 +30,14 @@ _PLAUSIBLE_FOCAL_LENGTHS = (0.3, 4.0)
 def find_features(job: ReconstructionJob, report: Report) -> None:
     """Features of all images that have none yet; an image that cannot be read stays without."""
     _write_camera(job)
-    waiting = _without_features(job)
-    done, total = len(job.files) - len(waiting), len(job.files)
+    with pycolmap.Database.open(job.database) as database:
+        found = {
+            image.name
+            for image in database.read_all_images()
+            if database.exists_descriptors(image.image_id)
+        }
+    files = [file for file in job.files if file not in found]
+    done, total = len(job.files) - len(files), len(job.files)
     report("features", done, total)
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
@@ -43,21 +49,10 @@ def find_features(job: ReconstructionJob, report: Report) -> None:
         options.sift.estimate_affine_shape = True
         options.sift.domain_size_pooling = True
     batch = 2 * options.num_threads
-    files = [file for file in job.files if file in waiting]
     for start in range(0, len(files), batch):
         _extract(job, files[start : start + batch], options)
         done += len(files[start : start + batch])
         report("features", done, total)
-
-
-def _without_features(job: ReconstructionJob) -> set[str]:
-    with pycolmap.Database.open(job.database) as database:
-        found = {
-            image.name
-            for image in database.read_all_images()
-            if database.exists_descriptors(image.image_id)
-        }
-    return set(job.files) - found
 
 
 def _extract(
