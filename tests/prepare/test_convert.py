@@ -375,14 +375,6 @@ def test_visible_photos_of_two_sizes(made):
         made(content)
 
 
-def test_photos_in_the_scene_s_own_folders(photos, tmp_path):
-    root = photos({"images/a.jpg": "jpg", "thermal/a.tif": "celsius"})
-    before = contents(root)
-    with pytest.raises(SceneError, match=r"a\.jpg: .*another folder"):
-        converted(find_pairs(root), root)
-    assert contents(root) == before
-
-
 def remembered(scene: Path) -> dict[str, list]:
     """Stamp and digest of each photo, as kept between calls."""
     return json.loads((scene / "prepare" / CONTENTS).read_text())

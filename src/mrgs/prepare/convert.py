@@ -24,7 +24,6 @@ from mrgs.errors import RunError, SceneError, ToolError
 from mrgs.pictures.settings import SETTINGS
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import (
-    CACHE_FOLDER,
     ConvertedImage,
     ConvertedPhotos,
     ConvertedView,
@@ -93,12 +92,10 @@ def convert_photos(
             which given poses and lenses are for.
 
     Raises:
-        SceneError: no photo can be used, the photos lie where the scene's images are written, or
-            they are of different cameras.
+        SceneError: no photo can be used, or they are of different cameras.
         RunError: the scene's folder cannot be written (permissions, a full disk); what is there is
             whole, and the next call resumes.
     """
-    _check_folders(pairing, scene)
     orientations = _common_orientations(pairing.pairs) if turn else dict.fromkeys(IMAGE_FOLDERS, 1)
     names = {pair.name for pair in pairing.pairs}
     for file in sorted((cache.folder / VIEWS).glob("*.safetensors")):
@@ -183,12 +180,7 @@ def _cached(pair: PhotoPair, settings: _Settings, cache: Cache, contents: Digest
 
 
 def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> ConvertedView:
-    """Read a pair, rotate it upright and write it.
-
-    Raises:
-        SceneError: a photo cannot be read, or changes meanwhile.
-        RunError: the scene's folder cannot be written.
-    """
+    """Read a pair, rotate it upright and write it."""
     scene, overrides, unit, orientations = settings
     source = pair.photos[THERMAL]
     if unit is not None:
@@ -263,33 +255,13 @@ def _common_orientations(pairs: Sequence[PhotoPair]) -> Orientations:
 
 
 def _stamps(pair: PhotoPair) -> list[Stamp]:
-    """The state of the pair's files.
-
-    Raises:
-        SceneError: one is gone.
-    """
+    """The state of the pair's files; a ``SceneError`` if one is gone."""
     try:
         return [stamp_of(path) for path in pair.photos.values()]
     except OSError as error:
         raise scene_error(
             error.filename, f"cannot be read ({error.strerror}); it was there before, put it back"
         ) from None
-
-
-def _check_folders(pairing: Pairing, scene: Path) -> None:
-    """Photos must not lie where the scene's images are written.
-
-    Raises:
-        SceneError: one does.
-    """
-    own = [(scene / name).resolve() for name in (*IMAGE_FOLDERS.values(), CACHE_FOLDER)]
-    for path in (path for pair in pairing.pairs for path in pair.photos.values()):
-        if any(path.resolve().is_relative_to(folder) for folder in own):
-            raise scene_error(
-                path,
-                f"lies where the images of {scene} are written; choose another folder for the "
-                f"scene",
-            )
 
 
 def _remove_images(scene: Path, name: str, keep: Iterable[str] = ()) -> None:
@@ -310,11 +282,7 @@ def _remove_transforms(scene: Path) -> None:
 
 
 def _check_sizes(views: Sequence[ConvertedView], pairing: Pairing) -> None:
-    """One camera for all RGB photos, and one for all thermal photos.
-
-    Raises:
-        SceneError: two photos of a kind have different sizes.
-    """
+    """Refuse photos of a modality that have different sizes: one camera must have taken them."""
     photos = {pair.name: pair.photos for pair in pairing.pairs}
     for modality in IMAGE_FOLDERS:
         groups: dict[tuple[int, int] | None, list[Path]] = {}

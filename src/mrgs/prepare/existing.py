@@ -183,11 +183,7 @@ def _stem(name: str) -> str:
 
 
 def _scaled(lens: Lens, path: Path) -> Lens:
-    """The lens at the size of the image.
-
-    Raises:
-        SceneError: the image has another aspect ratio than that of the pose.
-    """
+    """The lens at the size of the image, which must have the pose's aspect ratio."""
     info = probe(path)
     if abs(info.width / lens.width / (info.height / lens.height) - 1) > _ASPECT_TOLERANCE:
         raise SceneError(

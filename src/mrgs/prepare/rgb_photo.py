@@ -83,15 +83,9 @@ def read_embedded(visible: VisibleImage, orientation: int) -> ImageFile:
     return _turned(image, orientation, ".png")
 
 
-def _turned(image: Image.Image, orientation: int, suffix: str) -> ImageFile:
-    turned = upright(image, orientation)
-    return ImageFile(_encoded(turned, image, suffix), suffix, turned.size)
-
-
-def _encoded(image: Image.Image, original: Image.Image, suffix: str) -> bytes:
-    """The image as a file; a JPEG with the quality of the original, and with what is kept of its
-    EXIF."""
-    file = io.BytesIO()
+def _turned(original: Image.Image, orientation: int, suffix: str) -> ImageFile:
+    """The image rotated upright; a JPEG keeps the quality of the original, and some of its EXIF."""
+    image, file = upright(original, orientation), io.BytesIO()
     if suffix == ".jpg" and isinstance(original, JpegImagePlugin.JpegImageFile):
         sampling = JpegImagePlugin.get_sampling(original)
         image.save(
@@ -104,7 +98,7 @@ def _encoded(image: Image.Image, original: Image.Image, suffix: str) -> bytes:
     else:
         mode = image.mode if image.mode in ("L", "RGB", "RGBA", "LA") else "RGB"
         image.convert(mode).save(file, "PNG")
-    return file.getvalue()
+    return ImageFile(file.getvalue(), suffix, image.size)
 
 
 def _kept_exif(original: Image.Image) -> bytes:

@@ -106,12 +106,8 @@ def prepare(
 
 
 def _check_folders(photos: Path, scene: Path) -> None:
-    """The scene's folder must be new or made by ``prepare``, and apart from the photos.
-
-    Raises:
-        SceneError: there are no photos.
-        RunError: the scene's folder holds something else, or one of the folders lies in the other.
-    """
+    """The photos' folder must be there; the scene's folder must be new or made by ``prepare``, and
+    neither inside the other."""
     if not photos.is_dir():
         raise scene_error(photos, "not a folder; give the photos' folder")
     own = scene.resolve()
@@ -120,24 +116,22 @@ def _check_folders(photos: Path, scene: Path) -> None:
             f"{scene} and the photos are inside one another: choose a separate scene folder"
         )
     try:
-        foreign = (
-            own.is_dir() and not (own / CACHE_FOLDER / MARKER).is_file() and not _is_unclaimed(own)
-        )
+        is_own = (own / CACHE_FOLDER / MARKER).is_file() or _is_unclaimed(own)
     except OSError as error:
         raise RunError(
             f"{scene} cannot be read ({error.strerror}): choose another folder"
         ) from None
-    if foreign:
+    if own.is_dir() and not is_own:
         raise RunError(
             f"{scene} holds something that `mrgs prepare` did not make: choose a new folder"
         )
 
 
 def _is_unclaimed(folder: Path) -> bool:
-    """Whether a folder is empty, but for what an earlier call leaves that ended before it could
-    mark the folder as its own."""
+    """Whether a folder is missing, or empty but for what is left by an earlier call that ended
+    before it could mark the folder as its own."""
     cache = folder / CACHE_FOLDER
-    if any(path != cache for path in folder.iterdir()):
+    if folder.is_dir() and any(path != cache for path in folder.iterdir()):
         return False
     own = (LOCK, TEMPORARY)
     return not cache.exists() or all(path.name.startswith(own) for path in cache.iterdir())

@@ -69,7 +69,16 @@ def write_scene(work: Work) -> None:
         write_points(scene / POINTS, points.positions.numpy(), colors.numpy())
     else:
         remove(scene / POINTS)  # of an earlier call
-    _write_bounds(scene / BOUNDS, views, work.options.overrides.bounds_c)
+    bounds_c = work.options.overrides.bounds_c
+    ranges = [view.range_c for view in views if view.range_c is not None]
+    if bounds_c is None and ranges:
+        low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
+        around = TemperatureRange.around(low, high)
+        bounds_c = around.min_c, around.max_c
+    if bounds_c is not None:
+        write_bounds(scene / BOUNDS, *bounds_c)
+    else:
+        remove(scene / BOUNDS)  # of an earlier call
     write_transforms(
         scene / TRANSFORMS,
         [_frame(view, posed, rig) for view in views],
@@ -121,19 +130,3 @@ def _thermal_lens(
     if (info.width, info.height) == (lens.width, lens.height):
         return {}
     return {THERMAL: lens.resized(info.width, info.height)}
-
-
-def _write_bounds(
-    path: Path, views: Sequence[ConvertedView], given: tuple[float, float] | None
-) -> None:
-    """ThermoScenes' file; none where no temperature is known."""
-    ranges = [view.range_c for view in views if view.range_c is not None]
-    if given is None and ranges:
-        around = TemperatureRange.around(
-            min(low for low, _ in ranges), max(high for _, high in ranges)
-        )
-        given = around.min_c, around.max_c
-    if given is None:
-        remove(path)  # what an earlier call wrote would be wrong now
-        return
-    write_bounds(path, *given)

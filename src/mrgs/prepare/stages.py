@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from mrgs.check import fast_problems
@@ -130,62 +130,42 @@ def thermal_camera(work: Work, calibrate: Calibrate) -> StageSummary:
     return summarize_thermal_camera(found, posed.images, metric)
 
 
-@dataclass(frozen=True)
-class WrittenScene:
-    """Numbers of views, lowest and highest temperature in °C, and problems, as training will find
-    them."""
-
-    train: int
-    eval: int
-    range_c: tuple[float, float] | None
-    problems: tuple[str, ...]
-
-
 def scene_files(work: Work, write_scene: Callable[[Work], None]) -> StageSummary:
-    """``transforms.json``, points and bounds; ``load_scene`` reads them once as a check."""
+    """``transforms.json``, points and bounds; ``load_scene`` reads them once as a check, with the
+    problems that training would find."""
 
-    def write() -> WrittenScene:
+    def write() -> StageSummary:
         write_scene(work)
         read = load_scene(work.scene)
-        bounds = read.temperature
-        range_c = None if bounds is None else (bounds.min_c, bounds.max_c)
-        problems = tuple(f"{each.text} {each.remedy}".rstrip() for each in fast_problems(read))
-        return WrittenScene(len(read.train), len(read.eval), range_c, problems)
+        bounds = "no °C"
+        if read.temperature is not None:
+            limits = f"{read.temperature.min_c:g} °C to {read.temperature.max_c:g} °C"
+            bounds = limits.replace("-", "−")
+        line = f"{len(read.train)} training views, {len(read.eval)} held out, {bounds}."
+        problems = (f"{each.text} {each.remedy}".rstrip() for each in fast_problems(read))
+        return StageSummary((line,), tuple(problems))
 
     split, bounds_c = work.options.eval_every, work.options.overrides.bounds_c
-    written = work.cache.get(
+    return work.cache.get(
         "scene files",
-        WrittenScene,
+        StageSummary,
         (work.images, work.posed, work.rig, work.georeference, split, bounds_c),
         write,
         lambda _: [work.scene / TRANSFORMS],
     )
-    bounds = "no °C"
-    if written.range_c is not None:
-        bounds = "{:g} °C to {:g} °C".format(*written.range_c).replace("-", "−")
-    lines = (f"{written.train} training views, {written.eval} held out, {bounds}.",)
-    return StageSummary(lines, written.problems)
-
-
-@dataclass(frozen=True)
-class WrittenPage:
-    """Name of the page's file, and what only the page could see."""
-
-    name: str
-    warnings: tuple[str, ...]
 
 
 def page(work: Work, write_page: Callable[..., Path]) -> StageSummary:
-    """The HTML page that shows the results."""
+    """The HTML page that shows the results, and what only the page could see."""
     reported = [(report.title, report.lines, report.warnings) for report in work.reports]
     written = work.cache.get(
         "page",
-        WrittenPage,
+        StageSummary,
         (reported, work.skipped, work.images, work.posed, work.rig, work.georeference, work.trains),
-        lambda: WrittenPage(write_page(work).name, work.found_by_page),
-        lambda written: [work.scene / written.name],
+        lambda: StageSummary((write_page(work).name,), work.found_by_page),
+        lambda written: [work.scene / written.lines[0]],
     )
-    return StageSummary((f"{work.scene / written.name}",), written.warnings)
+    return replace(written, lines=(f"{work.scene / written.lines[0]}",))
 
 
 @contextmanager

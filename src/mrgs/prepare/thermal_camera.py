@@ -53,7 +53,7 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
     given as it is.
 
     Raises:
-        SceneError: the file cannot be read, holds neither, or a camera that cannot be used.
+        SceneError: the file cannot be read, has neither, or a camera that cannot be used.
     """
     content = read_json_object(path)
     own, motion = content.get("thermal_camera"), content.get(EXTRINSICS)
@@ -132,11 +132,7 @@ def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration
 
 
 def _check_same_shape(scene: Path, view: ConvertedView) -> None:
-    """Two images of one camera may differ in size, not in shape.
-
-    Raises:
-        SceneError: they do.
-    """
+    """Refuse two images of one camera that differ in shape."""
     rgb, thermal = (probe(scene / view.images[modality].file) for modality in (RGB, THERMAL))
     upright, turned = rgb.width / rgb.height, rgb.height / rgb.width
     ratio = thermal.height / thermal.width
@@ -162,12 +158,8 @@ def _first_channel(path: Path) -> Pixels:
 
 
 def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
-    """The user's options for the thermal camera, in scene units.
-
-    Raises:
-        SceneError: the camera's file does not fit the thermal images, or its offset cannot be used
-            without metres.
-    """
+    """The user's options for the thermal camera, in scene units; a ``SceneError`` if its file does
+    not fit the thermal images, or its offset cannot be used without metres."""
     lens = motion = None
     if (file := options.thermal_camera) is not None:
         given = read_thermal_camera(file)

@@ -90,11 +90,7 @@ class Work:
         self.on_progress(f"{self._title}: {step}", done, total)
 
     def run(self, title: str, stage: Callable[..., StageSummary], *arguments: Any) -> None:
-        """Run a stage, which adds its results to the work, and report its summary.
-
-        Args:
-            stage: called with the work and ``arguments``.
-        """
+        """Run a stage with the work and ``arguments``, and report its summary."""
         self._title, made, started = title, self.cache.made, time.perf_counter()
         self.on_progress(title, 0, 0)
         summary = stage(self, *arguments)

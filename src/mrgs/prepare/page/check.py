@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from mrgs.check.photos import WIDTH_PX, measure
 from mrgs.check.problem import Evidence, ImageStatistics, Problem, cameras_by_modality, worst_first
@@ -66,7 +65,6 @@ def check_scene(
 
     Args:
         scene: the folder, or its transforms file.
-        progress: called with a step's name, the number of views that are done, and of all.
         output: folder of the page; by default the scene's.
 
     Raises:
@@ -150,6 +148,23 @@ def _write(
     previews: Sequence[Preview] = (),
 ) -> Path:
     """Write the page; the scene is None if it cannot be read."""
+    shown = None
+    if scene is not None:
+        views = [previews[index] for index in evenly_spaced(len(previews), MOST_SHOWN)]
+        unit = "" if scene.temperature is None else "°C"
+        settings = setting_rows(scene.records) if unit and scene.records else []
+        shown = {
+            "pairs": pairs(views, thermal_overlays(views, scene.points), unit, len(previews)),
+            "temperatures": temperatures(previews, unit, settings, {}, len(previews)),
+            "lenses": [
+                row
+                for modality, cameras in cameras_by_modality(scene).items()
+                for row in lens_rows(
+                    {name: pinhole_lens(camera) for name, camera in cameras.items()},
+                    capitalised(modality.title),
+                )
+            ],
+        }
     return write_scene_page(
         page,
         "prepare/page/check.html",
@@ -158,27 +173,5 @@ def _write(
         problems=problems,
         errors=sum(problem.severity == "error" for problem in problems),
         lines=lines,
-        shown=None if scene is None else _shown(scene, previews),
+        shown=shown,
     )
-
-
-def _shown(scene: Scene, previews: Sequence[Preview]) -> dict[str, Any]:
-    """Views, temperatures and lenses."""
-    shown = [previews[index] for index in evenly_spaced(len(previews), MOST_SHOWN)]
-    overlays = thermal_overlays(shown, scene.points)
-    unit = "" if scene.temperature is None else "°C"
-    records = [] if scene.temperature is None else scene.records
-    return {
-        "pairs": pairs(shown, overlays, unit, len(previews)),
-        "temperatures": temperatures(
-            previews, unit, setting_rows(records) if records else [], {}, len(previews)
-        ),
-        "lenses": [
-            row
-            for modality, cameras in cameras_by_modality(scene).items()
-            for row in lens_rows(
-                {name: pinhole_lens(camera) for name, camera in cameras.items()},
-                capitalised(modality.title),
-            )
-        ],
-    }

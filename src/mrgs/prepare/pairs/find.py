@@ -65,7 +65,6 @@ def find_pairs(
         table: a CSV file with the pairs, ``rgb,thermal``, relative to the folder; instead of a
             rule.
         tolerance_s: maximum time difference within a pair, seconds.
-        progress: called with a step's name, the number of files that are done, and of all.
 
     Returns:
         The pairs. Every other file, except hidden ones, is in ``skipped`` with a reason.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from mrgs.errors import SceneError
+from mrgs.prepare.contract import Progress
 from mrgs.prepare.rig.adjust import (
     LENS,
     MOTION,
@@ -61,7 +62,7 @@ def calibrate_rig(
     pairs: Sequence[RigPair],
     points: PointCloud,
     options: RigOptions | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> RigCalibration:
     """Calibrate the thermal camera's intrinsics, radial distortion and extrinsics.
 
@@ -76,7 +77,6 @@ def calibrate_rig(
         pairs: photos with poses, and their thermal images; all thermal images of one size.
         points: triangulated by structure from motion, in the world of the poses.
         options: known quantities; None if nothing is known.
-        progress: called with a step's name, the number of its parts that are done, and of all.
 
     Raises:
         SceneError: too few pairs or points, thermal images of different sizes, images that do not
@@ -103,7 +103,7 @@ def _reduced(
     pairs: Sequence[RigPair],
     points: PointCloud,
     target: LocatedTarget | None,
-    report: Callable[[str, int, int], None],
+    report: Progress,
 ) -> tuple[list[ReducedPair], tuple[int, int]]:
     """The usable pairs at working size, and the thermal images' width and height."""
     positions = points.positions.double().numpy()
@@ -137,7 +137,7 @@ def _guess(
     size: tuple[int, int],
     target: LocatedTarget | None,
     options: RigOptions,
-    report: Callable[[str, int, int], None],
+    report: Progress,
 ) -> Guess | None:
     """The first guess: of the target, else of the images' edges; None if the rig is given.
 

@@ -195,14 +195,9 @@ _FIT_STEPS = 6
 
 
 class _Saddles(NamedTuple):
-    """N saddle points of an image, the clearest first.
-
-    Attributes:
-        pixels: positions x, y.
-        angles: of the four edges that leave each, radians, in turn from x to y (clockwise in the
-            image): the first two and their opposites.
-        bright: whether the quarter between the first two edges is the brighter one.
-    """
+    """N saddle points of an image, the clearest first: positions x, y; angles of the four edges of
+    each, radians, in turn from x to y (clockwise in the image), the first two and their opposites;
+    and whether the quarter between the first two edges is the brighter one."""
 
     pixels: Float[np.ndarray, "n 2"]
     angles: Float[np.ndarray, "n 4"]
@@ -252,11 +247,8 @@ def _find_saddles(image: Float[np.ndarray, "h w"], sigma_px: float) -> _Saddles:
     pair = np.sort(np.stack([main - opening, main + opening], axis=1) % np.pi, axis=1)
     bright = mean + half * np.cos(2 * (pair.mean(axis=1) - main)) > 0
     width = pair[:, 1] - pair[:, 0]
-    kept = (
-        (np.abs(offset).max(axis=1) < _FARTHEST)
-        & (width > _NARROWEST_RAD)
-        & (width < np.pi - _NARROWEST_RAD)
-    )
+    kept = np.abs(offset).max(axis=1) < _FARTHEST
+    kept &= (width > _NARROWEST_RAD) & (width < np.pi - _NARROWEST_RAD)
     pixels = np.column_stack([column, row]) + 0.5 + offset
     return _Saddles(pixels[kept], np.hstack([pair, pair + np.pi])[kept], bright[kept])
 

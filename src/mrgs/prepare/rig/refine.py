@@ -3,6 +3,7 @@ fine."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from torch.nn import functional
 from mrgs.data.lens import Lens
 from mrgs.data.undistort import sampled
 from mrgs.errors import SceneError
+from mrgs.prepare.contract import Progress
 from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, ThermalCameras, adjust
 from mrgs.prepare.rig.images import STEP_PX, ReducedPair, structure
 
@@ -227,14 +229,13 @@ def refine(
     size: tuple[int, int],
     cameras: ThermalCameras,
     prior: Prior,
-    report: Callable[[str, int, int], None],
+    report: Progress,
     corners: Observations | None = None,
 ) -> tuple[Adjusted, Observations]:
     """The cameras that fit all pairs best, and the observations of the last level.
 
     Args:
         size: width and height of the thermal files.
-        report: called with a step's name, the number of its parts that are done, and of all.
         corners: of a target, with which the initial cameras agree.
 
     Raises:
@@ -242,16 +243,17 @@ def refine(
     """
     width = pairs[0].thermal.values.shape[1]
     levels = [level for level in LEVELS if level.width_px <= width] or [LEVELS[0]]
+    done, total = itertools.count(), (len(levels) + 1) * len(pairs)
+
+    def compared(level: Level) -> Iterator[_ComparedPair]:
+        for pair in _compared(pairs, size, cameras, level):
+            report("matching", next(done), total)
+            yield pair
+
     known = set() if corners is None else set(corners.views.tolist())
-    passes = len(levels) + 1
-
-    def of_pass(number: int) -> Callable[[int], None]:
-        done, total = number * len(pairs), passes * len(pairs)
-        return lambda view: report("matching", done + view, total)
-
-    cameras = _shifted(pairs, size, cameras, levels[0], known, of_pass(0))
-    for number, level in enumerate(levels, start=1):
-        observations = _observe(pairs, size, cameras, level, of_pass(number))
+    cameras = _shifted(compared(levels[0]), cameras, known)
+    for level in levels:
+        observations = _observe(compared(level), level.patches)
         if corners is not None:
             observations = Observations.joined([observations, corners])
         if len(observations.views) < FEWEST_MATCHES:
@@ -276,19 +278,14 @@ class _ComparedPair(NamedTuple):
 
 
 def _compared(
-    pairs: Sequence[ReducedPair],
-    size: tuple[int, int],
-    cameras: ThermalCameras,
-    level: Level,
-    report: Callable[[int], None],
+    pairs: Sequence[ReducedPair], size: tuple[int, int], cameras: ThermalCameras, level: Level
 ) -> Iterator[_ComparedPair]:
-    """The pairs with the current cameras; ``report`` is called with the number of each."""
+    """The pairs with the current cameras."""
     lens = cameras.lens(*size)
     width = min(level.width_px, pairs[0].thermal.values.shape[1])
     height = max(1, round(size[1] * width / size[0]))
     rays, scale = thermal_rays(lens, width, height), size[0] / width
     for view, pair in enumerate(pairs):
-        report(view)
         thermal_from_photo = cameras.correction(view) @ cameras.extrinsics()
         spacing = pair.camera.K[0, 0].item() * scale / lens.fx
         warped = warp(pair, rays, torch.linalg.inv(thermal_from_photo).numpy(), spacing)
@@ -302,36 +299,27 @@ def _compared(
 
 
 def _shifted(
-    pairs: Sequence[ReducedPair],
-    size: tuple[int, int],
-    cameras: ThermalCameras,
-    level: Level,
-    known: set[int],
-    report: Callable[[int], None],
+    compared: Iterable[_ComparedPair], cameras: ThermalCameras, known: set[int]
 ) -> ThermalCameras:
     """Each camera, except the known ones, rotated so that its whole image is aligned: patches alone
     would lose pairs that are far off."""
-    fx, motions = cameras.lens(*size).fx, cameras.motions.clone()
-    for view, pair in enumerate(_compared(pairs, size, cameras, level, report)):
+    motions, focal_px = cameras.motions.clone(), float(cameras.rig[0].exp())
+    for view, pair in enumerate(compared):
         if view in known:
             continue
         reach = round(_FARTHEST_WIDTHS * pair.photo.values.shape[2])
         right, down = whole_displacement(pair.thermal, pair.photo, reach)
-        motions[view, :2] += torch.tensor([-down, right], dtype=torch.float64) * pair.scale / fx
+        motions[view, :2] += (
+            torch.tensor([-down, right], dtype=torch.float64) * pair.scale / focal_px
+        )
     return ThermalCameras(cameras.rig, motions)
 
 
-def _observe(
-    pairs: Sequence[ReducedPair],
-    size: tuple[int, int],
-    cameras: ThermalCameras,
-    level: Level,
-    report: Callable[[int], None],
-) -> Observations:
+def _observe(compared: Iterable[_ComparedPair], patches: Patches) -> Observations:
     """Match the patches of all pairs."""
     found: list[tuple[Tensor, ...]] = []
-    for view, pair in enumerate(_compared(pairs, size, cameras, level, report)):
-        matches = match(pair.thermal, pair.photo, level.patches).sharpest(_SHARPEST)
+    for view, pair in enumerate(compared):
+        matches = match(pair.thermal, pair.photo, patches).sharpest(_SHARPEST)
         column, row = matches.centres.astype(int).T
         corners = [
             pair.warped.points[row - down, column - right] for down in (0, 1) for right in (0, 1)
@@ -345,7 +333,7 @@ def _observe(
             )
         )
     views, points, pixels, information = (torch.cat(parts) for parts in zip(*found, strict=True))
-    independent = torch.full((len(views),), level.patches.independent, dtype=torch.float64)
+    independent = torch.full((len(views),), patches.independent, dtype=torch.float64)
     return Observations(views, points, pixels, information, independent, torch.zeros_like(views))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from mrgs.errors import SceneError
+from mrgs.prepare.contract import Progress
 from mrgs.prepare.rig.adjust import Adjusted, Observations
 from mrgs.prepare.rig.chessboard import Corners, board_points, detect_chessboard, homography
 from mrgs.prepare.rig.contract import ChessboardTarget, RigPair, TargetFit
@@ -36,15 +37,8 @@ _UNCERTAIN = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """The target in the images of a pair.
-
-    Attributes:
-        name: of the pair.
-        camera: of the photo.
-        photo: the corners in the photo.
-        thermal: the same corners, in the same order, in the thermal image; None if it does not show
-            them.
-    """
+    """The target in the images of a pair: the photo's camera, the corners in the photo, and the
+    same corners, in the same order, in the thermal image; None if it does not show them."""
 
     name: str
     camera: Camera
@@ -140,14 +134,13 @@ def find_target(
     pairs: Sequence[RigPair],
     target: ChessboardTarget,
     metres_per_unit: float | None,
-    report: Callable[[str, int, int], None],
+    report: Progress,
 ) -> LocatedTarget:
     """Detect a target in all pairs and locate its corners.
 
     Args:
         pairs: photos and thermal images, with the same side up.
         metres_per_unit: of the scene; None if not known.
-        report: called with a step's name, the number of its parts that are done, and of all.
 
     Raises:
         SceneError: no pair shows it in both images, its distance is ambiguous, or an image cannot

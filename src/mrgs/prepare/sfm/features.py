@@ -48,28 +48,21 @@ def find_features(job: ReconstructionJob, report: Report) -> None:
         options.sift.peak_threshold = FAINT_PEAK_THRESHOLD
         options.sift.estimate_affine_shape = True
         options.sift.domain_size_pooling = True
-    batch = 2 * options.num_threads
-    for start in range(0, len(files), batch):
-        _extract(job, files[start : start + batch], options)
-        done += len(files[start : start + batch])
-        report("features", done, total)
-
-
-def _extract(
-    job: ReconstructionJob, files: list[str], options: pycolmap.FeatureExtractionOptions
-) -> None:
     reader = pycolmap.ImageReaderOptions()
     reader.existing_camera_id = CAMERA
     reader.camera_model = CAMERA_MODEL
-    pycolmap.extract_features(
-        job.database,
-        job.root,
-        image_names=files,
-        camera_mode=pycolmap.CameraMode.SINGLE,
-        reader_options=reader,
-        extraction_options=options,
-        device=pycolmap.Device.cpu,
-    )
+    batch = 2 * options.num_threads
+    for start in range(0, len(files), batch):
+        pycolmap.extract_features(
+            job.database,
+            job.root,
+            image_names=files[start : start + batch],
+            camera_mode=pycolmap.CameraMode.SINGLE,
+            reader_options=reader,
+            extraction_options=options,
+            device=pycolmap.Device.cpu,
+        )
+        report("features", min(done + start + batch, total), total)
 
 
 def _write_camera(job: ReconstructionJob) -> None:
@@ -105,8 +98,23 @@ def match(job: ReconstructionJob, report: Report) -> None:
     matched = _matched(job)
     waiting = [pair for pair in pairs if frozenset(pair) not in matched]
     report("matching", len(pairs) - len(waiting), len(pairs))
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu = False
+    matching.guided_matching = job.faint
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = SEED
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = job.folder / "pairs.txt"
     for start in range(0, len(waiting), PAIRS_AT_A_TIME):
-        _match(job, waiting[start : start + PAIRS_AT_A_TIME])
+        lines = [f"{a} {b}\n" for a, b in waiting[start : start + PAIRS_AT_A_TIME]]
+        pairing.match_list_path.write_text("".join(lines), encoding="utf-8")
+        pycolmap.match_image_pairs(
+            job.database,
+            matching_options=matching,
+            pairing_options=pairing,
+            verification_options=verification,
+            device=pycolmap.Device.cpu,
+        )
         report("matching", len(pairs) - max(len(waiting) - start - PAIRS_AT_A_TIME, 0), len(pairs))
 
 
@@ -125,21 +133,3 @@ def _matched(job: ReconstructionJob) -> set[frozenset[str]]:
         pairs, _ = database.read_two_view_geometry_num_inliers()
     ids = [pycolmap.pair_id_to_image_pair(pair) for pair in pairs]
     return {frozenset((names[first], names[second])) for first, second in ids}
-
-
-def _match(job: ReconstructionJob, pairs: list[tuple[str, str]]) -> None:
-    matching = pycolmap.FeatureMatchingOptions()
-    matching.use_gpu = False
-    matching.guided_matching = job.faint
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = SEED
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = job.folder / "pairs.txt"
-    pairing.match_list_path.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
-    pycolmap.match_image_pairs(
-        job.database,
-        matching_options=matching,
-        pairing_options=pairing,
-        verification_options=verification,
-        device=pycolmap.Device.cpu,
-    )

@@ -51,8 +51,6 @@ def reconstruct(
 
     Args:
         images: files by the views' names, in the order in which they were taken; all of one size.
-        progress: called with the steps "contrast" (of thermal images), "features", "matching" and
-            "mapping".
         modality: of the images; the contrast of thermal ones is stretched first.
         gps: positions by view; used where all images have one.
 

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from PIL import Image
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from mrgs.data.images import decode
 from mrgs.data.kept import digest
@@ -35,7 +35,6 @@ def set_up(
 
     Args:
         stretch: whether to stretch the contrast, as thermal images need.
-        progress: called for each image that is stretched.
         positions: where the images were taken, metres east, north and up.
 
     Raises:
@@ -148,11 +147,12 @@ def local_contrast(shares: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h
     bins = np.minimum((shares * BINS).astype(np.int64), BINS - 1)
     bands = (np.array_split(band, columns, axis=1) for band in np.array_split(bins, rows))
     ranks = np.stack([np.stack([_ranks(tile) for tile in band]) for band in bands])
-    above, below, down = (values[:, None] for values in _neighbours(height, rows))
-    left, right, across = _neighbours(width, columns)
-    upper = (1 - across) * ranks[above, left, bins] + across * ranks[above, right, bins]
-    lower = (1 - across) * ranks[below, left, bins] + across * ranks[below, right, bins]
-    return ((1 - down) * upper + down * lower).astype(np.float32)
+    places = [
+        (np.arange(count) + 0.5) * tiles / count - 0.5
+        for count, tiles in ((height, rows), (width, columns))
+    ]
+    places = np.broadcast_arrays(places[0][:, None], places[1], bins)
+    return map_coordinates(ranks, places, np.float64, order=1, mode="nearest").astype(np.float32)
 
 
 def _ranks(tile: np.ndarray) -> Float32[np.ndarray, " bins"]:
@@ -164,11 +164,3 @@ def _ranks(tile: np.ndarray) -> Float32[np.ndarray, " bins"]:
     return (np.cumsum(np.minimum(histogram, limit) + excess / BINS) / max(tile.size, 1)).astype(
         np.float32
     )
-
-
-def _neighbours(size: int, tiles: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each pixel along a side the tiles before and after it, and its share of the way between
-    their centres."""
-    place = (np.arange(size) + 0.5) * tiles / size - 0.5
-    before = np.clip(np.floor(place), 0, tiles - 1).astype(np.int64)
-    return before, np.minimum(before + 1, tiles - 1), np.clip(place - before, 0, 1)
