@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeVar
 
@@ -33,35 +32,6 @@ Item = TypeVar("Item")
 _ASPECT_TOLERANCE = 0.01
 
 
-def poses_of_photos(
-    folder: Path,
-    pairs: Sequence[PhotoPair],
-    images: Mapping[str, Path],
-    *,
-    two_cameras: bool = True,
-) -> Reconstruction:
-    """The poses in a folder that knows the photos by their original names.
-
-    Args:
-        folder: with the poses, or a transforms file.
-        images: the scene's images by the names of their pairs.
-
-    Raises:
-        SceneError: as from ``existing_poses``.
-    """
-    names = {_first(pair.photos).stem: pair.name for pair in pairs if pair.name in images}
-    if len(names) < len(images):  # photos of several folders share a name
-        names = {name: name for name in images}
-    by_photo = {photo: images[name] for photo, name in names.items()}
-    found = existing_poses(folder, by_photo, two_cameras=two_cameras)
-    return replace(
-        found,
-        viewmats={names[photo]: viewmat for photo, viewmat in found.viewmats.items()},
-        lenses={names[photo]: lens for photo, lens in found.lenses.items()},
-        failed=tuple(Skipped(names[item.name], item.reason) for item in found.failed),
-    )
-
-
 def state_of_poses(folder: Path) -> tuple[Any, ...]:
     """What changes with the files that ``existing_poses`` reads in a folder, or with a transforms
     file.
@@ -76,7 +46,11 @@ def state_of_poses(folder: Path) -> tuple[Any, ...]:
 
 
 def existing_poses(
-    folder: Path, images: Mapping[str, Path], *, two_cameras: bool = True
+    folder: Path,
+    images: Mapping[str, Path],
+    *,
+    pairs: Sequence[PhotoPair] = (),
+    two_cameras: bool = True,
 ) -> Reconstruction:
     """The poses in a folder for images with the same names (extensions and folders may differ).
 
@@ -85,7 +59,8 @@ def existing_poses(
 
     Args:
         folder: with the poses, or a transforms file.
-        images: files by the names that the poses' images have, without folders and extension.
+        images: files by the views' names, without folders and extension.
+        pairs: of the views, if the poses' images have the names of the photos.
         two_cameras: whether there is a thermal camera to be found, which needs points.
 
     Raises:
@@ -99,13 +74,17 @@ def existing_poses(
             f"has several poses named {', '.join(several[:3])}; give each photo a name of its own "
             f"in it",
         )
-    poses = {pose.name: pose for pose in given.poses}
+    originals = {pair.name: _first(pair.photos).stem for pair in pairs if pair.name in images}
+    if len({*originals.values()}) < len(images):  # photos of several folders share a name
+        originals = {name: name for name in images}
+    by_name = {pose.name: pose for pose in given.poses}
+    poses = {name: by_name[own] for name, own in originals.items() if own in by_name}
     viewmats = {name: poses[name].viewmat for name in images if name in poses}
     if len(viewmats) < MIN_VIEWS:
         raise scene_error(
             folder,
             f"{len(viewmats)} of {len(images)} photos have a pose of their name there, and "
-            f"{MIN_VIEWS} are needed; the names there are like {', '.join(sorted(poses)[:3])}: "
+            f"{MIN_VIEWS} are needed; the names there are like {', '.join(sorted(by_name)[:3])}: "
             f"give the poses of these photos",
         )
     warnings = tuple(given.notes.repaired)

@@ -164,11 +164,8 @@ def _by_gps(
     """The similarity to metres east, north and up of the middle one of the positions.
 
     Without heights, and where the cameras stand on a line about which the positions leave the
-    rotation open, ``level`` gives the vertical, and the positions the rest.
-
-    Args:
-        as_given: where the poses are in metres and have these axes, as far as GPS knows, only their
-            origin moves.
+    rotation open, ``level`` gives the vertical, and the positions the rest. Of given poses that are
+    in metres and have these axes, as far as GPS knows, only the origin moves.
 
     Raises:
         UnusableGpsError: too few positions, or too much noise for how far the cameras are apart.
@@ -236,14 +233,9 @@ def _solution(
     """The similarity that fits the cameras to their positions.
 
     Its errors follow from the cameras' spread about their mean and about their line. The noise is
-    the one which nine of ten samples with these residuals do not exceed.
-
-    Args:
-        level: gives the vertical instead of the heights of the positions; the cameras' own heights
-            are then counted from their middle one.
-
-    Raises:
-        UnusableGpsError: the scale is left open.
+    the one which nine of ten samples with these residuals do not exceed. ``level`` gives the
+    vertical instead of the heights of the positions; the cameras' own heights are then counted from
+    their middle one. Raises ``UnusableGpsError`` if the scale is left open.
     """
     positions = list(gps.values())
     earth = np.array([ecef(position) for position in positions])

@@ -29,7 +29,7 @@ from mrgs.prepare.contract import (
     TooFewPosesError,
 )
 from mrgs.prepare.convert import convert_photos
-from mrgs.prepare.existing import poses_of_photos, state_of_poses
+from mrgs.prepare.existing import existing_poses, state_of_poses
 from mrgs.prepare.georeference import georeference
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.rig.contract import RigCalibration
@@ -88,7 +88,8 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
         if given is None:
             cache = work.scene / CACHE_FOLDER
             return reconstruct(files, cache, work.progress, modality=modality, gps=gps)
-        found = poses_of_photos(given, work.pairing.pairs, files, two_cameras=two_cameras)
+        pairs = work.pairing.pairs
+        found = existing_poses(given, files, pairs=pairs, two_cameras=two_cameras)
         return replace(found, images=modality)
 
     content = None

@@ -83,9 +83,6 @@ Calibrate = Callable[..., RigCalibration]
 def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration | None:
     """Calibrate the thermal camera from the posed photos and the user's options.
 
-    Args:
-        calibrate: called with the pairs, the points, the rig's options and progress.
-
     Returns:
         The calibration in the scene's world; None if one camera took both images of a pair, or if
         there are only thermal images.

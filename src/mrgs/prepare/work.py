@@ -34,8 +34,6 @@ class Work:
         trains: whether the caller goes on to train by itself, so that the page names no command.
         on_progress: called with "stage: step", and how many of the step's parts are done and there
             are (0 of 0 if not known).
-        reports: of the finished stages.
-        images: the photos as images in the scene's folder.
         poses: of the images, in the world of the reconstruction; None until found.
         georeference: from that world to the scene's; None until found.
         rig: the thermal camera, calibrated in the scene's world; None until found, and where one

@@ -133,8 +133,7 @@ def thermal_overlay(
     from there into the thermal image. Occlusions are ignored.
 
     Args:
-        points: start points, in world coordinates.
-        visible: indices of those that the photo shows; None if not known.
+        visible: indices of the points that the photo shows; None if not known.
 
     Returns:
         [H, W] of the photo's preview; None if the view has no pose, no thermal image or no other.

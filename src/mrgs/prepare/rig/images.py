@@ -146,7 +146,7 @@ def reduced_pair(
 
     Args:
         points: sparse points of the scene, in the world.
-        target: points of a target that this photo sees, in the world; none if it sees no target.
+        target: points of a target in this photo, in the world.
 
     Raises:
         SceneError: an image cannot be read.

@@ -67,15 +67,9 @@ class Masked:
 
 
 class Matches(NamedTuple):
-    """M matched patches; positions in pixels of the compared images.
-
-    Attributes:
-        centres: column and row of the patch in the photo's image; whole numbers, between four
-            pixels.
-        displacements: from there to the matching position in the thermal image.
-        information: inverse covariance of the displacement, up to a common factor.
-        scores: normalised correlation.
-    """
+    """M matched patches: column and row of the centre in the photo's image (whole numbers, between
+    four pixels), the displacement from there to the matching position in the thermal image, its
+    inverse covariance up to a common factor, and the normalised correlation."""
 
     centres: Float[np.ndarray, "m 2"]
     displacements: Float[np.ndarray, "m 2"]

@@ -46,8 +46,7 @@ class Guess:
     """A thermal camera at the position of the photos' camera.
 
     Attributes:
-        score: mean correlation over the pairs, at most 1; lower where the photos do not fill the
-            thermal images.
+        score: mean correlation over the pairs, at most 1.
         focal_widths: focal length in widths of the thermal image.
         turn_deg: rotation about the optical axis that aligns the photo with the thermal image,
             anticlockwise.

@@ -95,7 +95,8 @@ def match(job: ReconstructionJob, report: Report) -> None:
     """Match all pairs that are not in the database yet."""
     numbers = pairs_to_match(len(job.files), lambda: _descriptors(job), job.positions)
     pairs = [(job.files[first], job.files[second]) for first, second in numbers]
-    matched = _matched(job)
+    with pycolmap.Database.open(job.database) as database:
+        matched = matched_pairs(database)
     waiting = [pair for pair in pairs if frozenset(pair) not in matched]
     report("matching", len(pairs) - len(waiting), len(pairs))
     matching = pycolmap.FeatureMatchingOptions()
@@ -127,9 +128,9 @@ def _descriptors(job: ReconstructionJob) -> list[np.ndarray]:
         ]
 
 
-def _matched(job: ReconstructionJob) -> set[frozenset[str]]:
-    with pycolmap.Database.open(job.database) as database:
-        names = {image.image_id: image.name for image in database.read_all_images()}
-        pairs, _ = database.read_two_view_geometry_num_inliers()
-    ids = [pycolmap.pair_id_to_image_pair(pair) for pair in pairs]
-    return {frozenset((names[first], names[second])) for first, second in ids}
+def matched_pairs(database: pycolmap.Database) -> dict[frozenset[str], tuple[int, int]]:
+    """The names of the images of each pair with matches, and their ids."""
+    names = {image.image_id: image.name for image in database.read_all_images()}
+    pairs, _ = database.read_two_view_geometry_num_inliers()
+    ids = map(pycolmap.pair_id_to_image_pair, pairs)
+    return {frozenset((names[first], names[second])): (first, second) for first, second in ids}

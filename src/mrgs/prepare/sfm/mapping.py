@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pycolmap
 
-from mrgs.prepare.sfm.features import SEED
+from mrgs.prepare.sfm.features import SEED, matched_pairs
 from mrgs.prepare.sfm.job import (
     MODEL_FOLDER,
     POINTS_FILE,
@@ -101,10 +101,8 @@ def _database_nearby(job: ReconstructionJob) -> Path:
         for first, second in pairs_nearby(job.positions)
     }
     with pycolmap.Database.open(copy) as database:
-        names = {image.image_id: image.name for image in database.read_all_images()}
-        pairs, _ = database.read_two_view_geometry_num_inliers()
-        for first, second in map(pycolmap.pair_id_to_image_pair, pairs):
-            if frozenset((names[first], names[second])) not in kept:
+        for pair, (first, second) in matched_pairs(database).items():
+            if pair not in kept:
                 database.delete_two_view_geometry(first, second)
     return copy
 
