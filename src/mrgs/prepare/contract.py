@@ -62,14 +62,8 @@ class TooFewPosesError(SceneError):
 
 @dataclass(frozen=True)
 class Pairing:
-    """The pairs of a folder of photos.
-
-    Attributes:
-        pairs: in natural order of their names.
-        skipped: files without a partner, and files that are not photos.
-        rule: how the pairs were found, one sentence.
-        warnings: sentences that the user should read.
-    """
+    """The pairs of a folder of photos, in natural order of their names; files without a partner,
+    and files that are not photos; how the pairs were found, one sentence; and warnings."""
 
     pairs: tuple[PhotoPair, ...]
     skipped: tuple[Skipped, ...]
@@ -79,13 +73,8 @@ class Pairing:
 
 @dataclass(frozen=True)
 class ConvertedImage:
-    """An image file in the scene's folder.
-
-    Attributes:
-        file: relative to the scene's folder.
-        size: width and height in pixels; None if not known.
-        sha256: of the file.
-    """
+    """An image file, relative to the scene's folder; its width and height in pixels, if known; and
+    its SHA-256."""
 
     file: str
     size: tuple[int, int] | None = None

@@ -69,6 +69,10 @@ class _CachedPair:
     view: ConvertedView | None
     refusal: str = ""
 
+    @property
+    def files(self) -> tuple[str, ...]:
+        return () if self.view is None else self.view.files
+
 
 def convert_photos(
     pairing: Pairing,
@@ -103,14 +107,25 @@ def convert_photos(
             _remove_images(scene, file.stem)
             remove(file)
     contents = Digests(cache.folder / CONTENTS)
-    settings = _Settings(scene, overrides, None, orientations)
-    whole = False
+    units: dict[str, str] = {}  # of numbers, by suffix: guessed for the first photo
+    views: list[ConvertedView] = []
+    skipped: list[Skipped] = []
     try:
-        views, skipped = _convert_all(pairing.pairs, settings, cache, contents, progress)
-        whole = True
+        for index, pair in enumerate(pairing.pairs):
+            progress("reading and writing", index, len(pairing.pairs))
+            suffix = pair.photos[THERMAL].suffix.lower()
+            settings = _Settings(scene, overrides, units.get(suffix), orientations)
+            outcome = _cached(pair, settings, cache, contents)
+            if outcome.view is None:
+                skipped.append(Skipped(pair.name, outcome.refusal))
+                continue
+            views.append(outcome.view)
+            if outcome.view.facts.unit is not None and overrides.bounds_c is None:
+                units.setdefault(suffix, outcome.view.facts.unit)
+        progress("reading and writing", len(pairing.pairs), len(pairing.pairs))
     finally:
         with suppress(RunError):  # a full disk: the next call reads them again
-            contents.save(forget_others=whole)
+            contents.save(forget_others=len(views) + len(skipped) == len(pairing.pairs))
     if not views:
         first = f"; the first: {skipped[0].reason}" if skipped else "; find pairs first"
         raise SceneError(f"none of the {len(pairing.pairs)} pairs can be used{first}")
@@ -122,32 +137,6 @@ def convert_photos(
         _remove_images(scene, item.name)
     _check_sizes(views, pairing)
     return ConvertedPhotos(tuple(views), tuple(skipped), _differing_parameters(views))
-
-
-def _convert_all(
-    pairs: Sequence[PhotoPair],
-    settings: _Settings,
-    cache: Cache,
-    contents: Digests,
-    progress: Progress,
-) -> tuple[list[ConvertedView], list[Skipped]]:
-    """The views, and the pairs that cannot be used; the unit of numbers in one file format is
-    guessed for its first photo."""
-    units: dict[str, str] = {}  # by suffix
-    views: list[ConvertedView] = []
-    skipped: list[Skipped] = []
-    for index, pair in enumerate(pairs):
-        progress("reading and writing", index, len(pairs))
-        suffix = pair.photos[THERMAL].suffix.lower()
-        outcome = _cached(pair, settings._replace(unit=units.get(suffix)), cache, contents)
-        if (view := outcome.view) is None:
-            skipped.append(Skipped(pair.name, outcome.refusal))
-            continue
-        views.append(view)
-        if view.facts.unit is not None and settings.overrides.bounds_c is None:
-            units.setdefault(suffix, view.facts.unit)
-    progress("reading and writing", len(pairs), len(pairs))
-    return views, skipped
 
 
 def _cached(pair: PhotoPair, settings: _Settings, cache: Cache, contents: Digests) -> _CachedPair:
@@ -171,9 +160,7 @@ def _cached(pair: PhotoPair, settings: _Settings, cache: Cache, contents: Digest
             _CachedPair,
             (_VERSION, pair, held, *settings[1:]),
             make,
-            lambda found: [
-                settings.scene / file for file in (found.view and found.view.files) or ()
-            ],
+            lambda found: [settings.scene / file for file in found.files],
         )
     except SceneError as error:
         return _CachedPair(None, str(error))
@@ -236,10 +223,9 @@ def _thermal_file(thermal: ThermalPhoto, orientation: int) -> ImageFile:
     """A float TIFF in °C, or a grey PNG without temperatures."""
     if thermal.temperature_c is not None:
         suffix, pixels = ".tiff", np.where(thermal.valid, thermal.temperature_c, np.float32(np.nan))
-    elif thermal.relative is not None:
-        suffix, pixels = ".png", np.rint(255 * thermal.relative).astype(np.uint8)
     else:
-        raise ValueError("a thermal photo has either temperatures or relative values")
+        assert thermal.relative is not None
+        suffix, pixels = ".png", np.rint(255 * thermal.relative).astype(np.uint8)
     image, file = upright(Image.fromarray(pixels), orientation), io.BytesIO()
     image.save(file, suffix[1:].upper())
     return ImageFile(file.getvalue(), suffix, image.size)

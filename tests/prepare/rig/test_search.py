@@ -88,9 +88,9 @@ def test_focal_widths():
 @pytest.mark.slow
 def test_each_camera_that_is_tried_is_reported():
     upright, turned = [], []
-    first_guess(pairs(1.1, 0.0, (0.05, -0.04)), 48.0, lambda *tried: upright.append(tried))
+    first_guess(pairs(1.1, 0.0, (0.05, -0.04)), 48.0, lambda _, *tried: upright.append(tried))
     assert upright == [(done, len(upright)) for done in range(len(upright))]
-    first_guess(pairs(1.1, 90.0, (0.05, -0.04)), 48.0, lambda *tried: turned.append(tried))
+    first_guess(pairs(1.1, 90.0, (0.05, -0.04)), 48.0, lambda _, *tried: turned.append(tried))
     assert turned[: len(upright)] == upright
     assert turned[len(upright) :] == [
         (done, 4 * len(upright)) for done in range(len(upright), 4 * len(upright))

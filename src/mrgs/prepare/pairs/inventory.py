@@ -191,13 +191,8 @@ def _focal_mm(value: object) -> float | None:
 
 @dataclass(frozen=True)
 class Inventory:
-    """The photos of a folder, one file for each moment and camera.
-
-    Attributes:
-        root: the folder.
-        photos: in natural order of their paths.
-        skipped: all other files, but for hidden ones.
-    """
+    """The photos of a folder, one file for each moment and camera, in natural order of their paths;
+    and all other files, but for hidden ones."""
 
     root: Path
     photos: tuple[Photo, ...]

@@ -196,11 +196,10 @@ def _by_keys(
 
 
 Groups = dict[str, list[Candidate]]
-"""Candidates by their keys."""
 
 
 def _grouped(candidates: Iterable[Candidate]) -> tuple[Groups, Groups]:
-    """The reference photos and the others."""
+    """The reference photos and the others, by their keys."""
     groups: tuple[Groups, Groups] = ({}, {})
     for candidate in candidates:
         own = groups[0 if candidate.is_reference else 1]

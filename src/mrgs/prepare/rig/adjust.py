@@ -183,14 +183,9 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """The adjusted cameras, their covariance and the residuals.
-
-    Attributes:
-        covariance: of the rig's parameters and each pair's motion [V, 18, 18], with overlapping
-            patches taken into account.
-        residual_px: of each observation [N].
-        inlier: mask of the observations that agree with the result [N].
-    """
+    """The adjusted cameras; the covariance of the rig's parameters and each pair's motion, with
+    overlapping patches taken into account; the residual of each observation; and which of them
+    agree with the result."""
 
     cameras: ThermalCameras
     covariance: Float64[Tensor, "v 18 18"]

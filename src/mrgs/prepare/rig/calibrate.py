@@ -139,11 +139,7 @@ def _guess(
     options: RigOptions,
     report: Progress,
 ) -> Guess | None:
-    """The first guess: of the target, else of the images' edges; None if the rig is given.
-
-    Raises:
-        SceneError: no guess stands out.
-    """
+    """The first guess: of the target, else of the images' edges; None if the rig is given."""
     if options.thermal_lens is not None and options.extrinsics is not None:
         return None
     if target is not None:
@@ -152,11 +148,7 @@ def _guess(
     if options.thermal_lens is not None:
         field_of_view_deg = math.degrees(field_of_view(size[0], options.thermal_lens.fx))
     chosen = [pairs[index] for index in evenly_spaced(len(pairs), _SEARCH_PAIRS)]
-    found = first_guess(
-        chosen,
-        field_of_view_deg,
-        lambda done, total: report("searching the thermal camera", done, total),
-    )
+    found = first_guess(chosen, field_of_view_deg, report)
     if not found.stands_out:
         raise SceneError(
             "the thermal camera cannot be placed: the edges in the thermal images agree with "
@@ -211,11 +203,7 @@ def _result(
     options: RigOptions,
     target: TargetFit | None,
 ) -> RigCalibration:
-    """The calibration; pairs whose photo sees too few points get the rig's motion alone.
-
-    Raises:
-        SceneError: the result is less certain than the options ask for.
-    """
+    """The calibration; pairs whose photo sees too few points get the rig's motion alone."""
     counts = torch.bincount(observations.views, minlength=len(reduced))
     rows = observations.views.argsort(stable=True).split(counts.tolist())
     calibrated = {

@@ -19,6 +19,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter
 
 from mrgs.data.undistort import sampled
+from mrgs.prepare.contract import Progress
 from mrgs.prepare.rig.images import ReducedPair, structure
 
 CLEAR = 1.3
@@ -79,7 +80,7 @@ class Found:
 def first_guess(
     pairs: Sequence[ReducedPair],
     field_of_view_deg: float | None,
-    report: Callable[[int, int], None] | None = None,
+    report: Progress | None = None,
 ) -> Found:
     """Search fields of view from 15° to 100° (or around a given one), rotations up to 6°, and
     shifts up to 0.4 widths. If nothing stands out, the same about each quarter turn: one of the
@@ -87,8 +88,8 @@ def first_guess(
 
     Args:
         field_of_view_deg: horizontal, of the thermal camera; None if not known.
-        report: called with the number of cameras that were tried, and of all: of those that are
-            nearly upright, and where none of them stands out, of those at all quarter turns.
+        report: counts the cameras that were tried, of all that are nearly upright; where none of
+            these stands out, of those at all quarter turns.
     """
     height, width = pairs[0].thermal.values.shape
     size = WIDTH_PX, max(1, round(height * WIDTH_PX / width))
@@ -100,7 +101,7 @@ def first_guess(
 
     def correlated(focal: float, turn_deg: float) -> Found:
         if report is not None:
-            report(next(counts), rounds * each)
+            report("searching the thermal camera", next(counts), rounds * each)
         return _correlated(pairs, thermal, focal, turn_deg)
 
     found = [_best_about(0.0, focals, correlated)]

@@ -53,7 +53,10 @@ def map_images(
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir()
     if models:
-        _drop_noise(models[0], len(job.files))
+        least = MIN_TRACK if len(job.files) >= FEW_IMAGES else 2
+        for number, point in list(models[0].points3D.items()):
+            if point.track.length() < least or point.error > MAX_ERROR_PX:
+                models[0].delete_point3D(number)
         models[0].write_binary(fresh)
         _save_points(models[0], job.files, fresh / POINTS_FILE)
     (fresh / REPORT_FILE).write_bytes(msgspec.json.encode(_report(job, models, nearby)))
@@ -139,18 +142,6 @@ def _models(
     )
     shutil.rmtree(folder)
     return sorted(models.values(), key=lambda model: model.num_reg_images(), reverse=True)
-
-
-def _drop_noise(model: pycolmap.Reconstruction, images: int) -> None:
-    """Delete points with short tracks or large reprojection errors."""
-    least = MIN_TRACK if images >= FEW_IMAGES else 2
-    poor = [
-        number
-        for number, point in model.points3D.items()
-        if point.track.length() < least or point.error > MAX_ERROR_PX
-    ]
-    for number in poor:
-        model.delete_point3D(number)
 
 
 def _save_points(model: pycolmap.Reconstruction, files: Sequence[str], file: Path) -> None:
