@@ -101,11 +101,6 @@ class ConvertedView:
     facts: PhotoFacts = field(default_factory=lambda: PhotoFacts("image"))
     range_c: tuple[float, float] | None = None
 
-    @property
-    def files(self) -> tuple[str, ...]:
-        """The images, relative to the scene's folder."""
-        return tuple(image.file for image in self.images.values())
-
 
 @dataclass(frozen=True)
 class ConvertedPhotos:

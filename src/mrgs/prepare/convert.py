@@ -70,8 +70,8 @@ class _CachedPair:
     refusal: str = ""
 
     @property
-    def files(self) -> tuple[str, ...]:
-        return () if self.view is None else self.view.files
+    def images(self) -> Iterable[ConvertedImage]:
+        return () if self.view is None else self.view.images.values()
 
 
 def convert_photos(
@@ -160,7 +160,7 @@ def _cached(pair: PhotoPair, settings: _Settings, cache: Cache, contents: Digest
             _CachedPair,
             (_VERSION, pair, held, *settings[1:]),
             make,
-            lambda found: [settings.scene / file for file in found.files],
+            lambda found: [settings.scene / image.file for image in found.images],
         )
     except SceneError as error:
         return _CachedPair(None, str(error))

@@ -17,7 +17,7 @@ from mrgs.data.earth import ecef, enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.prepare.contract import Georeference, Reconstruction
 from mrgs.prepare.known_distance import KnownDistance, length_of
-from mrgs.prepare.similarity import RobustFit, Similarity, fit_robustly
+from mrgs.prepare.similarity import Similarity, fit_robustly
 from mrgs.scene import PointCloud, WorldFrame
 
 ARBITRARY = "The scale is arbitrary."
@@ -99,11 +99,8 @@ def georeference(
 
 def apply(georeference: Georeference, reconstruction: Reconstruction) -> Reconstruction:
     """The reconstruction with poses and points in the new world."""
-    rotation, translation, scale = (
-        georeference.rotation,
-        georeference.translation,
-        georeference.scale,
-    )
+    rotation, translation = georeference.rotation, georeference.translation
+    scale = georeference.scale
     viewmats = {}
     for name, viewmat in reconstruction.viewmats.items():
         moved = torch.eye(4, dtype=torch.float64)
@@ -248,7 +245,11 @@ def _solution(
         upright = level(source)
         source, target = upright[:, :2], target[:, :2]
         fit = fit_robustly(source, target)
-        whole = _with_vertical(fit, level, float(np.median(upright[:, 2])))
+        flat, turn = fit.similarity, np.eye(3)
+        turn[:2, :2] = flat.rotation
+        shift = np.append(flat.translation, -flat.scale * np.median(upright[:, 2]))
+        shift += flat.scale * np.einsum("ij,j->i", turn, level.translation)
+        whole = Similarity(flat.scale * level.scale, turn @ level.rotation, shift)
     noise_m = max(
         fit.sigma * math.sqrt(fit.freedom / (2 * gammaincinv(fit.freedom / 2, 0.1))), LEAST_NOISE_M
     )
@@ -268,15 +269,6 @@ def _solution(
     if scale_matters and solution.scale_error > MAX_SCALE_ERROR:
         raise UnusableGpsError(_too_close(solution))
     return solution
-
-
-def _with_vertical(fit: RobustFit, level: Similarity, height: float) -> Similarity:
-    """``level``, then the fit in the plane; ``height`` becomes 0."""
-    flat, turn = fit.similarity, np.eye(3)
-    turn[:2, :2] = flat.rotation
-    translation = np.append(flat.translation, -flat.scale * height)
-    translation += flat.scale * np.einsum("ij,j->i", turn, level.translation)
-    return Similarity(flat.scale * level.scale, turn @ level.rotation, translation)
 
 
 def _too_close(solution: _Solution) -> str:

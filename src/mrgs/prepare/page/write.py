@@ -121,12 +121,7 @@ def write_page(
 def write_scene_page(
     path: Path, template: str, title: str, world: World | None, **values: Any
 ) -> Path:
-    """Write a page that shows a scene; returns its path.
-
-    Args:
-        path: ends with .html, in the scene's folder.
-        template: extends ``scene.html``.
-        world: cameras and points; None if there are none.
+    """Write a page that shows a scene, by a template that extends ``scene.html``; returns its path.
 
     Raises:
         RunError: the file cannot be written.

@@ -56,7 +56,14 @@ def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...
                 f"folder of its own",
             )
         _check_lenses(modality, photos, inventory)
-        warnings += (*_zoomed(modality, photos), *_several(modality, photos, inventory))
+        focal_mm = [photo.focal_mm for photo in photos if photo.focal_mm is not None]
+        if focal_mm and max(focal_mm) > _ZOOM * min(focal_mm):
+            warnings += (
+                f"The {modality.title} photos were taken with focal lengths of {min(focal_mm):g} "
+                f"mm to {max(focal_mm):g} mm, yet one lens is assumed for all: leave out those "
+                f"that were zoomed.",
+            )
+        warnings += _several(modality, photos, inventory)
     return warnings
 
 
@@ -103,16 +110,6 @@ def _several(modality: Modality, photos: Sequence[Photo], inventory: Inventory) 
         f"The {modality.title} photos are of {len(by_serial)} cameras of one model, by their "
         f"serial numbers {named}, yet one lens and one offset is assumed for all: prepare each "
         f"camera separately, from a folder of its own.",
-    )
-
-
-def _zoomed(modality: Modality, photos: Sequence[Photo]) -> tuple[str, ...]:
-    focal_mm = [photo.focal_mm for photo in photos if photo.focal_mm is not None]
-    if not focal_mm or max(focal_mm) <= _ZOOM * min(focal_mm):
-        return ()
-    return (
-        f"The {modality.title} photos were taken with focal lengths of {min(focal_mm):g} mm to "
-        f"{max(focal_mm):g} mm, yet one lens is assumed for all: leave out those that were zoomed.",
     )
 
 

@@ -77,8 +77,7 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
 
 def board_points(columns: int, rows: int) -> Float[np.ndarray, "n 2"]:
     """The inner corners on a board whose squares are 1 wide: x, y, row by row."""
-    grid = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
-    return np.stack(grid, axis=-1).reshape(-1, 2)
+    return np.indices((rows, columns))[::-1].reshape(2, -1).T.astype(np.float64)
 
 
 def homography(

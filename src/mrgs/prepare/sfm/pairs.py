@@ -48,12 +48,7 @@ def _couples(others: Int64[np.ndarray, "n k"]) -> list[tuple[int, int]]:
 
 def misfit(centres: Float64[np.ndarray, "n 3"], positions: Float64[np.ndarray, "n 3"]) -> float:
     """How far cameras are off their positions, which nine of ten do not exceed, as a share of the
-    positions' spread.
-
-    Args:
-        centres: of the cameras, in any world.
-        positions: of the same cameras, in metres.
-    """
+    positions' spread; ``centres`` are in any world."""
     moved = fit_robustly(centres, positions).similarity(centres)
     off = np.linalg.norm(moved - positions, axis=1)
     return float(np.quantile(off, 0.9)) / max(spread_m(positions), 1e-9)
@@ -80,7 +75,6 @@ def pairs_to_match(
     Args:
         count: of images, numbered in the order in which they were taken.
         descriptors: reads those of all images; only called where likeness decides.
-        positions: in metres, by GPS.
     """
     if count <= MAX_EXHAUSTIVE:
         return list(combinations(range(count), 2))

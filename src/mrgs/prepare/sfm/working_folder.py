@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -43,8 +44,10 @@ def set_up(
     """
     job, file = _job(images, stretch, positions), folder / JOB_FILE
     try:
-        if file.is_file() and _holds(file, job):
-            return
+        if file.is_file():
+            with suppress(msgspec.DecodeError, UnicodeDecodeError):
+                if msgspec.json.decode(file.read_bytes(), type=JobFile) == job:
+                    return
         shutil.rmtree(folder, ignore_errors=True)
         (folder / IMAGE_FOLDER).mkdir(parents=True)
         span = span_of(images.values()) if stretch else None
@@ -72,14 +75,6 @@ def _job(
     )
     rounded = None if positions is None else tuple(map(tuple, positions.round(3).tolist()))
     return JobFile(named, stretch, rounded)
-
-
-def _holds(file: Path, job: JobFile) -> bool:
-    """Whether a file has this job."""
-    try:
-        return msgspec.json.decode(file.read_bytes(), type=JobFile) == job
-    except (msgspec.DecodeError, UnicodeDecodeError):
-        return False
 
 
 def _link(source: Path, target: Path) -> None:
