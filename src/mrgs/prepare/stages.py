@@ -116,8 +116,7 @@ def thermal_camera(work: Work, calibrate: Calibrate) -> StageSummary:
     """Intrinsics and extrinsics of the thermal camera. A target may also give the scale, which then
     changes the scene's world."""
     options, posed, metric = work.options, work.posed, work.metric
-    file = options.thermal_camera
-    content = None if file is None else digest(file)
+    content = None if options.thermal_camera is None else digest(options.thermal_camera)
     known = (options.one_camera, options.thermal_fov_deg, options.target, content)
     images = [(view.name, view.images) for view in work.images.views]
     found = work.cache.get(

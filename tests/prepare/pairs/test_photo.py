@@ -71,7 +71,8 @@ def test_numbers(seen):
 
 
 def test_a_dji_photo(seen):
-    assert seen("a.jpg", photo("dji", model="DJI M3T")).kind == "dji"
+    found = seen("a.jpg", photo("dji", model="DJI M3T"))
+    assert (found.kind, found.needs_tool) == ("signal", True)
 
 
 def test_a_table(seen):

@@ -27,9 +27,9 @@ _RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", 
 _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
 
-Kind = Literal["signal", "numbers", "table", "image", "dji"]
+Kind = Literal["signal", "numbers", "table", "image"]
 """Content of a file: a camera's raw signal; bare numbers, or floats in an image; a table of
-temperatures; any other image; a DJI R-JPEG, which DJI's own tool reads."""
+temperatures; any other image."""
 
 
 class Reader(NamedTuple):
@@ -41,11 +41,14 @@ class Reader(NamedTuple):
         read: its photo; raises ``SceneError`` if it cannot be read.
         kind: what it holds, by which ``mrgs prepare`` finds thermal photos among others. An image
             may turn out to hold numbers, or to be a photo in visible light.
+        needs_tool: whether only the maker's tool reads it, as a DJI R-JPEG: it then computes the
+            temperatures, and a file that was made with it before is used instead.
     """
 
     recognises: Callable[[bytes, Path], bool]
     read: Callable[[bytes, Path, Overrides], ThermalPhoto]
     kind: Kind = "image"
+    needs_tool: bool = False
 
 
 def _read_flir_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
@@ -65,7 +68,8 @@ READERS = [
             data.startswith(JPEG_SIGNATURE) and holds_dji_signal(data, read_exif(data).make)
         ),
         lambda data, path, overrides: read_r_jpeg(path, read_exif(data), overrides),
-        "dji",
+        "signal",
+        needs_tool=True,
     ),
     Reader(
         lambda data, _: data.startswith(FFF_SIGNATURES),
@@ -119,8 +123,8 @@ def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> 
     meanings = [name for name in ("unit", "bounds_c") if getattr(overrides, name) is not None]
     if photo.facts.parameters is not None:
         unused, why = meanings, "the temperatures follow from the camera's signal"
-    elif reader.kind == "dji":
-        unused, why = parameters + meanings, "DJI's tool computes the temperatures"
+    elif reader.needs_tool:
+        unused, why = parameters + meanings, "the maker's tool computes the temperatures"
     else:
         unused, why = parameters, "the file holds finished numbers, not the camera's signal"
     if not unused:

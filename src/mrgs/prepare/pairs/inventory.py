@@ -29,7 +29,7 @@ from mrgs.prepare.contract import Progress, Skipped
 from mrgs.prepare.pairs.names import composed, folder_modality, natural, printable
 from mrgs.scene import Modality
 
-PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image", "dji")
+_PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image")
 """In this order one file is preferred where several show the same."""
 
 _HEAD_BYTES = 2**20
@@ -53,6 +53,7 @@ class Photo:
             photos.
         kind: what it holds.
         size: width and height in pixels.
+        needs_tool: whether only the maker's tool reads it.
         embedded: whether a photo in visible light is inside.
         focal_mm: focal length in mm.
         field_of_view_deg: horizontal, of the thermal camera's lens.
@@ -63,6 +64,7 @@ class Photo:
     origin: PurePosixPath
     kind: Kind
     size: tuple[int, int] | None = None
+    needs_tool: bool = False
     embedded: bool = False
     exif: ExifFacts = field(default_factory=ExifFacts)
     focal_mm: float | None = None
@@ -73,6 +75,11 @@ class Photo:
     def is_thermal(self) -> bool:
         """Whether the content is thermal for certain; a plain image may be thermal as well."""
         return self.kind != "image"
+
+    @property
+    def preference(self) -> int:
+        """Lower is better, where several files show the same."""
+        return len(_PREFERENCE) if self.needs_tool else _PREFERENCE.index(self.kind)
 
 
 def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
@@ -89,7 +96,11 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         reader = reader_of(data, path)
         if reader is None and suffix in _UNSUPPORTED:
             return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
-        return "is no photo" if reader is None else _PHOTOS[reader.kind](path, origin, data)
+        if reader is None:
+            return "is no photo"
+        found = _PHOTOS[reader.kind](path, origin, data)
+        is_photo = isinstance(found, Photo)
+        return replace(found, needs_tool=True) if is_photo and reader.needs_tool else found
     except SceneError as error:
         return str(error).removeprefix(f"{path}: ")
 
@@ -116,7 +127,8 @@ def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
         record = read_bytes(path, MAX_BYTES)
     exif = read_exif(data) if is_jpeg else ExifFacts()
     if record is None:  # another maker's
-        return Photo(path, origin, "signal", exif=exif)
+        photo = _image(path, origin, data) if is_jpeg else Photo(path, origin, "signal")
+        return photo if isinstance(photo, str) else replace(photo, kind="signal")
     records = flir.Records(record, path)
     if is_jpeg and records.get(flir.RAW_DATA) is None:  # a photo in visible light
         return _image(path, origin, data)
@@ -156,7 +168,6 @@ _PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {
     "numbers": _bare_numbers,
     "table": _table,
     "image": _image,
-    "dji": _image,
 }
 """The function that inspects a file of each kind."""
 
@@ -172,12 +183,8 @@ def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
                 serial = clean_text(details.get(Base.BodySerialNumber))
     except Exception:  # Pillow's readers of damaged headers raise almost anything
         return "cannot be decoded as an image; copy or export it again"
+    kind: Kind = "numbers" if mode == "F" or mode.startswith("I") else "image"
     exif = read_exif(data)
-    kind: Kind = "image"
-    if mode == "F" or mode.startswith("I"):
-        kind = "numbers"
-    elif holds_dji_signal(data, exif.make):
-        kind = "dji"
     return Photo(path, origin, kind, size, exif=exif, focal_mm=focal_mm, serial=serial)
 
 
@@ -295,8 +302,8 @@ def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], l
                 for other in group
                 if photo.is_thermal and other.is_thermal and other.path.parent == photo.path.parent
             ]
-            best[photo] = min([photo, *beside], key=lambda one: PREFERENCE.index(one.kind))
-            if best[photo].kind == "dji" and len(finished) == 1:
+            best[photo] = min([photo, *beside], key=lambda one: one.preference)
+            if best[photo].needs_tool and len(finished) == 1:
                 best[photo] = finished[0]
     used = {photo: original for original, photo in best.items() if photo is not original}
     kept, skipped = [], []
@@ -304,7 +311,7 @@ def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], l
         if best[photo] is not photo:
             reason = f"the temperatures are taken from {below(root, best[photo].path)}"
             skipped.append(Skipped(below(root, photo.path), reason))
-        elif photo in used and used[photo].kind == "dji":
+        elif photo in used and used[photo].needs_tool:
             exif = replace(used[photo].exif, orientation=photo.exif.orientation)
             serial = used[photo].serial
             kept.append(replace(photo, origin=used[photo].origin, exif=exif, serial=serial))

@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from mrgs.prepare.pairs.clocks import clock_offset, match_times
-from mrgs.prepare.pairs.inventory import PREFERENCE, Photo
+from mrgs.prepare.pairs.inventory import Photo
 from mrgs.prepare.pairs.names import (
     PARTNER,
     PARTNER_MARKS,
@@ -238,7 +238,7 @@ def _within_key(
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:
     """Of several files of one photo the one that holds most; the first of equals."""
-    return min(candidates, key=lambda candidate: PREFERENCE.index(candidate.photo.kind))
+    return min(candidates, key=lambda candidate: candidate.photo.preference)
 
 
 def _instead(candidates: Sequence[Candidate], used: Sequence[Photo | None]) -> dict[Photo, str]:

@@ -174,7 +174,7 @@ def find_target(
 
 
 class _BoardPose(NamedTuple):
-    """A sighting, and the motion from the board's axes to those of the photo's camera, lengths in
+    """A sighting, and the motion from the board's axes to those of the photo's camera, in
     squares."""
 
     sighting: Sighting

@@ -78,9 +78,8 @@ def _write_camera(job: ReconstructionJob) -> None:
     low, high = (share * max(camera.width, camera.height) for share in _PLAUSIBLE_FOCAL_LENGTHS)
     known = [focal_length for focal_length in known if low <= focal_length <= high]
     camera.has_prior_focal_length = bool(known)
-    camera.focal_length = (
-        statistics.median(known) if known else 1.2 * max(camera.width, camera.height)
-    )
+    guess = 1.2 * max(camera.width, camera.height)
+    camera.focal_length = statistics.median(known) if known else guess
     camera.camera_id = CAMERA
     with pycolmap.Database.open(job.database) as database:
         database.write_camera(camera, use_camera_id=True)
