@@ -13,7 +13,7 @@ from mrgs.errors import SceneError
 from mrgs.prepare.contract import Reconstruction
 
 NEIGHBOURS = 12
-"""Number of triangulated points from which the depth of a pixel is interpolated."""
+"""Triangulated points from which the depth of a pixel is interpolated."""
 
 _MIN_NEIGHBOURS = 3
 _SEARCH_SHARE = 0.05

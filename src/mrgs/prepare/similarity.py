@@ -42,8 +42,8 @@ def fit_similarity(
     source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
 ) -> Similarity:
     """The least-squares similarity from source to target points (Umeyama, 1991)."""
-    scale, rotation, translation = _umeyama(source, target)
-    return Similarity(float(scale), rotation, translation)
+    scales, rotations, translations = _umeyama(source[None], target[None])
+    return Similarity(float(scales[0]), rotations[0], translations[0])
 
 
 def fit_robustly(

@@ -69,8 +69,7 @@ def preview_of_pixels(
     width: int,
     pixels: Mapping[Modality, Pixels],
 ) -> Preview:
-    """Preview of a view with a pose, at most ``width`` pixels wide, from the images that were
-    read."""
+    """Preview of a view with a pose, at most ``width`` pixels wide."""
     images = {
         modality: PreviewImage(
             _shown(modality, found.values, found.valid, temperature, width),

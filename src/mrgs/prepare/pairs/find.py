@@ -86,11 +86,8 @@ def find_pairs(
         )
     inventory = take_inventory(photos, progress)
     root_name = needed_root_name(inventory.photos, inventory.root.resolve().name)
-    match = (
-        _match(inventory, root_name, rule, tolerance_s)
-        if table is None
-        else by_table(table, inventory)
-    )
+    match = by_table(table, inventory) if table else None
+    match = match or _match(inventory, root_name, rule, tolerance_s)
     pairs = [pair for pair in match.pairs if pair.partner or pair.embedded] or [*match.pairs]
     warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory))
     names = view_names([_name_without_suffix(pair.reference) for pair in pairs])

@@ -98,9 +98,8 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
             return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
         if reader is None:
             return "is no photo"
-        found = _PHOTOS[reader.kind](path, origin, data)
-        is_photo = isinstance(found, Photo)
-        return replace(found, needs_tool=True) if is_photo and reader.needs_tool else found
+        photo = _PHOTOS[reader.kind](path, origin, data)
+        return photo if isinstance(photo, str) else replace(photo, needs_tool=reader.needs_tool)
     except SceneError as error:
         return str(error).removeprefix(f"{path}: ")
 
