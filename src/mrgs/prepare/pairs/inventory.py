@@ -21,7 +21,6 @@ from mrgs.data.radiometric.exif import (
     JPEG_SIGNATURE,
     clean_text,
     flir_record,
-    holds_dji_signal,
 )
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.errors import SceneError
