@@ -88,8 +88,8 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
     if radiometric and (found := _LAST_R.search(stem)):
         return StemFacts(stem[: found.start()], THERMAL, "r")
     if (found := _STAMPED.fullmatch(stem)) and (modality := _modality_of(found[4])) is not None:
-        parts = (part.strip("_-") for part in (found[1], found[3], found[5] or ""))
-        key = "_".join(part for part in parts if part)
+        stripped = (part.strip("_-") for part in (found[1], found[3], found[5] or ""))
+        key = "_".join(part for part in stripped if part)
         return StemFacts(key, modality, found[4].lower(), _moment(found[2]))
     if found := _LAST_LETTER.search(stem):
         mark = (found["camera"] or found["thermal"]).lower()

@@ -34,8 +34,8 @@ FEWEST_POINTS = 8
 
 @dataclass(frozen=True, eq=False)
 class InverseDepth:
-    """Inverse depth 1 / z over a photo, in 1 / scene units, one value per ``STEP_PX`` photo pixels;
-    and the median of the points that the photo sees."""
+    """Inverse depth 1 / z over a photo, one value per ``STEP_PX`` photo pixels; and the median of
+    the points that the photo sees."""
 
     values: Float[np.ndarray, "rows columns"]
     median: float

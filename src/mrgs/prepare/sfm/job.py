@@ -25,8 +25,7 @@ FORMAT = 3
 
 
 class JobImage(msgspec.Struct, frozen=True):
-    """An image: its file in ``IMAGE_FOLDER``, without spaces; the view's name; and the digest of
-    the original."""
+    """An image's file in ``IMAGE_FOLDER``, the view's name, and the digest of the original."""
 
     file: str
     name: str

@@ -146,8 +146,8 @@ def local_contrast(shares: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h
         (np.arange(count) + 0.5) * tiles / count - 0.5
         for count, tiles in ((height, rows), (width, columns))
     ]
-    places = np.broadcast_arrays(places[0][:, None], places[1], bins)
-    return map_coordinates(ranks, places, np.float64, order=1, mode="nearest").astype(np.float32)
+    where = np.broadcast_arrays(places[0][:, None], places[1], bins)
+    return map_coordinates(ranks, where, np.float64, order=1, mode="nearest").astype(np.float32)
 
 
 def _ranks(tile: np.ndarray) -> Float32[np.ndarray, " bins"]:
