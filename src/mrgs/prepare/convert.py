@@ -39,11 +39,8 @@ from mrgs.system.atomic import remove, replacing
 IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 """Folders of the images in the scene's folder."""
 
-VIEWS = "photos"
-"""The folder in the cache that holds a result for each pair."""
-
-CONTENTS = "contents.json"
-"""The file in the cache that remembers what the photos hold."""
+VIEWS, CONTENTS = "photos", "contents.json"
+"""Of the cache: the folder with a result for each pair, and the file with digests of the photos."""
 
 _VERSION = 8
 """Raise it when the same photos give other images or facts."""

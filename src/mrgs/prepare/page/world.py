@@ -98,8 +98,7 @@ def _viewpoints(
     low: Float[np.ndarray, "3"],
     high: Float[np.ndarray, "3"],
 ) -> dict[str, Any]:
-    """Cameras that see the whole box: aslant, from above, with north or what most photos look at
-    upwards, and from the side."""
+    """Cameras that see the whole box: aslant, from above, and from the side."""
     ahead = np.array([0.0, 1.0, 0.0])
     if not world.north:
         directions = np.stack([camera.forward.numpy() for camera in world.cameras.values()])

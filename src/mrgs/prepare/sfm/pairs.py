@@ -40,7 +40,7 @@ def pairs_nearby(positions: Float64[np.ndarray, "n 3"]) -> list[tuple[int, int]]
 
 
 def _couples(others: Int64[np.ndarray, "n k"]) -> list[tuple[int, int]]:
-    """Each image, by its row, with each of the others; once, the smaller number first."""
+    """Each image, by its row, with each of the others, once; the smaller number first."""
     rows = np.broadcast_to(np.arange(len(others))[:, None], others.shape)
     couples = np.sort(np.stack([rows, others], axis=-1)[rows != others], axis=1)
     return [(int(first), int(second)) for first, second in np.unique(couples, axis=0)]
