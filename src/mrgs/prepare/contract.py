@@ -92,7 +92,7 @@ class ConvertedView:
         exif: of the RGB photo, completed from the thermal photo.
         facts: what the thermal camera recorded in its file: emissivity, reflected temperature,
             serial number, time and so on; without the embedded photo.
-        range_c: lowest and highest temperature, °C; None if the photo holds none.
+        range_c: lowest and highest temperature, °C; None without temperatures.
     """
 
     name: str

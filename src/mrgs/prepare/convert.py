@@ -1,5 +1,5 @@
 """Conversion of photos to the scene's images: RGB as the camera wrote it; float32 °C where the
-thermal photo holds temperatures."""
+thermal photo has temperatures."""
 
 from __future__ import annotations
 

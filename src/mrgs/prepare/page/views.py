@@ -168,7 +168,7 @@ def thermal_overlays(
     visible: Mapping[str, Int64[Tensor, " _"]] | None = None,
     report: Progress = lambda step, done, total: None,
 ) -> dict[str, Float32[np.ndarray, "h w"]]:
-    """``thermal_overlay`` of each view, by its name; without those that have none."""
+    """``thermal_overlay`` of each view, by its name, where there is one."""
     found = {}
     for done, view in enumerate(previews):
         report("drawing", done, len(previews))

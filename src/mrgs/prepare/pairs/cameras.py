@@ -75,7 +75,7 @@ def _described(photo: Photo, inventory: Inventory) -> str:
 def _grouped(
     photos: Sequence[Photo], attribute: Callable[[Photo], Value | None]
 ) -> dict[Value, list[Photo]]:
-    """The photos by an attribute; without those that do not say."""
+    """The photos by an attribute, where it is known."""
     groups: dict[Value, list[Photo]] = {}
     for photo in photos:
         if (value := attribute(photo)) is not None:

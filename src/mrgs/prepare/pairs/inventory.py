@@ -50,7 +50,7 @@ class Photo:
     Attributes:
         origin: path of the camera's original file without the extension, relative to the folder of
             photos.
-        kind: what it holds.
+        kind: of its content.
         size: width and height in pixels.
         needs_tool: whether only the maker's tool reads it.
         embedded: whether a photo in visible light is inside.
@@ -217,7 +217,7 @@ def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
     """All files below a folder.
 
     Raises:
-        SceneError: the folder cannot be listed, or holds no file that can be a photo.
+        SceneError: the folder cannot be listed, or has no file that can be a photo.
     """
     if not root.is_dir():
         raise scene_error(root, "not a folder; give the photos' folder")

@@ -102,11 +102,11 @@ def candidate_by_folder(photo: Photo, root_name: str = "") -> Candidate:
 def needed_root_name(photos: Sequence[Photo], root_name: str) -> str:
     """The name of the folder of all photos, where nothing else says what any of them is; else
     empty: a folder of both cameras' photos may be called "thermal survey"."""
-    tells = any(
+    is_known = any(
         photo.is_thermal or candidate_by_folder(photo).modality or candidate_by_name(photo).modality
         for photo in photos
     )
-    return "" if tells else root_name
+    return "" if is_known else root_name
 
 
 def _candidate(photo: Photo, named: Modality | None, folders: Sequence[str]) -> Candidate:
@@ -143,7 +143,7 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
 
 def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
     """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
-    else unique; those that are equal to the letter before those that differ in a camera suffix."""
+    else unique; names that are equal to the letter come before names with a camera suffix."""
     candidates = [candidate_by_folder(photo, root_name) for photo in photos]
     pairs: list[Pair] = []
     reasons: dict[Photo, str] = {}
@@ -237,7 +237,7 @@ def _within_key(
 
 
 def _best(candidates: Sequence[Candidate]) -> Candidate:
-    """Of several files of one photo the one that holds most; the first of equals."""
+    """The best of several files of one photo; the first of equals."""
     return min(candidates, key=lambda candidate: candidate.photo.preference)
 
 

@@ -21,7 +21,7 @@ FAINT_PEAK_THRESHOLD = 0.002
 
 MAX_IMAGE_SIDE_PX = 1600
 MAX_THREADS = 4
-"""Each holds the scale space of an image, about half a gigabyte at 1600 pixels."""
+"""Each needs the scale space of an image, about half a gigabyte at 1600 pixels."""
 
 _PLAUSIBLE_FOCAL_LENGTHS = (0.3, 4.0)
 """Over the image's longer side: fields of view from 118° to 14°."""

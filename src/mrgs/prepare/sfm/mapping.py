@@ -84,7 +84,7 @@ def _models_by_position(
 
 
 def _misfit(job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction]) -> float:
-    """``misfit`` of the largest model; infinite where that holds less than half of the images."""
+    """``misfit`` of the largest model; infinite where that has less than half of the images."""
     assert job.positions is not None
     if not models or models[0].num_reg_images() < max(len(job.files) / 2, MIN_IMAGES):
         return math.inf

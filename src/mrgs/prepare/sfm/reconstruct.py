@@ -97,7 +97,7 @@ def run_colmap(folder: Path, progress: Progress, program: Sequence[str] = CHILD)
     """Complete the job in ``folder``; see ``mrgs.prepare.sfm``.
 
     Args:
-        folder: holds the job; a log of the process is written there.
+        folder: of the job; a log of the process is written there.
         program: arguments of the Python interpreter that start the process.
 
     Raises:
