@@ -72,7 +72,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_a_flir_photo_and_its_visible_photo(made, scene, photos):
     found = made({"FLIR1.jpg": ("flir with visible", {"taken": NOON, "model": "E60"})})
     (view,) = found.views
-    assert (view.name, *view.files) == (
+    assert (view.name, *(image.file for image in view.images.values())) == (
         "FLIR1",
         "images/FLIR1.jpg",
         "thermal/FLIR1.tiff",

@@ -7,8 +7,7 @@ import torch
 
 from mrgs.data.lens import Lens
 from mrgs.errors import SceneError
-from mrgs.prepare.rig.adjust import Observations
-from mrgs.prepare.rig.calibrate import _rows_of_views, calibrate_rig
+from mrgs.prepare.rig.calibrate import calibrate_rig
 from mrgs.prepare.rig.contract import RigOptions
 from mrgs.scene import Pixels, PointCloud
 from tests.helpers.rig_room import build_room
@@ -161,11 +160,3 @@ def test_a_pair_that_does_not_agree_is_named(room):
     (warning,) = found.warnings
     assert "few edges" in warning
     assert "(view_3)" in warning
-
-
-def test_each_pair_gets_its_own_rows_of_the_observations():
-    views, pixels = torch.tensor([2, 0, 2, 3, 0]), torch.zeros(5, 2).double()
-    points, spread = torch.zeros(5, 3).double(), torch.zeros(5, 2, 2).double()
-    observations = Observations(views, points, pixels, spread, pixels[:, 0], views)
-    rows = _rows_of_views(observations, 5)
-    assert [each.tolist() for each in rows] == [[1, 4], [], [0, 2], [3], []]
