@@ -10,6 +10,7 @@ from mrgs.data import load_scene
 from mrgs.method.config import make_config
 from mrgs.run_files.record import peak_memory_bytes
 from mrgs.scene import THERMAL, Modality, Pixels, PosedImage, View
+from mrgs.scene.capture import Capture
 from mrgs.training.memory import estimate_bytes, gaussian_bytes
 from mrgs.training.photos import kept_bytes
 from tests.helpers.gaussians import NEAR_INFRARED
@@ -82,7 +83,11 @@ def test_temperatures_that_depend_on_the_view_take_more(small_scene):
     """Sixteen numbers in place of one, with Adam's copies."""
     scene = load_scene(small_scene)
     even, own = (
-        gaussian_bytes(scene, replace(make_config("mrgs"), temperature_sh_degree=degree))
+        gaussian_bytes(
+            replace(make_config("mrgs"), temperature_sh_degree=degree),
+            scene.modalities,
+            Capture.of(scene),
+        )
         for degree in (0, 3)
     )
     assert own - even == 4 * 6 * 15

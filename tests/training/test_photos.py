@@ -9,13 +9,13 @@ import torch
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, Scene
 from mrgs.training import photos
-from mrgs.training.photos import HostPhotos, bytes_per_pixel
+from mrgs.training.photos import TrainingPhotos, bytes_per_pixel
 from tests.helpers.views import posed_image
 
 
 def test_photos_are_read_once_while_there_is_room(counting_image):
     images = [counting_image() for _ in range(3)]
-    kept = HostPhotos(limit_bytes=240)
+    kept = TrainingPhotos(limit_bytes=240)
     for image in images * 4:
         assert kept.load(image.posed).values.shape == (4, 5, 1)
     assert [image.reads for image in images] == [1, 1, 1]
@@ -23,7 +23,7 @@ def test_photos_are_read_once_while_there_is_room(counting_image):
 
 def test_the_photos_that_come_first_stay(counting_image):
     a, b, c = (counting_image() for _ in range(3))
-    kept = HostPhotos(limit_bytes=160)
+    kept = TrainingPhotos(limit_bytes=160)
     for image in (a, b, c, a, b, c):
         kept.load(image.posed)
     assert (a.reads, b.reads, c.reads) == (1, 1, 2)
@@ -31,49 +31,10 @@ def test_the_photos_that_come_first_stay(counting_image):
 
 def test_masks_count_too(counting_image):
     images = [counting_image(masked=True) for _ in range(2)]
-    kept = HostPhotos(limit_bytes=199)
+    kept = TrainingPhotos(limit_bytes=199)
     for image in images * 2:
         kept.load(image.posed)
     assert [image.reads for image in images] == [1, 2]
-
-
-def test_page_locked_photos_count_as_the_powers_of_two_that_torch_takes(counting_image):
-    images = [counting_image() for _ in range(2)]  # of 80 bytes
-    kept = HostPhotos(limit_bytes=255, pinned=True, pin=torch.clone)
-    for image in images * 2:
-        kept.load(image.posed)
-    assert [image.reads for image in images] == [1, 2]
-
-
-def test_a_power_of_two_takes_no_more_page_locked_memory_than_it_is():
-    image = posed_image(torch.rand(8, 8, 1))  # of 256 bytes
-    for limit, is_kept in ((256, True), (255, False)):
-        kept = HostPhotos(limit_bytes=limit, pinned=True, pin=torch.clone)
-        kept.load(image)
-        assert kept.keeps(image) is is_kept
-
-
-def test_where_no_memory_can_be_page_locked_photos_stay_in_ordinary_memory(counting_image):
-    tried = []
-
-    def full(tensor: torch.Tensor) -> torch.Tensor:
-        tried.append(tensor)
-        raise RuntimeError("CUDA error: out of memory")
-
-    images = [counting_image() for _ in range(2)]
-    kept = HostPhotos(limit_bytes=255, pinned=True, pin=full)
-    for image in images * 2:
-        assert torch.equal(kept.load(image.posed).values, image.posed.load().values)
-    assert len(tried) == 1
-    assert all(kept.keeps(image.posed) for image in images)
-
-
-def test_other_errors_of_page_locking_are_raised(counting_image):
-    def broken(tensor: torch.Tensor) -> torch.Tensor:
-        raise RuntimeError("CUDA error: unspecified launch failure")
-
-    with pytest.raises(RuntimeError, match="launch failure"):
-        HostPhotos(limit_bytes=255, pinned=True, pin=broken).load(counting_image().posed)
 
 
 def eight_bit(seed: int, channels: int = 3) -> torch.Tensor:
@@ -83,7 +44,7 @@ def eight_bit(seed: int, channels: int = 3) -> torch.Tensor:
 
 def test_photos_of_8_bit_take_a_byte_per_channel_and_keep_their_bits():
     values, valid = eight_bit(0), torch.rand(6, 7) > 0.5
-    kept = HostPhotos(limit_bytes=6 * 7 * 4)
+    kept = TrainingPhotos(limit_bytes=6 * 7 * 4)
     image = posed_image(values, valid)
     for _ in range(2):
         found = kept.load(image)
@@ -97,7 +58,7 @@ def test_photos_of_8_bit_take_a_byte_per_channel_and_keep_their_bits():
 def test_other_photos_keep_their_bits_too(odd):
     values = eight_bit(1, channels=1)
     values[3, 2] = odd
-    kept = HostPhotos(limit_bytes=6 * 7 * 4)
+    kept = TrainingPhotos(limit_bytes=6 * 7 * 4)
     image = posed_image(values)
     kept.load(image)
     assert torch.equal(kept.load(image).values.view(torch.int32), values.view(torch.int32))
@@ -110,7 +71,7 @@ def test_kept_photos_of_all_kinds_share_blocks_of_memory():
     values.insert(7, torch.rand(50, 60, 1))  # larger than a block
     masks = [torch.rand(each.shape[:2]) > 0.5 if k % 3 else None for k, each in enumerate(values)]
     images = [posed_image(*each) for each in zip(values, masks, strict=True)]
-    kept = HostPhotos(limit_bytes=10**6, block_bytes=1000)
+    kept = TrainingPhotos(limit_bytes=10**6, block_bytes=1000)
     for image in images:
         kept.load(image)
     for image, expected, mask in zip(images, values, masks, strict=True):
@@ -129,7 +90,7 @@ def test_the_next_photos_are_read_by_another_thread():
         return Pixels(eight_bit(2))
 
     image = PosedImage(posed_image(eight_bit(2)).camera, load)
-    kept = HostPhotos(limit_bytes=0)
+    kept = TrainingPhotos(limit_bytes=0)
     kept.fetch([image])
     kept.fetch([image])  # it is on its way already
     assert torch.equal(kept.load(image).values, eight_bit(2))
@@ -142,7 +103,7 @@ def test_what_fails_ahead_of_its_turn_is_said_when_its_turn_comes():
         raise SceneError("a.png: cannot be decoded")
 
     image = PosedImage(posed_image(eight_bit(3)).camera, load)
-    kept = HostPhotos(limit_bytes=0)
+    kept = TrainingPhotos(limit_bytes=0)
     kept.fetch([image])
     with pytest.raises(SceneError, match=r"a\.png"):
         kept.load(image)
@@ -150,7 +111,7 @@ def test_what_fails_ahead_of_its_turn_is_said_when_its_turn_comes():
 
 def test_what_was_fetched_and_is_not_next_is_forgotten(counting_image):
     a, b = counting_image(), counting_image()
-    kept = HostPhotos(limit_bytes=0)
+    kept = TrainingPhotos(limit_bytes=0)
     kept.fetch([a.posed])
     kept.fetch([b.posed])
     kept.load(b.posed)
@@ -168,7 +129,7 @@ def test_no_thread_is_left_behind():
         return Pixels(eight_bit(4))
 
     image, never = (PosedImage(posed_image(eight_bit(4)).camera, load) for _ in range(2))
-    kept = HostPhotos(limit_bytes=0)
+    kept = TrainingPhotos(limit_bytes=0)
     kept.fetch([image, never])
     (reader,) = kept._reader._threads
     assert begun.wait(timeout=60)

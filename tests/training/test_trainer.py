@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import count, cycle
 from pathlib import Path
@@ -27,7 +27,6 @@ from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, View
 from mrgs.training import METHODS, StepStatistics, train
 from mrgs.training.checkpoint import load_model
-from mrgs.training.photos import HostPhotos
 from mrgs.training.start import Hooks, TrainingPart, TrainOptions, open_training
 from mrgs.training.state import initial_state
 from tests.helpers.changed_views import with_cameras
@@ -628,22 +627,6 @@ def test_where_a_gpus_memory_was_full_once_the_run_is_the_same(
     expected, found = load_file(whole.newest_checkpoint()), load_file(folder.newest_checkpoint())
     assert len(expected["gaussians.means"]) != 25
     assert [name for name in expected if not torch.equal(found[name], expected[name])] == []
-
-
-def test_where_memory_was_full_for_the_next_photos_the_run_is_the_same(
-    small_scene, tmp_path, monkeypatch
-):
-    """The host's memory stands for that of a GPU, where these are kept."""
-    config, memory, fetch = short_config(max_steps=8), Memory(0, 5), HostPhotos.fetch
-    whole = train(small_scene, tmp_path / "whole", config)
-
-    def fetch_if_there_is_memory(photos: HostPhotos, images: Sequence[PosedImage]) -> None:
-        memory.take()
-        fetch(photos, images)
-
-    monkeypatch.setattr(HostPhotos, "fetch", fetch_if_there_is_memory)
-    folder = train(small_scene, tmp_path / "run", config)
-    assert same_tensors(folder.newest_checkpoint(), whole.newest_checkpoint())
 
 
 def test_a_scene_before_the_near_plane_is_doubted(small_scene, tmp_path):

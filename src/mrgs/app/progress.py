@@ -317,6 +317,7 @@ class PrepareProgress:
 def _plan(scene: Scene, config: RunConfig) -> str:
     """Method, steps, cap on the Gaussians, and the memory needed."""
     from mrgs.kernels.cache import are_compiled
+    from mrgs.scene.capture import Capture
     from mrgs.training import TrainConfig, estimate_bytes
     from mrgs.training.memory import gaussian_bytes
 
@@ -327,7 +328,8 @@ def _plan(scene: Scene, config: RunConfig) -> str:
     start = min(len(scene.points.positions), cap)
     # Once, for it reads photos.
     first = estimate_bytes(scene, config, start, compiles=compiles)
-    last = first + (cap - start) * gaussian_bytes(scene, config)
+    each = gaussian_bytes(config, scene.modalities, Capture.of(scene))
+    last = first + (cap - start) * each
     return (
         f"{config.method}, {config.max_steps:,} steps, at most {cap:,} Gaussians; "
         f"memory: about {first / 2**30:.1f} GiB at the start, "

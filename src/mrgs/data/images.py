@@ -148,7 +148,8 @@ def has_eight_bit_levels(values: Float32[Tensor, "h w c"]) -> bool:
 
 def of_eight_bit_levels(levels: UInt8[Tensor, "*shape"]) -> Float32[Tensor, "*shape"]:
     """What ``decode`` makes of 8-bit levels."""
-    return levels.to(torch.float32) / 255
+    # On a GPU, torch would multiply by the reciprocal of a Python number, with other bits.
+    return levels.to(torch.float32) / torch.full((), 255.0, device=levels.device)
 
 
 def decode_mask(path: Path) -> Bool[Tensor, "h w"]:

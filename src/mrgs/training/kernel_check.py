@@ -3,7 +3,6 @@ a trained model is opened."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -16,7 +15,7 @@ from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.losses.terms import term_values
 from mrgs.render import Model, render, rows_in_view
-from mrgs.scene import NOT_COARSER, Camera, Gaussians, Pixels, Scene, View
+from mrgs.scene import NOT_COARSER, Camera, Gaussians, Pixels, Scene
 from mrgs.system.operation import checking
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import ViewInputs, rendered
@@ -27,7 +26,7 @@ INVALID = 0.05
 """Share of the pixels that the sample's masks leave out."""
 
 NOISE = 0.05
-"""Of the sample's photos, at least: some of the differences to them are then within it."""
+"""Least noise of the sample's photos: some of the differences to them are then within it."""
 
 CHANGED_BY = {
     "quats": 0.5, "log_scales": 0.3, "opacity_logit": 1.5, "sh_rest": 0.1, "embedding": 0.1
@@ -43,35 +42,30 @@ def check_kernels(
     with its plain definition: values and gradients.
 
     A kernel that differs is not used from then on in this process (``operation.checking``). The
-    state is left as it is. The photos are random numbers, so that none has to be read, once with
-    masks and once without.
-
-    Args:
-        state: of the training.
-        scene: of the training; views that together have all modalities are taken.
-        config: of the run.
-        scale: of the scene.
+    state is left as it is. The photos, of views that together have all modalities, are random
+    numbers, so that none has to be read, once with masks and once without.
 
     Warns:
         MrgsWarning: a kernel differs from its plain definition.
     """
     scale = scale._replace(thermal_noise=max(scale.thermal_noise, NOISE))
-    generator = torch.Generator().manual_seed(0)
+    generator, device = torch.Generator().manual_seed(0), state.device
+    missing = {modality for view in scene.train for modality in view.images}
     with checking(), torch.enable_grad():
-        for number in _chosen(scene.train):
-            view = scene.train[number]
-            cameras = {
-                modality: camera.with_width(WIDTH_PX) for modality, camera in view.cameras.items()
-            }
+        for number, view in sorted(enumerate(scene.train), key=lambda each: -len(each[1].images)):
+            if not missing & set(view.images):
+                continue
+            missing -= set(view.images)
+            cameras = {each: camera.with_width(WIDTH_PX) for each, camera in view.cameras.items()}
             seen = rows_in_view(state.model, next(iter(cameras.values())))
             model = _sampled(state.model, seen, config.sh_degree_at(config.max_steps))
             last = (config.max_steps - 1, config.max_steps)  # one of them goes without harmonics
             photos = {
-                modality: random_photo(camera, modality.channels, generator, state.device)
+                modality: random_photo(camera, modality.channels, generator, device)
                 for modality, camera in cameras.items()
             }
             inputs = ViewInputs(
-                number=torch.full((1,), number, device=state.device),
+                number=torch.full((1,), number, device=device),
                 cameras=cameras,
                 photos=photos,
                 pixel_sizes=NOT_COARSER,
@@ -83,20 +77,19 @@ def check_kernels(
             whole = {modality: Pixels(photo.values) for modality, photo in photos.items()}
             for each in (context, replace(context, photos=whole)):
                 term_values(state.terms, each)
-        _check_optimizer(state.device, generator)
-
-
-def _check_optimizer(device: torch.device, generator: torch.Generator) -> None:
-    """Take a step of Adam: of one tensor that may be skipped, and of two that may not. Parameters
-    start at 0, so that what is compared is how far they move."""
-    for count, skip in ((1, torch.zeros((), device=device)), (2, None)):
-        gradients, means, squares = (
-            [torch.rand(SAMPLED_GAUSSIANS, generator=generator).to(device) for _ in range(count)]
-            for _ in range(3)
-        )
-        parameters = [torch.zeros_like(gradient) for gradient in gradients]
-        steps = [torch.full((), 3.0, device=device) for _ in range(count)]
-        move(parameters, gradients, means, squares, steps, 1.0, 1e-8, skip)
+        # A step of Adam: of one tensor that may be skipped, and of two that may not. Parameters
+        # start at 0, so that what is compared is how far they move.
+        for count, skip in ((1, torch.zeros((), device=device)), (2, None)):
+            gradients, means, squares = (
+                [
+                    torch.rand(SAMPLED_GAUSSIANS, generator=generator).to(device)
+                    for _ in range(count)
+                ]
+                for _ in range(3)
+            )
+            steps = [torch.full((), 3.0, device=device) for _ in range(count)]
+            parameters = list(map(torch.zeros_like, gradients))
+            move(parameters, gradients, means, squares, steps, 1.0, 1e-8, skip)
 
 
 def check_rendering(model: Model, image_model: ImageModel, *devices: torch.device) -> None:
@@ -104,12 +97,8 @@ def check_rendering(model: Model, image_model: ImageModel, *devices: torch.devic
     plain definition.
 
     A kernel that differs is not used from then on in this process (``operation.checking``). The
-    camera is a new one that has the sample before it.
-
-    Args:
-        model: on any device; left as it is.
-        image_model: of its cameras, in the host's memory.
-        devices: where it is going to be rendered.
+    camera is a new one that has the sample before it; the devices are those where the model is
+    going to be rendered. The image model is in the host's memory.
 
     Warns:
         MrgsWarning: a kernel differs from its plain definition.
@@ -139,17 +128,6 @@ def _camera_before(gaussians: Gaussians) -> Camera:
     return Camera(K, viewmat, WIDTH_PX, WIDTH_PX)
 
 
-def _chosen(views: Sequence[View]) -> list[int]:
-    """Few views that together have all modalities: those with most images first."""
-    missing = {modality for view in views for modality in view.images}
-    chosen = []
-    for number in sorted(range(len(views)), key=lambda number: -len(views[number].images)):
-        if missing & set(views[number].images):
-            chosen.append(number)
-            missing -= set(views[number].images)
-    return chosen
-
-
 def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> Model:
     """Changed copies of some Gaussians under the model's own layers, of those in the rows if there
     are any, else of all; t̂ is not known beforehand."""
@@ -158,12 +136,12 @@ def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> 
     count = min(SAMPLED_GAUSSIANS, len(rows))
     rows = rows[torch.arange(count, device=rows.device) * len(rows) // max(count, 1)]
     found, generator = model.gaussians.rows(rows), torch.Generator().manual_seed(0)
-    gaussians = found.with_tensors(
-        {
-            name: _changed(name, tensor, generator).requires_grad_()
-            for name, tensor in found.tensors().items()
-        }
-    )
+    changed = {}
+    for name, tensor in found.tensors().items():
+        noise = torch.randn(tensor.shape, generator=generator).to(tensor)
+        scale = CHANGED_BY.get(name.partition(".")[0], 0.0)
+        changed[name] = (tensor.detach() + scale * noise).requires_grad_()
+    gaussians = found.with_tensors(changed)
     return replace(
         model,
         gaussians=gaussians,
@@ -171,12 +149,6 @@ def _sampled(model: Model, rows: Int64[Tensor, " v"] | None, sh_degree: int) -> 
         sh_degree=sh_degree,
         temperature_residuals=None,
     )
-
-
-def _changed(name: str, tensor: Tensor, generator: torch.Generator) -> Tensor:
-    """The tensor of this name with noise, see ``CHANGED_BY``."""
-    noise = torch.randn(tensor.shape, generator=generator).to(tensor)
-    return tensor.detach() + CHANGED_BY.get(name.partition(".")[0], 0.0) * noise
 
 
 def random_photo(

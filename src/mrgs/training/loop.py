@@ -16,14 +16,14 @@ from mrgs.run_files.facts import CheckpointFacts
 from mrgs.run_files.folder import RunFolder
 from mrgs.run_files.record import RunRecord, asks_to_stop
 from mrgs.scene import Scene
-from mrgs.system.gpu import HOST, lacks_memory
+from mrgs.system.gpu import lacks_memory
 from mrgs.system.operation import is_plain
 from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.turns import FairLock, ctrl_c_waits
 from mrgs.training import checkpoint
 from mrgs.training.kernel_check import check_kernels
-from mrgs.training.photos import DevicePhotos, HostPhotos, PhotoSource
+from mrgs.training.photos import TrainingPhotos
 from mrgs.training.pose_check import PoseCheck, checks_poses_now
 from mrgs.training.recorder import Recorder
 from mrgs.training.state import TrainingState
@@ -36,16 +36,9 @@ Result = TypeVar("Result")
 class Trainer:
     """Trains Gaussians: choose views, take a step on them, control the density; log, checkpoint.
 
-    Args:
-        folder: the run's folder, locked by the caller.
-        facts: of the checkpoint that is resumed, or of step 0.
-        scene: at the run's resolution.
-        config: of the run.
-        state: changed in place.
-
     Attributes:
-        folder: the run's folder.
-        scene: that is trained on.
+        folder: the run's folder, locked by the caller.
+        scene: at the run's resolution.
         config: of the run.
         state: all that changes during training.
     """
@@ -66,13 +59,13 @@ class Trainer:
             config,
             tensors=lambda: checkpoint.tensors_of(state),
             write=lambda path, facts: checkpoint.save(path, state, facts),
-            describe=self._describe_model,
+            describe=self._spreads,
             device=device,
             skipped_in_a_row=int(state.skipped_in_a_row),
         )
         self._scale = SceneScale.of(scene)
         self._recorder = Recorder(device) if device.type == "cuda" and not is_plain() else None
-        self._photos: PhotoSource = HostPhotos() if device == HOST else DevicePhotos(device)
+        self._photos = TrainingPhotos(device)
         self._turns = FairLock()
         self._is_half_done = self._is_closed = False
 
@@ -176,26 +169,15 @@ class Trainer:
 
     def _step_on_next_views(self) -> StepResult:
         views = [self._with_photos(number) for number in self.state.sampler.next()]
-        self._fetch_next_views()
+        # Read while this step is computed; at the end of a round, the next view is not drawn yet.
+        if following := [self.scene.train[number] for number in self.state.sampler.peek()]:
+            self._photos.fetch([image for view in following for image in view.images.values()])
         return training_step(self.state, views, self.config, self._scale, self._recorder)
 
     def _with_photos(self, number: int) -> PhotographedView:
         view = self.scene.train[number]
         photos = {modality: self._photos.load(image) for modality, image in view.images.items()}
         return PhotographedView(number, view, photos)
-
-    def _fetch_next_views(self) -> None:
-        """Load the photos of the next step while this one is computed, if there is memory for
-        them."""
-        following = [self.scene.train[number] for number in self.state.sampler.peek()]
-        if not following:
-            return
-        try:
-            self._photos.fetch([image for view in following for image in view.images.values()])
-        except RuntimeError as error:
-            if not lacks_memory(error):
-                raise
-            self._photos.release()
 
     def _check_poses(self) -> None:
         """Refine the poses of the training photos from here on, if they turn out to be wrong."""
@@ -229,14 +211,12 @@ class Trainer:
             )
 
     def _with_enough_memory(self, action: Callable[[], Result]) -> Result:
-        """Do a part of a step; if the GPU's memory is full, undo it, release memory that is only
-        reserved or kept for speed, and do it again.
+        """Do a part of a step, which changes the state only once it has all the memory that it
+        needs; if the GPU's memory is full, undo it, release memory that is only reserved or kept
+        for speed, and do it again.
 
         Adam makes its moments at the first step, one parameter after another: this alone is not
         undone.
-
-        Args:
-            action: changes the state only once it has all the memory that it needs.
 
         Raises:
             TrainingError: the memory is full again; the state before is checkpointed.
@@ -258,19 +238,16 @@ class Trainer:
         self._record.step = state.step
         if state.step > 0:
             self._record.save()
-        found = self.folder.checkpoints()
-        kept = (
-            f"the last good step is kept in {found[-1]}" if found else "there is no checkpoint yet"
-        )
-        go_on = "resume on the CPU, or retrain" if found else "retrain"
+        kept = "there is no checkpoint yet: retrain"
+        if found := self.folder.checkpoints():
+            kept = f"the last good step is kept in {found[-1]}: resume on the CPU, or retrain"
         raise TrainingError(
             f"the GPU's memory does not suffice for step {state.step + 1:,} with "
-            f"{len(state.model.gaussians):,} Gaussians; {kept}: {go_on} with fewer Gaussians or a "
-            f"lower resolution",
+            f"{len(state.model.gaussians):,} Gaussians; {kept} with fewer Gaussians or a lower "
+            f"resolution",
             options=("max_gaussians", "resolution"),
         )
 
-    def _describe_model(self) -> Mapping[str, float | None]:
-        """Spread of the parts of the model, see ``PartSpreads``."""
+    def _spreads(self) -> Mapping[str, float | None]:
         spreads = part_spreads(self.state.model, self.scene.train[0].camera.position)
         return {} if spreads is None else spreads.to_json(self.scene.temperature)

@@ -1,20 +1,15 @@
-"""How much memory a run will need, and how much the process has used."""
+"""How much memory a run will need."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import TypeVar
+from collections.abc import Iterable
 
 import torch
 
 from mrgs.method.config import MAX_DEGREE, TrainConfig
 from mrgs.scene import THERMAL, Modality, Scene
 from mrgs.scene.capture import Capture, model_modalities
-from mrgs.system.gpu import lacks_memory
-from mrgs.system.memory import peak_resident
 from mrgs.training.photos import kept_bytes, kept_limit
-
-Result = TypeVar("Result")
 
 _FLOAT = 4
 _GEOMETRY = 3 + 4 + 3
@@ -54,13 +49,8 @@ _PIXEL_FLOATS = 28
 def estimate_bytes(
     scene: Scene, config: TrainConfig, gaussians: int, *, compiles: bool = False
 ) -> int:
-    """Memory that a process needs that trains on the CPU, to about a fifth.
-
-    Args:
-        scene: to train on.
-        config: of the run.
-        gaussians: how many.
-        compiles: the process compiles the kernels, because none are saved.
+    """Memory that a process needs to train this many Gaussians on the CPU, to about a fifth;
+    ``compiles`` where it compiles the kernels, because none are saved.
 
     Raises:
         SceneError: the first photo of a modality cannot be read.
@@ -98,28 +88,23 @@ def training_bytes(
         gaussians: how many.
         pixels: of all images of the largest view.
         photo_bytes: what the training photos take if all of them are kept.
-        capture: None for the most that the configuration allows.
+        capture: of the photos; None for the most that the configuration allows.
         compiles: the process compiles the kernels.
     """
     return (
         _BASE_BYTES
         + (torch.version.cuda is not None) * _CUDA_BYTES
         + compiles * _COMPILER_BYTES
-        + gaussians * _bytes_each(config, modalities, capture)
+        + gaussians * gaussian_bytes(config, modalities, capture)
         + pixels * _PIXEL_FLOATS * _FLOAT
         + min(photo_bytes, kept_limit())
     )
 
 
-def gaussian_bytes(scene: Scene, config: TrainConfig) -> int:
-    """What each Gaussian adds to ``estimate_bytes``."""
-    return _bytes_each(config, scene.modalities, Capture.of(scene))
-
-
-def _bytes_each(
+def gaussian_bytes(
     config: TrainConfig, modalities: Iterable[Modality], capture: Capture | None
 ) -> int:
-    """What each Gaussian takes in a training."""
+    """Memory of each Gaussian in a training, see ``training_bytes``."""
     field = config.field
     parameters = _parameters(config, modalities, capture)
     activations = 3 * field.hidden_width + 4 * field.neighbours_k if field.residuals else 0
@@ -143,38 +128,3 @@ def _parameters(
         degree = temperature_degree if modality == THERMAL else MAX_DEGREE
         parameters += 1 + modality.channels * (degree + 1) ** 2
     return parameters + (config.field.embedding_width if config.field.residuals else 0)
-
-
-def peak_memory_bytes(device: torch.device | None = None) -> int:
-    """Largest memory of this process so far: on a GPU that of its tensors there, else resident; 0
-    if not known."""
-    if device is not None and device.type == "cuda":
-        return torch.cuda.max_memory_allocated(device)
-    return peak_resident()
-
-
-def retried_when_full(action: Callable[[], Result], undo: Callable[[], None]) -> Result:
-    """Do something; once more should a GPU's memory be full, after the memory that torch holds in
-    reserve was given back.
-
-    Args:
-        action: changes what lasts only once it has all the memory that it needs.
-        undo: brings back what the action has changed nonetheless, and frees memory.
-
-    Raises:
-        RuntimeError: it was full again (``lacks_memory``); ``undo`` was called.
-    """
-    try:
-        return action()
-    except RuntimeError as error:
-        if not lacks_memory(error):
-            raise
-    # What the action has made was freed when the block above was left.
-    undo()
-    torch.cuda.empty_cache()
-    try:
-        return action()
-    except RuntimeError as error:
-        if lacks_memory(error):
-            undo()
-        raise

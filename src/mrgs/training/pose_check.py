@@ -30,23 +30,18 @@ EARLIEST_STEP = 200
 055)."""
 
 LOOKS = 2
-"""By then each photo was trained on so many times."""
+"""Number of times that each photo was trained on by then."""
 
 MOST_PIXELS = 640 * 480
-"""Larger photos are looked at in larger pixels."""
+"""Larger photos are inspected in larger pixels."""
 
 MOST_VIEWS = 32
-"""So many of the training views tell whether poses are wrong."""
+"""Number of training views that are inspected."""
 
 
 def checked_after(config: TrainConfig, views: int) -> int | None:
-    """The step after which poses are checked; None if they are not, as in a short training or in a
-    block of a scene.
-
-    Args:
-        config: of the run.
-        views: number of training views.
-    """
+    """The step after which poses are checked, with this number of training views; None if they are
+    not, as in a short training or in a block of a scene."""
     image_model = config.image_model
     if not image_model.poses or image_model.poses_rate == 0:
         return None
@@ -68,7 +63,7 @@ def checks_poses_now(state: TrainingState, config: TrainConfig) -> bool:
 def looked_at(
     cameras: Mapping[Modality, Camera], photos: Mapping[Modality, Pixels], pixel_size: int = 1
 ) -> tuple[Mapping[Modality, Camera], Mapping[Modality, Pixels]]:
-    """A view's cameras and photos as a check of poses looks at them: with pixels of this size, or
+    """A view's cameras and photos as a check of poses inspects them: with pixels of this size, or
     larger ones where there are many."""
     largest = max(camera.width * camera.height for camera in cameras.values())
     while largest > MOST_PIXELS * pixel_size**2:
@@ -77,19 +72,14 @@ def looked_at(
 
 
 def spread(count: int, most: int) -> list[int]:
-    """Which of ``count`` views are looked at, by number: all, or ``most`` from all over."""
+    """Numbers of the views that are inspected: all, or ``most`` from all over."""
     taken = min(count, most)
     return [place * count // taken for place in range(taken)]
 
 
 class PoseCheck:
-    """Lays the photos of a training on what its model shows by now.
-
-    Args:
-        state: of the training, whose image model may refine poses.
-        load: a training view with its photos, by its number.
-        config: of the run.
-    """
+    """Compares the photos of a training whose image model may refine poses with what its model
+    shows by now; ``load`` gives a training view with its photos, by its number."""
 
     def __init__(
         self,
@@ -102,7 +92,7 @@ class PoseCheck:
         self._poses = state.image_model.poses
 
     def agreement(self) -> PoseAgreement:
-        """How far typical photos are off, in the pixels that are looked at, without a motion of the
+        """How far typical photos are off, in the pixels that are inspected, without a motion of the
         scene as a whole: the model may be too small as yet."""
         numbers = spread(len(self._poses.motions), MOST_VIEWS)
         halves = []
@@ -113,13 +103,13 @@ class PoseCheck:
         return agreement(*(self._poses.without_global_motion(half, numbers) for half in found))
 
     def pixel_size(self) -> float:
-        """Side of the pixels that are looked at, in pixels of the first photo."""
+        """Side of the pixels that are inspected, in pixels of the first photo."""
         first = self._load(0)
         cameras, _ = self._looked_at(first)
         return next(iter(pixel_sizes(first.view.cameras, cameras).values()))
 
     def motions(self) -> Float64[Tensor, "v 6"]:
-        """What each photo is off, along the axes of its view, for ``PoseRefinement.begin``."""
+        """How far each photo is off, along the axes of its view, for ``PoseRefinement.begin``."""
         found = []
         for number in range(len(self._poses.motions)):
             images = self._seen(number)

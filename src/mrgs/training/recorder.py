@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import AbstractContextManager
+from functools import partial
 from itertools import combinations
 from typing import TypeAlias
 
@@ -60,12 +61,9 @@ class Recorder:
         self._neighbours: Tensor | None = None
         self._recordings: dict[Hashable, _Recording] = {}
         self._replayed: _Recording | None = None
-        self._longest = 0
-        self._expected = 0.0
+        self._longest, self._expected = 0, 0.0
         self._tried: set[Hashable] = set()
-        self._waits = False
-        self._is_full = False
-        self._has_said_too_many = False
+        self._waits = self._is_full = self._has_said_too_many = False
         self._runs = 0
 
     def run(self, state: TrainingState, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
@@ -94,7 +92,9 @@ class Recorder:
             return self._rehearse(kind, inputs, run_pass)
         recording.used = self._runs
         recording.take(inputs)
-        if not recording.is_complete and not self._record(kind, recording, run_pass):
+        if recording.graph is None:
+            self._record(kind, recording, run_pass)
+        if recording.graph is None:
             return run_pass(inputs)
         self._replayed = recording
         return recording.replay(self._parameters)
@@ -105,12 +105,12 @@ class Recorder:
         return finite if self._replayed is None else finite & self._replayed.suffices
 
     def had_room(self) -> bool:
-        """Whether the lists of the last pass had room. If not, the pass must be repeated: they have
-        more from now on."""
+        """Whether the lists of the last pass had room; the host waits for it. If not, the pass must
+        be repeated: they have more from now on."""
         recording, self._replayed = self._replayed, None
-        if recording is None:
+        if recording is None or recording.graph is None:
             return True
-        needed = recording.needed()
+        needed = recording.graph.number()
         self._longest = max(self._longest, needed)
         if needed <= recording.room:
             return True
@@ -126,10 +126,9 @@ class Recorder:
     def _forget_if_others(self, state: TrainingState) -> None:
         """Forget what was recorded of other parameters or other neighbours."""
         parameters, neighbours = state.parameters(), state.model.neighbours
-        are_same = len(parameters) == len(self._parameters) and all(
-            own is other for own, other in zip(parameters, self._parameters, strict=True)
-        )
-        if are_same and neighbours is self._neighbours:
+        if neighbours is self._neighbours and [*map(id, parameters)] == [
+            *map(id, self._parameters)
+        ]:
             return
         if self._parameters:
             grown = len(parameters[0]) / max(len(self._parameters[0]), 1)
@@ -140,90 +139,74 @@ class Recorder:
 
     def _rehearse(self, kind: Hashable, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
         """Run the pass with inputs that later views can take the place of."""
+        if len(self._recordings) >= MOST_RECORDINGS:  # some may be of lower degrees, and be useless
+            oldest, found = self._runs - STALE_AFTER, self._recordings.items()
+            self._recordings = {other: each for other, each in found if each.used >= oldest}
         if len(self._recordings) >= MOST_RECORDINGS:
-            self._forget_stale()
-        if len(self._recordings) >= MOST_RECORDINGS:
-            self._say_too_many()
+            if not self._has_said_too_many:
+                self._has_said_too_many = True
+                warn_user(
+                    "views differ in size, intrinsics or modalities in too many ways: those beyond "
+                    f"the first {MOST_RECORDINGS} kinds are trained without CUDA graphs, which is "
+                    f"slower"
+                )
             return run_pass(inputs)
-        recording = self._recordings[kind] = _Recording(inputs)
-        recording.used = self._runs
+        recording = self._recordings[kind] = _Recording(inputs, self._runs)
         room = ListRoom()
         with lists_have(room):
             measures = run_pass(recording.inputs)
         self._longest = max(self._longest, room.measured)
         return measures
 
-    def _forget_stale(self) -> None:
-        """Give the memory of recordings back that no view is of any more, such as those of lower
-        degrees."""
-        oldest = self._runs - STALE_AFTER
-        for kind in [kind for kind, each in self._recordings.items() if each.used < oldest]:
-            del self._recordings[kind]
+    def _record(self, kind: Hashable, recording: _Recording, run_pass: Pass) -> None:
+        """Record the pass of a kind of view, if that can be done."""
 
-    def _say_too_many(self) -> None:
-        if not self._has_said_too_many:
-            self._has_said_too_many = True
-            warn_user(
-                "views differ in size, intrinsics or modalities in too many ways: those beyond the "
-                f"first {MOST_RECORDINGS} kinds are trained without CUDA graphs, which is slower"
-            )
+        def room() -> int:
+            return int(SPARE * max(self._longest, self._expected)) + 1
 
-    def _room(self) -> int:
-        return int(SPARE * max(self._longest, self._expected)) + 1
-
-    def _record(self, kind: Hashable, recording: _Recording, run_pass: Pass) -> bool:
-        """Record the pass of a kind of view; False if that cannot be done."""
         try:
             if kind not in self._tried:
                 # A recording that a wait breaks off would leave torch's allocator (before 2.13) as
                 # if it still recorded.
                 with self._watched("error"):
-                    recording.rehearse(run_pass, self._parameters, self._room())
+                    recording.run(run_pass, self._parameters, room())
                 self._tried.add(kind)
-            room = self._room()
-            work = recording.work(run_pass, self._parameters, room)
-            recording.record(self._graph(work, self._device), room)
+            work = partial(recording.run, run_pass, self._parameters, room())
+            recording.graph = self._graph(work, self._device)
         except RuntimeError as error:
             self._is_full = lacks_memory(error)
             self._waits = not self._is_full
             problem = str(error).partition("\n")[0]
         else:
-            return True
+            return
         # Here the memory is free that the error's frames held.
         warn_user(f"steps cannot be recorded as a CUDA graph, and take longer: {problem}")
         for parameter in self._parameters:
             parameter.grad = None
         self.forget()
-        return False
 
 
 class _Recording:
     """A recorded pass, and the tensors that it reads and writes.
 
-    Args:
-        inputs: of a view; others take its place by ``take``.
-
     Attributes:
-        inputs: what the pass reads: copies, with stand-ins for the cameras.
-        room: entries of its lists.
+        inputs: what the pass reads: copies of a view's, with stand-ins for the cameras.
         used: number of the run that last used it.
+        graph: what can be replayed; None if it is not recorded yet.
+        room: entries of the lists of the pass.
         suffices: whether the last replay needed no more, on the device.
     """
 
-    def __init__(self, inputs: ViewInputs) -> None:
-        self.used = 0
+    def __init__(self, inputs: ViewInputs, used: int) -> None:
+        self.used = used
         self._weights: dict[str, float | Tensor] = dict(inputs.weights)
+        cameras, photos, device = inputs.cameras, inputs.photos, inputs.number.device
         self.inputs = inputs._replace(
             number=inputs.number.clone(),
-            cameras={
-                modality: camera.recording_copy() for modality, camera in inputs.cameras.items()
-            },
-            photos={
-                modality: change_each(pixels, Tensor.clone)
-                for modality, pixels in inputs.photos.items()
-            },
+            cameras={each: camera.recording_copy() for each, camera in cameras.items()},
+            photos={each: change_each(pixels, Tensor.clone) for each, pixels in photos.items()},
             weights={
-                name: torch.full((), float(weight), device=inputs.number.device)
+                name: torch.full((), float(weight), device=device)
                 for name, weight in inputs.weights.items()
             },
         )
@@ -231,15 +214,9 @@ class _Recording:
 
     def clear(self) -> None:
         """Forget the recording."""
-        self._graph: CudaGraph | None = None
+        self.graph: CudaGraph | None = None
         self._measures: ViewMeasures | None = None
         self._gradients: list[Tensor | None] = []
-        self.room = 0
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether there is something to replay."""
-        return self._graph is not None
 
     def take(self, inputs: ViewInputs) -> None:
         """Have the pass read the inputs of another view of the same kind."""
@@ -259,26 +236,12 @@ class _Recording:
                 tensor.fill_(weight)
         self._weights = dict(inputs.weights)
 
-    def record(self, graph: CudaGraph, room: int) -> None:
-        """Keep the recorded work of a pass with lists of this room."""
-        self._graph, self.room = graph, room
-
-    def work(
-        self, run_pass: Pass, parameters: Sequence[Tensor], room: int
-    ) -> Callable[[], Int64[Tensor, ""]]:
-        """What is recorded: the pass with lists of this room."""
-        return lambda: self._run(run_pass, parameters, room)
-
-    def rehearse(self, run_pass: Pass, parameters: Sequence[Tensor], room: int) -> None:
-        """Run the pass as it would be recorded."""
-        self._run(run_pass, parameters, room)
-        self.clear()
-
-    def _run(self, run_pass: Pass, parameters: Sequence[Tensor], room: int) -> Int64[Tensor, ""]:
-        """The pass with lists of this room; how many entries the longest needs."""
+    def run(self, run_pass: Pass, parameters: Sequence[Tensor], room: int) -> Int64[Tensor, ""]:
+        """The pass with lists of this room; the number of entries that the longest needs."""
+        self._measures, self._gradients = None, []
         for parameter in parameters:
             parameter.grad = None
-        lists = ListRoom(room)
+        self.room, lists = room, ListRoom(room)
         with lists_have(lists):
             self._measures = run_pass(self.inputs)
         self._gradients = [parameter.grad for parameter in parameters]
@@ -288,17 +251,12 @@ class _Recording:
 
     def replay(self, parameters: Sequence[Tensor]) -> ViewMeasures:
         """Run the recorded pass; its gradients are those of the parameters."""
-        assert self._graph is not None
-        self._graph.replay()
+        assert self.graph is not None
+        self.graph.replay()
         for parameter, gradient in zip(parameters, self._gradients, strict=True):
             parameter.grad = gradient
         assert self._measures is not None
         return self._measures
-
-    def needed(self) -> int:
-        """Entries that the lists of the last replay needed; the host waits for it."""
-        assert self._graph is not None
-        return self._graph.number()
 
 
 def _kind_of(state: TrainingState, inputs: ViewInputs) -> Hashable:

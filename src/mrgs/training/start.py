@@ -104,14 +104,8 @@ def train(
     terms: Sequence[Term] = (),
     part: TrainingPart | None = None,
 ) -> RunFolder:
-    """Train a model of a scene into a run folder; see ``mrgs.train``, which also opens the run.
-
-    Args:
-        hooks: called during the training.
-        stop_at: leave after this step with a checkpoint, without changing the schedule.
-        strategy: density control instead of the configuration's.
-        terms: of the loss, besides the configuration's.
-        part: of the scene to which the training is limited; a resumed run needs it again.
+    """Train a model of a scene, or of a part of it, into a run folder; see ``mrgs.train``, which
+    also opens the run. A resumed run needs its strategy, terms and part again.
 
     Raises:
         MrgsError: as ``mrgs.train``.
@@ -162,10 +156,17 @@ def open_training(
         ),
     )
     with begun as (loaded, config, state, facts):
-        _require_enough_views(
-            loaded, config, len(loaded.train) if part is None else len(part.views)
-        )
-        _warn_if_short_of_disk(folder, loaded, config, len(state.model.gaussians))
+        count = len(loaded.train if part is None else part.views)
+        if config.batch > count:  # the views of a step differ
+            raise ConfigError(
+                f"a batch of {config.batch} is more than the {count} training views of "
+                f"{loaded.name}: choose a smaller one",
+                options=("batch",),
+            )
+        most = max(config.densification.max_gaussians, len(state.model.gaussians))
+        size = checkpoint_bytes(config, loaded.modalities, most)
+        # Those that are kept, and the one being written.
+        warn_if_short(folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
         if part is not None:
             state.sampler.restrict(part.views)
         # A resumed run continues with the cameras as they are now.
@@ -226,30 +227,6 @@ def scene_to_train(scene: Scene | str | Path, config: RunConfig) -> Scene:
     will_compute()
     warn_of_problems(scene)
     return scene
-
-
-def _require_enough_views(scene: Scene, config: TrainConfig, count: int) -> None:
-    """Check that the views of a step can differ.
-
-    Raises:
-        ConfigError: a step has more views than the scene.
-    """
-    if config.batch > count:
-        raise ConfigError(
-            f"a batch of {config.batch} is more than the {count} training views of {scene.name}: "
-            f"choose a smaller one",
-            options=("batch",),
-        )
-
-
-def _warn_if_short_of_disk(
-    folder: RunFolder, scene: Scene, config: TrainConfig, gaussians: int
-) -> None:
-    """Warn if the disk lacks space for the checkpoints: those that are kept, and the one being
-    written."""
-    most = max(config.densification.max_gaussians, gaussians)
-    size = checkpoint_bytes(config, scene.modalities, most)
-    warn_if_short(folder.path, (CHECKPOINTS_KEPT + 1) * size, "this run")
 
 
 def _response_of(state: TrainingState) -> CameraResponse:

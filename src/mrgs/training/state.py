@@ -31,20 +31,13 @@ class ViewSampler:
     """Every view once per round, each round in a new random order.
 
     With several views per step, the views are dealt into as many groups, and each step takes one
-    view of each group. In groups that are smaller than others, one view comes twice in a round.
-
-    Args:
-        count: number of views.
-        generator: of the orders; a checkpoint of it and of ``state()`` continues the sequence
-            exactly.
-        groups: views per step, at most as many as there are.
+    view of each group. In groups that are smaller than others, one view comes twice in a round. A
+    checkpoint of the generator and of ``state()`` continues the sequence exactly.
     """
 
     def __init__(self, count: int, generator: torch.Generator, groups: int = 1) -> None:
-        self._count = count
+        self._count, self._generator, self._groups = count, generator, groups
         self._views = torch.arange(count)
-        self._generator = generator
-        self._groups = groups
         self._waiting = torch.empty(0, dtype=torch.int64)
 
     def restrict(self, views: Sequence[int]) -> None:
@@ -60,7 +53,13 @@ class ViewSampler:
     def next(self) -> list[int]:
         """The views of the next step, one of each group."""
         if len(self._waiting) == 0:
-            self._waiting = self._round()
+            longest = -(-len(self._views) // self._groups)
+            orders = []
+            for first in range(self._groups):
+                group = self._views[first :: self._groups]
+                order = group[torch.randperm(len(group), generator=self._generator)]
+                orders.append(torch.cat([order, order[: longest - len(order)]]))
+            self._waiting = torch.stack(orders, dim=1).flatten()
         chosen, self._waiting = self._waiting[: self._groups], self._waiting[self._groups :]
         return chosen.tolist()
 
@@ -68,16 +67,6 @@ class ViewSampler:
         """The views that ``next`` will return; none at the end of a round, since the following one
         is not drawn yet."""
         return self._waiting[: self._groups].tolist()
-
-    def _round(self) -> Tensor:
-        """The views of a round, step after step."""
-        longest = -(-len(self._views) // self._groups)
-        orders = []
-        for first in range(self._groups):
-            group = self._views[first :: self._groups]
-            order = group[torch.randperm(len(group), generator=self._generator)]
-            orders.append(torch.cat([order, order[: longest - len(order)]]))
-        return torch.stack(orders, dim=1).flatten()
 
     def state(self) -> Tensor:
         """The rest of the running round."""
@@ -103,7 +92,7 @@ class ViewSampler:
 
 @dataclass
 class TrainingState:
-    """All that changes during training, and so all that a checkpoint must hold.
+    """All that changes during training, and so all that a checkpoint contains.
 
     Attributes:
         step: steps done.
@@ -147,15 +136,19 @@ class TrainingState:
         gaussian_optimizer = GaussianOptimizer(model.gaussians, config.optimizer, capture.extent)
         model.gaussians = gaussian_optimizer.gaussians
         image_model = ImageModel(config.image_model, capture).to(device)
-        for layers in learned_layers(terms).values():
-            layers.to(device)
+        groups = [
+            ParameterGroup(list(term.learned.to(device).parameters()), term.learning_rate)
+            for term in terms
+            if term.learned is not None
+        ]
+        groups.append(ParameterGroup(list(model.field.parameters()), config.optimizer.heads))
         return cls(
             step=0,
             model=model,
             terms=terms,
             image_model=image_model,
             gaussian_optimizer=gaussian_optimizer,
-            layer_optimizer=_layer_optimizer(model.field, terms, image_model, config),
+            layer_optimizer=Adam(groups + image_model.parameter_groups()),
             strategy=strategy,
             strategy_state=strategy.initial_state(model.gaussians),
             sampler=ViewSampler(capture.views, generator, config.batch),
@@ -202,7 +195,7 @@ class TrainingState:
                 gradient.mul_(factor)
 
     def gradients_are_finite(self, loss: Tensor) -> Bool[Tensor, ""]:
-        """Whether neither the loss nor a gradient holds a NaN or an infinity; on the device."""
+        """Whether loss and gradients are finite; on the device."""
         layers = [layer.grad for layer in self.layer_optimizer.parameters()]
         present = [gradient for gradient in layers if gradient is not None]
         return are_finite(loss, self.gaussian_optimizer.gradients() + present)
@@ -220,13 +213,8 @@ class TrainingState:
         self.image_model.limit()
 
     def go_back(self, step: int, generator: Tensor, waiting: Tensor) -> None:
-        """Undo a step that failed before it moved anything.
-
-        Args:
-            step: what ``step`` was before it.
-            generator: state of the generator.
-            waiting: state of the sampler.
-        """
+        """Undo a step that failed before it moved anything, by its number and the states of the
+        generator and the sampler before it."""
         self.step = step
         self.generator.set_state(generator)
         self.sampler.load(waiting)
@@ -244,14 +232,8 @@ def initial_state(
     """The state at step 0, from the scene's start points.
 
     Every random choice follows from the seed, and torch's own generators are left alone. It is
-    made on the CPU, and so the same for every device.
-
-    Args:
-        scene: to train on.
-        config: of the run.
-        device: where to train.
-        strategy: density control; the configuration's if None.
-        terms: of the loss, besides the configuration's; see ``configured_terms``.
+    made on the CPU, and so the same for every device. The density control is the configuration's,
+    unless a strategy is given; the terms are added to the configuration's.
     """
     capture = Capture.of(scene)
     strategy = config.densification if strategy is None else strategy
@@ -278,16 +260,3 @@ def initial_state(
 def learned_layers(terms: Sequence[Term]) -> dict[str, nn.Module]:
     """The learned layers of the terms of a loss, by the terms' names."""
     return {term.name: term.learned for term in terms if term.learned is not None}
-
-
-def _layer_optimizer(
-    field: RadianceField, terms: Sequence[Term], image_model: ImageModel, config: TrainConfig
-) -> Adam:
-    """Adam over all layers, each with its learning rate."""
-    groups = [
-        ParameterGroup(list(term.learned.parameters()), term.learning_rate)
-        for term in terms
-        if term.learned is not None
-    ]
-    groups.append(ParameterGroup(list(field.parameters()), config.optimizer.heads))
-    return Adam(groups + image_model.parameter_groups())

@@ -79,10 +79,9 @@ class StepStatistics:
 
 def _as_one(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
     """Numbers as one tensor, to be fetched at once, if any of them is a tensor."""
-    tensors = [number for number in numbers if isinstance(number, Tensor)]
-    if not tensors:
+    like = next((number.detach() for number in numbers if isinstance(number, Tensor)), None)
+    if like is None:
         return [float(number) for number in numbers]
-    like = tensors[0].detach()
     return torch.stack(
         [
             n.detach().to(like) if isinstance(n, Tensor) else torch.full_like(like, n)
@@ -117,8 +116,7 @@ class ViewSums:
             term.
         counts: number of views in each sum.
         observed: the strategy's observations, [N] each.
-        residuals: of the thermal photos, by the numbers of their views, if drift is modelled; not
-            summed.
+        residuals: of each view's thermal photo, by its number, if drift is modelled.
     """
 
     totals: dict[str, Tensor] = field(default_factory=dict)
@@ -171,7 +169,7 @@ def training_step(
 
     Args:
         state: changed in place.
-        views: the ``batch`` of the configuration.
+        views: as many as the ``batch`` of the configuration.
         config: of the run.
         scale: of the scene.
         recorder: replays the pass of a step's only view on a GPU.
@@ -181,25 +179,21 @@ def training_step(
     state.refresh_neighbours(config)
     if len(views) > 1:
         recorder = None
+
+    def run(inputs: ViewInputs) -> ViewMeasures:
+        return forward_backward(state, inputs, scale)
+
     while True:
         found = ViewSums()
         for each in views:
-            measures = _gradients_of(state, view_inputs(state, each, config), scale, recorder)
+            inputs = view_inputs(state, each, config)
+            measures = run(inputs) if recorder is None else recorder.run(state, inputs, run)
             found.add(each.number, measures, state.strategy.observe(measures.passes))
         result = _move(state, found, config, recorder)
         if recorder is None or recorder.had_room():
             break
     state.skipped_in_a_row = (state.skipped_in_a_row + 1) * ~result.finite
     return result
-
-
-def _gradients_of(
-    state: TrainingState, inputs: ViewInputs, scale: SceneScale, recorder: Recorder | None
-) -> ViewMeasures:
-    """Add the gradients of a view's loss to those of the parameters."""
-    if recorder is None:
-        return forward_backward(state, inputs, scale)
-    return recorder.run(state, inputs, lambda given: forward_backward(state, given, scale))
 
 
 def _move(
@@ -224,23 +218,11 @@ def _move(
 def control_density(
     state: TrainingState, result: StepResult, config: TrainConfig, extent: float
 ) -> Mapping[str, int] | None:
-    """Let the strategy adapt the Gaussians after a step.
-
-    If a GPU's memory is full, nothing has changed.
-
-    Args:
-        state: changed in place.
-        result: of the step.
-        config: of the run.
-        extent: of the scene.
-
-    Returns:
-        the strategy's counts for the log; None if it left the rows as they are.
-    """
+    """Let the strategy adapt the Gaussians after a step, in place; its counts for the log, None if
+    it left the rows as they are. If a GPU's memory is full, nothing has changed."""
     strategy, before = state.strategy, state.model.gaussians.means
-    observed = {
-        name: torch.where(result.finite, value, 0) for name, value in result.observed.items()
-    }
+    views = result.observed.items()
+    observed = {name: torch.where(result.finite, value, 0) for name, value in views}
     step = DensityStep(
         state.step, extent, config.distant_points, observed, result.finite, state.generator
     )

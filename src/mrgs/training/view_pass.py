@@ -20,7 +20,7 @@ from mrgs.scene import THERMAL, Camera, Modality, Pixels, Rendering, View
 from mrgs.training.state import TrainingState
 
 SMALLEST_PX = 160
-"""No side of an image is made shorter than this: what is smaller loses more than it saves."""
+"""No side of an image is made shorter than this: smaller images lose more than they save."""
 
 
 class PhotographedView(NamedTuple):
@@ -120,11 +120,8 @@ def forward_backward(state: TrainingState, inputs: ViewInputs, scale: SceneScale
 def rendered(
     model: Model, image_model: ImageModel, inputs: ViewInputs, scale: SceneScale
 ) -> tuple[LossContext, Sequence[ScreenPoints]]:
-    """Render a view as its cameras would have recorded it.
-
-    Returns:
-        what the terms of the loss may look at, and the projected centres.
-    """
+    """Render a view as its cameras would have recorded it: what the terms of the loss may look at,
+    and the projected centres."""
     degrees = {THERMAL: inputs.temperature_degree}
     cameras = image_model.refined(inputs.cameras, inputs.number)
     rendering, passes = render(model, cameras, degrees)
@@ -153,21 +150,19 @@ def _thermal_error(rendering: Rendering, photo: Pixels) -> Float[Tensor, ""]:
 def coarser(
     cameras: Mapping[Modality, Camera], photos: Mapping[Modality, Pixels], pixel_size: int
 ) -> tuple[Mapping[Modality, Camera], Mapping[Modality, Pixels]]:
-    """A view's cameras and photos with pixels of so many of the photos' in each direction.
+    """A view's cameras and photos with larger pixels: their side, a power of two, in pixels of the
+    photos.
 
     What a coarse pixel averages is as for ``--resolution``; it counts where all of that does.
     Images that would become too small get smaller pixels.
-
-    Args:
-        cameras: of the view, by modality.
-        photos: of the same modalities.
-        pixel_size: a power of two; 1 for the photos as they are.
     """
     if pixel_size == 1:
         return cameras, photos
-    resized = {
-        modality: _coarser_camera(camera, pixel_size) for modality, camera in cameras.items()
-    }
+    resized = {}
+    for modality, camera in cameras.items():
+        size = coarse_size(camera.width, camera.height, pixel_size)
+        is_same = size == (camera.width, camera.height)
+        resized[modality] = camera if is_same else camera.resized(*size)
     return resized, {
         modality: _resized(pixels, resized[modality]) for modality, pixels in photos.items()
     }
@@ -176,20 +171,16 @@ def coarser(
 def pixel_sizes(
     cameras: Mapping[Modality, Camera], coarse: Mapping[Modality, Camera]
 ) -> dict[Modality, float]:
-    """How many pixels of the cameras a pixel of the coarser ones spans, by modality."""
+    """Side of a pixel of the coarser cameras, in pixels of the cameras, by modality."""
     return {modality: camera.width / coarse[modality].width for modality, camera in cameras.items()}
 
 
 def coarse_size(width: int, height: int, pixel_size: int) -> tuple[int, int]:
-    """The pixels of an image whose own become so large, as far as it does not become too small."""
+    """Width and height of an image with pixels of this size, or smaller ones where it would become
+    too small."""
     while pixel_size > 1 and min(width, height) < SMALLEST_PX * pixel_size:
         pixel_size //= 2
     return width // pixel_size, height // pixel_size
-
-
-def _coarser_camera(camera: Camera, pixel_size: int) -> Camera:
-    size = coarse_size(camera.width, camera.height, pixel_size)
-    return camera if size == (camera.width, camera.height) else camera.resized(*size)
 
 
 def _resized(pixels: Pixels, camera: Camera) -> Pixels:
