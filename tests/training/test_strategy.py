@@ -10,7 +10,6 @@ from enum import Enum, auto
 from functools import partial
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -29,6 +28,8 @@ from mrgs.system.strict_yaml import write_yaml
 from mrgs.training import train
 from mrgs.training.start import Hooks, TrainOptions
 from tests.helpers.training import short_config
+
+RESUME = TrainOptions(resume=True)
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def test_a_strategy_of_ones_own_trains_logs_resumes_and_opens(small_scene, tmp_p
     mine = Duplicate(every=4, max_gaussians=27)
     whole = train(small_scene, tmp_path / "whole", config, strategy=mine)
     parts = train(small_scene, tmp_path / "parts", config, strategy=mine, stop_at=6)
-    train(small_scene, parts.path, config, options=TrainOptions(resume=True), strategy=mine)
+    train(small_scene, parts.path, config, options=RESUME, strategy=mine)
     assert_same(whole, parts)
     assert load_file(whole.newest_checkpoint())["strategy.drawn"].max() == 12
     events = [entry for entry in log_of(whole) if "doubled" in entry]
@@ -136,7 +137,7 @@ def test_a_term_of_ones_own_is_weighed_learned_logged_and_saved(small_scene, tmp
         terms=[Sizes()],
     )
     parts = train(small_scene, tmp_path / "parts", config, terms=[Sizes()], stop_at=4)
-    train(small_scene, parts.path, config, options=TrainOptions(resume=True), terms=[Sizes()])
+    train(small_scene, parts.path, config, options=RESUME, terms=[Sizes()])
     assert_same(whole, parts)
     assert load_file(whole.newest_checkpoint())["terms.sizes.weight"].item() < 0.5
     terms = statistics[-1].terms
@@ -171,27 +172,15 @@ def test_a_run_goes_on_with_what_it_began_with(options, named, small_scene, tmp_
     config = short_config(max_steps=3)
     train(small_scene, tmp_path, config, strategy=Duplicate(), terms=[Sizes()], stop_at=1)
     with pytest.raises(RunError, match=named):
-        train(small_scene, tmp_path, config, options=TrainOptions(resume=True), **options)
+        train(small_scene, tmp_path, config, options=RESUME, **options)
 
 
 def test_a_run_goes_on_with_the_settings_of_a_strategy_that_it_began_with(small_scene, tmp_path):
     config = short_config(max_steps=3)
     train(small_scene, tmp_path, config, strategy=Duplicate(every=2), stop_at=1)
-    with pytest.raises(RunError, match="every=2 in Duplicate, not 3"):
-        train(
-            small_scene,
-            tmp_path,
-            config,
-            options=TrainOptions(resume=True),
-            strategy=Duplicate(every=3),
-        )
-    train(
-        small_scene,
-        tmp_path,
-        config,
-        options=TrainOptions(resume=True),
-        strategy=Duplicate(every=2),
-    )
+    with pytest.raises(RunError, match="Duplicate's every 2, not 3"):
+        train(small_scene, tmp_path, config, options=RESUME, strategy=Duplicate(every=3))
+    train(small_scene, tmp_path, config, options=RESUME, strategy=Duplicate(every=2))
 
 
 def test_settings_of_the_configuration_may_be_changed_in_its_file(small_scene, tmp_path):
@@ -199,7 +188,7 @@ def test_settings_of_the_configuration_may_be_changed_in_its_file(small_scene, t
     train(small_scene, tmp_path, config, stop_at=1)
     fewer = replace(config, densification=replace(config.densification, max_gaussians=40))
     (tmp_path / "config.yaml").write_text(write_yaml(fewer))
-    train(small_scene, tmp_path, config, options=TrainOptions(resume=True))
+    train(small_scene, tmp_path, config, options=RESUME)
 
 
 @dataclass(frozen=True)
@@ -237,67 +226,23 @@ class Anything(Blind):
         (float("nan"), float("nan"), 1.0),
         ((1, 2), (1, 2), (1, 3)),
         (Kind.NEAR, Kind.NEAR, Kind.FAR),
-        (np.float32(0.5), 0.5, np.float32(0.25)),
         (Blind(), Blind(), Blind(max_gaussians=7)),
-        (frozenset("abc"), frozenset("cba"), frozenset("ab")),
         ("a" * 200, "a" * 200, "b" * 200),
     ],
 )
 def test_settings_of_any_kind_are_compared(before, same, other, small_scene, tmp_path):
     config = short_config(max_steps=2)
     train(small_scene, tmp_path, config, strategy=Anything(setting=before), stop_at=1)
-    with pytest.raises(RunError, match="setting=") as caught:
-        train(
-            small_scene,
-            tmp_path,
-            config,
-            options=TrainOptions(resume=True),
-            strategy=Anything(setting=other),
-        )
+    with pytest.raises(RunError, match="setting") as caught:
+        train(small_scene, tmp_path, config, options=RESUME, strategy=Anything(setting=other))
     assert len(caught.value.message) < len(str(tmp_path)) + 400
-    train(
-        small_scene,
-        tmp_path,
-        config,
-        options=TrainOptions(resume=True),
-        strategy=Anything(setting=same),
-    )
+    train(small_scene, tmp_path, config, options=RESUME, strategy=Anything(setting=same))
 
 
 def test_a_setting_without_a_text_of_its_own_is_not_compared(small_scene, tmp_path):
     config = short_config(max_steps=2)
     train(small_scene, tmp_path, config, strategy=Anything(setting=object()), stop_at=1)
-    train(
-        small_scene,
-        tmp_path,
-        config,
-        options=TrainOptions(resume=True),
-        strategy=Anything(setting=lambda: 0),
-    )
-
-
-@pytest.mark.parametrize("said", [float("nan"), 0.5, "text", True, None])
-def test_settings_that_an_earlier_version_wrote_are_compared(said, small_scene, tmp_path):
-    config = short_config(max_steps=2)
-    folder = train(small_scene, tmp_path, config, strategy=Anything(setting=said), stop_at=1)
-    tensors, header = read_file(folder.newest_checkpoint())
-    header["strategy_settings"] = {"setting": said}
-    write_file(folder.newest_checkpoint(), tensors, header)
-    with pytest.raises(RunError, match="setting="):
-        train(
-            small_scene,
-            tmp_path,
-            config,
-            options=TrainOptions(resume=True),
-            strategy=Anything(setting=7),
-        )
-    train(
-        small_scene,
-        tmp_path,
-        config,
-        options=TrainOptions(resume=True),
-        strategy=Anything(setting=said),
-    )
+    train(small_scene, tmp_path, config, options=RESUME, strategy=Anything(setting=lambda: 0))
 
 
 @pytest.mark.parametrize("said", [{}, {"strategy_settings": {"renamed": 1}}])
@@ -307,13 +252,7 @@ def test_a_checkpoint_that_does_not_say_a_setting_is_resumed(said, small_scene, 
     tensors, header = read_file(folder.newest_checkpoint())
     del header["strategy_settings"]
     write_file(folder.newest_checkpoint(), tensors, {**header, **said})
-    train(
-        small_scene,
-        tmp_path,
-        config,
-        options=TrainOptions(resume=True),
-        strategy=Duplicate(every=2),
-    )
+    train(small_scene, tmp_path, config, options=RESUME, strategy=Duplicate(every=2))
 
 
 @pytest.fixture
@@ -339,7 +278,7 @@ def test_a_registered_method_is_configured_trained_opened_and_scored(
     config = method.configure("fast", max_steps=4, max_gaussians=50, changes="{seed: 3}")
     assert (config.method, config.seed, config.shares_opacity) == ("doubling", 3, True)
     method.train(small_scene, tmp_path, config, stop_at=2)
-    method.train(small_scene, tmp_path, config, options=TrainOptions(resume=True))
+    method.train(small_scene, tmp_path, config, options=RESUME)
     run = load_run(tmp_path)
     assert (run.config, run.gaussian_count, run.facts.step) == (config, 27, 4)
     evaluate_run(run)

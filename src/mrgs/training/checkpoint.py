@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -38,9 +37,6 @@ from mrgs.training.state import TrainingState, learned_layers
 
 _SETTINGS = "strategy_settings"
 
-_MOST_SHOWN = 60
-"""Characters of a setting in a message."""
-
 
 def tensors_of(state: TrainingState) -> dict[str, Tensor]:
     """All tensors of a training, by name."""
@@ -70,7 +66,6 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
         **facts.to_json(),
         "skipped_in_a_row": int(state.skipped_in_a_row),
         **_made_with(state.strategy, state.terms),
-        _SETTINGS: _settings_as_text(state.strategy),
     }
     write_file(path, tensors_of(state), header)
 
@@ -82,7 +77,10 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
         DamagedCheckpointError: it is not what was written, or not finite.
         RunError: it cannot be read, has another format, or does not fit the configuration.
     """
-    tensors, facts, _ = read(path, _is_rendered_with)
+    needed = ("gaussians.", "field.", "image_model.", "neighbours")
+    tensors, facts, _ = read(
+        path, lambda name: name.startswith(needed) and not name.startswith("gaussians.adam.")
+    )
     try:
         model = _model(tensors, config, facts)
         image_model = ImageModel(config.image_model, facts.capture)
@@ -101,14 +99,8 @@ def load_state(
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
 ) -> TrainingState:
-    """The whole state of a checkpoint, to train on.
-
-    Args:
-        path: the checkpoint, written on any device.
-        config: the run's configuration.
-        device: where to train on.
-        strategy: density control, if the run was given one.
-        terms: of the loss, if the run was given any.
+    """The whole state of a checkpoint that was written on any device, to train on with the strategy
+    and the terms that the run was given.
 
     Raises:
         DamagedCheckpointError: it is not what was written, or not finite.
@@ -123,16 +115,21 @@ def load_state(
         raise unfit(path, error) from error
     with seeded(config.seed):
         all_terms = configured_terms(config, terms, model.gaussians.modalities)
-    _require_made_with(path, header, _made_with(chosen, all_terms))
-    if strategy is not None:
-        _require_settings(path, header, strategy)
+    _require_made_with(path, header, _made_with(chosen, all_terms), strategy is not None)
     try:
         for term, module in learned_layers(all_terms).items():
             _load_module(module, below(tensors, f"terms.{term}."))
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
         state = TrainingState.around(model, all_terms, chosen, config, facts.capture, generator)
-        _load_training(state, tensors)
+        _load_module(state.image_model, below(tensors, "image_model."))
+        state.gaussian_optimizer.load_moments(below(tensors, "gaussians."))
+        layers = dict(enumerate(state.layer_optimizer.parameters()))
+        state.layer_optimizer.load_moments(layers, below(tensors, "layer_optimizer."))
+        remembered = below(tensors, "strategy.")
+        require_like(remembered, state.strategy_state)
+        state.strategy_state = {name: each.to(device) for name, each in remembered.items()}
+        state.sampler.load(tensors["sampler.waiting"])
         state.skipped_in_a_row += skipped_in_a_row_of(header)
         state.step = facts.step
         require_like(tensors, tensors_of(state))
@@ -141,90 +138,42 @@ def load_state(
     return state
 
 
-def _is_rendered_with(name: str) -> bool:
-    """Whether rendering needs the tensor of a name; training needs all."""
-    return name.startswith(("gaussians.", "field.", "image_model.", "neighbours")) and not (
-        name.startswith("gaussians.adam.")
-    )
-
-
-def _load_training(state: TrainingState, tensors: Mapping[str, Tensor]) -> None:
-    """Fill a state at step 0 with everything besides its model.
-
-    Raises:
-        KeyError, RuntimeError, TypeError, ValueError: the tensors do not fit the state.
-    """
-    _load_module(state.image_model, below(tensors, "image_model."))
-    state.gaussian_optimizer.load_moments(below(tensors, "gaussians."))
-    layers = dict(enumerate(state.layer_optimizer.parameters()))
-    state.layer_optimizer.load_moments(layers, below(tensors, "layer_optimizer."))
-    remembered = below(tensors, "strategy.")
-    require_like(remembered, state.strategy_state)
-    state.strategy_state = {name: each.to(state.device) for name, each in remembered.items()}
-    state.sampler.load(tensors["sampler.waiting"])
-
-
 def _load_module(module: torch.nn.Module, tensors: Mapping[str, Tensor]) -> None:
     require_like(tensors, module.state_dict())
     module.load_state_dict(tensors)
 
 
 def _made_with(strategy: Strategy, terms: Sequence[Term]) -> dict[str, Any]:
-    """The parts that may come from Python instead of the configuration."""
-    return {"strategy": type(strategy).__name__, "terms": [term.name for term in terms]}
+    """The parts that may come from Python instead of the configuration; a strategy's settings
+    without those whose ``repr`` contains an address and so differs between processes."""
+    settings = {name: repr(value) for name, value in strategy.settings().items()}
+    return {
+        "strategy": type(strategy).__name__,
+        "terms": [term.name for term in terms],
+        _SETTINGS: {name: text for name, text in settings.items() if " at 0x" not in text},
+    }
 
 
-def _require_made_with(path: Path, header: Mapping[str, Any], made_with: dict[str, Any]) -> None:
-    """Check that a run resumes with the strategy and the terms that it started with.
+def _require_made_with(
+    path: Path, header: Mapping[str, Any], now: Mapping[str, Any], from_python: bool
+) -> None:
+    """Check that a run resumes with the strategy and the terms that it started with; the settings
+    of a strategy that is not from Python are in the run's config.yaml.
 
     Raises:
         RunError: they are others.
     """
-    for name, value in made_with.items():
-        if header.get(name) != value:
+    found = {name: (header.get(name), now[name]) for name in ("strategy", "terms")}
+    if from_python:
+        settings = header.get(_SETTINGS, {})
+        for name, value in now[_SETTINGS].items():
+            found[f"{now['strategy']}'s {name}"] = settings.get(name, value), value
+    for name, (before, value) in found.items():
+        if before != value:
             raise RunError(
-                f"{path} was trained with {name} {header.get(name)}, not {value}: give train() "
+                f"{path} was trained with {name} {before!s:.60}, not {value!s:.60}: give train() "
                 f"the same strategy and terms again"
             )
-
-
-def _require_settings(path: Path, header: Mapping[str, Any], strategy: Strategy) -> None:
-    """Check the settings of a strategy that was given in Python; those of a configuration are in
-    the run's config.yaml.
-
-    Raises:
-        RunError: they are others.
-    """
-    settings = header.get(_SETTINGS, {})
-    for name, now in _settings_as_text(strategy).items():
-        before = settings.get(name, now)
-        if now not in (before, repr(before)):  # earlier versions wrote numbers and texts as such
-            raise RunError(
-                f"{path} was trained with {name}={_shortened(str(before))} in "
-                f"{type(strategy).__name__}, not {_shortened(now)}: give train() the same "
-                f"strategy and terms again"
-            )
-
-
-def _settings_as_text(strategy: Strategy) -> dict[str, str]:
-    """A strategy's settings, each as its ``repr``, without those that contain an address and so
-    differ between processes."""
-    texts = {name: _as_text(value) for name, value in strategy.settings().items()}
-    return {name: text for name, text in texts.items() if " at 0x" not in text}
-
-
-def _as_text(value: object) -> str:
-    """``repr``, with NumPy's numbers as Python's, and sets in order."""
-    if isinstance(value, np.generic):
-        return repr(value.item())
-    if isinstance(value, set | frozenset):
-        return f"{type(value).__name__}({sorted(map(_as_text, value))})"
-    return repr(value)
-
-
-def _shortened(text: str) -> str:
-    line = " ".join(text.split())
-    return line if len(line) <= _MOST_SHOWN else f"{line[: _MOST_SHOWN - 3]}..."
 
 
 def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
@@ -259,12 +208,7 @@ def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: Checkpoint
 def gaussians_from(
     tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts
 ) -> Gaussians:
-    """The Gaussians of a checkpoint.
-
-    Args:
-        tensors: parameters by name, as in ``Gaussians.tensors``.
-        config: of the run.
-        facts: of the checkpoint.
+    """The Gaussians of a checkpoint, from the parameters by name, as in ``Gaussians.tensors``.
 
     Raises:
         ValueError: they do not fit a model of this configuration.
