@@ -20,7 +20,7 @@ from mrgs.runs.open import load_run
 from mrgs.training import train
 from mrgs.training.start import TrainOptions
 from tests.faults.runs import GAUSSIANS, NERF, load_gaussians, load_nerf
-from tests.helpers.checkpoints import rewrite, rewrite_without_digests
+from tests.helpers.checkpoints import rewrite, rewrite_unchecked
 
 KINDS = ("gaussians", "nerf")
 LOAD = {"gaussians": load_gaussians, "nerf": load_nerf}
@@ -238,7 +238,7 @@ def test_values_that_are_not_finite_count_as_damage(value, kind, folder):
     for name in names[::5]:
         wrong = good[name].clone()
         wrong.view(-1)[-1] = value
-        rewrite_without_digests(path, {**good, name: wrong})
+        rewrite_unchecked(path, {**good, name: wrong})
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             assert folder.load_newest(LOAD[kind]).step == 5

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from safetensors.torch import load_file
 
 from mrgs.app.cli import main
 from mrgs.baselines.thermonerf import train_thermonerf
@@ -19,7 +18,6 @@ from mrgs.scene.capture import Capture
 from mrgs.training import train
 from mrgs.training.start import TrainOptions, open_training
 from tests.faults.runs import GAUSSIANS, NERF
-from tests.helpers.checkpoints import header_of, rewrite_without_digests
 
 TRAIN = {"gaussians": (train, GAUSSIANS), "nerf": (train_thermonerf, NERF)}
 
@@ -131,20 +129,6 @@ def test_changes_that_no_state_fits_are_refused_in_any_case(scene, gaussians_run
     change_frame(scene, lambda content, frame: content["frames"].remove(frame))
     with pytest.raises(RunError, match=r"5 training .*6"):
         resume(scene, gaussians_run, accept_changes=True)
-
-
-def test_runs_of_older_versions_are_resumed(scene, gaussians_run):
-    path = gaussians_run.newest_checkpoint()
-    assert header_of(path)["images"]
-    rewrite_without_digests(path, load_file(path))
-    header = header_of(path)
-    del header["images"]
-    rewrite_without_digests(path, load_file(path), header)
-    change_photo(scene, "images")
-    resume(scene, gaussians_run)
-    change_frame(scene, shift)
-    with pytest.raises(RunError, match="has changed"):
-        resume(scene, gaussians_run)
 
 
 def test_the_command_line_names_its_option(scene, gaussians_run, capsys):

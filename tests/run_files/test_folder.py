@@ -183,6 +183,7 @@ def test_a_log_that_is_no_file_is_refused(tmp_path):
 
 
 def test_settings_that_were_cut_off_are_named_by_their_place(folder):
+    touch_checkpoints(folder, 10)
     lines = folder.config_file.read_text(encoding="utf-8").splitlines(keepends=True)
     (place,) = (i for i, line in enumerate(lines) if line.startswith("  dssim:"))
     folder.config_file.write_text("".join(lines[:place] + lines[place + 1 :]), encoding="utf-8")

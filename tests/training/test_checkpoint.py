@@ -21,7 +21,7 @@ from mrgs.training import step
 from mrgs.training.checkpoint import load_model, load_state, save
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import PhotographedView
-from tests.helpers.checkpoints import header_of, rewrite, rewrite_without_digests
+from tests.helpers.checkpoints import header_of, rewrite
 from tests.helpers.training import short_config, tensors_of
 
 VIEWPOINT = Viewpoint((0.0, 0.5, -1.25), (0.0, 0.0, 1.0))
@@ -233,13 +233,6 @@ def test_a_count_of_skipped_steps_that_cannot_be_is_named(path, config, count):
     rewrite(path, skipped_in_a_row=count)
     with pytest.raises(RunError, match="skipped_in_a_row"):
         load_state(path, config)
-
-
-def test_the_format_before_digests_is_read(state, path, config):
-    rewrite_without_digests(path, load_file(path))
-    assert load_facts(path) == FACTS
-    expected, found = tensors_of(state), tensors_of(load_state(path, config))
-    assert all(torch.equal(found[name], tensor) for name, tensor in expected.items())
 
 
 def test_another_configuration_is_named(path, config):

@@ -27,25 +27,14 @@ from mrgs.system.atomic import replacing
 
 FORMAT = 6
 
-WITHOUT_DIGESTS = 5
-"""The last format without digests; still read."""
-
-UNFIT = (KeyError, RuntimeError, TypeError, ValueError)
-"""Raised for tensors that do not fit the configuration."""
-
 _HEADER = "mrgs"
 _HEADER_DIGEST = "sha256"
 _TENSORS_DIGEST = "tensors_sha256"
 
 
 def write_file(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
-    """Write a checkpoint in one file that is either whole or not there.
-
-    Args:
-        path: the file.
-        tensors: by name, on any device.
-        header: JSON values: those of ``CheckpointFacts.to_json``, ``skipped_in_a_row``, and others
-            of the method.
+    """Write a checkpoint in one file that is either whole or not there. Its header has the JSON
+    values of ``CheckpointFacts.to_json``, ``skipped_in_a_row``, and others of the method.
 
     Raises:
         NotFiniteError: a tensor has a NaN or an infinity; nothing is written.
@@ -66,13 +55,9 @@ def write_file(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, A
 def read_file(
     path: Path, needed: Callable[[str], bool] = lambda name: True
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors by name, and the header.
+    """The needed tensors by name, and the header.
 
     All tensors are read and checked, one after the other, so that unneeded ones take little memory.
-
-    Args:
-        path: the file.
-        needed: whether the tensor of a name is to be returned.
 
     Raises:
         DamagedCheckpointError: not a checkpoint, not what was written, or not finite.
@@ -91,7 +76,7 @@ def read_file(
         broken = broken or first_not_finite({name: tensor})
         if needed(name):
             tensors[name] = tensor
-    if header["format"] != WITHOUT_DIGESTS and header.get(_TENSORS_DIGEST) != digest.hexdigest():
+    if header.get(_TENSORS_DIGEST) != digest.hexdigest():
         raise DamagedCheckpointError(path, "its tensors do not match their digest")
     if broken is not None:
         raise DamagedCheckpointError(path, f"{broken} holds values that are not finite")
@@ -140,21 +125,26 @@ def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
     return count
 
 
-def unfit(path: Path, error: Exception) -> RunError:
-    """The error for a checkpoint whose tensors do not fit its configuration."""
-    reason = " ".join(str(error).split())
-    return RunError(
-        f"{path} does not fit the run's config.yaml ({reason:.120}): restore the configuration it "
-        f"was trained with"
-    )
+@contextmanager
+def fitting(path: Path) -> Iterator[None]:
+    """Within this block tensors of a checkpoint are used.
+
+    Raises:
+        RunError: they do not fit the run's configuration.
+    """
+    try:
+        yield
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(
+            f"{path} does not fit the run's config.yaml ({reason:.120}): restore the configuration "
+            f"it was trained with"
+        ) from error
 
 
 def require_like(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
-    """Check names, types and shapes of tensors, which kernels and optimizers rely on.
-
-    Args:
-        found: tensors from a file.
-        expected: examples, whose values do not matter.
+    """Check names, types and shapes of tensors from a file, which kernels and optimizers rely on,
+    by examples.
 
     Raises:
         ValueError: they differ; names the first tensor that does.
@@ -183,15 +173,10 @@ def below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 def first_not_finite(tensors: Mapping[str, Tensor]) -> str | None:
     """The name of a tensor with a NaN or an infinity; None if there is none."""
-    for name, tensor in tensors.items():
-        # Both stay in a sum, which is cheaper than to ask each number; a sum may also overflow.
-        if (
-            tensor.is_floating_point()
-            and not tensor.detach().sum().isfinite()
-            and not tensor.isfinite().all()
-        ):
-            return name
-    return None
+    # Both stay in a sum, which is cheaper than to ask each number; a sum may also overflow.
+    real = ((name, each.detach()) for name, each in tensors.items() if each.is_floating_point())
+    doubtful = ((name, each) for name, each in real if not each.sum().isfinite())
+    return next((name for name, each in doubtful if not each.isfinite().all()), None)
 
 
 def _header_and_names(path: Path) -> tuple[dict[str, Any], list[str]]:
@@ -238,14 +223,13 @@ def _parsed_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
     if expected is not None and expected != hashlib.sha256(text.encode()).hexdigest():
         raise DamagedCheckpointError(path, "its header does not match its digest")
     header: dict[str, Any] = dict(json.loads(text))
-    version = header.get("format")
-    if version == FORMAT and expected is None:
-        raise DamagedCheckpointError(path, "its header has no digest")
-    if version not in (FORMAT, WITHOUT_DIGESTS):
+    if (version := header.get("format")) != FORMAT:
         raise RunError(
-            f"{path} has checkpoint format {version!r:.20}, this program reads {WITHOUT_DIGESTS} "
-            f"and {FORMAT}: use the version of mrgs that wrote it"
+            f"{path} has checkpoint format {version!r:.20}, this program reads {FORMAT}: use the "
+            f"version of mrgs that wrote it"
         )
+    if expected is None:
+        raise DamagedCheckpointError(path, "its header has no digest")
     return header
 
 

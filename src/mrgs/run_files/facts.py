@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,8 +29,7 @@ class CheckpointFacts(NamedTuple):
         skipped_steps: steps skipped so far because of values that were not finite.
         device: device of the last step: a GPU's name, or "cpu".
         modalities: of the scene's images.
-        images: fingerprint of each training image, by view and modality; empty in checkpoints of
-            older versions of the program.
+        images: fingerprint of each training image, by view and modality.
     """
 
     step: int
@@ -51,16 +50,9 @@ class CheckpointFacts(NamedTuple):
         Raises:
             SceneError: a photo cannot be read.
         """
+        capture, images = Capture.of(scene), fingerprints(scene)
         return cls(
-            0,
-            scene.path,
-            Capture.of(scene),
-            scene.temperature,
-            0.0,
-            0,
-            0,
-            modalities=scene.modalities,
-            images=fingerprints(scene),
+            0, scene.path, capture, scene.temperature, 0.0, 0, 0, "cpu", scene.modalities, images
         )
 
     def photographed(self, modalities: Iterable[Modality]) -> tuple[Modality, ...]:
@@ -88,8 +80,7 @@ class CheckpointFacts(NamedTuple):
         Raises:
             KeyError, TypeError, ValueError: one is missing, or is not what it should be.
         """
-        known = {"device": "cpu", "images": [], **header}  # missing in older checkpoints
-        values = {name: known[name] for name in cls._fields}
+        values = {name: header[name] for name in cls._fields}
         for name in ("step", "peak_memory_bytes", "skipped_steps"):
             if type(values[name]) is not int or values[name] < 0:
                 raise ValueError(f"{name} is a number of at least 0")
@@ -126,12 +117,10 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
     Raises:
         RunError: it has others.
     """
-    _require_same_views(facts, scene)
+    _raise_first(scene, _other_views(facts, scene))
     if not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
-        raise RunError(
-            f"{scene.name} has other cameras than the run's scene: use that scene as it was"
-        )
-    _require_same_temperatures(facts, scene)
+        _raise_first(scene, [("has other cameras than the run's scene", _AS_IT_WAS)])
+    _raise_first(scene, _other_temperatures(facts, scene))
 
 
 def facts_to_resume(
@@ -151,12 +140,9 @@ def facts_to_resume(
         RunError: they have changed, which is not accepted; or the scene has another number of
             images, another temperature range or more modalities.
     """
-    _require_same_views(facts, scene)
-    _require_same_temperatures(facts, scene)
-    if untrained := _untrained(facts, scene):
-        raise RunError(f"{scene.name} {untrained}: retrain")
+    _raise_first(scene, _incompatible(facts, scene))
     images = fingerprints(scene)
-    if changed := _changes_since(facts, images, scene):
+    if changed := changes(facts.images, images, scene):
         if not accept_changes:
             raise RunError(
                 f"{scene.name} has changed since the run began ({changed}): bring back what was, "
@@ -170,61 +156,53 @@ def facts_to_resume(
     return facts._replace(scene=scene.path, capture=Capture.of(scene), images=images)
 
 
-def _changes_since(
-    facts: CheckpointFacts, images: tuple[ImageFingerprint, ...], scene: Scene
-) -> str:
-    """The changes of a scene since its run began; see ``changes``."""
-    if facts.images:
-        return changes(facts.images, images, scene)
-    is_same = math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6)
-    return "" if is_same else "its cameras"
-
-
 def differences(facts: CheckpointFacts, scene: Scene) -> str:
     """How a scene differs from the run's, for a message; empty if it does not.
 
     Raises:
         SceneError: a photo cannot be read.
     """
-    if other := _other_views(facts, scene) or _untrained(facts, scene):
-        return f"it {other}"
-    if facts.temperature != scene.temperature:
-        return "it has another temperature range"
-    return _changes_since(facts, fingerprints(scene), scene)
+    for what, _ in _incompatible(facts, scene):
+        return f"it {what}"
+    return changes(facts.images, fingerprints(scene), scene)
 
 
-def _require_same_views(facts: CheckpointFacts, scene: Scene) -> None:
-    if other := _other_views(facts, scene):
-        raise RunError(f"{scene.name} {other}: use that scene as it was")
+_AS_IT_WAS = "use that scene as it was"
 
 
-def _other_views(facts: CheckpointFacts, scene: Scene) -> str:
-    """How the numbers of a scene's images differ from the run's, or their thermal views; empty if
-    they do not."""
+def _raise_first(scene: Scene, problems: Iterable[tuple[str, str]]) -> None:
+    for what, remedy in problems:
+        raise RunError(f"{scene.name} {what}: {remedy}")
+
+
+def _incompatible(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
+    """Why a run cannot go on with a scene, each with a remedy."""
+    yield from _other_views(facts, scene)
+    yield from _other_temperatures(facts, scene)
+    untrained = set(scene.modalities) - set(model_modalities(facts.modalities))
+    if untrained:
+        names = ", ".join(sorted(each.name for each in untrained))
+        yield f"has images that the run began without ({names})", "retrain"
+
+
+def _other_views(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
+    """How the numbers of a scene's images differ from the run's, or its thermal views."""
     trained = model_modalities(facts.modalities)
     count = sum(modality in trained for view in scene.train for modality in view.images)
-    if facts.capture.views != len(scene.train) or (facts.images and len(facts.images) != count):
-        return (
-            f"has {len(scene.train)} training views of {count} images, not the "
-            f"{facts.capture.views} that the run was trained with"
-        )
     thermal = [THERMAL in view.images for view in scene.train]
-    if thermal != [point is not None for point in facts.capture.thermal_viewpoints]:
-        return "has thermal photos in other views than the run was trained with"
-    return ""
+    if (facts.capture.views, len(facts.images)) != (len(scene.train), count):
+        yield (
+            f"has {len(scene.train)} training views of {count} images, not the "
+            f"{facts.capture.views} that the run was trained with",
+            _AS_IT_WAS,
+        )
+    elif thermal != [point is not None for point in facts.capture.thermal_viewpoints]:
+        yield "has thermal photos in other views than the run was trained with", _AS_IT_WAS
 
 
-def _untrained(facts: CheckpointFacts, scene: Scene) -> str:
-    """The modalities of a scene that its model lacks; empty if there are none."""
-    names = sorted(
-        each.name for each in set(scene.modalities) - set(model_modalities(facts.modalities))
-    )
-    return f"has images that the run began without ({', '.join(names)})" if names else ""
-
-
-def _require_same_temperatures(facts: CheckpointFacts, scene: Scene) -> None:
+def _other_temperatures(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
     if facts.temperature != scene.temperature:
-        raise RunError(
-            f"{scene.name} has another temperature range than the run was trained with: "
-            f"bring back the one that it had, or retrain"
+        yield (
+            "has another temperature range than the run was trained with",
+            "bring back the one that it had, or retrain",
         )

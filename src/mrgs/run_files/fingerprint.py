@@ -6,13 +6,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from mrgs.data.kept import digest
 from mrgs.errors import SceneError
-from mrgs.scene import Camera, PosedImage, Scene
+from mrgs.scene import PosedImage, Scene
 from mrgs.system.wording import listed
 
 SAME = 1e-6
@@ -57,25 +57,15 @@ def fingerprints(scene: Scene) -> tuple[ImageFingerprint, ...]:
     Raises:
         SceneError: a photo cannot be read.
     """
-    images = [image for _, image in _training_images(scene)]
     with ThreadPoolExecutor(_READERS) as pool:
-        digests = list(pool.map(_digest_of, images))
-    return tuple(
-        ImageFingerprint(digest, *_numbers_of(image.camera))
-        for digest, image in zip(digests, images, strict=True)
-    )
+        return tuple(pool.map(_fingerprint, (image for _, image in _training_images(scene))))
 
 
 def changes(
     before: Sequence[ImageFingerprint], now: Sequence[ImageFingerprint], scene: Scene
 ) -> str:
-    """What has changed since a run began, for a message; empty if nothing has.
-
-    Args:
-        before: fingerprints at the start of the run.
-        now: fingerprints of the scene, as many.
-        scene: names the images.
-    """
+    """What has changed since a run began, for a message; empty if nothing has. The fingerprints are
+    those of the scene's images at the start and now."""
     pairs = list(zip(before, now, strict=True))
     names = [name for name, _ in _training_images(scene)]
     found = {
@@ -98,32 +88,21 @@ def _training_images(scene: Scene) -> Iterator[tuple[str, PosedImage]]:
             yield f"{view.name} ({modality})", image
 
 
-def _digest_of(image: PosedImage) -> str:
-    """SHA-256 of the image's files; of its values and mask if it was made from arrays."""
-    digest = hashlib.sha256()
+def _fingerprint(image: PosedImage) -> ImageFingerprint:
+    """The photo's digest is of its files, or of its values and mask if it was made from arrays."""
+    found = hashlib.sha256()
     for path in image.files:
-        digest.update(hashlib.sha256(_read(path)).digest())
+        if not (of_file := digest(path)):
+            raise SceneError(f"{path} cannot be read: check its permissions")
+        found.update(bytes.fromhex(of_file))
     if not image.files:
         for tensor in (pixels := image.load()).values, pixels.valid:
             content = b"" if tensor is None else tensor.numpy().tobytes()
-            digest.update(hashlib.sha256(content).digest())
-    return digest.hexdigest()
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise SceneError(
-            f"{path} cannot be read ({error.strerror or error}): check its permissions"
-        ) from error
-
-
-def _numbers_of(camera: Camera) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Pose and intrinsics of a camera, as in ``ImageFingerprint``."""
-    K = camera.K
-    intrinsics = (*K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), camera.width, camera.height)
-    return tuple(camera.viewmat[:3].flatten().tolist()), tuple(map(float, intrinsics))
+            found.update(hashlib.sha256(content).digest())
+    K, viewmat = image.camera.K, image.camera.viewmat
+    lens = (*K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), image.camera.width, image.camera.height)
+    pose = tuple(viewmat[:3].flatten().tolist())
+    return ImageFingerprint(found.hexdigest(), pose, tuple(map(float, lens)))
 
 
 def _differ(some: Sequence[float], others: Sequence[float]) -> bool:

@@ -121,7 +121,7 @@ class RunFolder:
         """Load the newest checkpoint, or an older one if it is damaged.
 
         Args:
-            load: reads a checkpoint; raises DamagedCheckpointError if it is damaged.
+            load: reads a checkpoint; raises DamagedCheckpointError.
             set_aside: rename damaged checkpoints to ``*.damaged``, because newer ones will be
                 written.
 
@@ -155,7 +155,7 @@ class RunFolder:
         )
 
     def drop_old_checkpoints(self) -> None:
-        """Keep the newest two."""
+        """Remove all but the newest checkpoints."""
         with self._writing():
             for path in self.checkpoints()[:-CHECKPOINTS_KEPT]:
                 path.unlink()
@@ -167,25 +167,24 @@ class RunFolder:
         Raises:
             RunError: the folder contains a run, or something else.
         """
-        problem = ""
         if self.checkpoints():
             raise RunError(
                 f"{self.path} already holds a run: resume it, or choose another folder",
                 options=("resume", "output"),
             )
+        problem = ""
         if self.config_file.exists():
             if not self._config_values().keys() >= _EVERY_CONFIG_HAS:
                 problem = "a config.yaml that is not a run's"
         elif self.log_file.exists():
             problem = "a log.jsonl that is not a run's"
         elif self.path.is_dir():
-            names = sorted(path.name for path in self.path.iterdir() if path.name[0] != ".")
-            foreign = [name for name in names if name not in _LEFT_BEHIND]
-            problem = f"something else ({listed(foreign)})" if foreign else ""
+            names = {path.name for path in self.path.iterdir() if path.name[0] != "."}
+            if foreign := sorted(names - _LEFT_BEHIND):
+                problem = f"something else ({listed(foreign)})"
         if problem:
-            raise RunError(
-                f"{self.path} holds {problem}: choose another folder", options=("output",)
-            )
+            why = f"{self.path} holds {problem}: choose another folder"
+            raise RunError(why, options=("output",))
 
     def start(self, config: RunConfig) -> None:
         """Make the folder a new run.
@@ -206,19 +205,14 @@ class RunFolder:
             RunError: the folder is not a run.
         """
         values = self.read_config(parse_yaml)
-        name = values.get("method") if isinstance(values, dict) else None
-        if not isinstance(name, str):
-            raise RunError(
-                f"{self.path} is not a run: its config.yaml names no method; fix the file or "
-                f"retrain"
-            )
-        return name
+        if isinstance(values, dict) and isinstance(name := values.get("method"), str):
+            return name
+        raise RunError(
+            f"{self.path} is not a run: its config.yaml names no method; fix the file or retrain"
+        )
 
     def read_config(self, read: ReadConfig[T]) -> T:
-        """The run's configuration.
-
-        Args:
-            read: the method's parser.
+        """The run's configuration, by the method's parser.
 
         Raises:
             RunError: the folder is not a run, or its configuration cannot be used.
@@ -234,28 +228,14 @@ class RunFolder:
                 f"`mrgs train` wrote"
             ) from error
 
-    def config_to_train(self, config: C, resume: bool, read: ReadConfig[C]) -> C:
-        """The configuration to train with: the given one, or that of the run that is resumed.
-
-        Warns:
-            MrgsWarning: the run's config.yaml lacks settings.
-
-        Raises:
-            RunError: the folder cannot be used for it.
-        """
-        if not resume:
-            self.require_new()
-            return config
-        self.newest_checkpoint()
-        return self.read_whole_config(read)
-
     def read_whole_config(self, read: ReadConfig[C]) -> C:
-        """``read_config`` of a run, whose config.yaml names every setting.
+        """``read_config`` of a run with a checkpoint, whose config.yaml names every setting.
 
         Warns:
             MrgsWarning: it lacks some, for which the defaults are used; the file may have been cut
                 off.
         """
+        self.newest_checkpoint()
         config = self.read_config(read)
         have = flat(self._config_values())
         missing = [name for name in flat(parse_yaml(write_yaml(config), "")) if name not in have]
@@ -269,19 +249,14 @@ class RunFolder:
     def _require_config(self) -> None:
         if self.config_file.is_file():
             return
-        try:
+        inside = []
+        with suppress(OSError):
             folders = sorted(path.parent for path in self.path.glob("*/config.yaml"))
             inside = [str(folder) for folder in folders if RunFolder(folder).checkpoints()]
-        except OSError:
-            inside = []
+        problem = "it has no config.yaml; name a folder that `mrgs train` wrote"
         if inside:  # as where `mrgs run` keeps its results
-            raise RunError(
-                f"{self.path} is not a run itself; it contains {listed(inside)}: give that folder"
-            )
-        raise RunError(
-            f"{self.path} is not a run: it has no config.yaml; name a folder that `mrgs train` "
-            f"wrote"
-        )
+            problem = f"it contains {listed(inside)}: give that folder"
+        raise RunError(f"{self.path} is not a run: {problem}")
 
     def _config_values(self) -> dict[str, Any]:
         """The outermost entries of config.yaml; empty if it contains something else."""
@@ -307,16 +282,13 @@ class RunFolder:
             return
         for name, value in finite.items():
             if name != "step" and isinstance(value, int | float):
-                grouped = name.replace("loss_", "loss/", 1) if name[:5] == "loss_" else name
+                grouped = re.sub("^loss_", "loss/", name)
                 self._tensorboard.add_scalar(grouped, value, finite["step"])
 
     @contextmanager
     def tensorboard_log(self, step: int) -> Iterator[None]:
-        """Within this block, write the numbers of the log as TensorBoard scalars, too.
-
-        Args:
-            step: that training continues from; TensorBoard hides what an earlier part wrote after
-                it.
+        """Within this block, write the numbers of the log as TensorBoard scalars, too; it hides
+        what an earlier part of the training wrote after the step that this one continues from.
 
         Raises:
             ConfigError: TensorBoard is not installed.
@@ -352,11 +324,11 @@ class RunFolder:
             FolderInUseError: another process uses it.
             RunError: the folder cannot be made.
         """
-        lock = FileLock(self.path / ".lock")
+        lock = FileLock(self.path / ".lock", timeout=0)
         try:
             with self._writing():
                 self.path.mkdir(parents=True, exist_ok=True)
-                lock.acquire(timeout=0)
+                lock.acquire()
         except Timeout:
             raise FolderInUseError(
                 f"{self.path} is in use by another run: wait for it, or choose another folder",
@@ -407,7 +379,7 @@ class RunFolder:
         """Turn what the file system refuses into an error with a remedy."""
         try:
             yield
-        except Timeout:
+        except Timeout:  # which is an OSError
             raise
         except OSError as error:
             raise write_error(self.path, error, options=("output",)) from error

@@ -76,7 +76,7 @@ class RunRecord:
         describe: returns numbers about the model for the log, every ``LOG_MODEL_EVERY`` steps.
         device: where the steps are computed.
         skipped_in_a_row: number of steps skipped since the last good one.
-        check_every: steps between looks for skipped ones; by default ``CHECK_EVERY``.
+        check_every: steps after which skipped ones are counted; by default ``CHECK_EVERY``.
         clock: in seconds.
 
     Attributes:
@@ -194,11 +194,9 @@ class RunRecord:
             self._skipped_steps += 1
             reason = "the loss or a gradient was not finite"
             self._folder.append_log({"step": statistics.step, "skipped": reason})
-            if self._bad_in_a_row >= MAX_SKIPPED_IN_A_ROW:
-                raise self.error(
-                    f"{MAX_SKIPPED_IN_A_ROW} steps in a row gave values that are not finite, at "
-                    f"step {statistics.step}"
-                )
+            if (count := self._bad_in_a_row) >= MAX_SKIPPED_IN_A_ROW:
+                at = f"at step {statistics.step}"
+                raise self.error(f"{count} steps in a row gave values that are not finite, {at}")
 
     def _require_finite_model(self) -> None:
         """Check the state: skipped steps keep gradients that are not finite out of the model, but

@@ -199,7 +199,6 @@ def open_gaussians(
 ) -> Run:
     """Open the newest checkpoint of a run that ``mrgs.train`` trained; see ``open_run``."""
     folder = RunFolder(path)
-    folder.newest_checkpoint()
     config = folder.read_whole_config(from_yaml)
     chosen = gpu.choose_device(device)
     will_compute()

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -61,7 +61,7 @@ def train(
 
     Args:
         scene: the scene or its folder; one that was read before keeps its resolution.
-        output: the run's folder; must not hold a run unless ``resume``. None takes a temporary
+        output: the run's folder; must not contain a run unless ``resume``. None takes a temporary
             folder, which is removed with the returned run; of a training that is stopped, with this
             process.
         config: what to train, see ``make_config``; what that returns by default if None. A resumed
@@ -87,7 +87,7 @@ def train(
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
             in its place; the newest checkpoint is damaged and an older one is used; changes of the
-            scene are accepted; much of the scene lies before the near plane; or a run without
+            scene are accepted; the scene has a problem that ``mrgs.check`` finds; or a run without
             ``output`` was stopped, and where it is kept until this process ends.
 
     Raises:
@@ -101,20 +101,14 @@ def train(
             later on a GPU), the model has such a value, or the GPU's memory does not suffice; the
             last good checkpoint is kept.
     """
-    folder = _folder(output)
-    with _kept_if_stopped(folder):
+    options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
+    hooks, given = Hooks(on_step, on_start, on_model), _checked(config)
+    with _run_folder(output) as folder:
         start.train(
-            scene,
-            folder.path,
-            _checked_config(config),
-            TrainOptions(resume, accept_changes, device, plain, tensorboard),
-            Hooks(on_step, on_start, on_model),
-            stop_at=stop_at,
-            strategy=strategy,
-            terms=terms,
-        )
-    run = load_run(folder.path, scene, device)
-    return replace(run, folder=folder)
+            scene, folder.path, given, options, hooks,
+            stop_at=stop_at, strategy=strategy, terms=terms,
+        )  # fmt: skip
+    return replace(load_run(folder.path, scene, device), folder=folder)
 
 
 def train_steps(
@@ -147,26 +141,20 @@ def train_steps(
     """
     options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
 
-    def opened(folder: RunFolder) -> AbstractContextManager[Trainer]:
-        chosen = _checked_config(config)
-        return start.open_training(
-            scene, folder.path, chosen, options, strategy=strategy, terms=terms
-        )
+    def steps() -> Generator[LiveRun, None, None]:
+        with _run_folder(output) as folder:
+            opened = start.open_training(
+                scene, folder.path, _checked(config), options, strategy=strategy, terms=terms
+            )
+            with opened as trainer:
+                trainer.check_kernels()
+                for statistics in trainer.steps():
+                    yield LiveRun(statistics, trainer, folder)
 
-    loop = _loop(output, opened)
+    loop = steps()
     if output is not None:
         _OPEN_LOOPS.add(loop)
     return loop
-
-
-def _loop(
-    output: str | Path | None, opened: Callable[[RunFolder], AbstractContextManager[Trainer]]
-) -> Generator[LiveRun, None, None]:
-    folder = _folder(output)
-    with _kept_if_stopped(folder), opened(folder) as training:
-        training.check_kernels()
-        for statistics in training.steps():
-            yield LiveRun(statistics, training, folder)
 
 
 @atexit.register
@@ -246,21 +234,19 @@ class LiveRun:
         return replace(run, folder=self._folder)
 
 
-def _checked_config(config: TrainConfig | None) -> TrainConfig:
+def _checked(config: TrainConfig | None) -> TrainConfig:
     """The configuration, or the usual one where there is none.
 
     Raises:
         ConfigError: it is something else.
     """
-    if config is None:
-        return make_config()
-    if not isinstance(config, TrainConfig):
-        raise ConfigError(
-            f"config must be what make_config returns, not {shown(config)}: such as "
-            f"make_config(max_steps=2000)",
-            options=("config",),
-        )
-    return config
+    if config is None or isinstance(config, TrainConfig):
+        return config or make_config()
+    raise ConfigError(
+        f"config must be what make_config returns, not {shown(config)}: such as "
+        f"make_config(max_steps=2000)",
+        options=("config",),
+    )
 
 
 class TemporaryRunFolder(RunFolder):
@@ -284,19 +270,17 @@ def _remove_own(folder: Path, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _folder(output: str | Path | None) -> RunFolder:
-    return TemporaryRunFolder() if output is None else RunFolder(output)
-
-
 @contextmanager
-def _kept_if_stopped(folder: RunFolder) -> Iterator[None]:
-    """Around a training: one that is stopped keeps its checkpoints, also in a temporary folder.
+def _run_folder(output: str | Path | None) -> Iterator[RunFolder]:
+    """The folder of a training, which takes place within this block: one that is stopped keeps its
+    checkpoints, also in a temporary folder.
 
     Warns:
         MrgsWarning: where they are.
     """
+    folder = TemporaryRunFolder() if output is None else RunFolder(output)
     try:
-        yield
+        yield folder
     except (Exception, KeyboardInterrupt):
         if isinstance(folder, TemporaryRunFolder) and folder.checkpoints():
             folder.keep()

@@ -20,12 +20,11 @@ from mrgs.method.losses.terms import configured_terms
 from mrgs.method.start.start_points import blended_apart
 from mrgs.render import Model
 from mrgs.run_files.checkpoint import (
-    UNFIT,
     below,
+    fitting,
     read,
     require_like,
     skipped_in_a_row_of,
-    unfit,
     write_file,
 )
 from mrgs.run_files.facts import CheckpointFacts
@@ -81,12 +80,10 @@ def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts,
     tensors, facts, _ = read(
         path, lambda name: name.startswith(needed) and not name.startswith("gaussians.adam.")
     )
-    try:
+    with fitting(path):
         model = _model(tensors, config, facts)
         image_model = ImageModel(config.image_model, facts.capture)
         _load_module(image_model, below(tensors, "image_model."))
-    except UNFIT as error:
-        raise unfit(path, error) from error
     if model.neighbours is None:  # saved right after a densification
         model.neighbours = model.field.neighbours_of(model.gaussians.means)
     return model, facts, image_model
@@ -109,14 +106,12 @@ def load_state(
     """
     tensors, facts, header = read(path)
     chosen = config.densification if strategy is None else strategy
-    try:
+    with fitting(path):
         model = _model(tensors, config, facts).to(device)
-    except UNFIT as error:
-        raise unfit(path, error) from error
     with seeded(config.seed):
         all_terms = configured_terms(config, terms, model.gaussians.modalities)
     _require_made_with(path, header, _made_with(chosen, all_terms), strategy is not None)
-    try:
+    with fitting(path):
         for term, module in learned_layers(all_terms).items():
             _load_module(module, below(tensors, f"terms.{term}."))
         generator = torch.Generator()
@@ -133,8 +128,6 @@ def load_state(
         state.skipped_in_a_row += skipped_in_a_row_of(header)
         state.step = facts.step
         require_like(tensors, tensors_of(state))
-    except UNFIT as error:
-        raise unfit(path, error) from error
     return state
 
 

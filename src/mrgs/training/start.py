@@ -190,7 +190,10 @@ def begun_run(
 ) -> Iterator[tuple[Scene, C, T, CheckpointFacts]]:
     """Within this block the folder of a run of any method is locked. Its scene, its configuration,
     and the state of its newest checkpoint or, where it is not resumed, a new one; see ``train``."""
-    config = folder.config_to_train(config, options.resume, read)
+    if options.resume:
+        config = folder.read_whole_config(read)
+    else:
+        folder.require_new()
     loaded = scene_to_train(scene, config)
     with folder.training(config, options.resume), plainly(options.plain):
         if hooks.on_start is not None:

@@ -17,12 +17,11 @@ from mrgs.baselines.thermonerf.rays import SceneFrame
 from mrgs.baselines.thermonerf.step import NerfState, make_state, new_model
 from mrgs.errors import DeviceError
 from mrgs.run_files.checkpoint import (
-    UNFIT,
     below,
+    fitting,
     read,
     require_like,
     skipped_in_a_row_of,
-    unfit,
     write_file,
 )
 from mrgs.run_files.facts import CheckpointFacts
@@ -66,10 +65,8 @@ def load_model(path: Path, config: ThermoNerfConfig) -> tuple[ThermoNerf, Checkp
         RunError: it cannot be read, is of another format, or not of this configuration.
     """
     tensors, facts, _ = read(path)
-    try:
+    with fitting(path):
         return _model(tensors, config), facts
-    except UNFIT as error:
-        raise unfit(path, error) from error
 
 
 def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
@@ -80,7 +77,7 @@ def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
         RunError: it cannot be read, is of another format, or not of this configuration.
     """
     tensors, facts, header = read(path)
-    try:
+    with fitting(path):
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
         state = make_state(_model(tensors, config), config, generator)
@@ -88,8 +85,6 @@ def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
         state.optimizer.load_moments(parameters, below(tensors, "adam."))
         state.step, state.skipped_in_a_row = facts.step, skipped_in_a_row_of(header)
         require_like(tensors, tensors_of(state))
-    except UNFIT as error:
-        raise unfit(path, error) from error
     return state
 
 
@@ -159,7 +154,6 @@ def open_thermonerf(
     """
     require_cpu(device)
     folder = RunFolder(path)
-    folder.newest_checkpoint()
     config = folder.read_whole_config(from_yaml)
     model, facts = folder.load_newest(lambda file: load_model(file, config))
     with checking(gradients=False):
