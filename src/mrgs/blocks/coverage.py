@@ -34,11 +34,8 @@ SKY_PX = 3
 
 
 class Places(NamedTuple):
-    """Places in the plane of a scene that the pixels of an image show.
-
-    Attributes:
-        known: coordinates in the plane, [H, W, 2]; NaN where the background is seen.
-    """
+    """Places in the plane of a scene that the pixels of an image show: coordinates in the plane,
+    [H, W, 2]; NaN where the background is seen."""
 
     known: Float32[np.ndarray, "h w 2"]
 
@@ -69,8 +66,10 @@ class Surveyor:
         depth = rendering.surface_depth(modality)
         if not depth.isfinite().any():
             return Places(np.full((*depth.shape, 2), np.nan, np.float32))
-        filled = torch.from_numpy(_filled(depth.numpy()))
-        points = small.unproject_image(filled.double())
+        nearest = distance_transform_edt(
+            ~depth.isfinite().numpy(), return_distances=False, return_indices=True
+        )
+        points = small.unproject_image(depth[tuple(torch.from_numpy(nearest).long())].double())
         places = self._plane.coordinates(points)
         places[self._reach.is_background(points)] = torch.nan
         return Places(places.float().numpy())
@@ -97,8 +96,7 @@ def views_of(region: Region | Ring, places: Sequence[Places]) -> tuple[int, ...]
 
 
 def only(scene: Scene, region: Region | Ring, views: Sequence[int], surveyor: Surveyor) -> Scene:
-    """The same scene, in the photos of which only the pixels count that show a region; all of them
-    in other views than these.
+    """The same scene, but in the photos of these views only pixels that show the region count.
 
     Cameras and files stay those of the scene, so that a run on it is a run on the scene.
     """
@@ -134,11 +132,3 @@ def _load(load: Callable[..., Pixels], mask: Bool[np.ndarray, "h w"], *least_wid
     )
     counts: Bool[Tensor, "h w"] = torch.from_numpy(mask)[row[:, None], column]
     return Pixels(pixels.values, counts if pixels.valid is None else counts & pixels.valid)
-
-
-def _filled(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    nearest = distance_transform_edt(
-        ~np.isfinite(depth), return_distances=False, return_indices=True
-    )
-    filled: Float32[np.ndarray, "h w"] = depth[tuple(nearest)]
-    return filled

@@ -47,10 +47,10 @@ def join(
     scene: Scene,
     config: TrainConfig,
 ) -> JoinedBlocks:
-    """Of each block the Gaussians in its cell, the heads and the background of the coarse model,
+    """The Gaussians of each block in its cell, the heads and the background of the coarse model,
     and the blocks' mean image model.
 
-    In memory is never more than the joined model and the checkpoint of one block.
+    Never more than the joined model and the checkpoint of one block are in memory.
 
     Raises:
         RunError: a checkpoint cannot be read.
@@ -80,8 +80,14 @@ def save(
         joined.facts[0].capture, generator,
     )  # fmt: skip
     state.image_model.load_state_dict(joined.whole.image_model.state_dict())
-    state.step = config.max_steps
-    checkpoint.save(path, state, _facts_of_all([*joined.facts, *more], config))
+    state.step, runs = config.max_steps, [*joined.facts, *more]
+    facts = runs[0]._replace(
+        step=config.max_steps,
+        train_seconds=sum(each.train_seconds for each in runs),
+        peak_memory_bytes=max(each.peak_memory_bytes for each in runs),
+        skipped_steps=sum(each.skipped_steps for each in runs),
+    )
+    checkpoint.save(path, state, facts)
 
 
 def _joined(
@@ -140,8 +146,7 @@ def load_gaussians(run: RunFolder) -> tuple[dict[str, Tensor], CheckpointFacts, 
     """Parameters of the Gaussians in a run's newest checkpoint, without moments; its facts; and its
     image model."""
     tensors, facts, _ = run.load_newest(checkpoint.read)
-    named = below(tensors, "gaussians.")
-    gaussians = {name: each for name, each in named.items() if not name.startswith("adam.")}
+    gaussians = checkpoint.parameters_of_gaussians(tensors)
     return gaussians, facts, below(tensors, "image_model.")
 
 
@@ -154,12 +159,3 @@ def _rows(means: Tensor, number: int, plan: BlockPlan, scene: Scene) -> Int64[Te
         region = plan.cells[number - 1].region
         inside = Part(plan.plane, region, region, scene.reach).contains(means)
     return inside.nonzero()[:, 0]
-
-
-def _facts_of_all(facts: Sequence[CheckpointFacts], config: TrainConfig) -> CheckpointFacts:
-    return facts[0]._replace(
-        step=config.max_steps,
-        train_seconds=sum(each.train_seconds for each in facts),
-        peak_memory_bytes=max(each.peak_memory_bytes for each in facts),
-        skipped_steps=sum(each.skipped_steps for each in facts),
-    )

@@ -41,7 +41,7 @@ class BlockOptions(NamedTuple):
 
     Attributes:
         blocks: ``auto`` or ``ROWSxCOLUMNS``.
-        overlap: width of the strip about each block that is trained with it, scene units; None for
+        overlap: width of the margin about each block that is trained with it, scene units; None for
             a share of the smallest block.
     """
 
@@ -67,7 +67,7 @@ class BlockPlan:
 
     Attributes:
         scene: absolute path of its folder.
-        config: of the whole, as ``config.yaml`` holds it.
+        config: of the whole, as in ``config.yaml``.
         options: by which it was cut.
         plane: in which it was cut.
         overlap: width of the margins, scene units.
@@ -87,45 +87,38 @@ class BlockPlan:
         Raises:
             WriteError: it cannot be written.
         """
-        cells = [{"region": each.region.to_json(), "views": each.views} for each in self.cells]
         content = {
             "format": FORMAT,
-            "scene": self.scene,
-            "config": self.config,
+            **vars(self),
             "options": self.options._asdict(),
             "plane": self.plane._asdict(),
-            "overlap": self.overlap,
-            "cells": cells,
+            "cells": [
+                {"region": each.region.to_json(), "views": each.views} for each in self.cells
+            ],
         }
         write_text(path, json.dumps(content, allow_nan=False) + "\n")
 
     def require_same(
         self, path: Path, scene: Scene, config: TrainConfig, options: BlockOptions
     ) -> None:
-        """The plan must be the one that would be made now.
+        """Check that the plan is the one that would be made now.
 
         Raises:
             RunError: it is of another scene, configuration or number of blocks.
         """
-        wanted = {
-            "scene": scene.path,
-            "blocks": options.blocks,
-            "overlap": options.overlap,
-            **flat(config_values(config)),
-        }
+        now = {"scene": scene.path, **options._asdict(), **flat(config_values(config))}
         found = {"scene": self.scene, **self.options._asdict(), **flat(self.config)}
-        other = [name for name in wanted if found.get(name) != wanted[name]]
-        views = max((view for each in self.cells for view in each.views), default=-1)
-        if not other and views >= len(scene.train):
-            other, found, wanted = ["views"], {"views": views + 1}, {"views": len(scene.train)}
-        if other:
-            name = other[0]
-            raise RunError(
-                f"{path.parent} holds blocks made with other options ({name.replace('_', ' ')} "
-                f"{found.get(name)}, not {wanted[name]}): use the same options again, or choose "
-                f"another folder",
-                options=("output",),
-            )
+        last = max((view for each in self.cells for view in each.views), default=-1)
+        if last >= len(scene.train):
+            now["views"], found["views"] = len(scene.train), last + 1
+        for name, value in now.items():
+            if found.get(name) != value:
+                raise RunError(
+                    f"{path.parent} holds blocks made with other options "
+                    f"({name.replace('_', ' ')} {found.get(name)}, not {value}): use the same "
+                    f"options again, or choose another folder",
+                    options=("output",),
+                )
 
 
 def make_plan(
@@ -216,13 +209,10 @@ def _from_json(content: Any) -> BlockPlan:
         for each in content["cells"]
     )
     overlap = float(content["overlap"])
-    if not cells or not 0 <= overlap < float("inf") or min(map(_first_view, cells)) < 0:
+    first_views = [min(cell.views, default=-1) for cell in cells]
+    if not cells or not 0 <= overlap < math.inf or min(first_views) < 0:
         raise ValueError("no blocks")
     return BlockPlan(
         str(content["scene"]), dict(content["config"]), BlockOptions(**content["options"]),
         ScenePlane((first, second), low, high), overlap, cells,  # type: ignore[arg-type]
     )  # fmt: skip
-
-
-def _first_view(cell: PlannedBlock) -> int:
-    return min(cell.views, default=-1)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -58,8 +59,8 @@ class Part:
         plane: of the scene.
         region: in the plane.
         counted: the region whose pixels count in photos; the same or a larger one.
-        reach: of the scene.
-        extent: of a Gaussian, in its largest standard deviations.
+        reach: bounds of the scene.
+        extent: assumed radius of a Gaussian, in its largest standard deviations.
     """
 
     plane: ScenePlane
@@ -94,7 +95,7 @@ class LocalDensityControl(Strategy):
     part: Part = field(kw_only=True)
 
     def settings(self) -> Mapping[str, object]:
-        """None: they follow from the plan of the blocks, which is compared."""
+        """Nothing: the settings follow from the plan of the blocks, which is compared."""
         return {}
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:  # noqa: D102
@@ -150,9 +151,9 @@ class WholeModel(NamedTuple):
         return cls(model, image_model)
 
     def with_new_blur(self) -> WholeModel:
-        """With the blur of the thermal camera as any training starts with it. What a coarse model
-        learns is too small, as its Gaussians are blurred themselves; below a third of a pixel a
-        blur has no gradient that would make it larger."""
+        """The model with the blur of the thermal camera as any training starts with it. What a
+        coarse model learns is too small, as its Gaussians are blurred themselves; below a third of
+        a pixel a blur has no gradient that would make it larger."""
         image_model = deepcopy(self.image_model)
         if image_model.point_spread is not None:
             image_model.point_spread = PointSpread()
@@ -194,11 +195,7 @@ class Refinement:
         strategy = LocalDensityControl(
             max_gaussians=most, inner=replace(self.density, max_gaussians=most), part=self.part
         )
-
-        def state(scene: Scene, config: TrainConfig, device: torch.device) -> TrainingState:
-            return self._initial_state(strategy, scene, config, device)
-
-        return TrainingPart(self.views, strategy, state)
+        return TrainingPart(self.views, strategy, partial(self._initial_state, strategy))
 
     def _initial_state(
         self, strategy: Strategy, scene: Scene, config: TrainConfig, device: torch.device
@@ -272,7 +269,8 @@ def seam(
     views = tuple(cell.views[n] for n in views_of(ring, counted_places(surveyor, shown)))
     if not views:
         return None
-    own = _local(with_steps(config, _seam_steps(config)), scene, views, len(plan.cells) + number)
+    steps = max(1, round(SEAM_STEPS * config.max_steps))
+    own = _local(with_steps(config, steps), scene, views, len(plan.cells) + number)
     rows = _rows(joined.model, scene, part, views)
     # The rates of the last part of a block's schedule: what is there is good but for the seam.
     means = (own.optimizer.means * own.optimizer.means_final) ** 0.5
@@ -280,33 +278,24 @@ def seam(
     return Refinement(joined, part, views, own, FixedGaussians(), rows)
 
 
-def _seam_steps(config: TrainConfig) -> int:
-    return max(1, round(SEAM_STEPS * config.max_steps))
-
-
 def _local(config: TrainConfig, scene: Scene, views: Sequence[int], number: int) -> TrainConfig:
     """The configuration of a part: that of the whole, but that heads and the gains of photos stay
     as they are, lengths are those of the part's cameras, and photos have their full resolution
     from the start, as the model has its shape already."""
     ratio = replace(scene, train=tuple(scene.train[view] for view in views)).extent / scene.extent
+
+    def scaled(settings: Any, *names: str) -> dict[str, float]:
+        return {name: ratio * getattr(settings, name) for name in names}
+
     density, optimizer = config.densification, config.optimizer
     return replace(
         config,
         seed=(config.seed + number + 1) % 2**32,
         sh_every=1,
         coarse_until=0.0,
-        optimizer=replace(
-            optimizer,
-            heads=0.0,
-            means=ratio * optimizer.means,
-            means_final=ratio * optimizer.means_final,
-        ),
+        optimizer=replace(optimizer, heads=0.0, **scaled(optimizer, "means", "means_final")),
         image_model=replace(config.image_model, thermal_gain_rate=0.0, poses_rate=0.0),
-        densification=replace(
-            density,
-            clone_below=ratio * density.clone_below,
-            prune_above=ratio * density.prune_above,
-        ),
+        densification=replace(density, **scaled(density, "clone_below", "prune_above")),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -62,8 +63,8 @@ class Region(NamedTuple):
     def contains(
         self, places: Float[Tensor, "*batch 2"], reach: Float[Tensor, "*batch"] | None = None
     ) -> Bool[Tensor, "*batch"]:
-        """Whether coordinates of the plane lie in it, with all that is as near as ``reach`` to
-        them; NaN does not."""
+        """Whether coordinates of the plane are in it, with all that is as near as ``reach`` to
+        them; NaN is not."""
         low, high = (constant(end, places) for end in self)
         about = places.new_zeros(1) if reach is None else reach[..., None]
         return ((places - about >= low) & (places + about < high)).all(dim=-1)
@@ -99,8 +100,7 @@ class Ring(NamedTuple):
     def contains(
         self, places: Float[Tensor, "*batch 2"], reach: Float[Tensor, "*batch"] | None = None
     ) -> Bool[Tensor, "*batch"]:
-        """Whether coordinates of the plane lie in it, with all that is as near as ``reach`` to
-        them; NaN does not."""
+        """Whether coordinates of the plane are in it, see ``Region.contains``."""
         within = self.inner.contains(places, None if reach is None else -reach)
         return self.outer.contains(places, reach) & ~within
 
@@ -126,12 +126,9 @@ def plane_of(scene: Scene) -> ScenePlane:
     across = (scene.points.positions.double() @ axes.T).sort(dim=0).values
     trimmed = int(TRIMMED * len(across))
     low, high = across[trimmed], across[-1 - trimmed]
-    first, second = axes.tolist()
-    return ScenePlane(
-        (_three(first), _three(second)),
-        (float(low[0]), float(low[1])),
-        (float(high[0]), float(high[1])),
-    )
+    (x1, y1, z1), (x2, y2, z2) = axes.tolist()
+    (low1, low2), (high1, high2) = low.tolist(), high.tolist()
+    return ScenePlane(((x1, y1, z1), (x2, y2, z2)), (low1, low2), (high1, high2))
 
 
 def cells(places: Float64[Tensor, "n 2"], rows: int, columns: int) -> list[list[Region]]:
@@ -180,19 +177,16 @@ def parse_grid(blocks: str) -> tuple[int, int] | None:
     """
     if blocks == "auto":
         return None
-    rows, _, columns = blocks.partition("x")
-    if (
-        not (rows.isdecimal() and columns.isdecimal())
-        or not 1 <= int(rows) * int(columns) <= MOST_BLOCKS
-    ):
+    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", blocks)
+    if found is None or not 1 <= int(found[1]) * int(found[2]) <= MOST_BLOCKS:
         raise ConfigError(
             f"blocks are auto, or ROWSxCOLUMNS such as 2x3, not {blocks!r}", options=("blocks",)
         )
-    return int(rows), int(columns)
+    return int(found[1]), int(found[2])
 
 
 def shape_for(count: int, sides: tuple[float, float]) -> tuple[int, int]:
-    """Rows and columns of at least so many cells that are about square, in a plane of these
+    """Rows and columns of at least ``count`` cells that are about square, in a plane of these
     sides."""
     columns = max(1, round(math.sqrt(count * sides[0] / max(sides[1], 1e-9 * sides[0]))))
     columns = min(columns, count)
@@ -203,25 +197,14 @@ def _edges(values: Float64[Tensor, " n"], parts: int) -> list[float]:
     """Where values are cut into equally many; fewer parts where they do not differ."""
     if parts == 1 or not len(values):
         return [-math.inf, math.inf]
-    shares = torch.arange(1, parts, dtype=torch.float64) / parts
-    return [-math.inf, *sorted(set(_quantiles(values, shares).tolist())), math.inf]
-
-
-def _quantiles(
-    values: Float64[Tensor, " n"], shares: Float64[Tensor, " q"]
-) -> Float64[Tensor, " q"]:
-    """``torch.quantile``, which takes no more than 16 million values."""
+    # As torch.quantile, which takes no more than 16 million values.
     ascending = torch.from_numpy(np.sort(values.numpy()))
-    ranks = shares * (len(values) - 1)
+    ranks = torch.arange(1, parts, dtype=torch.float64) / parts * (len(values) - 1)
     below, above = ascending[ranks.floor().long()], ascending[ranks.ceil().long()]
-    return below.lerp(above, ranks - ranks.floor())
+    found = below.lerp(above, ranks - ranks.floor())
+    return [-math.inf, *sorted(set(found.tolist())), math.inf]
 
 
 def _ends(values: Any, infinite: float) -> tuple[float, float]:
     first, second = (infinite if value is None else float(value) for value in values)
     return first, second
-
-
-def _three(values: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = values
-    return x, y, z

@@ -46,8 +46,7 @@ Follow = Callable[[str], AbstractContextManager[Hooks]]
 class BlockTraining:
     """A scene that is trained in blocks, into a folder that several processes may share.
 
-    Whatever was finished before is not done again, so that the same call continues what was ended
-    at any moment.
+    Finished parts are not done again, so that the same call continues what was ended at any moment.
 
     Attributes:
         scene: the whole.
@@ -181,7 +180,7 @@ class BlockTraining:
 
     def _close_seam(self, joined: JoinedBlocks, number: int) -> CheckpointFacts | None:
         """Refine the joined model along the edges of a block, and its image model, in place; None
-        where no seam is."""
+        where there is no seam."""
         if len(self.plan.cells) == 1 or self.plan.overlap == 0:
             return None
         seam = refinement.seam(
@@ -234,19 +233,15 @@ class BlockTraining:
                 lock.acquire(timeout=0)
             except Timeout:
                 self.say("waiting for another process that prepares or joins the blocks")
-                _wait_for(lock)
+            while not lock.is_locked:
+                with suppress(Timeout):  # so that Ctrl-C need not wait for the other process
+                    lock.acquire(timeout=WAIT_S)
         except OSError as error:
             raise write_error(self._below, error, options=("output",)) from error
         try:
             yield
         finally:
             lock.release()
-
-
-def _wait_for(lock: FileLock) -> None:
-    while not lock.is_locked:
-        with suppress(Timeout):  # so that Ctrl-C need not wait for the other process
-            lock.acquire(timeout=WAIT_S)
 
 
 def _is_finished(folder: RunFolder, config: TrainConfig) -> bool:

@@ -55,7 +55,7 @@ class Workload:
         photos: whether the scene is made from photos.
         finds_poses: whether their poses must be found.
         has_two_cameras: whether a thermal camera must be placed.
-        compiles_s: seconds of compiling.
+        compiles_s: time to compile the kernels.
     """
 
     views: int
@@ -183,34 +183,22 @@ def _prepare_parts(work: Workload) -> dict[str, float]:
 
 
 def pace_so_far(taken: float, expected: float, whole: float) -> float:
-    """Measured seconds per expected second, drawn towards 1 while little of the work is done.
-
-    Args:
-        taken: measured seconds.
-        expected: seconds that were expected for the same work.
-        whole: seconds that were expected for all of the work.
-    """
+    """Measured seconds per expected second, drawn towards 1 while little of the whole work is
+    done."""
     trust = TRUST * whole
     return (taken + trust) / (expected + trust) if expected + trust > 0 else 1.0
 
 
 class Forecast:
-    """Time left of parts that are done one after another, from their expected lengths and the pace
-    so far.
-
-    Args:
-        parts: expected length of each part in seconds, by name, in order.
-        clock: seconds.
-    """
+    """Time left of parts that are done one after another, from their expected lengths in seconds,
+    by name, and the pace so far."""
 
     def __init__(
         self, parts: Mapping[str, float], clock: Callable[[], float] = time.perf_counter
     ) -> None:
-        self._parts = parts
-        self._whole = sum(parts.values())
-        self._clock = clock
+        self._parts, self._whole = parts, sum(parts.values())
+        self._clock, self._part = clock, ""
         self._started = self._part_started = clock()
-        self._part = ""
 
     def left(self, text: str, share: float | None = None) -> float | None:
         """Seconds left; None for an unknown part."""
@@ -236,13 +224,9 @@ class Forecast:
 def expect_prepare(
     photos: Path, options: PrepareOptions, progress: Progress | None = None
 ) -> Forecast | None:
-    """Forecast of ``mrgs prepare``; None for photos that cannot be used, which it reports itself.
-
-    Args:
-        photos: their folder.
-        options: facts about the photos.
-        progress: called with "pairs: step", the number of files that are done, and of all files.
-    """
+    """Forecast of ``mrgs prepare`` of a folder of photos; None for photos that cannot be used,
+    which it reports itself. The progress is called with "pairs: step", the number of files that are
+    done, and of all files."""
 
     def report(step: str, done: int, total: int) -> None:
         if progress is not None:

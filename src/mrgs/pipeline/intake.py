@@ -101,28 +101,18 @@ def take_in(source: Path, options: PrepareOptions, progress: Progress | None = N
             photo that cannot be read.
         ConfigError: an option that does not fit the photos; or one for photos, and this is a scene.
     """
-    if is_scene(source):
-        _refuse_photo_options(source, options)
-        return _scene(source)
-    if not source.is_dir():
-        raise scene_error(source, "not a folder; give the folder of the photos, or a scene")
-    return _photos(source, options, progress)
-
-
-def _refuse_photo_options(source: Path, options: PrepareOptions) -> None:
-    """Refuse options for photos, which would change nothing in a scene.
-
-    Raises:
-        ConfigError: an option differs from its default.
-    """
+    if not is_scene(source):
+        if not source.is_dir():
+            raise scene_error(source, "not a folder; give the folder of the photos, or a scene")
+        return _photos(source, options, progress)
     given = [*_changed(options.overrides, Overrides()), *_changed(options, PrepareOptions())]
-    names = tuple(name for name in given if name != "overrides")
-    if names:
+    if names := tuple(name for name in given if name != "overrides"):
         raise ConfigError(
             f"{source} is a scene, in which options for photos change nothing: give the folder of "
             f"the photos, or leave them out",
             options=names,
         )
+    return _scene(source)
 
 
 def _changed(chosen: Overrides | PrepareOptions, default: Overrides | PrepareOptions) -> list[str]:
@@ -164,7 +154,11 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
             f"holds {counted(count, 'pair')} of photos, and a model needs at least "
             f"{MIN_VIEWS}, better 20 or more; add photos of the same object from other places",
         )
-    thermal = _first_readable(pairing.pairs, options)
+    found = [_read(pair, options) for pair in pairing.pairs[:MIN_VIEWS]]
+    readable = [each for each in found if isinstance(each, ThermalPhoto)]
+    if not readable and isinstance(found[0], MrgsError):
+        raise found[0]
+    thermal = readable[0]
     relative, skipped = thermal.temperature_c is None, len(pairing.skipped)
     are = "is" if skipped == 1 else "are"
     unused = [f"{counted(skipped, 'other file')} {are} not used."] if skipped else []
@@ -193,20 +187,6 @@ def _takes_bounds(pairs: tuple[PhotoPair, ...], options: PrepareOptions) -> bool
     bounded = replace(options, overrides=replace(options.overrides, bounds_c=(0.0, 1.0)))
     found = [_read(pair, bounded) for pair in pairs[:MIN_VIEWS]]
     return any(isinstance(each, ThermalPhoto) for each in found)
-
-
-def _first_readable(pairs: tuple[PhotoPair, ...], options: PrepareOptions) -> ThermalPhoto:
-    """The first thermal photo that can be read.
-
-    Raises:
-        SceneError: none can.
-    """
-    found = [_read(pair, options) for pair in pairs[:MIN_VIEWS]]
-    errors = [each for each in found if isinstance(each, MrgsError)]
-    photos = [each for each in found if isinstance(each, ThermalPhoto)]
-    if not photos:
-        raise errors[0]
-    return photos[0]
 
 
 def _read(pair: PhotoPair, options: PrepareOptions) -> ThermalPhoto | MrgsError:

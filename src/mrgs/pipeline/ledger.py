@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+
+import msgspec
 
 from mrgs.data.files import visible_files
 from mrgs.data.kept import Digests, stamp_of
@@ -19,14 +19,22 @@ CONTENTS = "contents.json"
 """File of the digests of the scene's files."""
 
 
+class _Entry(msgspec.Struct, omit_defaults=True):
+    """A stage that was begun, and the sizes of its files if it was finished."""
+
+    made_from: str
+    files: dict[str, int | None] | None = None
+
+
 class Ledger:
     """The finished stages, in a JSON file; an unreadable entry counts as not done."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._file = folder / LEDGER
-        self._stages = _read(self._file)
+        self._folder, self._file = folder, folder / LEDGER
         self._digests = Digests(folder / CONTENTS)
+        self._stages: dict[str, _Entry] = {}
+        with suppress(OSError, msgspec.MsgspecError, RecursionError):
+            self._stages = msgspec.json.decode(self._file.read_bytes(), type=dict[str, _Entry])
 
     def open(self) -> None:
         """Make the file if there is none: it marks the folder as a pipeline's.
@@ -39,15 +47,13 @@ class Ledger:
 
     def is_done(self, stage: str, made_from: str) -> bool:
         """Whether a stage was finished with these inputs, and its files are as it left them."""
-        entry = self._stages.get(stage, {})
-        files = entry.get("files")
-        if entry.get("made_from") != made_from or not isinstance(files, dict):
+        if not self.is_begun(stage, made_from) or (files := self._stages[stage].files) is None:
             return False
         return all(_size(self._folder / name) == size for name, size in files.items())
 
     def is_begun(self, stage: str, made_from: str) -> bool:
         """Whether a stage was begun, or finished, with these inputs."""
-        return bool(self._stages.get(stage, {}).get("made_from") == made_from)
+        return self.is_known(stage) and self._stages[stage].made_from == made_from
 
     def begin(self, stage: str, made_from: str) -> None:
         """Note that a stage begins.
@@ -55,7 +61,7 @@ class Ledger:
         Raises:
             RunError: the file cannot be written.
         """
-        self._stages[stage] = {"made_from": made_from}
+        self._stages[stage] = _Entry(made_from)
         self._write()
 
     def finish(self, stage: str, made_from: str, files: Sequence[Path]) -> None:
@@ -65,7 +71,7 @@ class Ledger:
             RunError: the file cannot be written.
         """
         sizes = {path.relative_to(self._folder).as_posix(): _size(path) for path in files}
-        self._stages[stage] = {"made_from": made_from, "files": sizes}
+        self._stages[stage] = _Entry(made_from, sizes)
         self._write()
 
     def is_known(self, stage: str) -> bool:
@@ -80,20 +86,12 @@ class Ledger:
         Raises:
             RunError: the digests cannot be written.
         """
-        files = sorted(
-            path
-            for path in visible_files(folder)
-            if path.is_file()
-            and not any(
-                fnmatchcase(part, pattern)
-                for pattern in without
-                for part in path.relative_to(folder).parts
-            )
-        )
+        found = []
         try:
-            found = [
-                (path.relative_to(folder).as_posix(), self._digests.of(path)) for path in files
-            ]
+            for path in sorted(filter(Path.is_file, visible_files(folder))):
+                own = path.relative_to(folder)
+                if not any(fnmatchcase(part, each) for each in without for part in own.parts):
+                    found.append((own.as_posix(), self._digests.of(path)))
         except BaseException:  # Ctrl-C: the next call reads the others only
             with suppress(RunError):
                 self._digests.save()
@@ -102,17 +100,8 @@ class Ledger:
         return found
 
     def _write(self) -> None:
-        write_text(self._file, json.dumps(self._stages, indent=1))
-
-
-def _read(file: Path) -> dict[str, dict[str, Any]]:
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    if not isinstance(content, dict):
-        return {}
-    return {name: entry for name, entry in content.items() if isinstance(entry, dict)}
+        content = msgspec.json.format(msgspec.json.encode(self._stages), indent=1)
+        write_text(self._file, content.decode())
 
 
 def _size(path: Path) -> int | None:

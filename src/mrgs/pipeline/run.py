@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, reduced, sta
 from mrgs.pipeline.intake import Intake, take_in
 from mrgs.pipeline.ledger import LEDGER
 from mrgs.pipeline.plan import QUALITIES, Monitor, PipelinePlan, PlannedStage, Quality
-from mrgs.pipeline.stages import Job, Report, Stage
+from mrgs.pipeline.stages import Job
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.reconstruct import check_version, installed_version
 from mrgs.run_files.folder import RunFolder
@@ -88,34 +89,38 @@ def run_pipeline(
         TrainingError: the training failed.
         KeyboardInterrupt: the monitor stopped the training; the same call resumes it.
     """
+    if quality not in QUALITIES:
+        raise ConfigError(f"unknown quality {quality!r}; choose one of {', '.join(QUALITIES)}")
     monitor = monitor or Monitor()
-    source, chosen = Path(source), _quality(quality)
-    title = gpu.device_title(gpu.choose_device(device))
+    source, chosen, used = Path(source), QUALITIES[quality], gpu.choose_device(device)
     intake, options = _taken_in(source, options or PrepareOptions(), monitor)
     target = (default_output(source) if output is None else Path(output)).absolute()
     _require_own(source, target)
-    missing = _require_extras(intake, options)
-    on_cpu = gpu.choose_device(device) == HOST
-    compiling_s = COMPILING_S if on_cpu and not are_compiled() else 0.0
+    if intake.kind == "photos" and options.poses is None:
+        check_version(installed_version())
+    notes = []
+    try:
+        require_laspy()
+    except ConfigError as error:
+        notes.append(f"the export las is left out: {error}")
+    compiling_s = COMPILING_S if used == HOST and not are_compiled() else 0.0
     work = Workload.of(intake, chosen, compiling_s)
     disk = disk_bytes(work, intake)
     _require_disk(disk, target)
+    memory, free = needed_memory(work, intake, chosen), free_memory()
+    if free is not None and memory > free:
+        notes.append(
+            f"training needs about {memory / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
+            f"free: close other programs, or choose a lower quality"
+        )
     with RunFolder(target).locked():
         job = Job(intake, chosen, options, target, device, monitor)
         job.ledger.open()
-        memory, free = needed_memory(work, intake, chosen), free_memory()
+        stages, title = _planned(job, work), gpu.device_title(used)
         plan = PipelinePlan(
-            intake,
-            chosen,
-            available_cores(),
-            free,
-            title,
-            target,
-            _planned(job, work),
-            memory,
-            disk,
-            (*missing, *_doubts(memory, free)),
-        )
+            intake, chosen, available_cores(), free, title, target, stages, memory, disk,
+            tuple(notes),
+        )  # fmt: skip
         monitor.planned(plan)
         if not plan.stages[0].is_done:
             _require_celsius(job)
@@ -130,16 +135,10 @@ def default_output(source: Path) -> Path:
     return folder.parent / f"{folder.name}-mrgs"
 
 
-def _quality(name: str) -> Quality:
-    if name not in QUALITIES:
-        raise ConfigError(f"unknown quality {name!r}; choose one of {', '.join(QUALITIES)}")
-    return QUALITIES[name]
-
-
 def _taken_in(
     source: Path, options: PrepareOptions, monitor: Monitor
 ) -> tuple[Intake, PrepareOptions]:
-    """What the folder holds, and the options, completed by the monitor where the photos do not say
+    """The contents of the folder, and the options, completed by the monitor where the photos lack
     what their values mean."""
     if (source / LEDGER).is_file():
         raise RunError(
@@ -158,44 +157,21 @@ def _taken_in(
 
 
 def _require_own(source: Path, output: Path) -> None:
-    """The folder of the results must be new, or an earlier pipeline's.
+    """Check that the folder of the results is new, or an earlier pipeline's.
 
     Raises:
         RunError: it is the source, or holds something else.
     """
-    own, folder = output.resolve(), source.resolve()
-    if own == folder or own.is_relative_to(folder):
-        raise RunError(
-            f"{output} lies in the folder of the photos: choose another folder", options=("output",)
-        )
+    own, problem = output.resolve(), ""
     try:
-        foreign = (
-            own.is_dir()
-            and not (own / LEDGER).is_file()
-            and any(path.name != ".lock" for path in own.iterdir())
-        )
+        if own.is_relative_to(source.resolve()):
+            problem = "lies in the folder of the photos: choose another folder"
+        elif own.is_dir() and not (own / LEDGER).is_file() and set(os.listdir(own)) - {".lock"}:
+            problem = "holds something else: choose a new folder"
     except OSError as error:
-        raise RunError(
-            f"{output} cannot be read ({error.strerror}): choose another folder",
-            options=("output",),
-        ) from None
-    if foreign:
-        raise RunError(f"{output} holds something else: choose a new folder", options=("output",))
-
-
-def _require_extras(intake: Intake, options: PrepareOptions) -> tuple[str, ...]:
-    """Check that what the stages need is installed; returns notes about what is left out.
-
-    Raises:
-        ConfigError: an extra is missing that a stage cannot do without.
-    """
-    if intake.kind == "photos" and options.poses is None:
-        check_version(installed_version())
-    try:
-        require_laspy()
-    except ConfigError as error:
-        return (f"the export las is left out: {error}",)
-    return ()
+        problem = f"cannot be read ({error.strerror}): choose another folder"
+    if problem:
+        raise RunError(f"{output} {problem}", options=("output",))
 
 
 def _require_disk(needed: int, output: Path) -> None:
@@ -241,57 +217,33 @@ def needed_memory(work: Workload, intake: Intake, quality: Quality) -> int:
     )
 
 
-def _doubts(memory: int, free: int | None) -> tuple[str, ...]:
-    if free is None or memory <= free:
-        return ()
-    return (
-        f"training needs about {memory / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free: "
-        f"close other programs, or choose a lower quality",
-    )
-
-
 def _planned(job: Job, work: Workload) -> tuple[PlannedStage, ...]:
     stages, done, planned = job.stages, True, []
     expected = stage_parts(work).items()
     for number, (stage, (name, parts)) in enumerate(zip(stages, expected, strict=True), 1):
-        done = done and _is_done(job, stage)
-        if not done and number == 1 and _is_cached(job, stage):
+        done = done and job.is_done(stage)
+        if not done and number == 1 and job.intake.kind == "photos" and job.is_begun(stage):
+            # An earlier call has prepared these photos, and only stopped at its warnings.
             parts = {part: CACHED_SHARE * seconds for part, seconds in parts.items()}
         planned.append(PlannedStage(name, number, len(stages), parts, done))
     return tuple(planned)
 
 
-def _is_cached(job: Job, stage: Stage) -> bool:
-    """Whether an earlier call has prepared these photos, and only stopped at its warnings."""
-    known = job.intake.kind == "photos" and job.ledger.is_known(stage.name)
-    return known and job.ledger.is_begun(stage.name, stage.made_from())
-
-
-def _is_done(job: Job, stage: Stage) -> bool:
-    """Whether a stage is done; what its inputs hold is only read where there is a result."""
-    known = job.ledger.is_known(stage.name)
-    return known and job.ledger.is_done(stage.name, stage.made_from())
-
-
 def _require_celsius(job: Job) -> None:
-    """Stop before poses are computed if the photos hold no temperatures, unless that is accepted.
+    """Stop before poses are computed if the photos have no temperatures, unless that is accepted.
 
     Raises:
         SceneError: it is not.
     """
-    why = job.intake.without_celsius
-    if not why:
+    if not (why := job.intake.without_celsius):
         return
-    bounds = ", or give the °C of black and white, if all photos share that span"
-    reason = SceneError(
-        f"the model would have no °C. {why} Give the camera's radiometric files"
-        f"{bounds if job.intake.takes_bounds else ''}",
-        options=("bounds_c",) if job.intake.takes_bounds else (),
-    )
-    if not job.monitor.accepts_relative(reason):
-        raise SceneError(
-            f"{reason}; or run again and accept relative values", options=(*reason.options, "yes")
-        )
+    text, options = f"the model would have no °C. {why} Give the camera's radiometric files", ()
+    if job.intake.takes_bounds:
+        text += ", or give the °C of black and white, if all photos share that span"
+        options = ("bounds_c",)
+    if not job.monitor.accepts_relative(SceneError(text, options=options)):
+        text += "; or run again and accept relative values"
+        raise SceneError(text, options=(*options, "yes"))
     job.accepted = why
 
 
@@ -300,29 +252,25 @@ def _run_stages(job: Job, plan: PipelinePlan, monitor: Monitor) -> None:
     expected = taken = 0.0
     whole = sum(planned.seconds for planned in plan.stages)
     for stage, planned in zip(job.stages, plan.stages, strict=True):
-        if _is_done(job, stage):
+        if job.is_done(stage):
             monitor.reused(planned)
             continue
         pace = pace_so_far(taken, expected, whole)
         rest_s = pace * sum(each.seconds for each in plan.stages[planned.number :])
         started, made_from = time.perf_counter(), stage.made_from()
         parts = {name: pace * seconds for name, seconds in planned.parts.items()}
+        forecast = Forecast(parts)
+
+        def report(text: str, done: int, total: int, forecast: Forecast = forecast) -> None:
+            left_s = forecast.left(text, done / total if total else None)
+            monitor.progress(text, done, total, left_s)
+
         with monitor.running(replace(planned, parts=parts), rest_s):
-            files = stage.run(_reporting(Forecast(parts), monitor))
+            files = stage.run(report)
         job.ledger.finish(stage.name, made_from, files)
         if planned.number > 1:  # the first may wait for an answer, or find its results in a cache
             expected += sum(planned.parts.values())
             taken += time.perf_counter() - started
-
-
-def _reporting(forecast: Forecast, monitor: Monitor) -> Report:
-    """Passes the progress of a stage on, with the time left."""
-
-    def report(text: str, done: int, total: int) -> None:
-        left_s = forecast.left(text, done / total if total else None)
-        monitor.progress(text, done, total, left_s)
-
-    return report
 
 
 def _results(job: Job) -> PipelineResults:

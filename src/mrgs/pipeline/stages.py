@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 
 from mrgs.check import Severity
@@ -59,13 +61,14 @@ class Job:
     """The stages for one folder of photos, or one scene, at one quality.
 
     Attributes:
-        intake: what the folder holds.
+        intake: contents of the folder.
         quality: of the model.
         options: facts about the photos.
         output: folder of all results.
         device: where it is trained and rendered.
-        monitor: hears of the progress, and is asked.
+        monitor: is told the progress, and asked.
         ledger: the stages that are done.
+        config: of the training.
         accepted: a warning that was accepted before the first stage; empty if there was none.
     """
 
@@ -78,15 +81,9 @@ class Job:
         device: DeviceName,
         monitor: Monitor,
     ) -> None:
-        self.intake = intake
-        self.quality = quality
-        self.options = options
-        self.output = output
-        self.device = device
-        self.monitor = monitor
-        self.ledger = Ledger(output)
-        self.config = quality.config()
-        self.accepted = ""
+        self.intake, self.quality, self.options = intake, quality, options
+        self.output, self.device, self.monitor = output, device, monitor
+        self.ledger, self.config, self.accepted = Ledger(output), quality.config(), ""
 
     @property
     def scene(self) -> Path:
@@ -116,27 +113,35 @@ class Job:
             Stage(f"{own}/exports", self._made_from_measured, self._exports),
         )
 
+    def is_done(self, stage: Stage) -> bool:
+        """Whether a stage is done; the contents of its inputs are read only where there is a
+        result."""
+        known = self.ledger.is_known(stage.name)
+        return known and self.ledger.is_done(stage.name, stage.made_from())
+
+    def is_begun(self, stage: Stage) -> bool:
+        """Whether a stage was begun with the inputs as they are now."""
+        known = self.ledger.is_known(stage.name)
+        return known and self.ledger.is_begun(stage.name, stage.made_from())
+
     def _made_from_source(self) -> str:
         options = self.options
         if self.intake.kind == "scene":
-            return fingerprint(self._held_by_scene(), options)
-        # Only ``prepare`` asks what the photos hold: where nothing has changed it takes no time.
-        files = [
-            digest(path)
-            for path in (options.pair_table, options.thermal_camera, options.poses)
-            if path is not None and path.is_file()
-        ]
-        given = options.poses
-        poses = stamps(given) if given is not None and given.is_dir() else ()
+            return fingerprint(self._scene_contents(), options)
+        # Only ``prepare`` reads the photos: where nothing has changed it takes no time.
+        given = [options.pair_table, options.thermal_camera, options.poses]
+        files = [digest(path) for path in given if path is not None and path.is_file()]
+        folder = options.poses
+        poses = stamps(folder) if folder is not None and folder.is_dir() else ()
         return fingerprint(stamps(self.intake.source), options, files, poses)
 
     def _made_from_scene(self) -> str:
-        return fingerprint(self._held_by_scene(), write_yaml(self.config))
+        return fingerprint(self._scene_contents(), write_yaml(self.config))
 
     def _made_from_model(self) -> str:
         newest = RunFolder(self.model).newest_checkpoint()
         stamp = file_stamp(newest, self.model)
-        return fingerprint(version("mrgs"), stamp, self._held_by_scene())
+        return fingerprint(version("mrgs"), stamp, self._scene_contents())
 
     def _made_from_scores(self) -> str:
         scores = self.model / "eval" / "metrics.json"
@@ -149,8 +154,8 @@ class Job:
         stated = survey.read_bytes().hex() if survey.is_file() else ""
         return fingerprint(self._made_from_model(), stated, judged_content(self.model))
 
-    def _held_by_scene(self) -> list[tuple[str, str]]:
-        """What the scene's files hold, without pages and without the cache of prepare."""
+    def _scene_contents(self) -> list[tuple[str, str]]:
+        """The contents of the scene's files, without pages and without the cache of prepare."""
         folder = self.scene.parent if self.scene.is_file() else self.scene
         return self.ledger.contents_of(folder, without=(CACHE_FOLDER, "*.html"))
 
@@ -166,16 +171,10 @@ class Job:
         return [self.scene / "transforms.json", made.page]
 
     def _prepared(self, report: Report) -> Preparation:
-        """The scene, after the monitor was asked for what the photos do not say."""
+        """The scene, after the monitor was asked for what the photos lack."""
+        source, prepared = self.intake.source, self.monitor.prepared
         try:
-            return prepare(
-                self.intake.source,
-                self.scene,
-                self.options,
-                report,
-                self.monitor.prepared,
-                trains=True,
-            )
+            return prepare(source, self.scene, self.options, report, prepared, trains=True)
         except MrgsError as error:
             if (completed := self.monitor.answer(error, self.options)) is None:
                 raise
@@ -203,23 +202,19 @@ class Job:
         known = self.accepted
         is_new = any(not known or known not in text for text in warnings)
         if is_new and not self.monitor.accepts(warnings, page):
-            count = counted(len(warnings), "warning")
+            found = counted(len(warnings), "warning")
             raise SceneError(
-                f"stopped at {count} about the scene: check {page}; then run again and accept them",
+                f"stopped at {found} about the scene: check {page}; then run again and accept them",
                 options=("yes",),
             )
 
     def _train(self, report: Report) -> list[Path]:
-        folder, method, made_from = (
-            RunFolder(self.model),
-            find_method(DEFAULT_METHOD),
-            self._made_from_scene(),
-        )
+        folder, own = RunFolder(self.model), self.stages[1]
         resume = bool(folder.checkpoints())
-        if resume and not self.ledger.is_begun(self.stages[1].name, made_from):
+        if resume and not self.is_begun(own):
             self._set_aside()
             resume = False
-        self.ledger.begin(self.stages[1].name, made_from)
+        self.ledger.begin(own.name, own.made_from())
         last = self.config.max_steps
 
         def stepped(statistics: Statistics) -> bool | None:
@@ -227,13 +222,9 @@ class Job:
             last = statistics.step
             return self.monitor.stepped(statistics)
 
-        method.train(
-            self.scene,
-            self.model,
-            self.config,
-            TrainOptions(resume, device=self.device),
-            Hooks(stepped, self.monitor.training_started),
-        )
+        options = TrainOptions(resume, device=self.device)
+        hooks = Hooks(stepped, self.monitor.training_started)
+        find_method(DEFAULT_METHOD).train(self.scene, self.model, self.config, options, hooks)
         if last < self.config.max_steps:
             raise KeyboardInterrupt
         return [folder.config_file, folder.newest_checkpoint()]
@@ -244,11 +235,9 @@ class Job:
         Raises:
             RunError: the folder cannot be renamed.
         """
-        number = 1
-        while (old := self.output / f"{self.quality.name}-{number}").exists():
-            number += 1
+        names = (self.output / f"{self.quality.name}-{number}" for number in count(1))
         try:
-            self.model.rename(old)
+            self.model.rename(next(name for name in names if not name.exists()))
         except OSError as error:
             raise RunError(
                 f"{self.model} cannot be renamed ({error.strerror}): choose another folder",
@@ -279,31 +268,23 @@ class Job:
         return [path for path in folder.rglob("*") if path.is_file()]
 
     def _report(self, report: Report) -> list[Path]:
-        return [
-            write_report(self._run, self._loaded, self.model / "report.html", _named_parts(report))
-        ]
+        path = self.model / "report.html"
+        return [write_report(self._run, self._loaded, path, _named_parts(report))]
 
     def _page(self, report: Report) -> list[Path]:
-        return export(
-            self._run,
-            self._loaded,
-            PAGE_FORMAT,
-            self.model / "export",
-            progress=_named_parts(report),
-        )
+        return self._exported([PAGE_FORMAT], report)
 
     def _exports(self, report: Report) -> list[Path]:
-        formats = [name for name in FORMATS if name != PAGE_FORMAT and self._is_writable(name)]
-        return export(
-            self._run, self._loaded, formats, self.model / "export", progress=_named_parts(report)
-        )
+        formats = []
+        for name, format in FORMATS.items():
+            with suppress(ConfigError):  # the plan has a note about it
+                format.require(self._loaded)
+                formats.append(name)
+        return self._exported([name for name in formats if name != PAGE_FORMAT], report)
 
-    def _is_writable(self, name: str) -> bool:
-        try:
-            FORMATS[name].require(self._loaded)
-        except ConfigError:  # the plan has said so
-            return False
-        return True
+    def _exported(self, formats: list[str], report: Report) -> list[Path]:
+        folder, progress = self.model / "export", _named_parts(report)
+        return export(self._run, self._loaded, formats, folder, progress=progress)
 
 
 def _named_parts(report: Report) -> Callable[[int, int, str], None]:

@@ -86,15 +86,11 @@ def measure_pace(
 
 
 def steps_within(seconds: float, pace: Pace, max_gaussians: int | None) -> int:
-    """The steps that fit into a time, at least one.
+    """The steps that fit into a time from the start of a training with this cap on the Gaussians,
+    at least one.
 
-    A step takes longer once there are more Gaussians, and less time while photos are coarse: as the
-    costs of a pipeline's training say.
-
-    Args:
-        seconds: from the start of the training.
-        pace: of its first steps.
-        max_gaussians: the cap that it reaches; None for a method without Gaussians.
+    A step takes longer once there are more Gaussians, and less time while photos are coarse, by the
+    model of a pipeline's training.
     """
     growth = 1.0
     if max_gaussians is not None and pace.gaussians:

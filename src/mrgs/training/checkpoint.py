@@ -175,9 +175,7 @@ def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: Checkpoint
     Raises:
         ValueError: the tensors do not fit a model of this configuration.
     """
-    named = below(tensors, "gaussians.")
-    parameters = {name: each for name, each in named.items() if not name.startswith("adam.")}
-    gaussians = gaussians_from(parameters, config, facts)
+    gaussians = gaussians_from(parameters_of_gaussians(tensors), config, facts)
     neighbours, k = tensors.get("neighbours"), config.field.neighbours_k
     if neighbours is not None:  # they may be missing right after a densification
         if k == 0:
@@ -196,6 +194,12 @@ def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: Checkpoint
         sh_degree=config.sh_degree_at(facts.step),
         dilation=config.dilation_of(facts.capture),
     )
+
+
+def parameters_of_gaussians(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The parameters of the Gaussians in a checkpoint, without moments."""
+    named = below(tensors, "gaussians.")
+    return {name: each for name, each in named.items() if not name.startswith("adam.")}
 
 
 def gaussians_from(
