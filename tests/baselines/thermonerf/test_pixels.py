@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.pixels import PixelPool
-from mrgs.baselines.thermonerf.rays import frame_of
+from mrgs.baselines.thermonerf.rays import PixelPool, frame_of
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View

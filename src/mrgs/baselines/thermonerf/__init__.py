@@ -7,9 +7,8 @@ each file names.
 """
 
 from mrgs.baselines.thermonerf.config import METHOD, ThermoNerfConfig, from_yaml, make_config
-from mrgs.baselines.thermonerf.run import ThermoNerfRun, open_thermonerf
+from mrgs.baselines.thermonerf.run import ThermoNerfRun, open_thermonerf, train_thermonerf
 from mrgs.baselines.thermonerf.step import ThermoNerfStatistics
-from mrgs.baselines.thermonerf.trainer import train_thermonerf
 
 __all__ = [
     "METHOD",

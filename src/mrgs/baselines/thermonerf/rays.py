@@ -1,14 +1,16 @@
-"""Where a scene is, and the rays through its pixels."""
+"""Where a scene is, the rays through its pixels, and batches of them with the photos' values."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from mrgs.scene import Camera, Scene
+from mrgs.errors import SceneError
+from mrgs.scene import RGB, THERMAL, Camera, Modality, PosedImage, Scene
 
 NEAR_SHARE = 0.5
 NEAR_QUANTILE = 0.01
@@ -17,7 +19,7 @@ FAR_FACTOR = 100.0
 to this many times their median distance: beyond it nothing is distinguishable from infinity."""
 
 MOST_POINTS = 5_000
-"""Start points that are looked at from every camera."""
+"""Number of start points whose distances from the cameras are measured."""
 
 
 class SceneFrame(NamedTuple):
@@ -49,23 +51,18 @@ def frame_of(scene: Scene) -> SceneFrame:
     centre = points.median(dim=0).values
     smallest = 1e-6 * scene.extent
     radius = max((points - centre).abs().amax(dim=1).median().item(), smallest)
-    distances = _distances(points[:: max(1, len(points) // MOST_POINTS)], scene)
-    near = NEAR_SHARE * distances.quantile(NEAR_QUANTILE).item()
-    middle = max(distances.median().item(), smallest)
-    return SceneFrame(centre, radius, near / radius, middle / radius, FAR_FACTOR * middle / radius)
-
-
-def _distances(points: Float[Tensor, "n 3"], scene: Scene) -> Float[Tensor, " m"]:
-    """Distances from each training camera to the points in its image; to all points if no camera
-    sees any."""
-    seen = []
+    # From each training camera to the points in its image; to all points if none sees any.
+    points, seen = points[:: max(1, len(points) // MOST_POINTS)], []
     for camera in (camera for view in scene.train for camera in view.cameras.values()):
         pixels, _ = camera.project(points)
         seen.append((points[camera.contains(pixels)] - camera.position).norm(dim=1))
     distances = torch.cat(seen)
     if len(distances) == 0:
         distances = (points - scene.train[0].camera.position).norm(dim=1)
-    return distances[:: max(1, len(distances) // 1_000_000)]
+    distances = distances[:: max(1, len(distances) // 1_000_000)]
+    near = NEAR_SHARE * distances.quantile(NEAR_QUANTILE).item()
+    middle = max(distances.median().item(), smallest)
+    return SceneFrame(centre, radius, near / radius, middle / radius, FAR_FACTOR * middle / radius)
 
 
 def contract(positions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
@@ -95,12 +92,8 @@ class Rays(NamedTuple):
 
 
 class CameraRays:
-    """The rays of many cameras, whose pixels are numbered row by row, camera after camera.
-
-    Args:
-        cameras: at least one.
-        frame: of the scene.
-    """
+    """The rays of one or more cameras, whose pixels are numbered row by row, camera after
+    camera."""
 
     def __init__(self, cameras: list[Camera], frame: SceneFrame) -> None:
         self._widths = torch.tensor([camera.width for camera in cameras])
@@ -128,3 +121,91 @@ class CameraRays:
         # d_world = Rᵀ d_camera; written out, because a library's product starts threads of its own.
         directions = (in_camera[:, :, None] * self._rotations[image]).sum(dim=1) / lengths[:, None]
         return Rays(self._origins[image], directions.float(), (1 / lengths).float())
+
+
+MODALITIES = (RGB, THERMAL)
+"""Those that there are heads for."""
+
+
+class Target(NamedTuple):
+    """Photo values that the rays of a batch are compared with.
+
+    Attributes:
+        rows: the rays.
+        values: colours [R, 3] or normalised temperatures [R, 1].
+        valid: False where the pixel must be ignored, [R]; None if all count.
+    """
+
+    rows: slice
+    values: Float[Tensor, "r c"]
+    valid: Bool[Tensor, " r"] | None
+
+
+class Batch(NamedTuple):
+    """Rays and what they should see, of the modalities that the scene has."""
+
+    rays: Rays
+    targets: Mapping[Modality, Target]
+
+
+class _Photos:
+    """The pixels of one modality and their rays, in the order of ``CameraRays``."""
+
+    def __init__(self, images: list[PosedImage], frame: SceneFrame) -> None:
+        loaded = [image.load() for image in images]
+        self.rays = CameraRays([image.camera for image in images], frame)
+        self.values = torch.cat([pixels.values.flatten(0, 1) for pixels in loaded])
+        self.valid = None
+        if any(pixels.valid is not None for pixels in loaded):
+            everywhere = [torch.ones(each.values.shape[:2], dtype=torch.bool) for each in loaded]
+            masks = (
+                every if each.valid is None else each.valid
+                for each, every in zip(loaded, everywhere, strict=True)
+            )
+            self.valid = torch.cat([mask.flatten() for mask in masks])
+
+    def target(self, pixels: Int64[Tensor, " r"], start: int) -> Target:
+        """The photo values of these pixels, for rays whose rows begin at ``start``."""
+        valid = None if self.valid is None else self.valid[pixels]
+        return Target(slice(start, start + len(pixels)), self.values[pixels], valid)
+
+
+class PixelPool:
+    """Draws rays at random over all training views, whose photos are read and kept.
+
+    Where the images of each view share a camera, a ray is used for all modalities; else each
+    modality has an equal share of the rays.
+
+    Raises:
+        SceneError: a photo cannot be read, or there is none in colour or thermal.
+    """
+
+    def __init__(self, scene: Scene, frame: SceneFrame) -> None:
+        if not set(MODALITIES) & set(scene.modalities):
+            raise SceneError(
+                f"{scene.name} has neither RGB nor thermal photos, and thermonerf renders no others"
+            )
+        views = [view.images for view in scene.train]
+        self._photos = {
+            modality: _Photos([images[modality] for images in views if modality in images], frame)
+            for modality in MODALITIES
+            if modality in scene.modalities
+        }
+        self._is_shared = all(view.shares_camera(*MODALITIES) for view in scene.train)
+
+    def draw(self, count: int, generator: torch.Generator) -> Batch:
+        """A batch of ``count`` rays (a few more if they cannot be shared out evenly)."""
+        targets: dict[Modality, Target] = {}
+        if self._is_shared:
+            rays = next(iter(self._photos.values())).rays
+            pixels = torch.randint(len(rays), (count,), generator=generator)
+            for modality, photos in self._photos.items():
+                targets[modality] = photos.target(pixels, 0)
+            return Batch(rays.through(pixels), targets)
+        parts: list[Rays] = []
+        each = -(-count // len(self._photos))
+        for modality, photos in self._photos.items():
+            pixels = torch.randint(len(photos.rays), (each,), generator=generator)
+            targets[modality] = photos.target(pixels, each * len(parts))
+            parts.append(photos.rays.through(pixels))
+        return Batch(Rays(*(torch.cat(tensors) for tensors in zip(*parts, strict=True))), targets)

@@ -1,21 +1,27 @@
-"""A trained ThermoNeRF: its checkpoints, and a run opened to be rendered from."""
+"""Runs of ThermoNeRF: trained, kept in checkpoints, and opened to be rendered from."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from mrgs.baselines.thermonerf.config import ThermoNerfConfig, from_yaml
-from mrgs.baselines.thermonerf.model import ThermoNerf
-from mrgs.baselines.thermonerf.pixels import MODALITIES
-from mrgs.baselines.thermonerf.rays import SceneFrame
-from mrgs.baselines.thermonerf.step import NerfState, make_state, new_model
-from mrgs.errors import DeviceError
+from mrgs.baselines.thermonerf.config import METHOD, ThermoNerfConfig, from_yaml
+from mrgs.baselines.thermonerf.model import ALL_ROWS, ThermoNerf
+from mrgs.baselines.thermonerf.rays import MODALITIES, PixelPool, SceneFrame
+from mrgs.baselines.thermonerf.step import (
+    NerfState,
+    initial_state,
+    make_state,
+    new_model,
+    training_step,
+)
+from mrgs.errors import DeviceError, RunError
 from mrgs.run_files.checkpoint import (
     below,
     fitting,
@@ -26,10 +32,17 @@ from mrgs.run_files.checkpoint import (
 )
 from mrgs.run_files.facts import CheckpointFacts
 from mrgs.run_files.folder import RunFolder
+from mrgs.run_files.record import RunRecord, asks_to_stop
 from mrgs.runs.trained_run import TrainedRun
-from mrgs.scene import Camera, Modality, Rendering
+from mrgs.scene import Camera, Modality, Rendering, Scene
 from mrgs.system.gpu import DeviceName
 from mrgs.system.operation import checking
+from mrgs.system.torch_modes import own_modes
+from mrgs.system.turns import ctrl_c_waits
+from mrgs.training.start import DEFAULT_OPTIONS, NO_HOOKS, Hooks, TrainOptions, begun_run
+
+CHECKED_RAYS = 32
+"""Number of rays on which the kernels are compared with their plain definitions."""
 
 
 def tensors_of(state: NerfState) -> dict[str, Tensor]:
@@ -47,35 +60,20 @@ def tensors_of(state: NerfState) -> dict[str, Tensor]:
 
 
 def save(path: Path, state: NerfState, facts: CheckpointFacts) -> None:
-    """Write everything needed to resume exactly, in one file that is either whole or not there.
-
-    Raises:
-        NotFiniteError: the state holds a NaN or an infinity; nothing is written.
-        RunError: the file cannot be written.
-    """
+    """Write everything needed to resume exactly; see ``write_file``."""
     header = {**facts.to_json(), "skipped_in_a_row": state.skipped_in_a_row}
     write_file(path, tensors_of(state), header)
 
 
 def load_model(path: Path, config: ThermoNerfConfig) -> tuple[ThermoNerf, CheckpointFacts]:
-    """The model of a checkpoint, to render with.
-
-    Raises:
-        DamagedCheckpointError: it is not what was written, or not finite.
-        RunError: it cannot be read, is of another format, or not of this configuration.
-    """
+    """The model of a checkpoint, to render with; see ``read_file``."""
     tensors, facts, _ = read(path)
     with fitting(path):
         return _model(tensors, config), facts
 
 
 def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
-    """Everything in a checkpoint, to train on.
-
-    Raises:
-        DamagedCheckpointError: it is not what was written, or not finite.
-        RunError: it cannot be read, is of another format, or not of this configuration.
-    """
+    """Everything in a checkpoint, to train on; see ``read_file``."""
     tensors, facts, header = read(path)
     with fitting(path):
         generator = torch.Generator()
@@ -110,6 +108,78 @@ def _model(tensors: Mapping[str, Tensor], config: ThermoNerfConfig) -> ThermoNer
     return model
 
 
+def train_thermonerf(
+    scene: Scene | str | Path,
+    output: str | Path,
+    config: ThermoNerfConfig,
+    options: TrainOptions = DEFAULT_OPTIONS,
+    hooks: Hooks = NO_HOOKS,
+    *,
+    stop_at: int | None = None,
+) -> RunFolder:
+    """Train a ThermoNeRF of a scene into a run folder; see ``mrgs.train``.
+
+    Raises:
+        DeviceError: the GPU was asked for.
+        MrgsError: as ``mrgs.train``.
+    """
+    require_cpu(options.device)
+    folder = RunFolder(output)
+    if options.resume and folder.method != METHOD:
+        raise RunError(f"{folder.path} is a run of {folder.method}, not of {METHOD}")
+    if isinstance(scene, Scene) and not options.resume:
+        config = replace(config, resolution=scene.resolution)
+    begun = begun_run(
+        folder, scene, config, options, hooks, read=from_yaml, load=load_state, start=initial_state
+    )
+    with begun as (loaded, config, state, facts):
+        last = config.max_steps if stop_at is None else min(stop_at, config.max_steps)
+        log = folder.tensorboard_log(facts.step) if options.tensorboard else nullcontext()
+        with log:
+            _train(folder, facts, loaded, config, state, hooks, last)
+    return folder
+
+
+def _train(
+    folder: RunFolder,
+    facts: CheckpointFacts,
+    scene: Scene,
+    config: ThermoNerfConfig,
+    state: NerfState,
+    hooks: Hooks,
+    last: int,
+) -> None:
+    """Train until the step ``last``, or until ``on_step`` returns True; whatever ends the training,
+    the last whole step is checkpointed."""
+    pool = PixelPool(scene, state.model.frame)
+    generator = torch.Generator().manual_seed(0)
+    with checking(), own_modes():  # the state stays the same
+        rays = pool.draw(CHECKED_RAYS, generator).rays
+        state.model.trace(rays, dict.fromkeys(MODALITIES, ALL_ROWS), generator)
+    record = RunRecord(
+        folder,
+        facts,
+        config,
+        tensors=lambda: tensors_of(state),
+        write=lambda path, facts: save(path, state, facts),
+        skipped_in_a_row=state.skipped_in_a_row,
+    )
+    while record.step < last:
+        is_whole = False
+        try:
+            with ctrl_c_waits(), own_modes():
+                statistics = training_step(state, pool, config)
+                record.add(statistics)
+                is_whole = True
+            if hooks.on_step is not None and asks_to_stop(hooks.on_step(statistics)):
+                last = record.step
+        except BaseException:
+            if is_whole:
+                record.save()
+            raise
+        record.save_if_due(last)
+
+
 @dataclass(frozen=True, eq=False)
 class ThermoNerfRun(TrainedRun):
     """A run that can be rendered and scored, but has no Gaussians.
@@ -136,17 +206,7 @@ class ThermoNerfRun(TrainedRun):
 def open_thermonerf(
     path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto"
 ) -> ThermoNerfRun:
-    """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU; an older one if it
-    is damaged.
-
-    Args:
-        path: the run's folder.
-        scene: the scene's folder, if it has moved since training.
-        device: "auto" or "cpu".
-
-    Warns:
-        MrgsWarning: an older checkpoint is used, or a kernel that rendering uses differs from the
-            plain definition of its operation, which is then used in its place.
+    """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU; see ``open_run``.
 
     Raises:
         RunError: the folder is not a run, or its checkpoint cannot be used.
@@ -156,24 +216,16 @@ def open_thermonerf(
     folder = RunFolder(path)
     config = folder.read_whole_config(from_yaml)
     model, facts = folder.load_newest(lambda file: load_model(file, config))
+    # A camera in the middle of the scene, of a few rays: enough to compare kernels.
+    K = torch.tensor([[4.0, 0, 4.0], [0, 4.0, 2.0], [0, 0, 1]], dtype=torch.float64)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, 3] = -model.frame.centre
     with checking(gradients=False):
-        model.render(dict.fromkeys(MODALITIES, _small_camera(model.frame)))
+        model.render(dict.fromkeys(MODALITIES, Camera(K, viewmat, 8, 4)))
     return ThermoNerfRun(folder, config, facts.moved_to(scene), model)
 
 
-def _small_camera(frame: SceneFrame) -> Camera:
-    """A camera in the middle of the scene, of a few rays: enough to compare kernels."""
-    K = torch.tensor([[4.0, 0, 4.0], [0, 4.0, 2.0], [0, 0, 1]], dtype=torch.float64)
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, 3] = -frame.centre
-    return Camera(K, viewmat, 8, 4)
-
-
 def require_cpu(device: DeviceName) -> None:
-    """There are no kernels for a GPU.
-
-    Raises:
-        DeviceError: the GPU was asked for.
-    """
+    """Raise ``DeviceError`` if the GPU was asked for, for which there are no kernels."""
     if device == "cuda":
         raise DeviceError("thermonerf works on the CPU alone")

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from mrgs.baselines.thermonerf.config import ThermoNerfConfig
 from mrgs.baselines.thermonerf.model import ThermoNerf, Traced
-from mrgs.baselines.thermonerf.pixels import Batch, PixelPool
-from mrgs.baselines.thermonerf.rays import SceneFrame, frame_of
+from mrgs.baselines.thermonerf.rays import Batch, PixelPool, SceneFrame, frame_of
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.optimizer import are_finite
 from mrgs.scene import THERMAL, Scene
