@@ -2,17 +2,14 @@ from __future__ import annotations
 
 import math
 
-import pytest
 import torch
 
 from mrgs.baselines.thermonerf.networks import (
     Field,
-    HashGridConfig,
-    NerfFieldConfig,
+    GridSize,
     density_of,
     harmonics_of,
 )
-from mrgs.errors import ConfigError
 
 
 def test_densities_are_positive_and_finite():
@@ -31,7 +28,7 @@ def test_the_harmonics_are_orthonormal_on_the_sphere():
 
 def test_colour_depends_on_the_view_and_temperature_cannot():
     torch.manual_seed(0)
-    field = Field(NerfFieldConfig(HashGridConfig(2, 4, 8, 10), hidden_width=16))
+    field = Field(GridSize(2, 4, 8, 10), units=16)
     densities, features = field.density(torch.rand(5, 3))
     assert densities.shape == (5,)
     toward = [
@@ -45,15 +42,10 @@ def test_colour_depends_on_the_view_and_temperature_cannot():
 
 
 def test_both_heads_reach_the_shared_density_network():
-    field = Field(NerfFieldConfig(HashGridConfig(2, 4, 8, 10), hidden_width=16))
+    field = Field(GridSize(2, 4, 8, 10), units=16)
     positions = torch.rand(5, 3)
     harmonics = harmonics_of(torch.tensor([[1.0, 0, 0]]).expand(5, 3))
     for head in (lambda f: field.color(f, harmonics), field.temperature):
         field.zero_grad()
         head(field.density(positions)[1]).sum().backward()
         assert field.grid.table.grad.abs().max() > 0
-
-
-def test_a_width_below_one_is_refused():
-    with pytest.raises(ConfigError, match=r"_width .*not 0"):
-        NerfFieldConfig(hidden_width=0)

@@ -5,13 +5,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.baselines.thermonerf.config import NerfLossConfig
 from mrgs.baselines.thermonerf.step import (
     distortion_loss,
     interlevel_loss,
     squared_error,
 )
-from mrgs.errors import ConfigError
 
 
 def random_edges(rays: int, count: int, seed: int) -> torch.Tensor:
@@ -86,8 +84,3 @@ def test_invalid_rays_do_not_count():
     assert squared_error(rendered, target, torch.tensor([True, True, False])) == 2.5
     assert squared_error(rendered, target, torch.zeros(3, dtype=torch.bool)) == 0
     assert squared_error(rendered[:2], target[:2], None) == 2.5
-
-
-def test_a_negative_weight_is_refused():
-    with pytest.raises(ConfigError, match=r"distortion .*-1\.0"):
-        NerfLossConfig(distortion=-1.0)

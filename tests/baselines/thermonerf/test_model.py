@@ -7,12 +7,11 @@ from mrgs.baselines.thermonerf.rays import CameraRays, frame_of
 from mrgs.baselines.thermonerf.step import new_model
 from mrgs.data import load_scene
 from mrgs.scene import RGB, THERMAL
-from tests.helpers.thermonerf import small_config
 
 
 def test_a_view_is_rendered_from_each_of_its_cameras(small_scene):
     scene = load_scene(small_scene)
-    model = new_model(small_config(), frame_of(scene))
+    model = new_model(0, frame_of(scene))
     camera = scene.eval[0].images[RGB].camera
     both = model.render({RGB: camera, THERMAL: camera})
     assert (both[RGB].image.shape, both[THERMAL].image.shape) == ((30, 40, 3), (30, 40, 1))
@@ -28,7 +27,7 @@ def test_a_view_is_rendered_from_each_of_its_cameras(small_scene):
 
 def test_the_size_of_the_chunks_does_not_show(small_scene):
     scene = load_scene(small_scene)
-    model = new_model(small_config(), frame_of(scene))
+    model = new_model(0, frame_of(scene))
     camera = scene.eval[0].images[RGB].camera.resized(120, 90)
     rays = CameraRays([camera], model.frame)
     assert len(rays) > CHUNK_RAYS
@@ -46,7 +45,7 @@ def test_depth_is_that_of_the_surface(small_scene):
     """An opaque ball about the scene's centre, as large as the frame's radius."""
     scene = load_scene(small_scene)
     frame = frame_of(scene)
-    model = new_model(small_config(), frame)
+    model = new_model(0, frame)
 
     def density(positions):
         return torch.where(positions.norm(dim=1) < 1, 1e4, 0.0)

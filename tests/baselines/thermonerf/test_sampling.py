@@ -7,8 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.baselines.thermonerf.sampling import SamplingConfig, Spacing, even_edges, resample
-from mrgs.errors import ConfigError
+from mrgs.baselines.thermonerf.sampling import Spacing, even_edges, resample
 
 weights = st.lists(st.floats(0, 1, width=32), min_size=2, max_size=20)
 
@@ -61,8 +60,3 @@ def test_samples_gather_where_the_weight_is():
     row[0, 6] = 1.0
     found = resample(torch.linspace(0, 1, 11)[None], row, 20, None)[0]
     assert ((found >= 0.6) & (found <= 0.7)).sum() >= 19
-
-
-def test_too_few_samples_are_refused():
-    with pytest.raises(ConfigError, match=r"samples .*not 1"):
-        SamplingConfig(proposal=16, field=1)

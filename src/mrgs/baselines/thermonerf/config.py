@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
-from mrgs.baselines.thermonerf.networks import HashGridConfig, NerfFieldConfig
-from mrgs.baselines.thermonerf.sampling import SamplingConfig
 from mrgs.errors import ConfigError
-from mrgs.system.limits import MOST_RATE, MOST_SEED, MOST_STEPS, MOST_WEIGHT, require_within
+from mrgs.system.limits import MOST_RATE, MOST_SEED, MOST_STEPS, require_within
 from mrgs.system.strict_yaml import read_yaml
 
 METHOD: Literal["thermonerf"] = "thermonerf"
@@ -20,22 +17,6 @@ MOST_RAYS = 10**6
 PRESETS = {"fast": (1_500, 1_024), "default": (4_000, 1_024), "paper": (30_000, 4_096)}
 """Steps, and rays of each: as many steps as the other methods take, and for ``paper`` the usual
 batch of the field."""
-
-
-@dataclass(frozen=True)
-class NerfLossConfig:
-    """Weights of the terms; both squared errors have the weight 1.
-
-    Attributes:
-        interlevel: of the term that teaches the proposal network.
-        distortion: of the term that pulls a ray's weights together.
-    """
-
-    interlevel: float = 1.0
-    distortion: float = 0.002
-
-    def __post_init__(self) -> None:
-        require_within(self, ("interlevel", "distortion"), 0, MOST_WEIGHT)
 
 
 @dataclass(frozen=True)
@@ -51,10 +32,6 @@ class ThermoNerfConfig:
         learning_rate: of Adam, at the first step.
         learning_rate_final: at the last step; in between it decays exponentially.
         checkpoint_every: steps between checkpoints.
-        field: density, colour and temperature.
-        proposal: the hash grid of the small density network that says where to sample.
-        sampling: how many places along a ray are looked at.
-        loss: weights of the terms beside the two squared errors.
     """
 
     method: Literal["thermonerf"] = METHOD
@@ -65,12 +42,6 @@ class ThermoNerfConfig:
     learning_rate: float = 1e-2
     learning_rate_final: float = 5e-4
     checkpoint_every: int = 1_000
-    field: NerfFieldConfig = dataclasses.field(default_factory=NerfFieldConfig)
-    proposal: HashGridConfig = dataclasses.field(
-        default_factory=lambda: HashGridConfig(5, 16, 256, 15)
-    )
-    sampling: SamplingConfig = dataclasses.field(default_factory=SamplingConfig)
-    loss: NerfLossConfig = dataclasses.field(default_factory=NerfLossConfig)
 
     def __post_init__(self) -> None:
         require_within(self, ("max_steps", "checkpoint_every"), 1, MOST_STEPS)
@@ -110,9 +81,5 @@ def make_config(
 
 
 def from_yaml(text: str, source: str, base: ThermoNerfConfig | None = None) -> ThermoNerfConfig:
-    """A configuration as ``write_yaml`` writes it, or a part of one; see ``read_yaml``.
-
-    Raises:
-        ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
-    """
+    """A configuration as ``write_yaml`` writes it, or a part of one; see ``read_yaml``."""
     return read_yaml(ThermoNerfConfig, text, source, base)

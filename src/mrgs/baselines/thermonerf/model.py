@@ -9,10 +9,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from mrgs.baselines.thermonerf.config import ThermoNerfConfig
 from mrgs.baselines.thermonerf.networks import Field, Proposal, harmonics_of
 from mrgs.baselines.thermonerf.rays import CameraRays, Rays, SceneFrame
 from mrgs.baselines.thermonerf.sampling import (
+    PROPOSALS,
+    SAMPLES,
     Spacing,
     composite,
     even_edges,
@@ -63,19 +64,13 @@ class Traced(NamedTuple):
 
 
 class ThermoNerf(nn.Module):
-    """One density, one colour head, one temperature head (Hassan et al., ThermoNeRF).
+    """One density, one colour head, one temperature head (Hassan et al., ThermoNeRF)."""
 
-    Args:
-        config: of the run.
-        frame: of the scene.
-    """
-
-    def __init__(self, config: ThermoNerfConfig, frame: SceneFrame) -> None:
+    def __init__(self, frame: SceneFrame) -> None:
         super().__init__()
         self.frame = frame
-        self.field = Field(config.field)
-        self.proposal = Proposal(config.proposal)
-        self._sampling = config.sampling
+        self.field = Field()
+        self.proposal = Proposal()
         self._spacing = Spacing(frame.near, frame.middle, frame.far)
 
     def trace(
@@ -91,14 +86,13 @@ class ThermoNerf(nn.Module):
             rows: of each modality that is wanted, the rays to follow for it.
             generator: of the random places of the samples, for training; None takes even ones.
         """
-        proposal_edges = even_edges(
-            len(rays.origins), self._sampling.proposal, generator, rays.origins
-        ).contiguous()
+        count = len(rays.origins)
+        proposal_edges = even_edges(count, PROPOSALS, generator, rays.origins).contiguous()
         positions, lengths, _ = self._intervals(rays, proposal_edges)
         densities = self.proposal.density(positions.flatten(0, 1)).view(lengths.shape)
         proposal_weights = render_weights(densities, lengths)
 
-        edges = resample(proposal_edges, proposal_weights.detach(), self._sampling.field, generator)
+        edges = resample(proposal_edges, proposal_weights.detach(), SAMPLES, generator)
         positions, lengths, distances = self._intervals(rays, edges)
         densities, features = self.field.density(positions.flatten(0, 1))
         features = features.view(*lengths.shape, -1)

@@ -3,9 +3,8 @@ only roughly. Both are a multi-resolution hash grid (Müller et al. 2022) and pe
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int64
@@ -13,9 +12,7 @@ from torch import Tensor, nn
 from torch.nn.functional import linear, relu
 
 from mrgs.baselines.thermonerf.rays import contract
-from mrgs.errors import ConfigError
 from mrgs.field.spherical_harmonics import evaluate_sh
-from mrgs.system.limits import MOST_WIDTH, require_within
 from mrgs.system.operation import Kernel, operation, register_kernels
 
 CHANNELS = 4
@@ -24,14 +21,11 @@ CHANNELS = 4
 PRIMES = (1, 2_654_435_761, 805_459_861)
 """Of the spatial hash, by axis."""
 
-MOST_LEVELS = 32
-
 INITIAL_RANGE = 1e-4
 """Features start uniformly within ± this, as in the paper's Section 4."""
 
 
-@dataclass(frozen=True)
-class HashGridConfig:
+class GridSize(NamedTuple):
     """Size of a hash grid.
 
     Attributes:
@@ -42,19 +36,10 @@ class HashGridConfig:
             a hash.
     """
 
-    levels: int = 8
-    coarsest: int = 16
-    finest: int = 1_024
-    log2_entries: int = 17
-
-    def __post_init__(self) -> None:
-        require_within(self, ["levels"], 1, MOST_LEVELS)
-        if not 1 <= self.coarsest <= self.finest <= 2**20:
-            raise ConfigError(
-                f"a grid's resolutions must be 1 <= coarsest <= finest <= {2**20}, not "
-                f"{self.coarsest}, {self.finest}"
-            )
-        require_within(self, ["log2_entries"], 4, 24)
+    levels: int
+    coarsest: int
+    finest: int
+    log2_entries: int
 
     @property
     def resolutions(self) -> list[int]:
@@ -73,17 +58,15 @@ class HashGrid(nn.Module):
     resolutions: Tensor
     offsets: Tensor
 
-    def __init__(self, config: HashGridConfig) -> None:
+    def __init__(self, size: GridSize) -> None:
         super().__init__()
-        sizes = [
-            min((resolution + 1) ** 3, 2**config.log2_entries) for resolution in config.resolutions
-        ]
-        self.width = CHANNELS * config.levels
+        sizes = [min((cells + 1) ** 3, 2**size.log2_entries) for cells in size.resolutions]
+        self.width = CHANNELS * size.levels
         self.table = nn.Parameter(
             torch.empty(sum(sizes), CHANNELS).uniform_(-INITIAL_RANGE, INITIAL_RANGE)
         )
         offsets = torch.tensor([0, *sizes]).cumsum(dim=0)
-        self.register_buffer("resolutions", torch.tensor(config.resolutions), persistent=False)
+        self.register_buffer("resolutions", torch.tensor(size.resolutions), persistent=False)
         self.register_buffer("offsets", offsets, persistent=False)
 
     def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n features"]:
@@ -190,25 +173,12 @@ HARMONICS = 16
 LARGEST_LOG_DENSITY = 10.0
 """Denser than e¹⁰ per radius, an interval of any length is opaque."""
 
-PROPOSAL_UNITS = 16
+FIELD_GRID, FIELD_UNITS = GridSize(8, 16, 1_024, 17), 64
+PROPOSAL_GRID, PROPOSAL_UNITS = GridSize(5, 16, 256, 15), 16
+"""Grids of both networks, and units of their hidden layers."""
 
-
-@dataclass(frozen=True)
-class NerfFieldConfig:
-    """Size of the field.
-
-    Attributes:
-        grid: the hash grid.
-        hidden_width: units of the hidden layer of the density network and of both heads.
-        feature_width: numbers that the density network hands to the heads.
-    """
-
-    grid: HashGridConfig = dataclasses.field(default_factory=HashGridConfig)
-    hidden_width: int = 64
-    feature_width: int = 15
-
-    def __post_init__(self) -> None:
-        require_within(self, ("hidden_width", "feature_width"), 1, MOST_WIDTH)
+FEATURES = 15
+"""Numbers that the density network hands to the heads."""
 
 
 def density_of(logits: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
@@ -227,13 +197,12 @@ class Field(nn.Module):
     """Density shared by both modalities, colour that depends on the view, temperature that does
     not."""
 
-    def __init__(self, config: NerfFieldConfig) -> None:
+    def __init__(self, grid: GridSize = FIELD_GRID, units: int = FIELD_UNITS) -> None:
         super().__init__()
-        width, features = config.hidden_width, config.feature_width
-        self.grid = HashGrid(config.grid)
-        self.geometry = Perceptron(self.grid.width, width, 1 + features)
-        self.color_head = Perceptron(features + HARMONICS, width, 3)
-        self.temperature_head = Perceptron(features, width, 1)
+        self.grid = HashGrid(grid)
+        self.geometry = Perceptron(self.grid.width, units, 1 + FEATURES)
+        self.color_head = Perceptron(FEATURES + HARMONICS, units, 3)
+        self.temperature_head = Perceptron(FEATURES, units, 1)
 
     def density(
         self, positions: Float[Tensor, "n 3"]
@@ -259,9 +228,9 @@ class Field(nn.Module):
 class Proposal(nn.Module):
     """A small density network without heads."""
 
-    def __init__(self, config: HashGridConfig) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.grid = HashGrid(config)
+        self.grid = HashGrid(PROPOSAL_GRID)
         self.geometry = Perceptron(self.grid.width, PROPOSAL_UNITS, 1)
 
     def density(self, positions: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:

@@ -101,7 +101,7 @@ def _model(tensors: Mapping[str, Tensor], config: ThermoNerfConfig) -> ThermoNer
     radius, near, middle, far = frame["sizes"].tolist()
     if not (0 < radius < math.inf and 0 <= near < far < math.inf and 0 < middle < math.inf):
         raise ValueError("the frame has no size")
-    model = new_model(config, SceneFrame(frame["centre"], radius, near, middle, far))
+    model = new_model(config.seed, SceneFrame(frame["centre"], radius, near, middle, far))
     layers = below(tensors, "model.")
     require_like(layers, model.state_dict())
     model.load_state_dict(layers)

@@ -3,36 +3,16 @@ Intervals are edges [R, S + 1] in normalised distance s, from 0 to 1."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mrgs.system.limits import require_within
-
 PADDING = 0.01
 """Added to every weight, so that no part of a ray is left out for good (mip-NeRF, Section 3.2)."""
 
-
-MOST_SAMPLES = 4_096
-"""Of a ray."""
-
-
-@dataclass(frozen=True)
-class SamplingConfig:
-    """Samples of a ray.
-
-    Attributes:
-        proposal: intervals, evenly spaced in s, in which the proposal network is looked at.
-        field: intervals, placed by what it found, in which the field is looked at.
-    """
-
-    proposal: int = 64
-    field: int = 32
-
-    def __post_init__(self) -> None:
-        require_within(self, ("proposal", "field"), 2, MOST_SAMPLES, "the number of {} samples")
+PROPOSALS, SAMPLES = 64, 32
+"""Intervals of a ray in which the proposal network is evaluated, evenly spaced in s, and in which
+the field is, placed by what that found."""
 
 
 class Spacing:

@@ -71,6 +71,9 @@ def distortion_loss(
     return (between + within).mean()
 
 
+WEIGHTS = {"interlevel": 1.0, "distortion": 0.002}
+"""Weights of the terms; both squared errors have the weight 1."""
+
 ADAM_EPSILON = 1e-15
 """Entries of the hash tables get rare and tiny gradients (Müller et al. 2022, Section 4)."""
 
@@ -121,14 +124,14 @@ def initial_state(scene: Scene, config: ThermoNerfConfig) -> NerfState:
     """The state at step 0; every random choice follows from the seed, and torch's own generator is
     left alone."""
     return make_state(
-        new_model(config, frame_of(scene)), config, torch.Generator().manual_seed(config.seed)
+        new_model(config.seed, frame_of(scene)), config, torch.Generator().manual_seed(config.seed)
     )
 
 
-def new_model(config: ThermoNerfConfig, frame: SceneFrame) -> ThermoNerf:
+def new_model(seed: int, frame: SceneFrame) -> ThermoNerf:
     """An untrained model."""
-    with seeded(config.seed):
-        return ThermoNerf(config, frame)
+    with seeded(seed):
+        return ThermoNerf(frame)
 
 
 def make_state(
@@ -150,8 +153,7 @@ def training_step(
     rows = {modality: target.rows for modality, target in batch.targets.items()}
     traced = state.model.trace(batch.rays, rows, state.generator)
     terms = loss_terms(traced, batch)
-    weights = {"interlevel": config.loss.interlevel, "distortion": config.loss.distortion}
-    loss = torch.stack([weights.get(name, 1.0) * term for name, term in terms.items()]).sum()
+    loss = torch.stack([WEIGHTS.get(name, 1.0) * term for name, term in terms.items()]).sum()
     loss.backward()
 
     gradients = [each.grad for each in state.model.parameters() if each.grad is not None]
