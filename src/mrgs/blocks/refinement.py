@@ -284,7 +284,7 @@ def _local(config: TrainConfig, scene: Scene, views: Sequence[int], number: int)
     from the start, as the model has its shape already."""
     ratio = replace(scene, train=tuple(scene.train[view] for view in views)).extent / scene.extent
 
-    def scaled(settings: Any, *names: str) -> dict[str, float]:
+    def scaled(settings: Any, *names: str) -> dict[str, Any]:
         return {name: ratio * getattr(settings, name) for name in names}
 
     density, optimizer = config.densification, config.optimizer

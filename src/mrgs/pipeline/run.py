@@ -237,10 +237,10 @@ def _require_celsius(job: Job) -> None:
     """
     if not (why := job.intake.without_celsius):
         return
-    text, options = f"the model would have no °C. {why} Give the camera's radiometric files", ()
-    if job.intake.takes_bounds:
+    text = f"the model would have no °C. {why} Give the camera's radiometric files"
+    options = ("bounds_c",) if job.intake.takes_bounds else ()
+    if options:
         text += ", or give the °C of black and white, if all photos share that span"
-        options = ("bounds_c",)
     if not job.monitor.accepts_relative(SceneError(text, options=options)):
         text += "; or run again and accept relative values"
         raise SceneError(text, options=(*options, "yes"))

@@ -156,12 +156,9 @@ def test_somebody_elses_configuration_is_kept(small_scene, tmp_path):
         train_thermonerf(small_scene, tmp_path, small_config(1))
 
 
-def test_a_damaged_checkpoint_or_another_configuration_is_named(small_scene, tmp_path):
+def test_a_damaged_checkpoint_or_configuration_is_named(small_scene, tmp_path):
     folder = train_thermonerf(small_scene, tmp_path / "run", small_config(2))
     text = folder.config_file.read_text()
-    folder.config_file.write_text(text.replace("hidden_width: 16", "hidden_width: 32"))
-    with pytest.raises(RunError, match=r"not fit .*config\.yaml"):
-        open_run(folder.path)
     folder.config_file.write_text(text + "colour: red\n")
     with pytest.raises(RunError, match=r"'colour'.*; fix"):
         open_run(folder.path)
