@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int64
@@ -99,29 +100,22 @@ class BakedModel:
 
     def only(self, modalities: Container[Modality]) -> BakedModel:
         """The same splats with some of the modalities."""
-
-        def chosen(values: Mapping[Modality, Tensor]) -> Mapping[Modality, Tensor]:
-            return {modality: each for modality, each in values.items() if modality in modalities}
-
-        return replace(
-            self,
-            opacities=chosen(self.opacities),
-            sh_dc=chosen(self.sh_dc),
-            sh_rest=chosen(self.sh_rest),
-        )
+        chosen: dict[str, Any] = {
+            name: {each: value for each, value in values.items() if each in modalities}
+            for name, values in vars(self).items()
+            if isinstance(values, Mapping)
+        }
+        return replace(self, **chosen)
 
     def map_tensors(self, function: Callable[[Tensor], Tensor]) -> BakedModel:
         """A copy of the model with a function applied to each of its tensors."""
-        return replace(
-            self,
-            means=function(self.means),
-            quats=function(self.quats),
-            scales=function(self.scales),
-            opacities={modality: function(each) for modality, each in self.opacities.items()},
-            sh_dc={modality: function(each) for modality, each in self.sh_dc.items()},
-            sh_rest={modality: function(each) for modality, each in self.sh_rest.items()},
-            temperatures=function(self.temperatures),
-        )
+        changed: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                changed[name] = function(value)
+            elif isinstance(value, Mapping):
+                changed[name] = {modality: function(each) for modality, each in value.items()}
+        return replace(self, **changed)
 
     def sh(self, modality: Modality) -> Float[Tensor, "n b c"]:
         """All coefficients of a modality, copied."""
@@ -157,7 +151,7 @@ class BakedModel:
     def render(
         self, cameras: Camera | Mapping[Modality, Camera], surface: Modality | None = None
     ) -> Rendering:
-        """Render any camera, without gradients.
+        """Render any camera, without gradients, and the median depth of a modality ``surface``.
 
         Args:
             cameras: one for all modalities, or one for each modality to render.
@@ -204,14 +198,8 @@ class BakedModel:
 def bake(
     model: Model, cameras: Sequence[Camera], temperature: TemperatureRange | None
 ) -> BakedModel:
-    """Fold the field of a trained model into plain splats.
-
-    What the field does not change is shared with the model, not copied.
-
-    Args:
-        model: N Gaussians.
-        cameras: of the photos; the colours are fitted for the directions from them.
-        temperature: the scale of the thermal values.
+    """Fold the field of a trained model into plain splats, with colours that are fitted for the
+    directions from the photos' cameras. What the field does not change is shared, not copied.
 
     Raises:
         ValueError: no camera.
@@ -227,6 +215,8 @@ def bake(
         for modality in gaussians.modalities
         if modality != THERMAL
     }
+    # t of degree 0, plus t̂; of a model without t̂ clamped at 0, as it is rendered.
+    temperatures = model.values(THERMAL, gaussians.means.new_zeros(3), sh_degree=0)[:, 0]
     return BakedModel(
         means=gaussians.means.detach(),
         quats=torch.nn.functional.normalize(gaussians.quats, dim=1),
@@ -234,16 +224,10 @@ def bake(
         opacities={modality: gaussians.opacity(modality) for modality in gaussians.modalities},
         sh_dc={modality: dc for modality, (dc, _) in harmonics.items()},
         sh_rest={modality: rest for modality, (_, rest) in harmonics.items()},
-        temperatures=_temperatures(model),
+        temperatures=temperatures,
         temperature=temperature,
         dilation=model.dilation,
     )
-
-
-def _temperatures(model: Model) -> Float[Tensor, " n"]:
-    """t of degree 0, plus t̂; of a model without t̂ clamped at 0, as it is rendered."""
-    anywhere = model.gaussians.means.new_zeros(3)
-    return model.values(THERMAL, anywhere, sh_degree=0)[:, 0]
 
 
 def _harmonics(
@@ -256,12 +240,10 @@ def _harmonics(
     rest = up_to_degree(gaussians.sh_rest[modality].detach(), model.sh_degree)
     if modality != RGB or not model.field.config.residuals:
         return dc, rest
+    sh = torch.cat([dc, rest], dim=1)
     blocks = torch.arange(len(dc)).split(BLOCK_ROWS)
-    parts = [
-        _fit_colors(model, torch.cat([dc[rows], rest[rows]], dim=1), rows, positions)
-        for rows in blocks
-    ]
-    return torch.cat([part[:, :1] for part in parts]), torch.cat([part[:, 1:] for part in parts])
+    fitted = torch.cat([_fit_colors(model, sh[rows], rows, positions) for rows in blocks])
+    return fitted[:, :1], fitted[:, 1:]
 
 
 def _fit_colors(

@@ -40,7 +40,7 @@ class Run(TrainedRun):
 
     Attributes:
         model: the trained model, with t̂ computed once for all views.
-        image_model: what the cameras do to the images, as far as it was learned.
+        image_model: what the cameras do to the images, as learned.
         device: where it renders.
     """
 
@@ -103,13 +103,7 @@ class Run(TrainedRun):
 
     def load_scene(self) -> Scene:
         """The scene that the run was trained on, at the run's resolution, its training views with
-        the poses that the run has refined, if it has.
-
-        Raises:
-            SceneError: the scene is no longer where it was, or cannot be used.
-            RunError: the scene has other cameras or another temperature range than the run was
-                trained with.
-        """
+        the poses that the run has refined, if it has; see ``TrainedRun.load_scene``."""
         scene, poses = super().load_scene(), self.image_model.poses
         if poses is None or not poses.moves:
             return scene
@@ -158,17 +152,11 @@ def open_run(
 def load_run(
     path: str | Path, scene: Scene | str | Path | None = None, device: DeviceName = "auto"
 ) -> Run:
-    """Open the newest checkpoint of a run with Gaussians.
-
-    Args:
-        path: the run's folder.
-        scene: the scene, see ``open_run``.
-        device: where it renders, see ``open_run``.
+    """Open the newest checkpoint of a run with Gaussians; the arguments, warnings and errors are
+    those of ``open_run``.
 
     Raises:
-        RunError: the folder is not a run, its method has no Gaussians, or its checkpoint cannot be
-            used.
-        DeviceError: the requested GPU cannot be used.
+        RunError: the run's method has no Gaussians.
     """
     run = open_run(path, scene, device)
     if not isinstance(run, Run):

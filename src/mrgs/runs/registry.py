@@ -73,7 +73,7 @@ class Method:
         changes: str = "",
         source: str = "",
     ) -> Any:
-        """The configuration of a preset, with changed values.
+        """The configuration of a preset, with changed values; see ``mrgs.make_config``.
 
         Args:
             preset: the preset's name.
@@ -90,38 +90,26 @@ class Method:
         Raises:
             ConfigError: a value that is not allowed, or changes for another method.
         """
-        if changes:
-            values = _values_among(changes, source)
-            preset = values.get("preset", preset)
-            max_steps, batch = values.get("max_steps", max_steps), values.get("batch", batch)
-        options = {"max_steps": max_steps, "resolution": resolution, "seed": seed}
+        options = {"preset": preset, "max_steps": max_steps, "batch": batch}
+        if changes:  # some of them decide about others; errors are found when all of it is read
+            from mrgs.system.strict_yaml import parse_yaml
+
+            named = parse_yaml(changes, source)
+            for name, kind in {"preset": str, "max_steps": int, "batch": int}.items():
+                if isinstance(named, dict) and type(named.get(name)) is kind:
+                    options[name] = named[name]
+        if options["batch"] == 1:
+            del options["batch"]
         if self.has_gaussians:
             options["max_gaussians"] = max_gaussians
-        if batch != 1:
-            options["batch"] = batch
-        config = replace(self.make_config(preset=preset, **options), method=self.name)
+        config = self.make_config(**options, resolution=resolution, seed=seed)
+        config = replace(config, method=self.name)
         if not changes:
             return config
         changed = self.read_config(changes, source, config)
         if changed.method != self.name:
             raise ConfigError(f"{source} is for the method {changed.method}, not {self.name}")
         return changed
-
-
-_CHOSEN_FIRST = {"preset": str, "max_steps": int, "batch": int}
-"""Values on which others depend, and their types."""
-
-
-def _values_among(changes: str, source: str) -> dict[str, Any]:
-    """Those of ``_CHOSEN_FIRST`` that a YAML of changed values names; what is wrong with the YAML
-    is said when all of it is read."""
-    from mrgs.system.strict_yaml import parse_yaml
-
-    values = parse_yaml(changes, source)
-    named = values if isinstance(values, dict) else {}
-    return {
-        name: named[name] for name, kind in _CHOSEN_FIRST.items() if type(named.get(name)) is kind
-    }
 
 
 _METHODS: dict[str, Method] = {}

@@ -105,29 +105,19 @@ class TrainedRun(ABC):
         pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
     ) -> Rendering:
         """The rendering of a camera as the scene's cameras would have recorded it there, to be
-        compared with photos.
-
-        The same, unless the method has learned what the cameras do to the images.
-
-        Args:
-            rendering: of a view.
-            camera: that it is seen from.
-            pixel_sizes: of the rendering's images, in pixels of the photos; 1 where none is given.
-        """
+        compared with photos: the same, unless the method has learned what the cameras do to the
+        images. The pixel sizes are those of the images, in pixels of the photos; 1 by default."""
         return rendering
 
     def temperatures_c(
         self, rendering: Rendering, min_alpha: float = MIN_ALPHA
     ) -> Float[Tensor, "h w"]:
-        """The rendered temperatures in °C.
+        """The rendered temperatures in °C, NaN where there is none, [H, W].
 
         Args:
             rendering: of this run.
             min_alpha: a pixel that the model covers less has no temperature. 0 gives every pixel
                 its value, which tends to the scene's lowest temperature where nothing is.
-
-        Returns:
-            °C, NaN where there is no temperature, [H, W].
 
         Raises:
             ValueError: the scene has no known °C, or the rendering no thermal image.
@@ -190,21 +180,15 @@ class TrainedRun(ABC):
         if self.scene is not None:
             require_same_scene(self.facts, self.scene)
             return self.scene
-        if not self.facts.scene:
-            raise SceneError(
-                f"{self.folder.path} was trained on a scene made from arrays: open it with that "
-                f"scene",
-                options=("scene",),
+        path, run = self.facts.scene, self.folder.path
+        if not path or not Path(path).exists():
+            problem = (
+                f"{path}: the scene that {run} was trained on is no longer there; say where it is"
             )
-        if not Path(self.facts.scene).exists():
-            raise SceneError(
-                f"{self.facts.scene}: the scene that {self.folder.path} was trained on is no "
-                f"longer there; say where it is",
-                options=("scene",),
-            )
-        scene = load_scene(
-            self.facts.scene, resolution=self.config.resolution, seed=self.config.seed
-        )
+            if not path:
+                problem = f"{run} was trained on a scene made from arrays: open it with that scene"
+            raise SceneError(problem, options=("scene",))
+        scene = load_scene(path, resolution=self.config.resolution, seed=self.config.seed)
         require_same_scene(self.facts, scene)
         return scene
 
@@ -212,11 +196,8 @@ class TrainedRun(ABC):
 def asked_cameras(
     cameras: Camera | Mapping[Modality, Camera], modalities: Iterable[Modality]
 ) -> Mapping[Modality, Camera]:
-    """The camera of each modality to render.
-
-    Args:
-        cameras: one for all modalities, or one for each modality to render.
-        modalities: those that can be rendered.
+    """The camera of each modality to render: the given one for all that can be rendered, or one for
+    each.
 
     Raises:
         ValueError: neither of the two, or a modality that cannot be rendered.
