@@ -7,8 +7,14 @@ import pytest
 
 from mrgs.data import load_scene
 from mrgs.method.config import make_config
-from mrgs.pipeline.forecast import step_seconds
-from mrgs.pipeline.time_limit import MARGIN, PILOT_STEPS, Pace, measure_pace, steps_within
+from mrgs.pipeline.forecast import (
+    MARGIN,
+    PILOT_STEPS,
+    Pace,
+    measure_pace,
+    step_seconds,
+    steps_within,
+)
 from mrgs.runs.registry import Method, find_method
 from mrgs.scene import RGB, PosedImage, View
 from mrgs.training.start import TrainOptions

@@ -124,7 +124,7 @@ def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
 
 def _within_minutes(command: Train, method: Method, config: Any, device: DeviceName) -> Any:
     """The configuration with the steps that fit into ``--minutes``, at the pace measured here."""
-    from mrgs.pipeline.time_limit import measure_pace, steps_within
+    from mrgs.pipeline.forecast import measure_pace, steps_within
     from mrgs.training.start import TrainOptions
 
     assert command.minutes is not None

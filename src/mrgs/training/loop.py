@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Generator, Mapping
+from contextlib import AbstractContextManager, closing
 from typing import TypeVar
 
 import torch
@@ -84,21 +84,23 @@ class Trainer:
 
         The last step is checkpointed, also if Ctrl-C or an error in ``on_step`` ends the training.
         """
+        with closing(self.steps(stop_at)) as steps:
+            for statistics in steps:
+                if on_step is not None and asks_to_stop(on_step(statistics)):
+                    break
+
+    def steps(self, stop_at: int | None = None) -> Generator[StepStatistics, None, None]:
+        """Train until the end of the schedule, the step ``stop_at``, or until closed; the last step
+        is checkpointed, also if Ctrl-C ends the training."""
         last = self.config.max_steps if stop_at is None else min(stop_at, self.config.max_steps)
         while self._record.step < last:
-            with self._saved_if_left():
-                statistics = self._next_step()
-                if on_step is not None and asks_to_stop(on_step(statistics)):
-                    last = self._record.step
-            self._record.save_if_due(last)
-
-    def steps(self) -> Generator[StepStatistics, None, None]:
-        """Train until the end of the schedule, or until closed; the last step is checkpointed, also
-        if Ctrl-C ends the training."""
-        while self._record.step < self.config.max_steps:
-            with self._saved_if_left():
+            try:
                 yield self._next_step()
-            self._record.save_if_due(self.config.max_steps)
+            except BaseException:  # unless the step itself failed
+                if not self._is_half_done:
+                    self.save()
+                raise
+            self._record.save_if_due(last)
 
     def save(self) -> None:
         """Write a checkpoint of the last step; Ctrl-C waits for its end.
@@ -136,16 +138,6 @@ class Trainer:
     def is_awaited(self) -> bool:
         """Whether another thread waits for the end of the current step."""
         return self._turns.is_awaited
-
-    @contextmanager
-    def _saved_if_left(self) -> Iterator[None]:
-        """If this block is left early, checkpoint the last step, unless the step itself failed."""
-        try:
-            yield
-        except BaseException:
-            if not self._is_half_done:
-                self.save()
-            raise
 
     def _next_step(self) -> StepStatistics:
         """Take a whole step, and log it; Ctrl-C waits for its end."""

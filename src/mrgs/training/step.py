@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -104,55 +103,24 @@ class StepResult(NamedTuple):
     finite: Bool[Tensor, ""]
 
 
-LOSS, THERMAL_ERROR, TERM = "loss", "thermal_error", "term."
+def means(
+    measures: Sequence[ViewMeasures],
+) -> tuple[Float[Tensor, ""], dict[str, Float[Tensor, ""]], Float[Tensor, ""] | None]:
+    """L_total, the unweighted terms by name, and the thermal error of a step: each a mean over the
+    views that have it."""
+    names = dict.fromkeys(name for each in measures for name in each.terms)
+    terms = {
+        name: _mean([each.terms[name] for each in measures if name in each.terms]) for name in names
+    }
+    errors = [each.thermal_error for each in measures if each.thermal_error is not None]
+    loss = _mean([each.loss for each in measures])
+    return loss, terms, _mean(errors, torch.nanmean) if errors else None  # NaN: no valid pixel
 
 
-@dataclass
-class ViewSums:
-    """Sums of measurements over the views of a step; not every view has every number.
-
-    Attributes:
-        totals: sums by name: ``loss``, ``thermal_error``, and ``term.NAME`` of each unweighted
-            term.
-        counts: number of views in each sum.
-        observed: the strategy's observations, [N] each.
-        residuals: of each view's thermal photo, by its number, if drift is modelled.
-    """
-
-    totals: dict[str, Tensor] = field(default_factory=dict)
-    counts: dict[str, Tensor | float] = field(default_factory=dict)
-    observed: dict[str, Tensor] = field(default_factory=dict)
-    residuals: dict[int, Float[Tensor, "2"]] = field(default_factory=dict)
-
-    def add(
-        self, number: int, measures: ViewMeasures, observed: Mapping[str, Float[Tensor, " n"]]
-    ) -> None:
-        """Add the measurements of the view of this number, and the strategy's observations."""
-        self._add(LOSS, measures.loss, 1.0)
-        for name, value in measures.terms.items():
-            self._add(f"{TERM}{name}", value, 1.0)
-        if (error := measures.thermal_error) is not None:
-            is_known = ~error.isnan()  # no pixel is valid
-            self._add(THERMAL_ERROR, torch.where(is_known, error, 0), is_known.float())
-        for name, value in observed.items():
-            self.observed[name] = self.observed[name] + value if name in self.observed else value
-        if measures.residual is not None:
-            self.residuals[number] = measures.residual
-
-    def _add(self, name: str, value: Tensor, count: Tensor | float) -> None:
-        has_some = name in self.totals
-        self.totals[name] = self.totals[name] + value if has_some else value
-        self.counts[name] = self.counts[name] + count if has_some else count
-
-    def mean(self, name: str) -> Float[Tensor, ""] | None:
-        """Mean over the views that have a number; None if no view has it."""
-        return self.totals[name] / self.counts[name] if name in self.totals else None
-
-    @property
-    def terms(self) -> dict[str, Float[Tensor, ""]]:
-        """Means of the unweighted terms, by name."""
-        names = [name for name in self.totals if name.startswith(TERM)]
-        return {name.removeprefix(TERM): self.totals[name] / self.counts[name] for name in names}
+def _mean(
+    values: Sequence[Float[Tensor, ""]], mean: Callable[[Tensor], Tensor] = torch.mean
+) -> Float[Tensor, ""]:
+    return values[0] if len(values) == 1 else mean(torch.stack(list(values)))
 
 
 def training_step(
@@ -184,12 +152,15 @@ def training_step(
         return forward_backward(state, inputs, scale)
 
     while True:
-        found = ViewSums()
+        found: list[tuple[int, ViewMeasures]] = []
+        observed: dict[str, Tensor] = {}
         for each in views:
             inputs = view_inputs(state, each, config)
             measures = run(inputs) if recorder is None else recorder.run(state, inputs, run)
-            found.add(each.number, measures, state.strategy.observe(measures.passes))
-        result = _move(state, found, config, recorder)
+            found.append((each.number, measures))
+            for name, value in state.strategy.observe(measures.passes).items():
+                observed[name] = observed[name] + value if name in observed else value
+        result = _move(state, found, observed, config, recorder)
         if recorder is None or recorder.had_room():
             break
     state.skipped_in_a_row = (state.skipped_in_a_row + 1) * ~result.finite
@@ -197,22 +168,26 @@ def training_step(
 
 
 def _move(
-    state: TrainingState, found: ViewSums, config: TrainConfig, recorder: Recorder | None
+    state: TrainingState,
+    found: Sequence[tuple[int, ViewMeasures]],
+    observed: Mapping[str, Float[Tensor, " n"]],
+    config: TrainConfig,
+    recorder: Recorder | None,
 ) -> StepResult:
     """Move the parameters by their gradients; if these are not finite, nothing moves."""
     state.scale_gradients(1 / config.batch)
-    loss = found.mean(LOSS)
-    assert loss is not None
+    loss, terms, error = means([measures for _, measures in found])
     finite = state.gradients_are_finite(loss)
     moves = finite if recorder is None else recorder.counted(finite)
-    error, count = found.mean(THERMAL_ERROR), len(state.model.gaussians)
-    statistics = StepStatistics(state.step, loss, found.terms, error, count, ~finite)
+    count = len(state.model.gaussians)
+    statistics = StepStatistics(state.step, loss, terms, error, count, ~finite)
     # Nothing has changed so far, so that a step can be repeated if the memory is full.
     state.move(config, moves)
     if (drift := state.image_model.thermal_drift) is not None:
-        for number, residual in found.residuals.items():
-            drift.learn(number, residual, moves)
-    return StepResult(statistics, found.observed, finite)
+        for number, measures in found:
+            if measures.residual is not None:
+                drift.learn(number, measures.residual, moves)
+    return StepResult(statistics, observed, finite)
 
 
 def control_density(

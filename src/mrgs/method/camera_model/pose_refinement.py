@@ -38,6 +38,10 @@ class PoseRefinement(nn.Module):
     right as far as the given poses are right on average.
 
     Nothing is moved before ``begin``: poses that are right would get worse.
+
+    Attributes:
+        is_checked: whether it is known whether the poses are wrong; on the host, as ``moves``.
+        moves: whether poses are refined by now.
     """
 
     centres: Float64[Tensor, "v 3"]
@@ -54,33 +58,23 @@ class PoseRefinement(nn.Module):
         self.register_buffer("checked", torch.zeros((), dtype=torch.bool))
         self.register_buffer("begun", torch.zeros((), dtype=torch.bool))
         self.motions = nn.Parameter(torch.zeros(views, 6))
-        self._is_checked = self._moves = False
-
-    @property
-    def is_checked(self) -> bool:
-        """Whether it is known whether the poses are wrong; a GPU is not asked."""
-        return self._is_checked
-
-    @property
-    def moves(self) -> bool:
-        """Whether poses are refined by now; a GPU is not asked."""
-        return self._moves
+        self.is_checked = self.moves = False
 
     def note_checked(self) -> None:
         """It is known from here on whether the poses are wrong."""
         self.checked.fill_(True)
-        self._is_checked = True
+        self.is_checked = True
 
     @torch.no_grad()
     def begin(self, motions: Float64[Tensor, "v 6"]) -> None:
         """Refine the poses from here on, beginning with these motions along ``axes``."""
         self.motions.copy_(motions)
         self.begun.fill_(True)
-        self._moves = True
+        self.moves = True
 
     def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         super()._load_from_state_dict(*args, **kwargs)
-        self._is_checked, self._moves = bool(self.checked), bool(self.begun)
+        self.is_checked, self.moves = bool(self.checked), bool(self.begun)
 
     def set_frame(self, cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> None:
         """Find what motions do to the images, before the training, from the first camera of each

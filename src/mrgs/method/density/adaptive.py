@@ -110,7 +110,7 @@ class AdaptiveDensityControl(Strategy):
             change = densify(gaussians, gradients, self, step.extent, prunes_large, step.generator)
             state = _no_views(len(change.keep) + len(change.added), change.keep.device)
             optimizer.replace_rows(change.keep, change.added)
-            counts = change.counts._asdict()
+            counts = change.counts
         if resets:
             optimizer.limit_opacities(self.reset_opacity)
         return DensityUpdate(state, counts)
@@ -144,20 +144,13 @@ def mean_gradients(state: StrategyState) -> Float[Tensor, " n"]:
     return state["gradient_sum"] / state["views"].clamp_min(1)
 
 
-class DensificationCounts(NamedTuple):
-    """How many Gaussians an event cloned, split and pruned."""
-
-    cloned: int
-    split: int
-    pruned: int
-
-
 class RowChange(NamedTuple):
-    """Which Gaussians stay, in this order, and which follow them."""
+    """Which Gaussians stay, in this order, which follow them, and the numbers of Gaussians that
+    were cloned, split and pruned."""
 
     keep: Int64[Tensor, " k"]
     added: Gaussians
-    counts: DensificationCounts
+    counts: dict[str, int]
 
 
 @torch.no_grad()
@@ -192,7 +185,7 @@ def densify(
     return RowChange(
         keep=survives.nonzero()[:, 0],
         added=added.rows(added_survives.nonzero()[:, 0]),
-        counts=DensificationCounts(len(cloned), len(split), pruned),
+        counts={"cloned": len(cloned), "split": len(split), "pruned": pruned},
     )
 
 
