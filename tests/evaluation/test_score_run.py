@@ -16,8 +16,7 @@ from mrgs.evaluation.report import ScoredData
 from mrgs.evaluation.score_run import facts_of, score_views
 from mrgs.pictures.files import to_rgb8
 from mrgs.render import render, render_view
-from mrgs.run_files.facts import CheckpointFacts
-from mrgs.run_files.fingerprint import fingerprints
+from mrgs.run_files.facts import CheckpointFacts, fingerprints
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.trained_run import TrainedRun

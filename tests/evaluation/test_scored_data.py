@@ -8,7 +8,7 @@ import pytest
 
 from mrgs.data import load_scene
 from mrgs.evaluation.report import ScoredData
-from mrgs.run_files.fingerprint import fingerprints
+from mrgs.run_files.facts import fingerprints
 from mrgs.scene import Scene, TemperatureRange
 
 

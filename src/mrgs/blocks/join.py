@@ -29,12 +29,8 @@ DRIFT = "thermal_drift."
 
 
 class JoinedBlocks(NamedTuple):
-    """The model of a scene, from its blocks.
-
-    Attributes:
-        whole: the model.
-        facts: of the coarse run and of each block's.
-    """
+    """The model of a scene, from its blocks, and the facts of the coarse run and of each
+    block's."""
 
     whole: WholeModel
     facts: tuple[CheckpointFacts, ...]

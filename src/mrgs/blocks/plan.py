@@ -50,12 +50,8 @@ class BlockOptions(NamedTuple):
 
 
 class PlannedBlock(NamedTuple):
-    """A block.
-
-    Attributes:
-        region: that it contributes to the joined model.
-        views: training views of the scene that show it or its margin.
-    """
+    """The region that a block contributes to the joined model, and the training views of the scene
+    that show it or its margin."""
 
     region: Region
     views: tuple[int, ...]

@@ -84,12 +84,7 @@ class Part:
 
 @dataclass(frozen=True)
 class LocalDensityControl(Strategy):
-    """Another strategy's density control for the Gaussians of a part of a scene.
-
-    Attributes:
-        inner: the strategy.
-        part: of the scene.
-    """
+    """Another strategy's density control for the Gaussians of a part of a scene."""
 
     inner: Strategy = field(kw_only=True)
     part: Part = field(kw_only=True)
@@ -130,12 +125,7 @@ class FixedGaussians(Strategy):
 
 
 class WholeModel(NamedTuple):
-    """A model of a whole scene.
-
-    Attributes:
-        model: its Gaussians and heads.
-        image_model: what the cameras do to the images.
-    """
+    """A model of a whole scene, and what the cameras do to its images."""
 
     model: Model
     image_model: ImageModel

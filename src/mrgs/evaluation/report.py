@@ -15,7 +15,7 @@ from mrgs.evaluation.parts import Parts
 from mrgs.evaluation.truth import TRUTH_FIGURES
 from mrgs.pictures.escape import escape_markdown
 from mrgs.pictures.values import capitalised
-from mrgs.run_files.fingerprint import ImageFingerprint, changes, fingerprints
+from mrgs.run_files.facts import ImageFingerprint, changes, fingerprints
 from mrgs.scene import Scene, TemperatureRange
 from mrgs.system.atomic import write_text
 

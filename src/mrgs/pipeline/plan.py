@@ -20,15 +20,7 @@ from mrgs.scene import Scene
 
 @dataclass(frozen=True)
 class Quality:
-    """How much work a pipeline puts into a model.
-
-    Attributes:
-        name: unique.
-        preset: of ``mrgs train``.
-        max_steps: training steps.
-        max_gaussians: cap on the Gaussians.
-        resolution: photos wider than this many pixels are downscaled to it.
-    """
+    """How much work a pipeline puts into a model: the options of ``mrgs train``."""
 
     name: str
     preset: str
@@ -63,8 +55,7 @@ class PlannedStage:
 
     Attributes:
         name: such as "train".
-        number: from 1.
-        total: number of stages.
+        number: from 1, of ``total``.
         parts: seconds that its parts are expected to take, by name.
         is_done: whether an earlier call has finished it, with the same inputs and settings.
     """

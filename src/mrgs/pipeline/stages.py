@@ -46,7 +46,6 @@ class Stage:
     """A stage of a pipeline.
 
     Attributes:
-        name: unique.
         made_from: a digest of everything that its result depends on; called once the stages before
             it are done.
         run: does the work; returns the files that it made.

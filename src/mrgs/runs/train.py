@@ -167,11 +167,7 @@ def _close_open_loops() -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LiveRun:
-    """A run that is being trained, after one of its steps.
-
-    Attributes:
-        statistics: what the step measured.
-    """
+    """A run that is being trained, after one of its steps."""
 
     statistics: StepStatistics
     _trainer: Trainer

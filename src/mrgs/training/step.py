@@ -93,7 +93,6 @@ class StepResult(NamedTuple):
     """A step that has moved the parameters, before density control.
 
     Attributes:
-        statistics: the measurements.
         observed: the strategy's observations, summed over the views.
         finite: whether loss and gradients were finite; on the device.
     """

@@ -24,13 +24,7 @@ SMALLEST_PX = 160
 
 
 class PhotographedView(NamedTuple):
-    """A training view with its photos.
-
-    Attributes:
-        number: its place among the training views.
-        view: the view.
-        photos: of it, by modality.
-    """
+    """A training view, by its place among them, with its photos."""
 
     number: int
     view: View

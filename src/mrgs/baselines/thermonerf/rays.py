@@ -128,13 +128,8 @@ MODALITIES = (RGB, THERMAL)
 
 
 class Target(NamedTuple):
-    """Photo values that the rays of a batch are compared with.
-
-    Attributes:
-        rows: the rays.
-        values: colours [R, 3] or normalised temperatures [R, 1].
-        valid: False where the pixel must be ignored, [R]; None if all count.
-    """
+    """Colours or normalised temperatures that these rows of a batch's rays are compared with, and
+    which of them count; all if None."""
 
     rows: slice
     values: Float[Tensor, "r c"]

@@ -182,11 +182,7 @@ def _train(
 
 @dataclass(frozen=True, eq=False)
 class ThermoNerfRun(TrainedRun):
-    """A run that can be rendered and scored, but has no Gaussians.
-
-    Attributes:
-        model: what it learned.
-    """
+    """A run that can be rendered and scored, but has no Gaussians."""
 
     config: ThermoNerfConfig
     model: ThermoNerf

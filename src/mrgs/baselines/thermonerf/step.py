@@ -80,15 +80,14 @@ ADAM_EPSILON = 1e-15
 
 @dataclass
 class NerfState:
-    """All that changes during training, and so all that a checkpoint must hold.
+    """All that changes during training, and so all that a checkpoint contains.
 
     Attributes:
         step: steps done.
         model: what is trained.
         optimizer: Adam over all its parameters.
         generator: of every random choice after the start.
-        skipped_in_a_row: steps skipped since the last good one, because of a value that was not
-            finite.
+        skipped_in_a_row: steps skipped since the last good one.
     """
 
     step: int
@@ -99,18 +98,8 @@ class NerfState:
 
 
 class ThermoNerfStatistics(NamedTuple):
-    """The measurements of one training step.
-
-    Attributes:
-        step: its number, from 1.
-        loss: the weighted sum of the terms; not finite if the step was skipped.
-        terms: squared error of each modality by its name, "interlevel" and "distortion",
-            unweighted.
-        thermal_error: mean absolute error of the normalised temperature over the batch; None
-            without one.
-        skipped: the loss or a gradient was not finite, so nothing was changed.
-        gaussians: always None: the method has none.
-    """
+    """The measurements of one training step, a ``Statistics``. The terms are the squared error of
+    each modality by its name, "interlevel" and "distortion", unweighted."""
 
     step: int
     loss: float
