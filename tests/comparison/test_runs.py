@@ -23,7 +23,7 @@ from mrgs.comparison.runs import (
 )
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError
-from mrgs.run_files.checkpoint import read_file, write_file
+from mrgs.run_files.checkpoint import read, write_file
 from mrgs.run_files.folder import RunFolder
 from mrgs.scene import RGB
 from mrgs.training import make_config, train
@@ -94,7 +94,7 @@ def data_of(scene: Path) -> SceneData:
 def of_an_older_version(folder: Path) -> None:
     """Take out what older versions did not write."""
     for path in RunFolder(folder).checkpoints():
-        tensors, header = read_file(path)
+        tensors, _, header = read(path)
         del header["images"]
         write_file(path, tensors, header)
     path = folder / "eval" / "metrics.json"

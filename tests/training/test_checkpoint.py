@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 from mrgs.errors import DamagedCheckpointError, RunError
 from mrgs.method.losses.term import SceneScale
 from mrgs.rasterizer.contract import Dilation
-from mrgs.run_files.checkpoint import first_not_finite, load_facts, read_file
+from mrgs.run_files.checkpoint import first_not_finite, load_facts, read
 from mrgs.run_files.facts import CheckpointFacts
 from mrgs.scene import TemperatureRange
 from mrgs.scene.capture import Capture, Viewpoint
@@ -103,7 +103,7 @@ def test_a_model_is_drawn_as_it_was_trained(make_start, config, path, angular):
 
 
 def test_only_what_is_needed_is_kept_but_all_is_checked(state, path):
-    tensors, _ = read_file(path, lambda name: name == "gaussians.means")
+    tensors, _, _ = read(path, lambda name: name == "gaussians.means")
     assert list(tensors) == ["gaussians.means"]
     assert torch.equal(tensors["gaussians.means"], state.model.gaussians.means)
     content = bytearray(path.read_bytes())
@@ -111,7 +111,7 @@ def test_only_what_is_needed_is_kept_but_all_is_checked(state, path):
     content[found] ^= 1
     path.write_bytes(content)
     with pytest.raises(DamagedCheckpointError, match="digest"):
-        read_file(path, lambda name: name == "gaussians.means")
+        read(path, lambda name: name == "gaussians.means")
 
 
 def test_no_known_temperatures_stay_unknown(state, path):
@@ -207,7 +207,7 @@ def test_the_same_numbers_in_another_shape_are_damaged(path):
     tensors["gaussians.quats"] = tensors["gaussians.quats"].reshape(-1, 2).contiguous()
     save_file(tensors, path, metadata)
     with pytest.raises(DamagedCheckpointError, match="tensors do"):
-        read_file(path)
+        read(path)
 
 
 def test_large_numbers_whose_sum_is_infinite_are_finite():

@@ -21,7 +21,7 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation import evaluate_run
 from mrgs.method.config import METHODS
 from mrgs.method.density import DensityUpdate
-from mrgs.run_files.checkpoint import read_file, write_file
+from mrgs.run_files.checkpoint import read, write_file
 from mrgs.runs import registry
 from mrgs.runs.registry import find_method, registered_methods
 from mrgs.system.strict_yaml import write_yaml
@@ -249,7 +249,7 @@ def test_a_setting_without_a_text_of_its_own_is_not_compared(small_scene, tmp_pa
 def test_a_checkpoint_that_does_not_say_a_setting_is_resumed(said, small_scene, tmp_path):
     config = short_config(max_steps=3)
     folder = train(small_scene, tmp_path, config, strategy=Duplicate(), stop_at=1)
-    tensors, header = read_file(folder.newest_checkpoint())
+    tensors, _, header = read(folder.newest_checkpoint())
     del header["strategy_settings"]
     write_file(folder.newest_checkpoint(), tensors, {**header, **said})
     train(small_scene, tmp_path, config, options=RESUME, strategy=Duplicate(every=2))

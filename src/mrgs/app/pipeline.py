@@ -18,7 +18,7 @@ from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.prepare import PrepareOptions, StageReport
 from mrgs.run_files.folder import RunConfig
-from mrgs.run_files.record import Statistics
+from mrgs.run_files.record import StepStatistics
 from mrgs.scene import Scene
 from mrgs.system.disk import free_disk
 from mrgs.system.wording import counted
@@ -125,7 +125,7 @@ class PipelineTerminal(Monitor):
     def training_started(self, scene: Scene, config: RunConfig) -> None:  # noqa: D102
         self._training.start(scene, config)
 
-    def stepped(self, statistics: Statistics) -> bool | None:  # noqa: D102
+    def stepped(self, statistics: StepStatistics) -> bool | None:  # noqa: D102
         return self._training.step(statistics)
 
     def accepts(self, warnings: Sequence[str], page: Path) -> bool:  # noqa: D102

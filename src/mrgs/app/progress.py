@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mrgs.pipeline.forecast import Forecast
     from mrgs.prepare import Preparation, StageReport
     from mrgs.run_files.folder import RunConfig
-    from mrgs.run_files.record import Statistics
+    from mrgs.run_files.record import StepStatistics
     from mrgs.scene import Scene
 
 PLAIN_LINE_EVERY_S = 10.0
@@ -150,7 +150,7 @@ class TrainingProgress:
         self._first_step: int | None = None
         self._started = clock()
         self._smoothed: dict[str, float] = {}
-        self._unread: deque[Statistics] = deque(maxlen=STEPS_REMEMBERED)
+        self._unread: deque[StepStatistics] = deque(maxlen=STEPS_REMEMBERED)
         self._line = _Line("bar", "text", clock=clock, auto_refresh=False)
         self._postponed = ExitStack()
 
@@ -199,7 +199,7 @@ class TrainingProgress:
         if not self._line.bar.disable:
             self._line.show("reading photos, compiling kernels", 0, None)
 
-    def step(self, statistics: Statistics) -> bool:
+    def step(self, statistics: StepStatistics) -> bool:
         """Show a step; returns True to stop the training."""
         if self._first_step is None:
             # Not counted in the speed: the first step compiles kernels and reads photos.
@@ -224,7 +224,7 @@ class TrainingProgress:
                     self._smoothed[name] = old + 0.02 * (value - old)
         self._unread.clear()
 
-    def _text(self, statistics: Statistics) -> str:
+    def _text(self, statistics: StepStatistics) -> str:
         """The line; a narrow terminal cuts off its end."""
         parts = [f"step {statistics.step:,}/{self.max_steps:,}"]
         steps = statistics.step - (self._first_step or 0)

@@ -13,7 +13,7 @@ from mrgs.pipeline.intake import Intake
 from mrgs.prepare.contract import StageReport
 from mrgs.prepare.options import PrepareOptions
 from mrgs.run_files.folder import RunConfig
-from mrgs.run_files.record import Statistics
+from mrgs.run_files.record import StepStatistics
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
 
@@ -135,7 +135,7 @@ class Monitor:
     def training_started(self, scene: Scene, config: RunConfig) -> None:
         """Called before the first training step."""
 
-    def stepped(self, statistics: Statistics) -> bool | None:
+    def stepped(self, statistics: StepStatistics) -> bool | None:
         """Called after each training step; returning True stops the pipeline with a checkpoint."""
         return None
 

@@ -25,7 +25,7 @@ from mrgs.prepare.contract import CACHE_FOLDER
 from mrgs.prepare.page.check import check_scene
 from mrgs.report import write_report
 from mrgs.run_files.folder import RunFolder
-from mrgs.run_files.record import Statistics
+from mrgs.run_files.record import StepStatistics
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
@@ -216,7 +216,7 @@ class Job:
         self.ledger.begin(own.name, own.made_from())
         last = self.config.max_steps
 
-        def stepped(statistics: Statistics) -> bool | None:
+        def stepped(statistics: StepStatistics) -> bool | None:
             nonlocal last
             last = statistics.step
             return self.monitor.stepped(statistics)

@@ -52,10 +52,10 @@ def write_file(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, A
         safetensors.torch.save_file(kept, temporary, metadata)
 
 
-def read_file(
+def read(
     path: Path, needed: Callable[[str], bool] = lambda name: True
-) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """The needed tensors by name, and the header.
+) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
+    """The needed tensors by name, the facts, and the header.
 
     All tensors are read and checked, one after the other, so that unneeded ones take little memory.
 
@@ -80,14 +80,6 @@ def read_file(
         raise DamagedCheckpointError(path, "its tensors do not match their digest")
     if broken is not None:
         raise DamagedCheckpointError(path, f"{broken} holds values that are not finite")
-    return tensors, header
-
-
-def read(
-    path: Path, needed: Callable[[str], bool] = lambda name: True
-) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
-    """Tensors, facts and header of a checkpoint; see ``read_file``."""
-    tensors, header = read_file(path, needed)
     return tensors, _facts(path, header), header
 
 

@@ -154,10 +154,6 @@ class CheckpointFacts(NamedTuple):
             0, scene.path, capture, scene.temperature, 0.0, 0, 0, "cpu", scene.modalities, images
         )
 
-    def photographed(self, modalities: Iterable[Modality]) -> tuple[Modality, ...]:
-        """The given modalities of which the scene has photos."""
-        return tuple(each for each in modalities if each in self.modalities)
-
     def moved_to(self, path: str | Path | None) -> CheckpointFacts:
         """These facts with the scene's current path, if one is given."""
         return self if path is None else self._replace(scene=str(Path(path).resolve()))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.errors import NotFiniteError, TrainingError
@@ -35,33 +36,67 @@ SAVE_SHARE = 0.02
 """Maximum share of the time spent on checkpoints between the scheduled ones."""
 
 
-@runtime_checkable
-class Statistics(Protocol):
-    """The measurements of one training step, of any method."""
+class StepStatistics:
+    """The measurements of a training step of any method. On a GPU the numbers are fetched when the
+    first of them is read, which waits for the GPU.
 
-    @property
-    def step(self) -> int:
-        """Number of the step, from 1."""
+    Attributes:
+        step: number of the step, from 1.
+        gaussians: number of Gaussians; None for a method without Gaussians.
+    """
+
+    def __init__(
+        self,
+        step: int,
+        loss: float | Float[Tensor, ""],
+        terms: Mapping[str, float | Float[Tensor, ""]],
+        thermal_error: float | Float[Tensor, ""] | None,
+        gaussians: int | None,
+        skipped: bool | Tensor,
+    ) -> None:
+        self.step, self.gaussians, self._names = step, gaussians, tuple(terms)
+        error = math.nan if thermal_error is None else thermal_error
+        self._measured = _as_one([loss, skipped, error, *terms.values()])
 
     @property
     def loss(self) -> float:
-        """L_total of the step; not finite if the step was skipped."""
-
-    @property
-    def terms(self) -> Mapping[str, float]:
-        """Unweighted terms of the loss, by name."""
-
-    @property
-    def thermal_error(self) -> float | None:
-        """Mean absolute error of the normalised temperature."""
-
-    @property
-    def gaussians(self) -> int | None:
-        """Number of Gaussians; None for a method without Gaussians."""
+        """L_total; not finite if the step was skipped for it."""
+        return self._read()[0]
 
     @property
     def skipped(self) -> bool:
-        """Whether the step changed nothing, because a value was not finite."""
+        """Whether the loss or a gradient was not finite, so that nothing was changed."""
+        return bool(self._read()[1])
+
+    @property
+    def thermal_error(self) -> float | None:
+        """Mean absolute error of the normalised temperature on the training view; None without a
+        thermal photo."""
+        error = self._read()[2]
+        return None if math.isnan(error) else error
+
+    @property
+    def terms(self) -> dict[str, float]:
+        """Every term of the loss by its name, unweighted."""
+        return dict(zip(self._names, self._read()[3:], strict=True))
+
+    def _read(self) -> list[float]:
+        if isinstance(self._measured, Tensor):
+            self._measured = self._measured.tolist()
+        return self._measured
+
+
+def _as_one(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
+    """Numbers as one tensor, to be fetched at once, if any of them is a tensor."""
+    like = next((number.detach() for number in numbers if isinstance(number, Tensor)), None)
+    if like is None:
+        return [float(number) for number in numbers]
+    return torch.stack(
+        [
+            n.detach().to(like) if isinstance(n, Tensor) else torch.full_like(like, n)
+            for n in numbers
+        ]
+    )
 
 
 class RunRecord:
@@ -101,13 +136,13 @@ class RunRecord:
         self._folder, self._facts, self._config, self._device = folder, facts, config, device
         self._tensors, self._write, self._describe = tensors, write, describe
         self._clock, self._check_every = clock, check_every or CHECK_EVERY[device.type]
-        self._unchecked: list[Statistics] = []
+        self._unchecked: list[StepStatistics] = []
         self._bad_in_a_row = skipped_in_a_row
         self._skipped_steps = facts.skipped_steps
         self._started = clock()
         self._save_at = self._started + SAVE_EVERY_S
 
-    def add(self, statistics: Statistics) -> None:
+    def add(self, statistics: StepStatistics) -> None:
         """Count a step, and log it if it is its turn.
 
         Raises:

@@ -58,7 +58,8 @@ class Run(TrainedRun):
     def modalities(self) -> tuple[Modality, ...]:
         """Modalities that the run renders: those of which its scene has photos. The model has RGB
         and thermal values in any case."""
-        return self.facts.photographed(self.model.gaussians.modalities)
+        captured = self.facts.modalities
+        return tuple(each for each in self.model.gaussians.modalities if each in captured)
 
     def render_cameras(self, cameras: Mapping[Modality, Camera]) -> Rendering:
         """The images; the depth of the surface is found when it is asked for."""

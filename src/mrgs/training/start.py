@@ -62,7 +62,7 @@ class Hooks:
     """Functions that a training calls.
 
     Attributes:
-        on_step: called with the ``Statistics`` of every step; returning True stops the training
+        on_step: called with the ``StepStatistics`` of every step; returning True stops the training
             with a checkpoint.
         on_start: called once, before the model is made, with the scene and the configuration.
         on_model: called once, after that, with the model that is trained, which ``on_step`` may

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ from torch import Tensor
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import DensityStep
 from mrgs.method.losses.term import SceneScale
+from mrgs.run_files.record import StepStatistics
 from mrgs.training.recorder import Recorder
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import (
@@ -22,71 +22,6 @@ from mrgs.training.view_pass import (
     forward_backward,
     view_inputs,
 )
-
-
-class StepStatistics:
-    """The measurements of a step. On a GPU the numbers are fetched when the first of them is
-    read, which waits for the GPU.
-
-    Attributes:
-        step: number of the step, from 1.
-        gaussians: N.
-    """
-
-    def __init__(
-        self,
-        step: int,
-        loss: float | Float[Tensor, ""],
-        terms: Mapping[str, float | Float[Tensor, ""]],
-        thermal_error: float | Float[Tensor, ""] | None,
-        gaussians: int,
-        skipped: bool | Tensor,
-    ) -> None:
-        self.step = step
-        self.gaussians = gaussians
-        self._names = tuple(terms)
-        error = math.nan if thermal_error is None else thermal_error
-        self._measured = _as_one([loss, skipped, error, *terms.values()])
-
-    @property
-    def loss(self) -> float:
-        """L_total; not finite if the step was skipped for it."""
-        return self._read()[0]
-
-    @property
-    def skipped(self) -> bool:
-        """Whether the loss or a gradient was not finite, so that nothing was changed."""
-        return bool(self._read()[1])
-
-    @property
-    def thermal_error(self) -> float | None:
-        """Mean absolute error of the normalised temperature on the training view; None without a
-        thermal photo."""
-        error = self._read()[2]
-        return None if math.isnan(error) else error
-
-    @property
-    def terms(self) -> dict[str, float]:
-        """Every term of the loss by its name, unweighted."""
-        return dict(zip(self._names, self._read()[3:], strict=True))
-
-    def _read(self) -> list[float]:
-        if isinstance(self._measured, Tensor):
-            self._measured = self._measured.tolist()
-        return self._measured
-
-
-def _as_one(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
-    """Numbers as one tensor, to be fetched at once, if any of them is a tensor."""
-    like = next((number.detach() for number in numbers if isinstance(number, Tensor)), None)
-    if like is None:
-        return [float(number) for number in numbers]
-    return torch.stack(
-        [
-            n.detach().to(like) if isinstance(n, Tensor) else torch.full_like(like, n)
-            for n in numbers
-        ]
-    )
 
 
 class StepResult(NamedTuple):

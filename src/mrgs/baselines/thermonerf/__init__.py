@@ -8,13 +8,11 @@ each file names.
 
 from mrgs.baselines.thermonerf.config import METHOD, ThermoNerfConfig, from_yaml, make_config
 from mrgs.baselines.thermonerf.run import ThermoNerfRun, open_thermonerf, train_thermonerf
-from mrgs.baselines.thermonerf.step import ThermoNerfStatistics
 
 __all__ = [
     "METHOD",
     "ThermoNerfConfig",
     "ThermoNerfRun",
-    "ThermoNerfStatistics",
     "from_yaml",
     "make_config",
     "open_thermonerf",

@@ -66,14 +66,14 @@ def save(path: Path, state: NerfState, facts: CheckpointFacts) -> None:
 
 
 def load_model(path: Path, config: ThermoNerfConfig) -> tuple[ThermoNerf, CheckpointFacts]:
-    """The model of a checkpoint, to render with; see ``read_file``."""
+    """The model of a checkpoint, to render with; see ``read``."""
     tensors, facts, _ = read(path)
     with fitting(path):
         return _model(tensors, config), facts
 
 
 def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
-    """Everything in a checkpoint, to train on; see ``read_file``."""
+    """Everything in a checkpoint, to train on; see ``read``."""
     tensors, facts, header = read(path)
     with fitting(path):
         generator = torch.Generator()

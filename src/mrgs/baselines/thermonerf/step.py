@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,6 +13,7 @@ from mrgs.baselines.thermonerf.model import ThermoNerf, Traced
 from mrgs.baselines.thermonerf.rays import Batch, PixelPool, SceneFrame, frame_of
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.optimizer import are_finite
+from mrgs.run_files.record import StepStatistics
 from mrgs.scene import THERMAL, Scene
 from mrgs.system.torch_modes import seeded
 
@@ -97,18 +97,6 @@ class NerfState:
     skipped_in_a_row: int = 0
 
 
-class ThermoNerfStatistics(NamedTuple):
-    """The measurements of one training step, a ``Statistics``. The terms are the squared error of
-    each modality by its name, "interlevel" and "distortion", unweighted."""
-
-    step: int
-    loss: float
-    terms: dict[str, float]
-    thermal_error: float | None
-    skipped: bool
-    gaussians: None = None
-
-
 def initial_state(scene: Scene, config: ThermoNerfConfig) -> NerfState:
     """The state at step 0; every random choice follows from the seed, and torch's own generator is
     left alone."""
@@ -132,11 +120,9 @@ def make_state(
     return NerfState(0, model, optimizer, generator)
 
 
-def training_step(
-    state: NerfState, pool: PixelPool, config: ThermoNerfConfig
-) -> ThermoNerfStatistics:
-    """Draw rays, compare what they see with the photos, move the parameters; ``state`` is changed
-    in place."""
+def training_step(state: NerfState, pool: PixelPool, config: ThermoNerfConfig) -> StepStatistics:
+    """Draw rays, compare what they see with the photos, move the parameters in place. The terms are
+    the squared error of each modality by its name, "interlevel" and "distortion", unweighted."""
     state.step += 1
     batch = pool.draw(config.rays_per_batch, state.generator)
     rows = {modality: target.rows for modality, target in batch.targets.items()}
@@ -155,13 +141,8 @@ def training_step(
             group.rate = config.learning_rate_at(state.step)
         state.optimizer.step()
     state.optimizer.zero_grad()
-    return ThermoNerfStatistics(
-        step=state.step,
-        loss=loss.item(),
-        terms={name: term.item() for name, term in terms.items()},
-        thermal_error=_thermal_error(traced, batch),
-        skipped=skipped,
-    )
+    error = _thermal_error(traced, batch)
+    return StepStatistics(state.step, loss, terms, error, None, skipped)
 
 
 def loss_terms(traced: Traced, batch: Batch) -> dict[str, Tensor]:
