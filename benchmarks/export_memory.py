@@ -23,7 +23,7 @@ from torch import Tensor
 from benchmarks.memory import peak_bytes
 from mrgs.app import cli
 from mrgs.export.formats import FORMATS
-from mrgs.run_files.checkpoint import read_file, write_file
+from mrgs.run_files.checkpoint import read, write_file
 from mrgs.run_files.folder import RunFolder
 from mrgs.scene.rotations import matrix_from_quaternion
 
@@ -63,7 +63,7 @@ def enlarged(run: Path, target: Path, count: int) -> Path:
     """A copy of a run whose newest checkpoint has ``count`` Gaussians; returns its folder."""
     source = RunFolder(run)
     file = source.newest_checkpoint()
-    tensors, header = read_file(file)
+    tensors, _, header = read(file)
     (target / "checkpoints").mkdir(parents=True)
     shutil.copy(source.config_file, target)
     header = {name: value for name, value in header.items() if name != "format"}
