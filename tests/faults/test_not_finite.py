@@ -10,7 +10,7 @@ import pytest
 from torch import Tensor
 
 from mrgs.baselines.thermonerf import train_thermonerf
-from mrgs.baselines.thermonerf import trainer as nerf_trainer
+from mrgs.baselines.thermonerf import run as trainer as nerf_trainer
 from mrgs.baselines.thermonerf.run import tensors_of as nerf_tensors
 from mrgs.errors import NotFiniteError, TrainingError
 from mrgs.run_files.folder import RunFolder

@@ -77,19 +77,20 @@ def check_kernels(
             whole = {modality: Pixels(photo.values) for modality, photo in photos.items()}
             for each in (context, replace(context, photos=whole)):
                 term_values(state.terms, each)
-        # A step of Adam: of one tensor that may be skipped, and of two that may not. Parameters
-        # start at 0, so that what is compared is how far they move.
-        for count, skip in ((1, torch.zeros((), device=device)), (2, None)):
-            gradients, means, squares = (
-                [
-                    torch.rand(SAMPLED_GAUSSIANS, generator=generator).to(device)
-                    for _ in range(count)
-                ]
-                for _ in range(3)
-            )
-            steps = [torch.full((), 3.0, device=device) for _ in range(count)]
-            parameters = list(map(torch.zeros_like, gradients))
-            move(parameters, gradients, means, squares, steps, 1.0, 1e-8, skip)
+        _check_optimizer(device, generator)
+
+
+def _check_optimizer(device: torch.device, generator: torch.Generator) -> None:
+    """Take a step of Adam: of one tensor that may be skipped, and of two that may not. Parameters
+    start at 0, so that what is compared is how far they move."""
+    for count, skip in ((1, torch.zeros((), device=device)), (2, None)):
+        gradients, means, squares = (
+            list(torch.rand(count, SAMPLED_GAUSSIANS, generator=generator).to(device))
+            for _ in range(3)
+        )
+        steps = [torch.full((), 3.0, device=device) for _ in range(count)]
+        parameters = list(map(torch.zeros_like, gradients))
+        move(parameters, gradients, means, squares, steps, 1.0, 1e-8, skip)
 
 
 def check_rendering(model: Model, image_model: ImageModel, *devices: torch.device) -> None:

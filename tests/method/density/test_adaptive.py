@@ -47,7 +47,7 @@ def build(
 
 def run(
     optimizer, gradients, config=CONFIG, prunes_large=False, seed=0
-) -> tuple[DensificationCounts, Gaussians]:
+) -> tuple[dict[str, int], Gaussians]:
     generator = torch.Generator().manual_seed(seed)
     change = densify(
         optimizer.gaussians, torch.tensor(gradients), config, EXTENT, prunes_large, generator
