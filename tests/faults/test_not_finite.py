@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from torch import Tensor
 
+from mrgs.baselines.thermonerf import run as nerf_run
 from mrgs.baselines.thermonerf import train_thermonerf
-from mrgs.baselines.thermonerf import run as trainer as nerf_trainer
 from mrgs.baselines.thermonerf.run import tensors_of as nerf_tensors
 from mrgs.errors import NotFiniteError, TrainingError
 from mrgs.run_files.folder import RunFolder
@@ -121,7 +121,7 @@ def test_photos(value, small_scene, at_5, monkeypatch):
 )
 def test_radiance_fields(name, value, small_scene, tmp_path, monkeypatch):
     where = lambda state, *rest: nerf_tensors(state)  # noqa: E731
-    inject(monkeypatch, nerf_trainer, where, name, value, True)
+    inject(monkeypatch, nerf_run, where, name, value, True)
     with pytest.raises(TrainingError, match=r"last good .*step_000005"):
         train_thermonerf(small_scene, tmp_path / "run", NERF)
     assert saved(RunFolder(tmp_path / "run")) == [5]

@@ -118,13 +118,18 @@ def photometric_loss(
     if valid is not None:
         render, target = (torch.where(valid[:, :, None], image, 0) for image in (render, target))
     x, y = (image.permute(2, 0, 1).contiguous() for image in (render, target))
-    size = (x - y).abs()
-    if (width := huber_width) > 0:
-        size = torch.where(size < width, (x - y).square() / (2 * width), size - width / 2)
-    error = (1 - dssim) * size
+    error = (1 - dssim) * _huber(x - y, huber_width)
     if dssim > 0:
         error = error + dssim * (1 - ssim_map(x, y))
     return masked_mean(error, valid)
+
+
+def _huber(difference: Float[Tensor, "c h w"], width: float) -> Float[Tensor, "c h w"]:
+    """|d| − δ/2, and d² / 2δ where |d| < δ."""
+    size = difference.abs()
+    if width == 0:
+        return size
+    return torch.where(size < width, difference.square() / (2 * width), size - width / 2)
 
 
 def opaqueness_loss(
