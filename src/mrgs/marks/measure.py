@@ -18,12 +18,11 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.surface import (
     SeenSurface,
     SurfaceRenderer,
-    disc_mask,
     has_flat_outline,
+    line_samples,
+    marked_pixels,
     measuring_camera,
     outline_area,
-    outline_mask,
-    pixels_of,
     see,
     thermal_values,
 )
@@ -31,7 +30,6 @@ from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.pictures.values import in_unit
 from mrgs.scene import THERMAL, Camera, TemperatureRange
 
-PROFILE_SAMPLES = 200
 CHECKED_POINTS = 64
 """Number of points of a mark by which photos count as seeing it."""
 
@@ -165,16 +163,11 @@ class MarkMeter:
         except ConfigError as error:
             return MarkReading(mark, problem=error.message)
         surface = replace(seen, rendering=regions.applied_to(seen.rendering, seen.camera))
+        rows, columns, inside = marked_pixels(surface, mark)
         fields: dict[str, Any] = {}
         if mark.kind == "line":
-            points, distances = line_samples(mark)
-            rows, columns, inside = pixels_of(surface.camera, points)
+            distances = line_samples(mark)[1]
             fields["length"] = float(distances[-1])
-        else:
-            is_spot, camera = mark.kind == "spot", surface.camera
-            mask = disc_mask(surface, mark) if is_spot else outline_mask(camera, mark.points)
-            rows, columns = np.nonzero(mask)
-            inside = np.ones(len(rows), bool)
         seen_there = inside & np.isfinite(surface.depth[rows, columns])
         if not seen_there.any():
             return MarkReading(mark, **fields, problem=NO_SURFACE)
@@ -247,17 +240,6 @@ class MarkMeter:
         shown = [len(item.shown(points).rows) for item in self.survey]
         seen = sum(count >= 0.5 * len(points) for count in shown)
         return -(-seen * self._photos // len(self.survey))
-
-
-def line_samples(mark: Mark) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
-    """Evenly spaced points on the straight pieces of a line, [S, 3], and their distances from its
-    first point, [S]."""
-    corners = np.array(mark.points)
-    steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-    ends = np.concatenate([[0.0], np.cumsum(steps)])
-    distances = np.linspace(0.0, ends[-1], PROFILE_SAMPLES)
-    points = np.stack([np.interp(distances, ends, corners[:, i]) for i in range(3)], axis=1)
-    return points, distances
 
 
 def _with_values(

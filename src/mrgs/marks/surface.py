@@ -21,6 +21,8 @@ from mrgs.system.wording import Message
 SurfaceRenderer = Callable[[Camera], Rendering]
 """Renders all modalities of a model from a camera, with the depths of their surfaces."""
 
+PROFILE_SAMPLES = 200
+
 AREA_PX = 256
 """Longest side of an area or a line in the image that it is measured in."""
 
@@ -158,6 +160,27 @@ def pixels_of(camera: Camera, points: Float[np.ndarray, "n 3"]) -> PixelPlaces:
     inside = camera.contains(places).numpy()
     columns, rows = np.where(inside[:, None], places.numpy(), 0).astype(np.int64).T
     return PixelPlaces(rows, columns, inside)
+
+
+def line_samples(mark: Mark) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
+    """Evenly spaced points on the straight pieces of a line, [S, 3], and their distances from its
+    first point, [S]."""
+    corners = np.array(mark.points)
+    steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    ends = np.concatenate([[0.0], np.cumsum(steps)])
+    distances = np.linspace(0.0, ends[-1], PROFILE_SAMPLES)
+    points = np.stack([np.interp(distances, ends, corners[:, i]) for i in range(3)], axis=1)
+    return points, distances
+
+
+def marked_pixels(surface: SeenSurface, mark: Mark) -> PixelPlaces:
+    """The pixels of a spot or an area, or of the samples of a line."""
+    if mark.kind == "line":
+        return pixels_of(surface.camera, line_samples(mark)[0])
+    camera, is_spot = surface.camera, mark.kind == "spot"
+    mask = disc_mask(surface, mark) if is_spot else outline_mask(camera, mark.points)
+    rows, columns = np.nonzero(mask)
+    return PixelPlaces(rows, columns, np.ones(len(rows), bool))
 
 
 def outline_mask(camera: Camera, points: Sequence[Place]) -> Bool[np.ndarray, "h w"]:
