@@ -16,7 +16,6 @@ from mrgs.marks.mark import Mark, Marks
 from mrgs.marks.photo_survey import RESOLVED_PX, PhotoSurvey, Resolution
 from mrgs.marks.regions import Regions
 from mrgs.marks.surface import (
-    SeenSurface,
     SurfaceRenderer,
     has_flat_outline,
     line_samples,
@@ -109,11 +108,7 @@ class MarkReading:
 
 
 class MarkMeter:
-    """Measures marks in one model.
-
-    Attributes:
-        survey: what the cameras see of the model.
-    """
+    """Measures marks in one model, with a survey of what the cameras see of it."""
 
     def __init__(
         self,
@@ -127,17 +122,13 @@ class MarkMeter:
         self.uncertainty = uncertainty
         self.survey = PhotoSurvey(render, cameras)
         self._resolution = Resolution(render, self.survey)
-        self._render = render
+        self.render = render
         self._temperature = temperature
         self._photos = len(cameras)
 
-    def see(self, camera: Camera) -> SeenSurface:
-        """The surface that marks are drawn on, from a camera."""
-        return see(self._render, camera)
-
     def regions(self, marks: Marks) -> Regions:
         """The parts of the surface with an emissivity of their own."""
-        return Regions(marks, self._render, self._temperature, self.capture)
+        return Regions(marks, self.render, self._temperature, self.capture)
 
     def measure(self, marks: Marks, regions: Regions | None = None) -> list[MarkReading]:
         """Every mark, in their order, with the differences between them.
@@ -159,7 +150,7 @@ class MarkMeter:
         try:
             if problem:
                 raise ConfigError(problem)
-            seen = see(self._render, measuring_camera(mark))
+            seen = see(self.render, measuring_camera(mark))
         except ConfigError as error:
             return MarkReading(mark, problem=error.message)
         surface = replace(seen, rendering=regions.applied_to(seen.rendering, seen.camera))

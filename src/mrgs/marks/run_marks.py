@@ -16,7 +16,7 @@ from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import SeenSurface, before_background, steady_depth
+from mrgs.marks.surface import SeenSurface, before_background, see, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Scene, WorldFrame
@@ -197,7 +197,7 @@ class MarkPicker:
         if kind == "box" and len(pixels) == 2:
             (x0, y0), (x1, y1) = pixels
             pixels = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-        points = picked_places(self.meter.see(camera), pixels, self._stereo)
+        points = picked_places(see(self.meter.render, camera), pixels, self._stereo)
         radius = spot_radius(points[0], camera, self._scene) if kind == "spot" else 0.0
         return PickedMark(points, eye_of(camera), radius)
 
