@@ -91,7 +91,6 @@ def test_each_camera_that_is_tried_is_reported():
     first_guess(pairs(1.1, 0.0, (0.05, -0.04)), 48.0, lambda _, *tried: upright.append(tried))
     assert upright == [(done, len(upright)) for done in range(len(upright))]
     first_guess(pairs(1.1, 90.0, (0.05, -0.04)), 48.0, lambda _, *tried: turned.append(tried))
-    assert turned[: len(upright)] == upright
-    assert turned[len(upright) :] == [
-        (done, 4 * len(upright)) for done in range(len(upright), 4 * len(upright))
-    ]
+    each = len(upright)
+    assert turned[: 2 * each] == upright + [(done, 2 * each) for done in range(each, 2 * each)]
+    assert turned[2 * each :] == [(done, 8 * each) for done in range(2 * each, 8 * each)]

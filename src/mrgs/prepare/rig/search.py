@@ -4,6 +4,10 @@ The two cameras are close to each other, so that far enough away one image is th
 shifted and perhaps rotated a little, or by quarter turns. For each scale and rotation, the
 structure of the photo is correlated with that of the thermal image over all shifts, and the
 correlations are averaged over the pairs, because a single pair may be ambiguous.
+
+What all images of a camera have in common (shading, a sensor's pattern, tripods that always stand
+at the bottom) correlates between any two of them, at a scale and shift of its own. So the mean over
+all images is first taken from each; only where they are all alike does it have to stay.
 """
 
 from __future__ import annotations
@@ -83,34 +87,44 @@ def first_guess(
     report: Progress | None = None,
 ) -> Found:
     """Search fields of view from 15° to 100° (or around a given one), rotations up to 6°, and
-    shifts up to 0.4 widths. If nothing stands out, the same about each quarter turn: one of the
-    cameras may be mounted on its side, or only one may note how it was held.
+    shifts up to 0.4 widths; without what all images of a camera have in common, and if nothing
+    stands out, with it. If still nothing does, the same about each quarter turn: one of the cameras
+    may be mounted on its side, or only one may note how it was held.
 
     Args:
         field_of_view_deg: horizontal, of the thermal camera; None if not known.
-        report: counts the cameras that were tried, of all that are nearly upright; where none of
-            these stands out, of those at all quarter turns.
+        report: counts the cameras that were tried, of all that are planned so far.
     """
     height, width = pairs[0].thermal.values.shape
     size = WIDTH_PX, max(1, round(height * WIDTH_PX / width))
     planes = [pair.thermal.resized(*size) for pair in pairs]
-    thermal = [structure(plane.values, _BLUR_PX, plane.valid) for plane in planes]
+    thermal = np.stack([structure(plane.values, _BLUR_PX, plane.valid) for plane in planes])
+    of_form = {True: thermal - thermal.mean(axis=0), False: thermal}
     focals = _focals(field_of_view_deg)
     each = len(focals) + len(_FINE_STEPS) * len(_TURNS_DEG)
-    counts, rounds = itertools.count(), 1
+    counts = itertools.count()
 
-    def correlated(focal: float, turn_deg: float) -> Found:
-        if report is not None:
-            report("searching the thermal camera", next(counts), rounds * each)
-        return _correlated(pairs, thermal, focal, turn_deg)
+    def about(about_deg: float, own: bool, rounds: int) -> Found:
+        def correlated(focal: float, turn_deg: float) -> Found:
+            if report is not None:
+                report("searching the thermal camera", next(counts), rounds * each)
+            return _correlated(pairs, of_form[own], own, focal, turn_deg)
 
-    found = [_best_about(0.0, focals, correlated)]
-    if found[0].stands_out:
-        return found[0]
-    rounds += len(_QUARTERS_DEG)
-    found += [_best_about(turn_deg, focals, correlated) for turn_deg in _QUARTERS_DEG]
-    found.sort(key=lambda one: -one.best.score)
-    return Found(found[0].best, max(found[0].chance, found[1].best.score), len(pairs))
+        return _best_about(about_deg, focals, correlated)
+
+    upright = []
+    for rounds, own in enumerate(of_form, start=1):
+        upright.append(about(0.0, own, rounds))
+        if upright[-1].stands_out:
+            return upright[-1]
+    rounds = len(of_form) * (1 + len(_QUARTERS_DEG))
+    best = []
+    for own, first in zip(of_form, upright, strict=True):
+        found = [first, *(about(turn_deg, own, rounds) for turn_deg in _QUARTERS_DEG)]
+        found.sort(key=lambda one: -one.best.score)
+        chance = max(found[0].chance, found[1].best.score)
+        best.append(Found(found[0].best, chance, len(pairs)))
+    return max(best, key=lambda one: one.best.score / one.chance)
 
 
 def _best_about(
@@ -149,11 +163,13 @@ def focal_widths(field_of_view_deg: float) -> float:
 
 def _correlated(
     pairs: Sequence[ReducedPair],
-    thermal: Sequence[Float32[np.ndarray, "c h w"]],
+    thermal: Float32[np.ndarray, "pairs c h w"],
+    own: bool,
     focal_widths: float,
     turn_deg: float,
 ) -> Found:
-    """The best shift for a focal length and a rotation, and the best that is far from it."""
+    """The best shift for a focal length and a rotation, and the best that is far from it; ``own``
+    takes from each photo what all have in common, as was done with the thermal images."""
     height, width = thermal[0].shape[1:]
     scales = [focal_widths * WIDTH_PX / pair.camera.K[0, 0].item() for pair in pairs]
     sides = [
@@ -163,9 +179,10 @@ def _correlated(
     side = max(sides)
     size = (next_fast_len(side + height), next_fast_len(side + width))
     total = np.zeros(size, dtype=np.float32)
-    for pair, channels, scale in zip(pairs, thermal, scales, strict=True):
-        photo, seen = _photo(pair, scale, turn_deg, side)
-        total += _correlation(channels, photo, seen, size) / len(pairs)
+    photos = [_photo(pair, s, turn_deg, side) for pair, s in zip(pairs, scales, strict=True)]
+    common = sum(photo for photo, _ in photos) / len(photos) if own else np.float32(0)
+    for channels, (photo, seen) in zip(thermal, photos, strict=True):
+        total += _correlation(channels, photo - common * seen, seen, size) / len(pairs)
     right, down = (_shifts(n, t, side) for n, t in ((size[1], width), (size[0], height)))
     total[np.abs(down) > _FARTHEST_SHIFT] = 0.0
     total[:, np.abs(right) > _FARTHEST_SHIFT] = 0.0
