@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from statistics import median
 
 from jaxtyping import Float64
 from torch import Tensor
@@ -125,6 +126,9 @@ def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration
         for view in views
     ]
     known = _known(options, work.scene / views[0].images[THERMAL].file, work.metric)
+    stated_deg = [deg for view in views if (deg := view.facts.field_of_view_deg) is not None]
+    if stated_deg:
+        known = replace(known, stated_field_of_view_deg=median(stated_deg))
     return calibrate(pairs, posed.points, known, work.progress)
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from mrgs.data.files import scene_error
 from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
-from mrgs.data.radiometric.raster import FLOAT_UNITS, finished
+from mrgs.data.radiometric.raster import finished
+from mrgs.data.radiometric.units import FLOAT_UNITS
 from mrgs.errors import ToolError
 
 SIZES = ((640, 512), (1280, 1024), (336, 256), (160, 120), (320, 256), (640, 480))

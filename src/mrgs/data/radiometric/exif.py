@@ -48,6 +48,9 @@ class ExifFacts:
         taken: time by the camera's own clock, without a time zone.
         gps: position.
         orientation: how the camera was held, 1 to 8; 1 is upright, or not known.
+        serial: the camera's serial number.
+        focal_mm: focal length in mm.
+        field_of_view_deg: horizontal, from the focal length and the pixels' size on the sensor.
     """
 
     make: str | None = None
@@ -55,6 +58,9 @@ class ExifFacts:
     taken: datetime | None = None
     gps: GpsPosition | None = None
     orientation: int = 1
+    serial: str | None = None
+    focal_mm: float | None = None
+    field_of_view_deg: float | None = None
 
 
 def read_exif(data: bytes) -> ExifFacts:
@@ -65,23 +71,49 @@ def read_exif(data: bytes) -> ExifFacts:
             warnings.simplefilter("ignore")  # Pillow warns of damaged tags; what is left is used
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 exif = image.getexif()
-                return _facts(exif, exif.get_ifd(IFD.Exif), exif.get_ifd(IFD.GPSInfo))
+                gps = exif.get_ifd(IFD.GPSInfo)
+                return _facts({**exif, **exif.get_ifd(IFD.Exif)}, gps, image.width)
     except Exception:  # Pillow's readers of damaged tags raise almost anything
         return ExifFacts()
 
 
-def _facts(main: Mapping[int, Any], photo: Mapping[int, Any], gps: Mapping[int, Any]) -> ExifFacts:
-    tags = {**photo, Base.DateTime: main.get(Base.DateTime)}
+def _facts(tags: Mapping[int, Any], gps: Mapping[int, Any], width: int) -> ExifFacts:
+    """From the tags of the main and of the Exif directory, which some cameras do not tell apart."""
     times = (_time(tags.get(time), tags.get(fraction)) for time, fraction in _TIMES)
-    taken = next((time for time in times if time is not None), None)
-    orientation: Any = main.get(Base.Orientation)
+    orientation: Any = tags.get(Base.Orientation)
+    focal_mm = _positive(tags.get(Base.FocalLength))
+    serial = tags.get(Base.BodySerialNumber) or tags.get(Base.CameraSerialNumber)
     return ExifFacts(
-        clean_text(main.get(Base.Make)),
-        clean_text(main.get(Base.Model)),
-        taken,
+        clean_text(tags.get(Base.Make)),
+        clean_text(tags.get(Base.Model)),
+        next((time for time in times if time is not None), None),
         _position(gps),
         int(orientation) if orientation in range(1, 9) else 1,
+        clean_text(serial),
+        focal_mm,
+        _field_of_view_deg(tags, width, focal_mm),
     )
+
+
+_MM_PER_UNIT = {2: 25.4, 3: 10.0}
+"""EXIF's units of resolution: inches and centimetres."""
+
+
+def _positive(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if 0 < number < math.inf else None
+
+
+def _field_of_view_deg(tags: Mapping[int, Any], width: int, focal_mm: float | None) -> float | None:
+    pixels = _positive(tags.get(Base.FocalPlaneXResolution))
+    unit_mm = _MM_PER_UNIT.get(tags.get(Base.FocalPlaneResolutionUnit, 2))
+    if focal_mm is None or pixels is None or unit_mm is None:
+        return None
+    degrees = math.degrees(2 * math.atan(width * unit_mm / pixels / (2 * focal_mm)))
+    return degrees if 1 < degrees < 150 else None
 
 
 def clean_text(value: object) -> str | None:
@@ -102,9 +134,11 @@ def _time(value: object, subseconds: object) -> datetime | None:
         moment = datetime.strptime(clean_text(value) or "", "%Y:%m:%d %H:%M:%S")
     except ValueError:
         return None
-    digits = clean_text(subseconds) or ""
+    digits, _, whole = (clean_text(subseconds) or "").partition("/")
     if not (digits.isascii() and digits.isdigit()):
         return moment
+    if whole == "1000" and int(digits) < 1000:  # a ratio in place of digits
+        digits = digits.zfill(3)
     return moment.replace(microsecond=int(digits[:6].ljust(6, "0")))
 
 
@@ -145,9 +179,11 @@ _APP1, _APP3 = 0xE1, 0xE3
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 _STANDALONE = {0x01, *range(0xD0, 0xD9)}
 
-FLIR_MARK = b"FLIR\0"
+RECORD_MARKS = (b"FLIR\0", b"WORK\0")
+"""Of the parts of a thermal record in FLIR's format, by FLIR and by Workswell."""
+
 _FLIR_HEADER = 8
-"""``FLIR``, a null, a 1, the number of this part from 0, and the number of the last part."""
+"""The mark, a 1, the number of this part from 0, and the number of the last part."""
 
 _DJI_RAW_BYTES = 16_384
 """More than this in APP3 segments of a DJI photo is its raw signal."""
@@ -179,23 +215,21 @@ def segments(data: bytes) -> Iterator[Segment]:
 
 
 def flir_record(data: bytes, path: Path) -> bytes | None:
-    """FLIR's thermal record, put together from its parts; None if the photo has none.
+    """The thermal record in FLIR's format, put together from its parts; None if the photo has none.
 
     Raises:
         SceneError: parts are missing, repeated or cut off.
     """
-    parts = [s for s in segments(data) if s.marker == _APP1 and s.content.startswith(FLIR_MARK)]
+    parts = [s for s in segments(data) if s.marker == _APP1 and s.content.startswith(RECORD_MARKS)]
     parts = [part for part in parts if len(part.content) >= _FLIR_HEADER]
     if not parts:
         return None
     last = parts[0].content[7]
     numbers = [part.content[6] for part in parts]
-    # The number is one byte: it starts again at 0 after 255.
-    if (
-        numbers != [index & 0xFF for index in range(len(parts))]
-        or numbers[-1] != last
-        or not parts[-1].whole
-    ):
+    # The number is one byte: it starts again at 0 after 255. Workswell numbers no part.
+    in_order = numbers == [index & 0xFF for index in range(len(parts))] and numbers[-1] == last
+    is_numbered = parts[0].content.startswith(RECORD_MARKS[0])
+    if (is_numbered and not in_order) or not parts[-1].whole:
         whole = sum(part.whole for part in parts)
         raise scene_error(
             path,

@@ -33,6 +33,8 @@ from mrgs.data.radiometric.photo import (
     ThermalPhoto,
     VisibleImage,
 )
+from mrgs.data.radiometric.raster import finished
+from mrgs.data.radiometric.units import WIRIS_UNITS
 from mrgs.errors import SceneError
 from mrgs.scene.radiometry import ZERO_CELSIUS_K, ObjectParameters, Planck
 
@@ -42,6 +44,10 @@ _IMAGE_OFFSET = 32
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
 """A photo whose middle temperature lies outside of these was not computed with its camera's
 constants."""
+
+
+_WORKSWELL = b"WWP"
+"""Creator of a record whose numbers are temperatures; its Planck constants are all 0."""
 
 
 class CameraFacts(NamedTuple):
@@ -84,6 +90,10 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         raise scene_error(path, "its camera info is damaged; copy the photo from the camera again")
     info = RecordFields(content, order)
     raw = raw_signal(records.require(RAW_DATA, "raw image"), path)
+    facts = _facts(info, records, path, exif)
+    if record[4:7] == _WORKSWELL:
+        facts = replace(facts, source="Workswell radiometric JPEG")
+        return finished(raw.astype(np.float32), WIRIS_UNITS, path, facts, overrides, True)
     planck = _planck(info, path)
     parameters = overrides.applied_to(_parameters(info, path))
     if problem := parameters.problem():
@@ -99,7 +109,14 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
             path,
             "its Planck constants are absurd: they give no plausible temperature; copy it again",
         )
-    facts = _facts(info, records, path, exif, measurement)
+    note = f"The air lets {100 * measurement.transmission:.1f} % of the radiation pass."
+    facts = replace(
+        facts,
+        parameters=parameters,
+        planck=planck,
+        scale_c=_scale(info, measurement),
+        notes=(note,),
+    )
     doubts = _doubts(celsius, valid, facts)
     facts = facts.adding(warnings=doubts, given=overrides.of_parameters())
     return ThermalPhoto(celsius, None, valid, facts)
@@ -205,9 +222,7 @@ def _transmission(info: RecordFields, parameters: ObjectParameters, path: Path) 
     return tau
 
 
-def _facts(
-    info: RecordFields, records: Records, path: Path, exif: ExifFacts, measurement: Measurement
-) -> PhotoFacts:
+def _facts(info: RecordFields, records: Records, path: Path, exif: ExifFacts) -> PhotoFacts:
     camera = _camera(info)
     visible, warnings = _visible(records, path)
     return PhotoFacts(
@@ -216,12 +231,9 @@ def _facts(
         serial=camera.serial,
         taken=exif.taken or camera.taken,
         gps=exif.gps,
-        parameters=measurement.parameters,
-        planck=measurement.planck,
+        field_of_view_deg=camera.field_of_view_deg or exif.field_of_view_deg,
         calibrated_c=_range(info.celsius(0x94), info.celsius(0x90)),
-        scale_c=_scale(info, measurement),
         visible=visible,
-        notes=(f"The air lets {100 * measurement.transmission:.1f} % of the radiation pass.",),
         warnings=warnings,
     )
 
@@ -402,7 +414,7 @@ def _directory(data: bytes, path: Path) -> list[_Entry]:
             path,
             "its thermal record does not start as FLIR's do; copy the photo from the camera again",
         )
-    order: ByteOrder = ">" if 100 <= int.from_bytes(data[0x14:0x18], "big") < 200 else "<"
+    order: ByteOrder = ">" if 100 <= int.from_bytes(data[0x14:0x18], "big") < 256 else "<"
     offset, count = struct.unpack_from(f"{order}II", data, 0x18)
     if count > _MAX_ENTRIES:
         raise scene_error(

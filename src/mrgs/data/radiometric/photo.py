@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -15,14 +14,13 @@ from PIL import Image
 
 from mrgs.data.images import opened
 from mrgs.data.radiometric.exif import GpsPosition
+from mrgs.data.radiometric.units import Unit
 from mrgs.errors import ConfigError
 from mrgs.scene.radiometry import PARAMETER_LIMITS, ObjectParameters, PhotoRecord, Planck
 
 MAX_PIXELS = 20_000_000
 """Larger images are refused before they are decoded; thermal cameras have up to 3 megapixels, times
 4 if enhanced."""
-
-UNIT = re.compile(r"(celsius|kelvin|fahrenheit)(?:\*(\d+(?:\.\d+)?))?")
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,8 @@ class Overrides:
     camera's raw signal. The last two are the meaning of the numbers in files without it.
 
     Attributes:
-        unit: ``celsius``, ``kelvin`` or ``fahrenheit``, with a factor if the numbers are multiples:
-            ``kelvin*100``.
+        unit: ``celsius``, ``kelvin`` or ``fahrenheit``, with a factor if the numbers are multiples,
+            and an addend: ``kelvin*100``, ``celsius*40+4000``, ``(celsius+100)*40``.
         bounds_c: the temperatures of black and white, °C, for integers that are shades of grey.
 
     Raises:
@@ -59,17 +57,15 @@ class Overrides:
                     f"{name} = {value:g} is not between {low:g} and {high:g}{unit}; correct it",
                     options=(name,),
                 )
-        if self.unit is not None and not (known := UNIT.fullmatch(self.unit)):
-            raise ConfigError(
-                f"the unit {self.unit!r} is not known; write celsius, kelvin, or for instance "
-                f"kelvin*100",
-                options=("unit",),
-            )
-        if self.unit is not None and known and known[2] is not None and float(known[2]) == 0:
-            raise ConfigError(
-                f"the unit {self.unit!r} has a factor of 0; write such as kelvin*100",
-                options=("unit",),
-            )
+        if self.unit is not None:
+            try:
+                Unit.parse(self.unit)
+            except ValueError as error:
+                raise ConfigError(
+                    f"{error}; write celsius, kelvin, or for instance kelvin*100 or "
+                    f"(celsius+100)*40",
+                    options=("unit",),
+                ) from None
         if self.bounds_c is not None and not -273.15 <= self.bounds_c[0] < self.bounds_c[1] < 1e5:
             raise ConfigError(
                 f"{self.bounds_c[0]:g} to {self.bounds_c[1]:g} is not a range in °C; give the "
@@ -151,6 +147,7 @@ class PhotoFacts:
         serial: the camera's serial number; None if the file does not say.
         taken: time by the camera's own clock, without a time zone; None if the file does not say.
         gps: position; None if the file does not say.
+        field_of_view_deg: horizontal, of the thermal camera's lens; None if the file does not say.
         parameters: with which the temperatures were computed; None where the file holds finished
             numbers.
         planck: calibration of the camera; None where the file holds finished numbers.
@@ -170,6 +167,7 @@ class PhotoFacts:
     serial: str | None = None
     taken: datetime | None = None
     gps: GpsPosition | None = None
+    field_of_view_deg: float | None = None
     parameters: ObjectParameters | None = None
     planck: Planck | None = None
     calibrated_c: tuple[float, float] | None = None

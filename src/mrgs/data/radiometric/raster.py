@@ -4,7 +4,6 @@ colour palette."""
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -13,66 +12,16 @@ from mrgs.data.files import scene_error
 from mrgs.data.images import LUMINANCE, opened
 from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.measurement import masked
-from mrgs.data.radiometric.photo import MAX_PIXELS, UNIT, Overrides, PhotoFacts, ThermalPhoto
-from mrgs.scene.radiometry import ZERO_CELSIUS_K, are_everyday
-
-_ENOUGH = 100_000
-"""Number of pixels from which the unit is recognised."""
-
-FLOAT_UNITS = ("celsius", "kelvin")
-INTEGER_UNITS = ("celsius*100", "kelvin*100", "celsius*10", "kelvin*10")
-
-
-class Unit(NamedTuple):
-    """A number is ``factor`` times the temperature on the scale of ``quantity``."""
-
-    quantity: str
-    factor: float
-
-    @classmethod
-    def parse(cls, text: str) -> Unit:
-        """From ``celsius``, ``kelvin*100`` and so on, already checked."""
-        known = UNIT.fullmatch(text)
-        if known is None:
-            raise ValueError(f"not a unit: {text}")
-        return cls(known[1], float(known[2] or 1))
-
-    def celsius(self, values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-        """Numbers in this unit -> °C."""
-        temperature = values / self.factor
-        if self.quantity == "kelvin":
-            return temperature - ZERO_CELSIUS_K
-        return (temperature - 32) / 1.8 if self.quantity == "fahrenheit" else temperature
-
-
-def guess_unit(values: Float[np.ndarray, "h w"], candidates: tuple[str, ...], path: Path) -> str:
-    """The one unit in which most of the pixels are everyday temperatures.
-
-    Zeros, -9999 and less, and numbers that are not finite do not count: files mark missing pixels
-    with them.
-
-    Raises:
-        SceneError: no candidate fits, or more than one does.
-    """
-    known = values[np.isfinite(values) & (values != 0) & (values > -9999)]
-    if known.size == 0:
-        raise scene_error(path, "holds no number but 0; it is empty, export it again")
-    low, middle, high = np.percentile(known[:: 1 + known.size // _ENOUGH], (1, 50, 99))
-    fitting = [
-        text
-        for text in candidates
-        if are_everyday(*Unit.parse(text).celsius(np.array([low, middle, high])).tolist())
-    ]
-    if len(fitting) != 1:
-        may_be = f"may be {' or '.join(fitting)}" if fitting else "fit no usual unit"
-        example = (fitting or candidates)[0]
-        raise scene_error(
-            path,
-            f"its numbers ({low:.5g} to {high:.5g}) {may_be}; give the unit, such as {example}",
-            options=("unit",),
-        )
-    return fitting[0]
-
+from mrgs.data.radiometric.photo import MAX_PIXELS, Overrides, PhotoFacts, ThermalPhoto
+from mrgs.data.radiometric.units import (
+    FLOAT_UNITS,
+    INTEGER_UNITS,
+    camera_units,
+    given_unit,
+    guessed_unit,
+    stated_unit,
+    typical,
+)
 
 _GREY_TOLERANCE = 8
 """Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG
@@ -96,7 +45,10 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         plain = mode == "F" or mode.startswith("I")  # one channel, its array of floats or integers
         grey = "L" if mode in ("1", "L", "LA", "La") else "RGB"
         pixels = np.array(image if plain else image.convert(grey))
-    facts = PhotoFacts(f"{kind} image", camera=exif.model, taken=exif.taken, gps=exif.gps)
+        xmp = image.info.get("xmp", b"")
+    facts = PhotoFacts(
+        f"{kind} image", exif.model, exif.serial, exif.taken, exif.gps, exif.field_of_view_deg
+    )
     if pixels.ndim == 3:
         return _from_colours(pixels, path, facts, overrides)
     if mode == "F":
@@ -113,7 +65,10 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
             )
         return _from_grey(values / 65535, path, facts, overrides)
     values[(pixels == _SATURATED) | (pixels <= _MISSING)] = np.nan
-    return finished(values, INTEGER_UNITS, path, facts, overrides)
+    candidates, is_stated = INTEGER_UNITS, False
+    if overrides.unit is None:
+        candidates, is_stated = camera_units(exif.make, exif.model, xmp, path)
+    return finished(values, candidates, path, facts, overrides, is_stated)
 
 
 def finished(
@@ -122,35 +77,40 @@ def finished(
     path: Path,
     facts: PhotoFacts,
     overrides: Overrides,
+    is_stated: bool = False,
 ) -> ThermalPhoto:
-    """The photo of numbers that are temperatures in the given unit, or in the one candidate that is
-    plausible.
+    """The photo of numbers that are temperatures in the unit given by the user, else in the one
+    that the file states, else in the one candidate that is plausible.
 
-    A single candidate is certain: the file says so.
+    Args:
+        is_stated: whether the file or its camera's model states the first candidate, as a single
+            one always is.
 
     Raises:
         SceneError: the unit is not given and not plain, or no number is a temperature.
     """
-    is_guessed = overrides.unit is None and len(candidates) > 1
-    text = overrides.unit or (guess_unit(values, candidates, path) if is_guessed else candidates[0])
+    usual = typical(values, path)
+    is_stated = is_stated or len(candidates) == 1
+    if overrides.unit is not None:
+        chosen = given_unit(overrides.unit, usual)
+    elif is_stated:
+        chosen = stated_unit(candidates, usual)
+    else:
+        chosen = guessed_unit(candidates, usual, path)
     with np.errstate(invalid="ignore"):  # damaged files hold signalling NaN
-        celsius, valid = masked(Unit.parse(text).celsius(values.astype(np.float64)))
+        celsius, valid = masked(chosen.unit.celsius(values.astype(np.float64)))
     if not valid.any():
         raise scene_error(
             path,
-            f"none of its numbers is a temperature in {text}; give the right unit",
+            f"none of its numbers is a temperature in {chosen.text}; give the right unit",
             options=("unit",),
         )
-    notes = () if overrides.unit else (f"The numbers are taken for {text}.",)
-    doubts = []
+    notes = () if overrides.unit else (f"The numbers are taken for {chosen.text}.",)
+    doubts = chosen.doubts
     if overrides.bounds_c is not None:
-        doubts.append("bounds_c had no effect: the numbers are temperatures.")
-    if is_guessed and text == "kelvin":
-        doubts.append(
-            "The numbers are taken for kelvin, because they would be very hot in °C: give the unit "
-            "if they are."
-        )
-    facts = facts.adding(notes=notes, warnings=tuple(doubts), unit=text if is_guessed else None)
+        doubts += ("bounds_c had no effect: the numbers are temperatures.",)
+    guess = None if is_stated or overrides.unit is not None else chosen.text
+    facts = facts.adding(notes=notes, warnings=doubts, unit=guess)
     return ThermalPhoto(celsius, None, valid, facts)
 
 

@@ -12,7 +12,8 @@ from jaxtyping import Float64
 
 from mrgs.data.files import decoded_text, scene_error
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
-from mrgs.data.radiometric.raster import FLOAT_UNITS, finished
+from mrgs.data.radiometric.raster import finished
+from mrgs.data.radiometric.units import FLOAT_UNITS
 
 MAX_BYTES = 32 * 2**20
 """A table of 3 megapixels takes 25 MB; longer texts are refused, for they take minutes and

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -11,15 +10,13 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
 from PIL import Image
-from PIL.ExifTags import IFD, Base
 
 from mrgs.data.files import read_bytes, scene_error, visible_files
 from mrgs.data.kept import Stamp, digest, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
 from mrgs.data.radiometric.exif import (
-    FLIR_MARK,
     JPEG_SIGNATURE,
-    clean_text,
+    RECORD_MARKS,
     flir_record,
 )
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
@@ -113,7 +110,7 @@ def _head(path: Path) -> bytes:
         raise SceneError(
             f"cannot be read ({error.strerror}); check that it is there and readable"
         ) from None
-    has_record = start.startswith(JPEG_SIGNATURE) and FLIR_MARK in start
+    has_record = start.startswith(JPEG_SIGNATURE) and any(mark in start for mark in RECORD_MARKS)
     return read_bytes(path, MAX_BYTES) if has_record else start
 
 
@@ -137,7 +134,7 @@ def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
         "signal",
         embedded=records.get(flir.EMBEDDED_IMAGE) is not None,
         exif=replace(exif, taken=exif.taken or camera.taken),
-        field_of_view_deg=camera.field_of_view_deg,
+        field_of_view_deg=camera.field_of_view_deg or exif.field_of_view_deg,
         serial=camera.serial,
     )
 
@@ -176,22 +173,12 @@ def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
             warnings.simplefilter("ignore")  # of damaged tags
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 size, mode = image.size, image.mode
-                details = image.getexif().get_ifd(IFD.Exif)
-                focal_mm = _focal_mm(details.get(Base.FocalLength))
-                serial = clean_text(details.get(Base.BodySerialNumber))
     except Exception:  # Pillow's readers of damaged headers raise almost anything
         return "cannot be decoded as an image; copy or export it again"
     kind: Kind = "numbers" if mode == "F" or mode.startswith("I") else "image"
     exif = read_exif(data)
-    return Photo(path, origin, kind, size, exif=exif, focal_mm=focal_mm, serial=serial)
-
-
-def _focal_mm(value: object) -> float | None:
-    try:
-        focal_mm = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return focal_mm if math.isfinite(focal_mm) and focal_mm > 0 else None
+    view_deg = exif.field_of_view_deg if kind == "numbers" else None
+    return Photo(path, origin, kind, size, False, exif, exif.focal_mm, view_deg, exif.serial)
 
 
 @dataclass(frozen=True)

@@ -144,11 +144,16 @@ def _guess(
         return None
     if target is not None:
         return target.guess(*size)
-    field_of_view_deg = options.field_of_view_deg
+    views_deg = [options.field_of_view_deg]
     if options.thermal_lens is not None:
-        field_of_view_deg = math.degrees(field_of_view(size[0], options.thermal_lens.fx))
+        views_deg = [math.degrees(field_of_view(size[0], options.thermal_lens.fx))]
+    elif options.field_of_view_deg is None and options.stated_field_of_view_deg is not None:
+        views_deg = [options.stated_field_of_view_deg, None]
     chosen = [pairs[index] for index in evenly_spaced(len(pairs), _SEARCH_PAIRS)]
-    found = first_guess(chosen, field_of_view_deg, report)
+    for view_deg in views_deg:
+        found = first_guess(chosen, view_deg, report)
+        if found.stands_out:
+            break
     if not found.stands_out:
         raise SceneError(
             "the thermal camera cannot be placed: the edges in the thermal images agree with "

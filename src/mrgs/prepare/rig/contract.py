@@ -77,6 +77,7 @@ class RigOptions:
             units, used unchanged; None to find it.
         field_of_view_deg: horizontal, of the thermal camera, from its data sheet; narrows the
             search to ±10 %.
+        stated_field_of_view_deg: the same as the photos' files state it; searched first.
         target: a chessboard that is in some of the pairs.
         metres_per_unit: of the scene, if known; only needed for a target that is moved.
         max_uncertainty_px: a result with a larger standard deviation is refused, in thermal
@@ -86,6 +87,7 @@ class RigOptions:
     thermal_lens: Lens | None = None
     extrinsics: Float64[Tensor, "4 4"] | None = None
     field_of_view_deg: float | None = None
+    stated_field_of_view_deg: float | None = None
     target: ChessboardTarget | None = None
     metres_per_unit: float | None = None
     max_uncertainty_px: float = 4.0

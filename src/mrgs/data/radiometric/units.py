@@ -1,0 +1,210 @@
+"""Units of stored temperatures: stated by the maker's tags, given by the user, or guessed by
+plausibility and reported as a guess."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from mrgs.data.files import scene_error
+from mrgs.scene.radiometry import ZERO_CELSIUS_K, are_everyday
+
+_ENOUGH = 100_000
+"""Number of pixels from which the unit is recognised."""
+
+_SCALE, _NUMBER = r"(celsius|kelvin|fahrenheit)", r"(\d+(?:\.\d+)?)"
+_PLAIN = re.compile(rf"{_SCALE}(?:\*{_NUMBER})?([+-]{_NUMBER})?")
+_SHIFTED = re.compile(rf"\({_SCALE}([+-]{_NUMBER})\)\*{_NUMBER}")
+
+FLOAT_UNITS = ("celsius", "kelvin")
+INTEGER_UNITS = (
+    "celsius*100",
+    "kelvin*100",
+    "celsius*10",
+    "kelvin*10",
+    "kelvin*25",
+    "kelvin*64",
+    "(celsius+100)*40",
+    "(celsius+100)*10",
+    "(celsius+100)*100",
+)
+"""Units of cameras and converters; docs/radiometric.md names them."""
+
+
+class Unit(NamedTuple):
+    """A stored number is ``factor`` times the temperature on the scale of ``quantity``, plus
+    ``addend``."""
+
+    quantity: str
+    factor: float = 1.0
+    addend: float = 0.0
+
+    @classmethod
+    def parse(cls, text: str) -> Unit:
+        """From ``celsius``, ``kelvin*100``, ``celsius*40+4000`` or ``(celsius+100)*40``.
+
+        Raises:
+            ValueError: not of one of these forms, or a factor of 0.
+        """
+        compact = text.replace(" ", "").lower()
+        if plain := _PLAIN.fullmatch(compact):
+            unit = cls(plain[1], float(plain[2] or 1), float(plain[3] or 0))
+        elif shifted := _SHIFTED.fullmatch(compact):
+            unit = cls(shifted[1], float(shifted[4]), float(shifted[2]) * float(shifted[4]))
+        else:
+            raise ValueError(f"the unit {text!r} is not known")
+        if unit.factor == 0:
+            raise ValueError(f"the unit {text!r} has a factor of 0")
+        return unit
+
+    def celsius(self, values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """Numbers in this unit -> °C."""
+        temperature = (values - self.addend) / self.factor
+        if self.quantity == "kelvin":
+            return temperature - ZERO_CELSIUS_K
+        return (temperature - 32) / 1.8 if self.quantity == "fahrenheit" else temperature
+
+
+class Choice(NamedTuple):
+    """The unit that numbers are read in, and what to say about the choice."""
+
+    unit: Unit
+    text: str
+    doubts: tuple[str, ...] = ()
+
+
+def typical(values: Float[np.ndarray, "h w"], path: Path) -> Float[np.ndarray, "3"]:
+    """The 1st, 50th and 99th percentile of the numbers that stand for a temperature.
+
+    Zeros, -9999 and less, and numbers that are not finite do not count: files mark missing pixels
+    with them.
+
+    Raises:
+        SceneError: there is no such number.
+    """
+    known = values[np.isfinite(values) & (values != 0) & (values > -9999)]
+    if known.size == 0:
+        raise scene_error(path, "has no number but 0; it is empty, export it again")
+    return np.percentile(known[:: 1 + known.size // _ENOUGH], (1, 50, 99))
+
+
+def _fits(unit: Unit, typical: Float[np.ndarray, "3"]) -> bool:
+    return are_everyday(*unit.celsius(typical).tolist())
+
+
+def given_unit(text: str, typical: Float[np.ndarray, "3"]) -> Choice:
+    """The unit that the user gives. An addend is taken as it is written; where that gives no
+    everyday temperatures, but the addend in °C or K does (``celsius*40+100`` for
+    ``(celsius+100)*40``), the latter is meant."""
+    unit = Unit.parse(text)
+    shifted = unit._replace(addend=unit.addend * unit.factor)
+    if unit.addend and "(" not in text and not _fits(unit, typical) and _fits(shifted, typical):
+        meant = f"({unit.quantity}{unit.addend:+g})*{unit.factor:g}"
+        return Choice(shifted, meant, (f"The unit {text} is read as {meant}.",))
+    return Choice(unit, text)
+
+
+def stated_unit(candidates: tuple[str, ...], typical: Float[np.ndarray, "3"]) -> Choice:
+    """The unit of a known camera: the first candidate, unless only another one gives everyday
+    temperatures."""
+    units = [Unit.parse(text) for text in candidates]
+    fitting = [index for index, unit in enumerate(units) if _fits(unit, typical)]
+    if 0 in fitting or len(fitting) != 1:
+        return Choice(units[0], candidates[0])
+    best = fitting[0]
+    return Choice(units[best], candidates[best], (_doubt(best, candidates, typical),))
+
+
+def guessed_unit(
+    candidates: tuple[str, ...], typical: Float[np.ndarray, "3"], path: Path
+) -> Choice:
+    """The one unit in which most of the pixels are everyday temperatures, with a doubt unless it is
+    °C as such.
+
+    Raises:
+        SceneError: no candidate fits, or more than one does.
+    """
+    units = [Unit.parse(text) for text in candidates]
+    fitting = [index for index, unit in enumerate(units) if _fits(unit, typical)]
+    if len(fitting) != 1:
+        may_be = " or ".join(_in(candidates[index], typical) for index in fitting)
+        low, _, high = typical
+        raise scene_error(
+            path,
+            f"its numbers ({low:.5g} to {high:.5g}) "
+            f"{f'may be {may_be}' if fitting else 'fit no usual unit'}; give the unit, such as "
+            f"{candidates[fitting[0] if fitting else 0]}",
+            options=("unit",),
+        )
+    best = fitting[0]
+    doubts = () if candidates[best] == "celsius" else (_doubt(best, candidates, typical),)
+    return Choice(units[best], candidates[best], doubts)
+
+
+def _doubt(best: int, candidates: tuple[str, ...], typical: Float[np.ndarray, "3"]) -> str:
+    """What a guess gives, and the two nearest others."""
+    middles = [abs(Unit.parse(text).celsius(typical)[1] - 20) for text in candidates]
+    others = [index for index in np.argsort(middles) if index != best][:2]
+    return (
+        f"The file does not state its unit; its numbers are taken for "
+        f"{_in(candidates[best], typical)}, not for "
+        f"{' or '.join(_in(candidates[index], typical) for index in others)}: give the unit."
+    )
+
+
+def _in(text: str, typical: Float[np.ndarray, "3"]) -> str:
+    low, _, high = Unit.parse(text).celsius(typical)
+    return f"{text} ({low:.1f} to {high:.1f} °C)".replace("-", "−")
+
+
+_TLINEAR = re.compile(rb"TlinearGain(?:=[\"']|>)\s*([0-9.eE+-]+)")
+_BAND = re.compile(rb"BandName(?:=[\"']|>.{0,200}?<rdf:li>|>)\s*([^<>\"']+)", re.DOTALL)
+_THERMAL_BAND = "LWIR"
+
+WIRIS_UNITS = ("(celsius+100)*40", "kelvin*25")
+"""Of Workswell's WIRIS cameras; the second is said to be that of others than the WIRIS Pro."""
+
+_BY_MAKER = (
+    ("workswell", "wiris pro", WIRIS_UNITS, True),
+    ("workswell", "", WIRIS_UNITS, False),
+    ("flir", "", ("kelvin*25", "kelvin*2.5", "kelvin*100", "kelvin*10"), False),
+)
+"""Maker and beginning of the model, the units of its TIFF files, and whether the first is known to
+be right."""
+
+
+def camera_units(
+    make: str | None, model: str | None, xmp: bytes, path: Path
+) -> tuple[tuple[str, ...], bool]:
+    """Candidate units of a TIFF of integers, and whether its tags state the first.
+
+    Args:
+        xmp: metadata in the file, empty if there is none.
+
+    Raises:
+        SceneError: the tags say that the numbers are no temperatures.
+    """
+    band = (match[1].decode("latin-1").strip() if (match := _BAND.search(xmp)) else "").upper()
+    if band and band != _THERMAL_BAND:
+        raise scene_error(path, f"is the band {band} of a multispectral camera, no thermal photo")
+    if gain := _TLINEAR.search(xmp):
+        kelvin = float(gain[1])
+        if kelvin <= 0:
+            raise scene_error(
+                path,
+                "has the detector's counts, not temperatures, by its tag TlinearGain; use the "
+                "camera's radiometric JPEG",
+                options=("unit",),
+            )
+        return (f"kelvin*{1 / kelvin:g}",), True
+    maker, name = (make or "").lower(), (model or "").lower()
+    if band and ("micasense" in maker or "sentera" in maker):
+        return ("kelvin*100",), True
+    for of_maker, of_model, units, is_stated in _BY_MAKER:
+        if of_maker in maker and name.startswith(of_model):
+            return units, is_stated
+    return INTEGER_UNITS, False
