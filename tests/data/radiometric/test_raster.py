@@ -51,7 +51,7 @@ def test_two_units_that_both_fit_are_not_guessed(save):
     path = save("a.png", np.rint(10 * (SCENE_C + 285)).astype(np.uint16))
     with pytest.raises(
         SceneError,
-        match=r"\(290\d(\.\d+)? to 31\d\d(\.\d+)?\) .*celsius\*100 or kelvin\*10",
+        match=r"\(290\d(\.\d+)? to 31\d\d(\.\d+)?\) .*celsius\*100 .* or kelvin\*10",
     ):
         read_thermal_photo(path)
 

@@ -89,7 +89,7 @@ def finished(
     Raises:
         SceneError: the unit is not given and not plain, or no number is a temperature.
     """
-    usual = typical(values, path)
+    usual = typical(values)
     is_stated = is_stated or len(candidates) == 1
     if overrides.unit is not None:
         chosen = given_unit(overrides.unit, usual)

@@ -77,18 +77,16 @@ class Choice(NamedTuple):
     doubts: tuple[str, ...] = ()
 
 
-def typical(values: Float[np.ndarray, "h w"], path: Path) -> Float[np.ndarray, "3"]:
-    """The 1st, 50th and 99th percentile of the numbers that stand for a temperature.
+def typical(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:
+    """The 1st, 50th and 99th percentile of the numbers that stand for a temperature; NaN if there
+    are none.
 
     Zeros, -9999 and less, and numbers that are not finite do not count: files mark missing pixels
     with them.
-
-    Raises:
-        SceneError: there is no such number.
     """
     known = values[np.isfinite(values) & (values != 0) & (values > -9999)]
     if known.size == 0:
-        raise scene_error(path, "has no number but 0; it is empty, export it again")
+        return np.full(3, np.nan)
     return np.percentile(known[:: 1 + known.size // _ENOUGH], (1, 50, 99))
 
 
@@ -110,13 +108,13 @@ def given_unit(text: str, typical: Float[np.ndarray, "3"]) -> Choice:
 
 def stated_unit(candidates: tuple[str, ...], typical: Float[np.ndarray, "3"]) -> Choice:
     """The unit of a known camera: the first candidate, unless only another one gives everyday
-    temperatures."""
+    temperatures; with a doubt wherever another one does."""
     units = [Unit.parse(text) for text in candidates]
     fitting = [index for index, unit in enumerate(units) if _fits(unit, typical)]
-    if 0 in fitting or len(fitting) != 1:
-        return Choice(units[0], candidates[0])
-    best = fitting[0]
-    return Choice(units[best], candidates[best], (_doubt(best, candidates, typical),))
+    best = 0 if 0 in fitting or len(fitting) != 1 else fitting[0]
+    is_sure = not set(fitting) - {0}
+    doubts = () if is_sure else (_doubt(best, candidates, typical),)
+    return Choice(units[best], candidates[best], doubts)
 
 
 def guessed_unit(
@@ -126,8 +124,10 @@ def guessed_unit(
     °C as such.
 
     Raises:
-        SceneError: no candidate fits, or more than one does.
+        SceneError: there is no number, no candidate fits, or more than one does.
     """
+    if np.isnan(typical).any():
+        raise scene_error(path, "has no number but 0; it is empty, export it again")
     units = [Unit.parse(text) for text in candidates]
     fitting = [index for index, unit in enumerate(units) if _fits(unit, typical)]
     if len(fitting) != 1:
@@ -150,7 +150,7 @@ def _doubt(best: int, candidates: tuple[str, ...], typical: Float[np.ndarray, "3
     middles = [abs(Unit.parse(text).celsius(typical)[1] - 20) for text in candidates]
     others = [index for index in np.argsort(middles) if index != best][:2]
     return (
-        f"The file does not state its unit; its numbers are taken for "
+        f"The unit of the numbers is not certain. They are taken for "
         f"{_in(candidates[best], typical)}, not for "
         f"{' or '.join(_in(candidates[index], typical) for index in others)}: give the unit."
     )
