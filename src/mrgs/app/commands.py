@@ -99,7 +99,7 @@ class PhotoOptions:
     window_transmission: Maybe[float] = None
     """Transmission of that window, 0 to 1."""
     unit: Maybe[str] = None
-    """Unit of the values in TIFF, PNG and CSV files, such as celsius, kelvin*100 or (celsius+100)*40."""
+    """Unit of the values in TIFF, PNG and CSV files: celsius, kelvin*100, (celsius+100)*40 ..."""
     bounds: Maybe[tuple[float, float]] = None
     """Temperatures (°C) of black and white, for greyscale thermal photos with a fixed span."""
     thermal_fov: Maybe[float] = None
