@@ -21,7 +21,7 @@ _PLAIN = re.compile(rf"{_SCALE}(?:\*{_NUMBER})?([+-]{_NUMBER})?")
 _SHIFTED = re.compile(rf"\({_SCALE}([+-]{_NUMBER})\)\*{_NUMBER}")
 
 FLOAT_UNITS = ("celsius", "kelvin")
-INTEGER_UNITS = (
+INTEGER_UNITS: tuple[str, ...] = (
     "celsius*100",
     "kelvin*100",
     "celsius*10",

@@ -178,7 +178,16 @@ def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     kind: Kind = "numbers" if mode == "F" or mode.startswith("I") else "image"
     exif = read_exif(data)
     view_deg = exif.field_of_view_deg if kind == "numbers" else None
-    return Photo(path, origin, kind, size, False, exif, exif.focal_mm, view_deg, exif.serial)
+    return Photo(
+        path,
+        origin,
+        kind,
+        size,
+        exif=exif,
+        focal_mm=exif.focal_mm,
+        field_of_view_deg=view_deg,
+        serial=exif.serial,
+    )
 
 
 @dataclass(frozen=True)
