@@ -14,7 +14,7 @@ from benchmarks.workload import (
     photos,
     room,
 )
-from mrgs.rasterizer import Layer, Raster, rasterize, reference
+from mrgs.rasterizer import Geometry, Layer, Projection, Raster, rasterize, reference
 from mrgs.rasterizer.contract import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from mrgs.scene import Modality, Pixels
 from mrgs.system.cuda_graph import CudaGraph, ListRoom, lists_have
@@ -47,16 +47,9 @@ class FusedPass:
     def forward(self) -> list[Tensor]:
         """Image, depth and alpha of both modalities."""
         s = self.scene
-        raster = rasterize(
-            s["means"],
-            s["quats"],
-            s["scales"],
-            self._layers,
-            self.viewmat,
-            self.K,
-            self.width,
-            self.height,
-        )
+        geometry = Geometry(s["means"], s["quats"], s["scales"])
+        projection = Projection(self.viewmat, self.K, self.width, self.height)
+        raster = rasterize(geometry, self._layers, projection)
         return [image for blend in raster.blends for image in blend]
 
     def render(self) -> list[Tensor]:
@@ -147,11 +140,15 @@ class RandomScene:
             for name in self.modalities
         ]
         chosen = reference.rasterize if oracle else rasterize
-        return chosen(
-            t["means"], t["quats"], t["scales"], layers, self.viewmat, self.K, self.width,
-            self.height,
-            t["means2d_offset"],
-        )  # fmt: skip
+        return chosen(self._geometry, layers, self._projection, t["means2d_offset"])
+
+    @property
+    def _geometry(self) -> Geometry:
+        return Geometry(*(self.tensors[name] for name in Geometry._fields))
+
+    @property
+    def _projection(self) -> Projection:
+        return Projection(self.viewmat, self.K, self.width, self.height)
 
     def gradients(self, raster: Raster, cotangents: list[Tensor]) -> dict[str, Tensor]:
         """Of Σ cotangent · image, for every tensor that the images depend on."""
@@ -171,16 +168,7 @@ class RandomScene:
         three digits.
         """
         t = self.tensors
-        splats = reference.project(
-            t["means"],
-            t["quats"],
-            t["scales"],
-            self.viewmat,
-            self.K,
-            self.width,
-            self.height,
-            t["means2d_offset"],
-        )
+        splats = reference.project(self._geometry, self._projection, t["means2d_offset"])
         pixels = reference.pixel_centres(self.width, self.height, t["means"])
         near = [
             self._undecided(reference.falloffs(chunk, splats.means2d, splats.covs2d), splats)

@@ -8,7 +8,7 @@ import torch
 import mrgs.render
 from mrgs.errors import KernelWarning
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
-from mrgs.rasterizer import contract, median_depth, rasterize, reference
+from mrgs.rasterizer import Geometry, contract, median_depth, rasterize, reference
 from mrgs.rasterizer.contract import AS_PUBLISHED, Dilation
 from mrgs.render import Model, bake_temperature_residuals, render, render_view, shared_passes
 from mrgs.scene import (
@@ -318,11 +318,8 @@ def test_the_surface_is_the_median_depth_where_that_is_asked_for(dilation):
     blended, found = (render(model, cameras, with_median_depth=asked)[0] for asked in (False, True))
     gaussians = model.gaussians
     camera = cameras[THERMAL]
-    K, viewmat, _ = camera.tensors(gaussians.means.device)
-    median = median_depth(
-        gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(THERMAL),
-        viewmat, K, camera.width, camera.height, dilation,
-    )  # fmt: skip
+    projection = model.dilation.projection(camera, gaussians.means.device)
+    median = median_depth(Geometry.of(gaussians), gaussians.opacity(THERMAL), projection)
     covered = found[THERMAL].alpha >= 0.5
     assert covered.any()
     assert torch.equal(found.surface_depth(THERMAL)[covered], median[covered])

@@ -13,12 +13,12 @@ from torch import Tensor
 from benchmarks.plan import Case
 from benchmarks.timing import Stages, Timing
 from benchmarks.workload import camera, layers_of, room
-from mrgs.kernels.rasterize.cpu.blend import blend
-from mrgs.kernels.rasterize.cpu.blend_backward import blend_backward
-from mrgs.kernels.rasterize.cpu.projection import project, project_backward
+from mrgs.kernels.rasterize.cpu.blend import LayerImages, blend, blend_backward
+from mrgs.kernels.rasterize.cpu.projection import GaussianArrays, project, project_backward
 from mrgs.kernels.rasterize.cpu.tiles import depth_order, gather_splats, tile_lists
-from mrgs.rasterizer import rasterize, splat
-from mrgs.rasterizer.contract import DILATION_PX2
+from mrgs.rasterizer import Geometry, rasterize, splat
+from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.system.gpu import HOST
 
 FORWARD = "forward"
 FORWARD_BACKWARD = "forward + backward"
@@ -50,22 +50,14 @@ class FusedPass:
     def __init__(self, count: int, width: int, height: int) -> None:
         self._scene = {name: tensor.requires_grad_() for name, tensor in room(count).items()}
         self._layers = layers_of(self._scene)
-        self._camera = camera(width, height)
+        self._projection = AS_PUBLISHED.projection(camera(width, height), HOST)
         self._cotangents = [torch.ones(image.shape) for image in self.forward()]
 
     def forward(self) -> list[Tensor]:
         """Image, depth and alpha of both modalities."""
-        scene, c = self._scene, self._camera
-        raster = rasterize(
-            scene["means"],
-            scene["quats"],
-            scene["scales"],
-            self._layers,
-            c.viewmat,
-            c.K,
-            c.width,
-            c.height,
-        )
+        scene = self._scene
+        geometry = Geometry(scene["means"], scene["quats"], scene["scales"])
+        raster = rasterize(geometry, self._layers, self._projection)
         return [image for images in raster.blends for image in images]
 
     def forward_backward(self) -> tuple[Tensor, ...]:
@@ -86,27 +78,22 @@ class PassInStages:
     def __init__(self, count: int, width: int, height: int) -> None:
         self.count, self.width, self.height = count, width, height
         scene = {name: tensor.numpy() for name, tensor in room(count).items()}
-        self._opacities = np.stack([scene["opacity_rgb"], scene["opacity_thermal"]], axis=1)
+        opacities = np.stack([scene["opacity_rgb"], scene["opacity_thermal"]], axis=1)
         features = np.concatenate([scene["colors"], scene["temperatures"]], axis=1)
-        self._gaussians = [
-            scene["means"],
-            scene["quats"],
-            scene["scales"],
-            self._opacities,
-            features,
-        ]
-        seen_by = camera(width, height)
-        self._viewmat, self._K = seen_by.viewmat.numpy(), seen_by.K.numpy()
+        geometry = scene["means"], scene["quats"], scene["scales"]
+        self._gaussians = GaussianArrays(*geometry, opacities, features)
+        seen_by = AS_PUBLISHED.projection(camera(width, height), HOST)
+        self._projection = seen_by._replace(viewmat=seen_by.viewmat.numpy(), K=seen_by.K.numpy())
         self._offset = np.zeros((count, 2), np.float32)
-        self._backgrounds = np.zeros(3, np.float32), np.zeros(1, np.float32)
-        shapes = [
-            shape
-            for c in (3, 1)
-            for shape in ((height, width, c), (height, width), (height, width))
-        ]
-        self._images = [np.empty(shape, np.float32) for shape in shapes]
-        self._grad_images = [np.ones(shape, np.float32) for shape in shapes]
-        self._grads = [np.empty_like(array) for array in (*self._gaussians, self._offset)]
+        self._backgrounds = np.zeros(4, np.float32)
+        size = height, width
+        shapes = [((*size, channels), size, size) for channels in (3, 1)]
+        self._images, self._grad_images = (
+            [LayerImages(*(np.full(shape, value, np.float32) for shape in each)) for each in shapes]
+            for value in (0, 1)
+        )
+        self._grads = GaussianArrays(*(np.empty_like(array) for array in self._gaussians))
+        self._grad_offset = np.empty_like(self._offset)
 
     def run_all(self) -> None:
         """The whole pass, once."""
@@ -120,10 +107,7 @@ class PassInStages:
         """EWA projection: one record per Gaussian."""
         self._records = np.empty((self.count, splat.SPLAT_FLOATS), np.float32)
         self._radii = np.empty(self.count, np.float32)
-        project(
-            *self._gaussians, self._viewmat, self._K, self.width, self.height, DILATION_PX2,
-            self._offset, self._records, self._radii,
-        )  # fmt: skip
+        project(self._gaussians, self._projection, self._offset, self._records, self._radii)
 
     def sort(self) -> None:
         """The visible Gaussians by depth."""
@@ -148,7 +132,7 @@ class PassInStages:
     def blend(self) -> None:
         """The images."""
         lists = self.lists
-        blend(self.splats, lists.tile_splats, lists.tile_starts, *self._backgrounds, *self._images)
+        blend(self.splats, lists.tile_splats, lists.tile_starts, self._backgrounds, *self._images)
 
     def blend_backward(self) -> None:
         """The gradient moments of every pair."""
@@ -167,6 +151,6 @@ class PassInStages:
         """The gradients of the Gaussians."""
         lists = self.lists
         project_backward(
-            *self._gaussians[:4], self._viewmat, self._K, self.width, self.height, DILATION_PX2,
-            self.pair_grads, lists.pair_positions, lists.pair_starts, *self._grads,
+            self._gaussians, self._projection, self.pair_grads, lists.pair_positions,
+            lists.pair_starts, self._grads, self._grad_offset,
         )  # fmt: skip

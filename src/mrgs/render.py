@@ -15,7 +15,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.field import RadianceField
-from mrgs.rasterizer import Layer, Raster, contract, median_depth, rasterize
+from mrgs.rasterizer import Geometry, Layer, Raster, contract, median_depth, rasterize
 from mrgs.rasterizer.contract import Dilation
 from mrgs.rasterizer.pose_gradient import with_pose_gradient
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
@@ -97,11 +97,11 @@ class Model:
         """The z-depth at which half of a modality's light is blocked; NaN where less is; without
         gradient."""
         gaussians = self.gaussians
-        K, viewmat, _ = camera.tensors(gaussians.means.device)
         return median_depth(
-            gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(modality),
-            viewmat, K, camera.width, camera.height, self.dilation.of(camera),
-        )  # fmt: skip
+            Geometry.of(gaussians),
+            gaussians.opacity(modality),
+            self.dilation.projection(camera, gaussians.means.device),
+        )
 
 
 class ScreenPoints(NamedTuple):
@@ -266,18 +266,8 @@ def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, Sc
         device=means.device,
         requires_grad=torch.is_grad_enabled(),
     )
-    K, viewmat, _ = camera.tensors(means.device)
-    means, quats = with_pose_gradient(means, gaussians.quats, viewmat)
-    raster = rasterize(
-        means,
-        quats,
-        gaussians.scales,
-        layers,
-        viewmat.detach(),
-        K,
-        camera.width,
-        camera.height,
-        offset,
-        model.dilation.of(camera),
-    )
+    viewmat = camera.tensors(means.device).viewmat
+    moved = with_pose_gradient(means, gaussians.quats, viewmat)
+    projection = model.dilation.projection(camera, means.device)
+    raster = rasterize(Geometry(*moved, gaussians.scales), layers, projection, offset)
     return raster, ScreenPoints(offset, raster.radii, (camera.width, camera.height))

@@ -16,7 +16,9 @@ from mrgs.rasterizer.contract import (
     DILATION_PX2,
     LEAST_DILATION_PX2,
     TRANSMITTANCE_MIN,
+    Geometry,
     Layer,
+    Projection,
     Raster,
     Rasterizer,
 )
@@ -62,16 +64,15 @@ class RasterizerScene:
         layers = [
             Layer(*(t[f"{modality}.{name}"] for name in LAYER_TENSORS)) for modality in modalities
         ]
-        camera = (self.viewmat, self.K, self.width, self.height)
-        return rasterize(
-            t["means"],
-            t["quats"],
-            t["scales"],
-            layers,
-            *camera,
-            t["means2d_offset"],
-            self.dilation_px2,
-        )
+        return rasterize(self.geometry, layers, self.projection, t["means2d_offset"])
+
+    @property
+    def geometry(self) -> Geometry:
+        return Geometry(*(self.tensors[name] for name in Geometry._fields))
+
+    @property
+    def projection(self) -> Projection:
+        return Projection(self.viewmat, self.K, self.width, self.height, self.dilation_px2)
 
     @torch.no_grad()
     def pixels_near_a_threshold(
@@ -85,11 +86,7 @@ class RasterizerScene:
         margins are relative; the one for T is wide because 1 − α loses up to three digits.
         """
         t = self.tensors
-        geometry = (t["means"], t["quats"], t["scales"])
-        splats = reference.project(
-            *geometry, self.viewmat, self.K, self.width, self.height, t["means2d_offset"],
-            self.dilation_px2,
-        )  # fmt: skip
+        splats = reference.project(self.geometry, self.projection, t["means2d_offset"])
         falloff = reference.falloffs(
             reference.pixel_centres(self.width, self.height, t["means"]),
             splats.means2d,

@@ -20,7 +20,7 @@ from mrgs.kernels.heat.exchange import exchange, with_neighbours
 from mrgs.kernels.rasterize.cpu.rasterize import median_depth, rasterize
 from mrgs.kernels.ssim import cpu as ssim
 from mrgs.kernels.variation import cpu as variation
-from mrgs.rasterizer import Layer
+from mrgs.rasterizer import Geometry, Layer, Projection
 from tests.helpers.gaussians import random_gaussians
 
 N, K, WIDTH = 5, 3, 6
@@ -227,14 +227,16 @@ def test_there_are_no_harmonics_above_degree_three():
 
 def test_a_camera_has_its_sizes():
     layer = Layer(ones(2), ones(2, 3), ones(3))
-    right = [ones(2, 3), ones(2, 4), ones(2, 3), [layer], torch.eye(4), torch.eye(3), 8, 8]
-    rasterize(*right)
-    for place, wrong in ((4, torch.eye(3)), (5, torch.eye(2)), (6, 0), (7, -1)):
+    geometry = Geometry(ones(2, 3), ones(2, 4), ones(2, 3))
+    right = Projection(torch.eye(4), torch.eye(3), 8, 8)
+    rasterize(geometry, [layer], right)
+    for wrong in (
+        {"viewmat": torch.eye(3)}, {"K": torch.eye(2)}, {"width": 0}, {"height": -1}
+    ):  # fmt: skip
         with pytest.raises(ValueError, match="viewmat"):
-            rasterize(*right[:place], wrong, *right[place + 1 :])
-        surface = [*right[:3], ones(2), *right[4:]]
+            rasterize(geometry, [layer], right._replace(**wrong))
         with pytest.raises(ValueError, match="viewmat"):
-            median_depth(*surface[:place], wrong, *surface[place + 1 :])
+            median_depth(geometry, ones(2), right._replace(**wrong))
 
 
 @pytest.mark.parametrize("sigma", [float("nan"), float("inf"), 1e30, 0.0, -1.0])

@@ -14,7 +14,7 @@ import numba
 import pytest
 import torch
 
-from mrgs.rasterizer import Layer, reference
+from mrgs.rasterizer import Geometry, Layer, Projection, reference
 from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2
 from mrgs.system.memory import CHUNK_ROWS
 from tests.helpers.rasterizers import (
@@ -271,14 +271,14 @@ def test_inputs_are_left_as_they_were(rasterize):
     assert all(torch.equal(tensor, before[name]) for name, tensor in scene.tensors.items())
 
 
-def needles(dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
+def needles(dtype: torch.dtype) -> Geometry:
     """Slanting Gaussians, thousands of pixels long and a pixel wide: their quadratic form cancels
     in float32."""
     angle = 0.32
     means = torch.tensor([[0.0, 0.0, 1.0], [0.01, 0.0, 1.2], [0.0, 0.02, 1.4]], dtype=dtype)
     quats = torch.tensor([[math.cos(angle), 0.0, 0.0, math.sin(angle)]], dtype=dtype).repeat(3, 1)
     scales = torch.tensor([[30.0, 1e-4, 1e-4], [1.0, 1e-4, 1e-4], [5.0, 1e-4, 1e-4]], dtype=dtype)
-    return means, quats, scales
+    return Geometry(means, quats, scales)
 
 
 def test_needles_keep_their_alpha(rasterize) -> None:
@@ -288,7 +288,8 @@ def test_needles_keep_their_alpha(rasterize) -> None:
             *(torch.tensor(v, dtype=dtype) for v in ([0.9, 0.5, 0.4], [[0.5] * 3] * 3, [0.0] * 3))
         )
         K = torch.tensor([[600.0, 0, 50], [0, 600, 40], [0, 0, 1]], dtype=dtype)
-        raster = function(*needles(dtype), [layer], torch.eye(4, dtype=dtype), K, 100, 80)
+        projection = Projection(torch.eye(4, dtype=dtype), K, 100, 80)
+        raster = function(needles(dtype), [layer], projection)
         alphas.append(raster.blends[0].alpha.double())
     assert alphas[1].max() > 0.8
     assert (alphas[0] - alphas[1]).abs().max() < 1e-5
@@ -304,19 +305,23 @@ def test_a_gaussian_without_a_usable_size_is_left_out(rasterize, size: float) ->
     means, quats = torch.tensor([[0.0, 0.0, 1.0]]), torch.tensor([[0.9, 0.1, 0.3, 0.2]])
     layer = Layer(torch.tensor([0.5]), torch.ones(1, 3), torch.zeros(3))
     K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
-    raster = rasterize(means, quats, torch.full((1, 3), size), [layer], torch.eye(4), K, 10, 8)
+    geometry = Geometry(means, quats, torch.full((1, 3), size))
+    raster = rasterize(geometry, [layer], Projection(torch.eye(4), K, 10, 8))
     assert raster.radii.tolist() == [0.0]
     assert raster.blends[0].alpha.max() == 0
 
 
 def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
-    means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
+    geometry = Geometry(torch.zeros(4, 3), torch.ones(4, 4), torch.ones(4, 3))
     layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
+    projection = Projection(torch.eye(4), torch.eye(3), 8, 8)
     plain = inspect.unwrap(rasterize)
-    with pytest.raises(ValueError, match=r"sizes; .*\(1, 4\) .*\(4, 4\)"):
-        plain(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
-    with pytest.raises(ValueError, match=r"float32 .*got torch\.float64"):
-        plain(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
+    with pytest.raises(ValueError, match=r"quats must be float32 \[4, 4\] .*\[1, 4\]"):
+        plain(geometry._replace(quats=torch.ones(1, 4)), [layer], projection)
+    with pytest.raises(ValueError, match=r"scales must be float32 .* not float64"):
+        plain(geometry._replace(scales=geometry.scales.double()), [layer], projection)
+    with pytest.raises(ValueError, match=r"background must be float32 \[3\] .*\[4\]"):
+        plain(geometry, [layer._replace(background=torch.zeros(4))], projection)
 
 
 @pytest.mark.parametrize("channels", ANY_CHANNELS)
@@ -325,20 +330,19 @@ def test_layers_of_any_number_of_channels(rasterize, channels) -> None:
 
 
 def test_a_layer_has_a_channel(rasterize) -> None:
-    means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
+    geometry = Geometry(torch.zeros(4, 3), torch.ones(4, 4), torch.ones(4, 3))
     empty = Layer(torch.ones(4), torch.ones(4, 0), torch.zeros(0))
     for layers in ([], [empty]):
         with pytest.raises(ValueError, match="layer"):
-            rasterize(means, torch.ones(4, 4), scales, layers, torch.eye(4), K, 8, 8)
+            rasterize(geometry, layers, Projection(torch.eye(4), torch.eye(3), 8, 8))
 
 
 def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> None:
     means = torch.tensor([[0.0, 0.0, 1.0]], requires_grad=True)
     layer = Layer(torch.tensor([0.5]), torch.ones(1, 3), torch.zeros(3))
     K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
-    raster = rasterize(
-        means, torch.ones(1, 4), torch.full((1, 3), 0.1), [layer], torch.eye(4), K, 10, 8
-    )
+    geometry = Geometry(means, torch.ones(1, 4), torch.full((1, 3), 0.1))
+    raster = rasterize(geometry, [layer], Projection(torch.eye(4), K, 10, 8))
     raster.blends[0].image.mul_(2)
     with pytest.raises(RuntimeError, match="inplace operation"):
         raster.blends[0].image.sum().backward()

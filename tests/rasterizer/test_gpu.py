@@ -17,7 +17,7 @@ import torch
 
 import mrgs.rasterizer
 from mrgs.errors import MrgsError
-from mrgs.rasterizer import Layer, reference
+from mrgs.rasterizer import Geometry, Layer, Projection, reference
 from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2
 from mrgs.system import operation
 from tests.helpers.rasterizers import (
@@ -41,24 +41,11 @@ def rasterize(gpu_device: str) -> Callable:
     expects."""
     from mrgs.kernels.rasterize import gpu
 
-    def on_device(
-        means,
-        quats,
-        scales,
-        layers,
-        viewmat,
-        K,
-        width,
-        height,
-        means2d_offset=None,
-        dilation_px2=DILATION_PX2,
-    ):
+    def on_device(geometry, layers, projection, means2d_offset=None):
         layers = [Layer(*(tensor.to(gpu_device) for tensor in layer)) for layer in layers]
-        means, quats, scales = (tensor.to(gpu_device) for tensor in (means, quats, scales))
+        geometry = Geometry(*(tensor.to(gpu_device) for tensor in geometry))
         offset = None if means2d_offset is None else means2d_offset.to(gpu_device)
-        raster = gpu.rasterize(
-            means, quats, scales, layers, viewmat, K, width, height, offset, dilation_px2
-        )
+        raster = gpu.rasterize(geometry, layers, projection, offset)
         blends = tuple(type(blend)(*(image.cpu() for image in blend)) for blend in raster.blends)
         return type(raster)(blends, raster.radii.cpu())
 
@@ -145,7 +132,8 @@ def test_needles_keep_their_alpha(rasterize) -> None:
             *(torch.tensor(v, dtype=dtype) for v in ([0.9, 0.5, 0.4], [[0.5] * 3] * 3, [0.0] * 3))
         )
         K = torch.tensor([[600.0, 0, 25], [0, 600, 20], [0, 0, 1]], dtype=dtype)
-        raster = function(means, quats, scales, [layer], torch.eye(4, dtype=dtype), K, 50, 40)
+        projection = Projection(torch.eye(4, dtype=dtype), K, 50, 40)
+        raster = function(Geometry(means, quats, scales), [layer], projection)
         alphas.append(raster.blends[0].alpha.double())
     assert alphas[1].max() > 0.8
     assert (
@@ -173,7 +161,8 @@ def test_a_gaussian_without_a_usable_size_is_left_out(rasterize, size: float) ->
     layer = Layer(torch.tensor([0.5]), torch.ones(1, 3), torch.zeros(3))
     K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
     with np.errstate(all="ignore"):  # of the interpreter's numpy
-        raster = rasterize(means, quats, torch.full((1, 3), size), [layer], torch.eye(4), K, 10, 8)
+        geometry = Geometry(means, quats, torch.full((1, 3), size))
+        raster = rasterize(geometry, [layer], Projection(torch.eye(4), K, 10, 8))
     assert raster.radii.tolist() == [0.0]
     assert raster.blends[0].alpha.max() == 0
 
@@ -265,17 +254,19 @@ def test_too_many_gaussians_are_refused(gpu_device):
         return torch.zeros(1, device=gpu_device).expand(2**28, *columns)
 
     layer = Layer(many(), many(3), torch.zeros(3, device=gpu_device))
+    projection = Projection(torch.eye(4), torch.eye(3), 8, 8)
     with pytest.raises(MrgsError, match="268,435,456 Gaussians"):
-        function(many(3), many(4), many(3), [layer], torch.eye(4), torch.eye(3), 8, 8)
+        function(Geometry(many(3), many(4), many(3)), [layer], projection)
 
 
 def test_tensors_of_other_sizes_or_types_are_refused(rasterize) -> None:
-    means, scales, K = torch.zeros(4, 3), torch.ones(4, 3), torch.eye(3)
+    geometry = Geometry(torch.zeros(4, 3), torch.ones(4, 4), torch.ones(4, 3))
     layer = Layer(torch.ones(4), torch.ones(4, 3), torch.zeros(3))
-    with pytest.raises(ValueError, match=r"device; .*\(1, 4\) .*\(4, 4\)"):
-        rasterize(means, torch.ones(1, 4), scales, [layer], torch.eye(4), K, 8, 8)
-    with pytest.raises(ValueError, match=r"float32 .*got torch\.float64"):
-        rasterize(means, torch.ones(4, 4), scales.double(), [layer], torch.eye(4), K, 8, 8)
+    projection = Projection(torch.eye(4), torch.eye(3), 8, 8)
+    with pytest.raises(ValueError, match=r"quats must be float32 \[4, 4\] .*\[1, 4\]"):
+        rasterize(geometry._replace(quats=torch.ones(1, 4)), [layer], projection)
+    with pytest.raises(ValueError, match=r"scales must be float32 .* not float64"):
+        rasterize(geometry._replace(scales=geometry.scales.double()), [layer], projection)
 
 
 @pytest.mark.parametrize("channels", ANY_CHANNELS[:2])
@@ -295,7 +286,8 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) ->
         )
     )
     K = torch.tensor([[60.0, 0, 5], [0, 60, 4], [0, 0, 1]])
-    raster = rasterize(means, quats, scales, [layer], torch.eye(4), K, 10, 8)
+    projection = Projection(torch.eye(4), K, 10, 8)
+    raster = rasterize(Geometry(means, quats, scales), [layer], projection)
     raster.blends[0].image.mul_(2)
     with pytest.raises(RuntimeError, match="inplace operation"):
         raster.blends[0].image.sum().backward()

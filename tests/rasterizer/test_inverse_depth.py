@@ -8,9 +8,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from mrgs.rasterizer import reference
+from mrgs.rasterizer import Geometry, Projection, reference
 from mrgs.rasterizer.contract import STEEPEST_TANGENT
-from mrgs.rasterizer.inverse_depth import inverse_depths, ray_directions, surface_planes
+from mrgs.rasterizer.inverse_depth import (
+    InverseDepths,
+    inverse_depths,
+    ray_directions,
+    surface_planes,
+)
 from mrgs.scene import Camera
 from tests.helpers.gaussians import random_gaussians
 
@@ -35,17 +40,24 @@ def inputs(count: int = 30) -> list[Tensor]:
     return [tensor.detach().double().requires_grad_() for tensor in tensors]
 
 
+def sums_of(tensors: list[Tensor], viewmat: Tensor) -> InverseDepths:
+    return inverse_depths(Geometry(*tensors[:3]), tensors[3], projection(viewmat))
+
+
+def projection(viewmat: Tensor, dilation_px2: float = DILATION_PX2) -> Projection:
+    return Projection(viewmat, K, WIDTH, HEIGHT, dilation_px2)
+
+
 def ray_by_ray(means, quats, scales, opacities, viewmat) -> tuple[Tensor, Tensor, Tensor]:
     """Σ w, Σ w ρ and Σ w ρ², from the weights of every pixel and Gaussian."""
-    splats = reference.project(
-        means, quats, scales, viewmat, K, WIDTH, HEIGHT, dilation_px2=DILATION_PX2
-    )
+    geometry = Geometry(means, quats, scales)
+    splats = reference.project(geometry, projection(viewmat))
     pixels = reference.pixel_centres(WIDTH, HEIGHT, means)
     falloff = reference.falloffs(pixels, splats.means2d, splats.covs2d)
     alpha = reference.alphas(opacities[splats.indices], falloff)
     alpha = torch.where(reference.unfinished(alpha), alpha, 0.0)
     weights = alpha * reference.transmittances(alpha)[:, :-1]
-    planes = surface_planes(means, quats, scales, viewmat, K, DILATION_PX2)[splats.indices]
+    planes = surface_planes(geometry, projection(viewmat))[splats.indices]
     x, y = (plane.flatten() for plane in ray_directions(K, WIDTH, HEIGHT))
     nearness = torch.stack([x, y, torch.ones_like(x)], dim=1) @ planes.T
     sums = (weights, weights * nearness, weights * nearness**2)
@@ -54,7 +66,7 @@ def ray_by_ray(means, quats, scales, opacities, viewmat) -> tuple[Tensor, Tensor
 
 def test_the_sums_and_their_gradients_are_those_of_each_ray():
     tensors, viewmat = inputs(), camera()
-    found = inverse_depths(*tensors, viewmat, K, WIDTH, HEIGHT, DILATION_PX2)
+    found = sums_of(tensors, viewmat)
     expected = ray_by_ray(*tensors, viewmat)
     scale = torch.linspace(-1, 2, WIDTH * HEIGHT, dtype=torch.float64).view(HEIGHT, WIDTH)
     assert (found.weight > 0.5).any()
@@ -67,9 +79,9 @@ def test_the_sums_and_their_gradients_are_those_of_each_ray():
 
 def test_the_kernels_find_the_spread_of_the_depths():
     tensors, viewmat = inputs(), camera()
-    exact = inverse_depths(*tensors, viewmat, K, WIDTH, HEIGHT, DILATION_PX2)
+    exact = sums_of(tensors, viewmat)
     single = [tensor.detach().float().requires_grad_() for tensor in tensors]
-    found = inverse_depths(*single, viewmat, K, WIDTH, HEIGHT, DILATION_PX2)
+    found = sums_of(single, viewmat)
     for one, other in zip(found, exact, strict=True):
         torch.testing.assert_close(one, other.float(), rtol=1e-5, atol=1e-6)
     variance = found.weight * found.squares - found.sum**2
@@ -92,10 +104,15 @@ def disc(tilt: float) -> list[Tensor]:
     return [torch.tensor(row, dtype=torch.float64) for row in rows]
 
 
+def plane_of(mean: Tensor, quat: Tensor, scale: Tensor) -> Tensor:
+    ahead = projection(torch.eye(4, dtype=torch.float64), 1e-6)
+    return surface_planes(Geometry(mean, quat, scale), ahead)[0]
+
+
 @pytest.mark.parametrize("tilt", [0.0, 0.6, -1.2])
 def test_rays_meet_a_disc_in_its_plane(tilt):
     mean, quat, scale = disc(tilt)
-    plane = surface_planes(mean, quat, scale, torch.eye(4, dtype=torch.float64), K, 1e-6)[0]
+    plane = plane_of(mean, quat, scale)
     normal = torch.tensor([math.sin(tilt), 0.0, math.cos(tilt)], dtype=torch.float64)
     torch.testing.assert_close(plane, normal / (normal @ mean[0]), rtol=1e-4, atol=1e-6)
 
@@ -104,7 +121,7 @@ def test_a_plane_through_the_camera_is_as_steep_as_planes_may_be():
     mean, _, scale = disc(0.0)
     edge_on = math.pi / 2 + math.atan2(mean[0, 0].item(), mean[0, 2].item()) - 1e-5
     quat = disc(edge_on)[1]
-    plane = surface_planes(mean, quat, scale, torch.eye(4, dtype=torch.float64), K, 1e-6)[0]
+    plane = plane_of(mean, quat, scale)
     assert abs(plane[0] * mean[0, 2]) == STEEPEST_TANGENT
     torch.testing.assert_close(plane @ (mean[0] / mean[0, 2]), 1 / mean[0, 2])
 
@@ -114,5 +131,5 @@ def test_gaussians_behind_the_camera_and_in_its_plane_leave_gradients_finite():
     with torch.no_grad():
         tensors[0][:2] = torch.tensor([[0.0, 0.0, -3.0], [0.0, 0.0, 0.0]])
     viewmat = torch.eye(4, dtype=torch.float64)
-    sum(each.sum() for each in inverse_depths(*tensors, viewmat, K, WIDTH, HEIGHT, 0.1)).backward()
+    sum(each.sum() for each in sums_of(tensors, viewmat)).backward()
     assert all(tensor.grad.isfinite().all() for tensor in tensors)

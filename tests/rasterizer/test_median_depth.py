@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from mrgs.kernels.rasterize import cpu
-from mrgs.rasterizer import reference
+from mrgs.rasterizer import Geometry, Projection, reference
 from tests.helpers.rasterizers import random_scene
 
 K = torch.tensor([[20.0, 0, 10.5], [0, 20.0, 7.5], [0, 0, 1]], dtype=torch.float64)
-CAMERA = (torch.eye(4, dtype=torch.float64), K, 21, 15)
+CAMERA = Projection(torch.eye(4, dtype=torch.float64), K, 21, 15)
 CENTRE = (7, 10)
 
 
@@ -22,11 +22,12 @@ def on_axis(depths, opacities):
     means = torch.zeros(count, 3, dtype=torch.float64)
     means[:, 2] = torch.tensor(depths)
     quats = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).expand(count, 4)
-    return means, quats, torch.full_like(means, 0.5), torch.tensor(opacities).double()
+    geometry = Geometry(means, quats, torch.full_like(means, 0.5))
+    return geometry, torch.tensor(opacities).double()
 
 
 def median_at_centre(depths, opacities):
-    return reference.median_depth(*on_axis(depths, opacities), *CAMERA)[CENTRE].item()
+    return reference.median_depth(*on_axis(depths, opacities), CAMERA)[CENTRE].item()
 
 
 def test_one_surface():
@@ -55,16 +56,16 @@ def oblique_disc(kind):
     """A wide thin disc through (0, 0, 4), turned by 0.9 rad about the vertical axis."""
     quats = torch.tensor([[math.cos(0.45), 0, math.sin(0.45), 0]])
     scales = torch.tensor([[1.5, 1.5, 1e-4]])
-    return (
-        torch.tensor([[0.0, 0, 4.0]]).to(kind), quats.to(kind), scales.to(kind),
-        torch.tensor([0.95]).to(kind),
-    )  # fmt: skip
+    means = torch.tensor([[0.0, 0, 4.0]])
+    geometry = Geometry(means.to(kind), quats.to(kind), scales.to(kind))
+    return geometry, torch.tensor([0.95]).to(kind)
 
 
 @pytest.mark.parametrize("place", [(7, 10), (7, 11), (8, 9), (6, 11)])
 def test_an_oblique_disc_is_a_plane(place):
     """Its centre's depth would be off by up to 6 %. (A dilation makes it a little flatter.)"""
-    depth = reference.median_depth(*oblique_disc(torch.float64), *CAMERA, 1e-3)[place].item()
+    thin = CAMERA._replace(dilation_px2=1e-3)
+    depth = reference.median_depth(*oblique_disc(torch.float64), thin)[place].item()
     x = (place[1] + 0.5 - 10.5) / 20
     # The plane: (z − 4) cos 0.9 + x z sin 0.9 = 0, with the normal's x as R_y(0.9) turns it.
     exact = 4 * math.cos(0.9) / (math.cos(0.9) + x * math.sin(0.9))
@@ -73,10 +74,11 @@ def test_an_oblique_disc_is_a_plane(place):
 
 def test_a_disc_seen_at_a_grazing_angle_ends_somewhere():
     """Its plane meets some rays at infinity, or behind the camera."""
-    means, _, _, opacities = oblique_disc(torch.float64)
+    disc, opacities = oblique_disc(torch.float64)
     quats = torch.tensor([[math.cos(-0.7), 0, math.sin(-0.7), 0]]).double()
     scales = torch.tensor([[4.0, 4.0, 0.1]]).double()
-    depth = reference.median_depth(means, quats, scales, 0 * opacities + 0.99, *CAMERA)
+    disc = disc._replace(quats=quats, scales=scales)
+    depth = reference.median_depth(disc, 0 * opacities + 0.99, CAMERA)
     known = depth[~depth.isnan()]
     assert 0 < known.min().item() < 2.0
     assert known.max().item() == pytest.approx(16.0)
@@ -89,7 +91,7 @@ def test_no_surface_where_more_than_half_passes(opacities):
 
 
 def test_no_gaussian_in_front_of_the_camera():
-    medians = reference.median_depth(*on_axis([-1.0], [0.9]), *CAMERA)
+    medians = reference.median_depth(*on_axis([-1.0], [0.9]), CAMERA)
     assert medians.shape == (15, 21)
     assert medians.isnan().all()
 
@@ -97,11 +99,11 @@ def test_no_gaussian_in_front_of_the_camera():
 def test_chunks_do_not_change_it():
     """In a tall image, with the Gaussians where the second chunk of pixels begins."""
     scene = on_axis([2.0, 3.0, 4.0], [0.3, 0.4, 0.9])
-    viewmat, _, width, height = CAMERA
+    width, height = CAMERA.width, CAMERA.height
     top = reference.CHUNK_ELEMENTS // 3 // width - height // 2
     lowered = K + torch.tensor([[0.0, 0, 0], [0, 0, top], [0, 0, 0]])
-    tall = reference.median_depth(*scene, viewmat, lowered, width, top + 2 * height)
-    whole = reference.median_depth(*scene, *CAMERA)
+    tall = reference.median_depth(*scene, CAMERA._replace(K=lowered, height=top + 2 * height))
+    whole = reference.median_depth(*scene, CAMERA)
     assert whole[6:9].isfinite().any(dim=1).all()
     torch.testing.assert_close(tall[top : top + height], whole, equal_nan=True)
 
@@ -111,15 +113,9 @@ def test_chunks_do_not_change_it():
 def test_kernel_against_the_plain_definition(seed, modality):
     """Away from pixels where T ends near one half, or an α near 1/255."""
     scene = random_scene(seed, n=5 + 20 * (seed % 5), dtype=torch.float32)
-    t = scene.tensors
-    arguments = (
-        t["means"], t["quats"], t["scales"], t[f"{modality}.opacities"],
-        scene.viewmat, scene.K, scene.width, scene.height, scene.dilation_px2,
-    )  # fmt: skip
-    kernel = cpu.median_depth(*arguments).double()
-    exact = reference.median_depth(
-        *(value.double() if isinstance(value, torch.Tensor) else value for value in arguments)
-    )
+    name, precise = f"{modality}.opacities", scene.to(torch.float64)
+    kernel = cpu.median_depth(scene.geometry, scene.tensors[name], scene.projection).double()
+    exact = reference.median_depth(precise.geometry, precise.tensors[name], precise.projection)
     near = scene.to(torch.float64).pixels_near_a_threshold()
     differs = kernel.isnan() != exact.isnan()
     assert not (differs & ~near).float().mean() > 0.002
@@ -131,4 +127,4 @@ def test_kernel_against_the_plain_definition(seed, modality):
 def test_kernel_refuses_other_sizes_and_types():
     scene = on_axis([2.0], [0.5])
     with pytest.raises(ValueError, match="float32"):
-        cpu.median_depth(*scene, *CAMERA)
+        cpu.median_depth(*scene, CAMERA)

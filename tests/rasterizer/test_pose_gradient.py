@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from mrgs.rasterizer import Layer, Raster, rasterize, reference
+from mrgs.rasterizer import Geometry, Layer, Projection, Raster, rasterize, reference
 from mrgs.rasterizer.pose_gradient import with_pose_gradient
 from mrgs.scene import Camera
 from mrgs.scene.rotations import cross_matrix
@@ -46,14 +46,14 @@ def loss(pose: Tensor, gaussians: dict[str, Tensor], image_of: ImageOf) -> Tenso
 
 
 def by_autograd(gaussians: dict[str, Tensor], layer: Layer, pose: Tensor) -> Raster:
-    return reference.rasterize(
-        gaussians["means"], gaussians["quats"], gaussians["scales"], [layer], pose, CAMERA.K, 32, 24
-    )
+    geometry = Geometry(gaussians["means"], gaussians["quats"], gaussians["scales"])
+    return reference.rasterize(geometry, [layer], Projection(pose, CAMERA.K, 32, 24))
 
 
 def by_rigid_motion(gaussians: dict[str, Tensor], layer: Layer, pose: Tensor) -> Raster:
     means, quats = with_pose_gradient(gaussians["means"], gaussians["quats"], pose)
-    return rasterize(means, quats, gaussians["scales"], [layer], pose.detach(), CAMERA.K, 32, 24)
+    projection = Projection(pose.detach(), CAMERA.K, 32, 24)
+    return rasterize(Geometry(means, quats, gaussians["scales"]), [layer], projection)
 
 
 def moved(motion: Tensor) -> Tensor:

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mrgs.rasterizer import reference
-from mrgs.rasterizer.contract import Layer
+from mrgs.rasterizer.contract import Geometry, Layer, Projection
 from mrgs.rasterizer.reference import rasterize
 from tests.helpers.rasterizers import random_scene
 
 WIDTH, HEIGHT = 21, 15
 FX, FY, CX, CY = 20.0, 24.0, 10.5, 7.5  # the principal point is the centre of the pixel (10, 7)
 CENTRE = (7, 10)
-CAMERA = (
+CAMERA = Projection(
     torch.eye(4).double(),
     torch.tensor([[FX, 0, CX], [0, FY, CY], [0, 0, 1]]).double(),
     WIDTH,
@@ -35,9 +35,9 @@ def tensor(*values):
 
 
 def isotropic(means, sigma):
-    """means, quats (not normalised) and scales of round Gaussians."""
+    """Round Gaussians, whose quats are not normalised."""
     n = len(means)
-    return (
+    return Geometry(
         means,
         tensor(0.4, -1.0, 0.3, 2.0).expand(n, 4),
         torch.full((n, 3), sigma, dtype=torch.float64),
@@ -51,7 +51,7 @@ def grey(opacities, features, background=0.0):
 def on_axis(depths, layer, sigma=0.3):
     depths = tensor(*depths)
     means = torch.stack([torch.zeros_like(depths), torch.zeros_like(depths), depths], dim=1)
-    return rasterize(*isotropic(means, sigma), [layer], *CAMERA)
+    return rasterize(isotropic(means, sigma), [layer], CAMERA)
 
 
 def at_centre(raster):
@@ -116,7 +116,7 @@ def test_alpha_is_clamped_and_the_clamp_stops_the_gradient():
     opacities = tensor(0.9999, 0.5).requires_grad_()
     means = tensor([0.0, 0.0, 2.0], [0.0, 0.0, 3.0]).requires_grad_()
     layer = Layer(opacities, tensor([1.0], [0.5]), tensor(0.0))
-    blend = rasterize(*isotropic(means, 0.3), [layer], *CAMERA).blends[0]
+    blend = rasterize(isotropic(means, 0.3), [layer], CAMERA).blends[0]
     assert blend.image[CENTRE].item() == pytest.approx(0.999 + 0.001 * 0.5 * 0.5)
     (blend.image[CENTRE] * 1e3).sum().backward()
     assert opacities.grad.tolist() == pytest.approx([0.0, 1e3 * 0.001 * 0.5])
@@ -143,7 +143,8 @@ def test_a_gaussian_that_reaches_the_plane_of_the_camera_is_left_out(quaternion)
     reach = (R[2] * scales[0]).norm()
     for z, is_drawn in ((reach * (1 - 1e-6), False), (reach * (1 + 1e-6), True)):
         layer = grey([0.9], [1.0])
-        raster = rasterize(tensor([0.0, 0.0, z.item()]), quats, scales, [layer], *CAMERA)
+        geometry = Geometry(tensor([0.0, 0.0, z.item()]), quats, scales)
+        raster = rasterize(geometry, [layer], CAMERA)
         assert (raster.radii > 0).tolist() == [is_drawn]
 
 
@@ -159,15 +160,14 @@ def test_projection_off_the_axis(direction):
         max(y, -cy / FY - 0.3 * HEIGHT / (2 * FY)), (HEIGHT - cy) / FY + 0.3 * HEIGHT / (2 * FY)
     )
     J = np.array([[FX / z, 0, -FX * u / z], [0, FY / z, -FY * v / z]])
-    means, quats, scales = isotropic(tensor([x * z, y * z, z]), sigma)
-    splats = reference.project(means, quats, scales, torch.eye(4).double(), K, WIDTH, HEIGHT)
+    splats = reference.project(isotropic(tensor([x * z, y * z, z]), sigma), CAMERA._replace(K=K))
     np.testing.assert_allclose(splats.means2d[0], [FX * x + cx, FY * y + cy], rtol=1e-14)
     np.testing.assert_allclose(splats.covs2d[0], sigma**2 * J @ J.T + 0.3 * np.eye(2), rtol=1e-13)
 
 
 def test_the_clamp_of_the_jacobian_stops_the_gradient_to_the_direction():
     means = torch.tensor([[40.0, 0.0, 2.0]], dtype=torch.float64, requires_grad=True)
-    jacobian = reference.jacobians(means, CAMERA[1], WIDTH, HEIGHT)
+    jacobian = reference.jacobians(means, CAMERA.K, WIDTH, HEIGHT)
     (gradient,) = torch.autograd.grad(jacobian[0, 0, 2], means)
     assert gradient[0, 0] == 0
     assert gradient[0, 2] == pytest.approx(-jacobian[0, 0, 2].item() / 2)  # of 1/z alone
@@ -179,7 +179,7 @@ def test_radii_are_zero_for_what_no_pixel_can_see():
     beside = (WIDTH + reach_px - CX) / FX * z
     means = tensor([0.0, 0.0, -z], [beside * 1.05, 0.0, z], [beside * 0.95, 0.0, z], [0.0, 0.0, z])
     layers = [grey([0.1, opacity, opacity, 0.003], [0] * 4), grey([0.9, 0.1, 0.1, 0.0039], [0] * 4)]
-    radii = rasterize(*isotropic(means, sigma), layers, *CAMERA).radii
+    radii = rasterize(isotropic(means, sigma), layers, CAMERA).radii
     assert (radii > 0).tolist() == [False, False, True, False]
     assert not radii.requires_grad
 
@@ -187,10 +187,7 @@ def test_radii_are_zero_for_what_no_pixel_can_see():
 def test_the_radius_is_where_alpha_reaches_the_threshold_in_the_more_opaque_layer():
     scene = random_scene(5)
     raster, t = scene.render(rasterize), scene.tensors
-    camera = (scene.viewmat, scene.K, scene.width, scene.height)
-    geometry = (t["means"], t["quats"], t["scales"])
-    dilated = (t["means2d_offset"], scene.dilation_px2)
-    splats = reference.project(*geometry, *camera, *dilated)
+    splats = reference.project(scene.geometry, scene.projection, t["means2d_offset"])
     opacity = torch.maximum(t["rgb.opacities"], t["thermal.opacities"])
     seen = raster.radii[splats.indices] > 0
     assert seen.sum() > 20
@@ -324,9 +321,7 @@ def test_each_layer_is_blended_as_if_it_were_alone():
 def test_chunks_change_neither_images_nor_gradients():
     scene = random_scene(2, n=40)
     t = scene.tensors
-    projected = reference.project(
-        t["means"], t["quats"], t["scales"], scene.viewmat, scene.K, scene.width, scene.height
-    )
+    projected = reference.project(scene.geometry, scene.projection)
     kept = projected.indices
     given = [projected.means2d, projected.covs2d, projected.depths]
     given += [t["rgb.opacities"][kept], t["rgb.features"][kept], t["rgb.background"]]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs.rasterizer import Layer, rasterize
+from mrgs.rasterizer import Geometry, Layer, rasterize
 from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL
 from mrgs.scene.rendering import SOLID_ALPHA
@@ -45,17 +45,8 @@ def test_the_spread_is_that_of_the_pixels_splats(small_run, camera, subject):
         features = torch.eye(count)[:, first : first + 3]
         features = torch.nn.functional.pad(features, (0, 3 - features.shape[1]))
         layer = Layer(gaussians.opacity(THERMAL), features, torch.zeros(3))
-        raster = rasterize(
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            [layer],
-            camera.viewmat,
-            camera.K,
-            160,
-            120,
-            dilation_px2=40.0,
-        )
+        projection = model.dilation.projection(camera, gaussians.means.device)
+        raster = rasterize(Geometry.of(gaussians), [layer], projection)
         weights[first : first + 3] = raster.blends[0].image[row, column][: min(3, count - first)]
     weights = weights.double()
     alpha = weights.sum()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from mrgs.rasterizer import reference
-from mrgs.rasterizer.contract import Layer, Raster
+from mrgs.rasterizer.contract import Geometry, Layer, Projection, Raster
 from mrgs.scene import Blend
 from mrgs.system.operation import operation
 
-__all__ = ["Blend", "Layer", "Raster", "median_depth", "rasterize"]
+__all__ = ["Blend", "Geometry", "Layer", "Projection", "Raster", "median_depth", "rasterize"]
 
 rasterize = operation(reference.rasterize)
 """``contract.Rasterizer``: by a kernel for float32 on the CPU or a GPU, else ``reference``."""

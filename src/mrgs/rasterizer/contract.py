@@ -22,10 +22,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mrgs.scene import Blend, Camera
+from mrgs.scene import Blend, Camera, Gaussians
 
 NEAR_PLANE = 0.01
 """Gaussians whose centre is closer to the image plane are left out (scene units)."""
@@ -51,6 +52,47 @@ STEEPEST_TANGENT = 10.0
 FRUSTUM_MARGIN = 0.3
 """x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of
 view."""
+
+
+class Geometry(NamedTuple):
+    """Where N Gaussians are, and their extents.
+
+    Attributes:
+        means: centres in world coordinates, [N, 3].
+        quats: rotations wxyz, normalised by the rasterizer, [N, 4].
+        scales: standard deviations, [N, 3].
+    """
+
+    means: Float[Tensor, "n 3"]
+    quats: Float[Tensor, "n 4"]
+    scales: Float[Tensor, "n 3"]
+
+    @classmethod
+    def of(cls, gaussians: Gaussians) -> Geometry:
+        """That of a model."""
+        return cls(gaussians.means, gaussians.quats, gaussians.scales)
+
+
+class Projection(NamedTuple):
+    """A camera, as a rasterizer sees it.
+
+    Attributes:
+        viewmat: world to camera (OpenCV axes), [4, 4].
+        K: intrinsics in pixels, [3, 3]; pixel centres lie at +0.5.
+        width: pixels.
+        height: pixels.
+        dilation_px2: d, above 0.
+    """
+
+    viewmat: Float[Tensor, "4 4"]
+    K: Float[Tensor, "3 3"]
+    width: int
+    height: int
+    dilation_px2: float = DILATION_PX2
+
+    def to(self, like: Tensor) -> Projection:
+        """The same with matrices of a tensor's type, on its device."""
+        return self._replace(viewmat=self.viewmat.to(like), K=self.K.to(like))
 
 
 class Layer(NamedTuple):
@@ -83,36 +125,24 @@ class Raster(NamedTuple):
 class Rasterizer(Protocol):
     """The signature shared by the oracle and the kernels.
 
-    Differentiable in means, quats, scales, means2d_offset and every tensor of every layer.
+    Differentiable in the geometry, means2d_offset and every tensor of every layer.
     """
 
     def __call__(
         self,
-        means: Float[Tensor, "n 3"],
-        quats: Float[Tensor, "n 4"],
-        scales: Float[Tensor, "n 3"],
+        geometry: Geometry,
         layers: Sequence[Layer],
-        viewmat: Float[Tensor, "4 4"],
-        K: Float[Tensor, "3 3"],
-        width: int,
-        height: int,
+        projection: Projection,
         means2d_offset: Float[Tensor, "n 2"] | None = None,
-        dilation_px2: float = DILATION_PX2,
     ) -> Raster:
         """Render the layers from one camera.
 
         Args:
-            means: centres in world coordinates, [N, 3].
-            quats: rotations wxyz, normalised inside, [N, 4].
-            scales: standard deviations, [N, 3].
+            geometry: of the Gaussians.
             layers: one layer, or two that share the walk over the Gaussians.
-            viewmat: world to camera (OpenCV axes), [4, 4].
-            K: intrinsics in pixels, [3, 3]; pixel centres lie at +0.5.
-            width: pixels.
-            height: pixels.
+            projection: of the camera; no gradient flows to it.
             means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the
                 screen-space gradient that densification reads.
-            dilation_px2: d, above 0.
         """
         ...
 
@@ -142,6 +172,11 @@ class Dilation:
             return self.px2
         fineness = min(1.0, camera.focal_px / self.finest_focal_px)
         return max(LEAST_DILATION_PX2, self.px2 * fineness**2)
+
+    def projection(self, camera: Camera, device: torch.device) -> Projection:
+        """A camera's projection on a device, with this dilation and without the pose's gradient."""
+        K, viewmat, _ = camera.tensors(device)
+        return Projection(viewmat.detach(), K, camera.width, camera.height, self.of(camera))
 
 
 AS_PUBLISHED = Dilation()

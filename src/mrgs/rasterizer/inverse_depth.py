@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mrgs.rasterizer import Layer, rasterize
+from mrgs.rasterizer import Geometry, Layer, Projection, rasterize
 from mrgs.rasterizer.contract import NEAR_PLANE, STEEPEST_TANGENT
 from mrgs.rasterizer.reference import pixel_centres, rotation_matrices, to_camera
 
@@ -35,40 +35,27 @@ class InverseDepths(NamedTuple):
 
 
 def inverse_depths(
-    means: Float[Tensor, "n 3"],
-    quats: Float[Tensor, "n 4"],
-    scales: Float[Tensor, "n 3"],
-    opacities: Float[Tensor, " n"],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    width: int,
-    height: int,
-    dilation_px2: float,
+    geometry: Geometry, opacities: Float[Tensor, " n"], projection: Projection
 ) -> InverseDepths:
-    """The sums of a layer's inverse depths; differentiable in all tensors of the Gaussians.
+    """The sums of the inverse depths of a layer with these opacities; differentiable in the
+    geometry and the opacities.
 
     Three passes of the rasterizer, as many as nine channels take.
-
-    Args:
-        opacities: of the layer.
-        means, quats, scales, viewmat, K, width, height, dilation_px2: as in ``Rasterizer``.
     """
-    viewmat, K = viewmat.to(means), K.to(means)
+    projection = projection.to(opacities)
 
     def blended(*features: Tensor) -> list[Tensor]:
-        layers = [Layer(opacities, each, means.new_zeros(each.shape[1])) for each in features]
-        blends = rasterize(
-            means, quats, scales, layers, viewmat, K, width, height, dilation_px2=dilation_px2
-        ).blends
+        layers = [Layer(opacities, each, opacities.new_zeros(each.shape[1])) for each in features]
+        blends = rasterize(geometry, layers, projection).blends
         return [blends[0].alpha, *(plane for blend in blends for plane in blend.image.unbind(-1))]
 
-    planes = surface_planes(means, quats, scales, viewmat, K, dilation_px2)
+    planes = surface_planes(geometry, projection)
     x, y, z = planes.unbind(-1)
     weight, *sums, xx = blended(planes, (x * x)[:, None])
     _, xy, xz, yy, yz = blended(torch.stack([x * y, x * z, y * y], dim=1), (y * z)[:, None])
     _, zz = blended((z * z)[:, None])
 
-    ray_x, ray_y = ray_directions(K, width, height)
+    ray_x, ray_y = ray_directions(projection.K, projection.width, projection.height)
     sum_x, sum_y, sum_z = sums
     return InverseDepths(
         weight,
@@ -77,14 +64,7 @@ def inverse_depths(
     )
 
 
-def surface_planes(
-    means: Float[Tensor, "n 3"],
-    quats: Float[Tensor, "n 4"],
-    scales: Float[Tensor, "n 3"],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    dilation_px2: float,
-) -> Float[Tensor, "n 3"]:
+def surface_planes(geometry: Geometry, projection: Projection) -> Float[Tensor, "n 3"]:
     """q of each Gaussian: the ray (x/z, y/z, 1) meets it at the depth 1 / (q · ray).
 
     The densest point of a ray has, to first order about the centre m in camera coordinates, q = Σ⁻¹
@@ -92,6 +72,7 @@ def surface_planes(
     dilated as in the image, or needles would be seen as steep planes; those that are steeper than
     ``contract.STEEPEST_TANGENT`` are taken to be as steep as that.
     """
+    (means, quats, scales), (viewmat, K, _, _, dilation_px2) = geometry, projection
     camera = to_camera(means, viewmat)
     z = camera[:, 2:].clamp_min(NEAR_PLANE)
     centres = torch.cat([camera[:, :2], z], dim=1)

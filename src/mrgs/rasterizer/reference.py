@@ -23,14 +23,15 @@ from torch.autograd.function import once_differentiable
 from mrgs.rasterizer.contract import (
     ALPHA_MAX,
     ALPHA_MIN,
-    DILATION_PX2,
     FRUSTUM_MARGIN,
     NEAR_PLANE,
     STEEPEST,
     SURFACE_TRANSMITTANCES,
     TRANSMITTANCE_MIN,
     Blend,
+    Geometry,
     Layer,
+    Projection,
     Raster,
 )
 
@@ -56,30 +57,23 @@ class Splats(NamedTuple):
 
 
 def rasterize(
-    means: Float[Tensor, "n 3"],
-    quats: Float[Tensor, "n 4"],
-    scales: Float[Tensor, "n 3"],
+    geometry: Geometry,
     layers: Sequence[Layer],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    width: int,
-    height: int,
+    projection: Projection,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
-    dilation_px2: float = DILATION_PX2,
 ) -> Raster:
     """Render the layers from one camera; arguments and result as in ``contract.Rasterizer``.
 
-    Differentiable by autograd. The camera is converted to the dtype and the device of ``means``.
+    Differentiable by autograd. The camera is converted to the dtype and the device of the means.
 
     Raises:
         ValueError: a shape does not fit, there is not one or two layers, or the image has no
             pixels.
     """
-    _check_shapes(means, quats, scales, layers, viewmat, K, means2d_offset)
-    if width < 1 or height < 1:
-        raise ValueError(f"width and height must be at least 1 pixel, got {width} x {height}")
-    viewmat, K = viewmat.to(means), K.to(means)
-    splats = project(means, quats, scales, viewmat, K, width, height, means2d_offset, dilation_px2)
+    _check_shapes(geometry, layers, projection, means2d_offset)
+    means, projection = geometry.means, projection.to(geometry.means)
+    width, height = projection.width, projection.height
+    splats = project(geometry, projection, means2d_offset)
     opacities = [layer.opacities[splats.indices] for layer in layers]
     radii = torch.zeros_like(means[:, 0]).index_put(
         (splats.indices,), extents_px(splats, opacities, width, height)
@@ -176,19 +170,15 @@ def depth_slopes(
 
 
 def project(
-    means: Float[Tensor, "n 3"],
-    quats: Float[Tensor, "n 4"],
-    scales: Float[Tensor, "n 3"],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    width: int,
-    height: int,
+    geometry: Geometry,
+    projection: Projection,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
-    dilation_px2: float = DILATION_PX2,
 ) -> Splats:
     """Drop what lies before the near plane or reaches the plane of the camera, sort the rest by
     depth (ties by index) and project it."""
-    means_camera, covs = to_camera(means, viewmat), covariances(quats, scales)
+    viewmat, K, width, height, dilation_px2 = projection
+    means_camera = to_camera(geometry.means, viewmat)
+    covs = covariances(geometry.quats, geometry.scales)
     z, depth_variances = means_camera[:, 2], viewmat[2, :3] @ covs @ viewmat[2, :3]
     in_front = torch.nonzero((z >= NEAR_PLANE) & (depth_variances <= z**2)).squeeze(1)
     indices = in_front[torch.argsort(z[in_front], stable=True)]
@@ -257,15 +247,7 @@ def blend(
 
 @torch.no_grad()
 def median_depth(
-    means: Float[Tensor, "n 3"],
-    quats: Float[Tensor, "n 4"],
-    scales: Float[Tensor, "n 3"],
-    opacities: Float[Tensor, " n"],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    width: int,
-    height: int,
-    dilation_px2: float = DILATION_PX2,
+    geometry: Geometry, opacities: Float[Tensor, " n"], projection: Projection
 ) -> Float[Tensor, "h w"]:
     """z at which the transmittance T of a layer falls to one half; no gradients.
 
@@ -274,21 +256,17 @@ def median_depth(
     wherever a little of the farther one shines through, or a little fog lies before it.
 
     Args:
-        means: centres in world coordinates, [N, 3].
-        quats: rotations wxyz, [N, 4].
-        scales: standard deviations, [N, 3].
+        geometry: of the Gaussians.
         opacities: of the layer, in (0, 1), [N].
-        viewmat: world to camera (OpenCV axes), [4, 4].
-        K: intrinsics in pixels, [3, 3].
-        width: pixels.
-        height: pixels.
-        dilation_px2: d of the projected covariances.
+        projection: of the camera.
 
     Returns:
         scene units, [H, W]; NaN where more than half of the light passes all Gaussians.
     """
-    viewmat, K = viewmat.to(means), K.to(means)
-    splats = project(means, quats, scales, viewmat, K, width, height, dilation_px2=dilation_px2)
+    means, quats, scales = geometry
+    projection = projection.to(means)
+    viewmat, K, width, height, _ = projection
+    splats = project(geometry, projection)
     if len(splats.indices) == 0:
         return means.new_full((height, width), torch.nan)
     covs = covariances(quats, scales)[splats.indices]
@@ -398,21 +376,21 @@ class _BlendInChunks(torch.autograd.Function):
 
 
 def _check_shapes(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
+    geometry: Geometry,
     layers: Sequence[Layer],
-    viewmat: Tensor,
-    K: Tensor,
+    projection: Projection,
     means2d_offset: Tensor | None,
 ) -> None:
     """Raise ValueError, naming the tensor and both shapes, where one does not fit."""
     if len(layers) not in (1, 2):
         raise ValueError(f"there must be one layer or two, got {len(layers)}")
-    n = len(means)
+    width, height, n = projection.width, projection.height, len(geometry.means)
+    if width < 1 or height < 1:
+        raise ValueError(f"width and height must be at least 1 pixel, got {width} x {height}")
     checks: list[tuple[str, Tensor, tuple[int, ...]]] = [
-        ("means", means, (n, 3)), ("quats", quats, (n, 4)), ("scales", scales, (n, 3)),
-        ("viewmat", viewmat, (4, 4)), ("K", K, (3, 3)),
+        ("means", geometry.means, (n, 3)), ("quats", geometry.quats, (n, 4)),
+        ("scales", geometry.scales, (n, 3)),
+        ("viewmat", projection.viewmat, (4, 4)), ("K", projection.K, (3, 3)),
     ]  # fmt: skip
     if means2d_offset is not None:
         checks.append(("means2d_offset", means2d_offset, (n, 2)))

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade, up_to_degree
-from mrgs.rasterizer import Layer, median_depth, rasterize
+from mrgs.rasterizer import Geometry, Layer, median_depth, rasterize
 from mrgs.rasterizer.contract import Dilation
 from mrgs.render import Model, shared_passes
 from mrgs.runs.trained_run import asked_cameras
@@ -169,27 +169,25 @@ class BakedModel:
 
     def median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
         """The z-depth at which half of a modality's light is blocked; NaN where less is."""
-        K, viewmat, _ = camera.tensors(self.means.device)
+        projection = self.dilation.projection(camera, self.means.device)
         with own_modes(self.means.device):
-            return median_depth(
-                self.means, self.quats, self.scales, self.opacities[modality],
-                viewmat, K, camera.width, camera.height, self.dilation.of(camera),
-            )  # fmt: skip
+            return median_depth(self._geometry, self.opacities[modality], projection)
+
+    @property
+    def _geometry(self) -> Geometry:
+        return Geometry(self.means, self.quats, self.scales)
 
     def _blend(self, cameras: Mapping[Modality, Camera]) -> Rendering:
         """The modalities' values, each blended with its opacities, before black."""
         blends: dict[Modality, Blend] = {}
         for camera, modalities in shared_passes(cameras):
-            K, viewmat, _ = camera.tensors(self.means.device)
+            projection = self.dilation.projection(camera, self.means.device)
             values = [self.values(each, cameras[each].position) for each in modalities]
             layers = [
                 Layer(self.opacities[each], own, own.new_zeros(each.channels))
                 for each, own in zip(modalities, values, strict=True)
             ]
-            raster = rasterize(
-                self.means, self.quats, self.scales, layers, viewmat, K,
-                camera.width, camera.height, dilation_px2=self.dilation.of(camera),
-            )  # fmt: skip
+            raster = rasterize(self._geometry, layers, projection)
             blends.update(zip(modalities, raster.blends, strict=True))
         return Rendering({modality: blends[modality] for modality in cameras})
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from mrgs.marks.regions import Regions
 from mrgs.pictures.files import shown_values, to_array, to_rgb8
 from mrgs.pictures.values import in_unit, range_of
-from mrgs.rasterizer import Layer, rasterize
+from mrgs.rasterizer import Geometry, Layer, rasterize
 from mrgs.render import Model, render
 from mrgs.scene import (
     THERMAL,
@@ -286,11 +286,8 @@ def _blend(
     gaussians = model.gaussians
     with torch.no_grad():
         layer = Layer(gaussians.opacity(modality), values, values.new_tensor(background))
-        return rasterize(
-            gaussians.means, gaussians.quats, gaussians.scales, [layer], camera.viewmat.to(values),
-            camera.K.to(values), camera.width, camera.height,
-            dilation_px2=model.dilation.of(camera),
-        ).blends[0]  # fmt: skip
+        projection = model.dilation.projection(camera, values.device)
+        return rasterize(Geometry.of(gaussians), [layer], projection).blends[0]
 
 
 @dataclass(frozen=True)

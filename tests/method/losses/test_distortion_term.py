@@ -19,7 +19,7 @@ from mrgs.method.losses.terms import (
     configured_terms,
     distortion_loss,
 )
-from mrgs.rasterizer.contract import AS_PUBLISHED
+from mrgs.rasterizer.contract import AS_PUBLISHED, Geometry, Projection
 from mrgs.rasterizer.inverse_depth import InverseDepths, inverse_depths
 from mrgs.scene import RGB, THERMAL, Camera, Gaussians, Modality, Rendering
 from tests.helpers.gaussians import random_gaussians
@@ -47,7 +47,7 @@ def test_what_lies_at_one_depth_or_nowhere_is_thin():
 
 
 def wall(tilt: float, thickness: float) -> list[Tensor]:
-    """Means, quats, scales and opacities of half-transparent discs on a wall before the camera that
+    """Geometry and opacities of half-transparent discs on a wall before the camera that
     is turned about the y axis, in two layers."""
     steps = torch.linspace(-5, 5, 31, dtype=torch.float64)
     x, y, z = torch.cartesian_prod(steps, steps, torch.tensor([0.0, thickness]).double()).T
@@ -57,7 +57,7 @@ def wall(tilt: float, thickness: float) -> list[Tensor]:
     scales = torch.tensor([0.3, 0.3, 1e-3], dtype=torch.float64)
     count = len(means)
     opacities = torch.full((count,), 0.5, dtype=torch.float64)
-    return [means, quats.expand(count, 4), scales.expand(count, 3), opacities]
+    return Geometry(means, quats.expand(count, 4), scales.expand(count, 3)), opacities
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6])
@@ -66,7 +66,8 @@ def test_a_wall_costs_nothing_seen_obliquely_and_a_slab_does(tilt):
     K, viewmat, _ = camera.tensors(torch.device("cpu"))
 
     def loss(thickness: float) -> float:
-        depths = inverse_depths(*wall(tilt, thickness), viewmat, K, 8, 6, 1e-3)
+        projection = Projection(viewmat, K, 8, 6, 1e-3)
+        depths = inverse_depths(*wall(tilt, thickness), projection)
         assert depths.weight.min() > 0.8
         return distortion_loss(depths).item()
 
@@ -95,9 +96,8 @@ def test_it_looks_through_the_camera_with_the_finest_pixels(cameras, finest):
     parameters = [p.requires_grad_() for p in (*moved, gaussians.opacity_logits[finest])]
     value = Distortion(0.1, 0).value(context(cameras, gaussians))
     camera = cameras[finest].resized(8 // PIXEL_SIZE, 6 // PIXEL_SIZE)
-    K, viewmat, _ = camera.tensors(gaussians.means.device)
-    shape = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(finest))
-    depths = inverse_depths(*shape, viewmat, K, 4, 3, AS_PUBLISHED.of(camera))
+    projection = AS_PUBLISHED.projection(camera, gaussians.means.device)
+    depths = inverse_depths(Geometry.of(gaussians), gaussians.opacity(finest), projection)
     assert value == distortion_loss(depths)
     for gradient in torch.autograd.grad(value, parameters):
         assert gradient.isfinite().all()

@@ -6,9 +6,31 @@ from collections.abc import Callable, Sequence
 from itertools import zip_longest
 
 import torch
+from torch import Tensor
 
-from mrgs.rasterizer.contract import Layer, Raster
+from mrgs.kernels.require import require, require_camera
+from mrgs.rasterizer.contract import Geometry, Layer, Projection, Raster
 from mrgs.scene import Blend
+
+
+def require_pass(
+    geometry: Geometry, layers: Sequence[Layer], projection: Projection, offset: Tensor
+) -> None:
+    """The arguments of a rasterizer must fit together: the kernels trust sizes, types and devices.
+
+    Raises:
+        ValueError: they do not.
+    """
+    count, device = len(geometry.means), geometry.means.device
+    expected = {"means": 3, "quats": 4, "scales": 3, "means2d_offset": 2}
+    for (name, columns), tensor in zip(expected.items(), (*geometry, offset), strict=True):
+        require(name, tensor, (count, columns), device=device)
+    for opacities, features, background in layers:
+        require("opacities", opacities, (count,), device=device)
+        require("features", features, (count, None), device=device)
+        require("background", background, features.shape[1:], device=device)
+    require_camera(*projection[:4])
+
 
 GROUP = 3
 """Channels that a pass blends in its first slot; its second one takes a single channel."""

@@ -25,6 +25,7 @@ from mrgs.method.losses.radiation import (
 )
 from mrgs.method.losses.smoothness import Similarity, similarity_of, smoothness_loss
 from mrgs.method.losses.term import LossContext, Term
+from mrgs.rasterizer.contract import Geometry
 from mrgs.rasterizer.inverse_depth import InverseDepths, inverse_depths
 from mrgs.scene import RGB, THERMAL, Modality
 
@@ -147,12 +148,9 @@ class Distortion(Term):
         camera = cameras[modality]
         width, height = (max(1, side // PIXEL_SIZE) for side in (camera.width, camera.height))
         coarse = camera.resized(width, height)
-        K, viewmat, _ = coarse.tensors(gaussians.means.device)
-        depths = inverse_depths(
-            gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacity(modality),
-            viewmat.detach(), K, width, height, context.dilation.of(coarse),
-        )  # fmt: skip
-        return distortion_loss(depths)
+        projection = context.dilation.projection(coarse, gaussians.means.device)
+        opacity = gaussians.opacity(modality)
+        return distortion_loss(inverse_depths(Geometry.of(gaussians), opacity, projection))
 
 
 class Boltzmann(Term):

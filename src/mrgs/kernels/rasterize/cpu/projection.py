@@ -9,12 +9,13 @@ is ever formed.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
 
-from mrgs.kernels.jit import strict_inner_function, strict_parallel_kernel
-from mrgs.kernels.rasterize.cpu.simd import pointer, prefetch, read
+from mrgs.kernels.jit import address, strict_inner_function, strict_parallel_kernel
+from mrgs.kernels.rasterize.cpu.simd import prefetch
 from mrgs.rasterizer import contract, splat
 
 NEAR_PLANE = contract.NEAR_PLANE
@@ -29,6 +30,22 @@ _PAIRS_AHEAD = 16
 
 LARGEST_PX = 1e9
 """Gaussians that reach farther are left out, with those whose place or size is not a number."""
+
+
+class GaussianArrays(NamedTuple):
+    """Arrays of N Gaussians, or their gradients.
+
+    Attributes:
+        means, quats, scales: [N, 3], [N, 4], [N, 3].
+        opacities: o_c and o_t, [N, 2].
+        features: red, green, blue, temperature, [N, 4].
+    """
+
+    means: np.ndarray
+    quats: np.ndarray
+    scales: np.ndarray
+    opacities: np.ndarray
+    features: np.ndarray
 
 
 @strict_inner_function()
@@ -147,21 +164,16 @@ def _axes_along_view(rotation, scales, i, viewmat):
 
 
 @strict_parallel_kernel()
-def project(
-    means, quats, scales, opacities, features, viewmat, K, width, height, dilation,
-    means2d_offset, splats, radii
-):  # fmt: skip
+def project(gaussians, projection, means2d_offset, splats, radii):
     """Fill ``splats`` [N, 16] and ``radii`` [N]; a radius of 0 marks a Gaussian that is left out.
 
     Args:
-        means, quats, scales: [N, 3], [N, 4], [N, 3].
-        opacities: o_c and o_t, [N, 2].
-        features: red, green, blue, temperature, [N, 4].
-        viewmat, K: float64, [4, 4] and [3, 3].
-        width, height: pixels.
-        dilation: d, px².
+        gaussians: ``GaussianArrays``.
+        projection: ``contract.Projection`` with matrices in float64.
         means2d_offset: pixels, [N, 2].
     """
+    means, quats, scales, opacities, features = gaussians
+    viewmat, K, width, height, dilation = projection
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     limits_u, limits_v = _slope_limits(fx, cx, width), _slope_limits(fy, cy, height)
     for i in prange(means.shape[0]):
@@ -206,17 +218,12 @@ def project(
 
 
 @strict_parallel_kernel()
-def depth_slopes(means, quats, scales, viewmat, K, width, height, dilation, slopes):
-    """Fill the first two columns of ``slopes``, [N, 2 or more], with ∂z/∂x' / z: the share by which
-    the depth of a Gaussian changes from pixel to pixel (``reference.depth_slopes``); 0 before the
-    near plane.
-
-    Args:
-        means, quats, scales: [N, 3], [N, 4], [N, 3].
-        viewmat, K: float64, [4, 4] and [3, 3].
-        width, height: pixels.
-        dilation: d, px².
-    """
+def depth_slopes(gaussians, projection):
+    """Fill the first two columns of the features with ∂z/∂x' / z: the share by which the depth of a
+    Gaussian changes from pixel to pixel (``reference.depth_slopes``); 0 before the near plane. The
+    arguments are those of ``project``."""
+    means, quats, scales, _, slopes = gaussians
+    viewmat, K, width, height, dilation = projection
     fx, fy = K[0, 0], K[1, 1]
     limits_u, limits_v = _slope_limits(fx, K[0, 2], width), _slope_limits(fy, K[1, 2], height)
     for i in prange(means.shape[0]):
@@ -359,24 +366,26 @@ def _sum_over_tiles(pair_grads, pair_positions, first, last, total):
         prefetch(pair_grads, ahead * splat.GRAD_FLOATS + splat.GRAD_FLOATS - 1)
         at = pair_positions[pair] * splat.GRAD_FLOATS
         for k in range(splat.GRAD_FLOATS):
-            total[k] += read(pair_grads, at + k)
+            total[k] += pair_grads[at + k]
 
 
 @strict_parallel_kernel()
 def project_backward(
-    means, quats, scales, opacities, viewmat, K, width, height, dilation, pair_grads,
-    pair_positions, pair_starts,
-    grad_means, grad_quats, grad_scales, grad_opacities, grad_features, grad_means2d,
-):  # fmt: skip
+    gaussians, projection, pair_grads, pair_positions, pair_starts, grads, grad_means2d
+):
     """Gather the gradient moments of each Gaussian and chain them back to its parameters.
 
     Args:
-        means, ..., dilation: as in ``project``.
+        gaussians, projection: as in ``project``.
         pair_grads: moments per (tile, splat) pair, [P, 12].
         pair_positions, pair_starts: the pairs of Gaussian i are
             pair_positions[pair_starts[i]:pair_starts[i + 1]].
-        grad_*: filled, with 0 for the Gaussians without pairs.
+        grads: ``GaussianArrays``, filled, with 0 for the Gaussians without pairs.
+        grad_means2d: filled likewise, [N, 2].
     """
+    means, quats, scales, opacities, _ = gaussians
+    viewmat, K, width, height, dilation = projection
+    grad_means, grad_quats, grad_scales, grad_opacities, grad_features = grads
     count = means.shape[0]
     fx, fy = K[0, 0], K[1, 1]
     limits_u, limits_v = _slope_limits(fx, K[0, 2], width), _slope_limits(fy, K[1, 2], height)
@@ -388,7 +397,7 @@ def project_backward(
                 grad_opacities[i], grad_features[i] = 0.0, 0.0
                 continue
             _sum_over_tiles(
-                pointer(pair_grads), pair_positions, pair_starts[i], pair_starts[i + 1], g
+                address(pair_grads, 0), pair_positions, pair_starts[i], pair_starts[i + 1], g
             )
             for layer in range(2):
                 opacity = opacities[i, layer]

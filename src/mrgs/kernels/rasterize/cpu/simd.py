@@ -125,18 +125,8 @@ lane_rows = _lane_constants(lambda lane, width: lane // width)
 """The row of each lane if the lanes fill rows of ``width`` one after the other."""
 
 
-# Pointers, because Numba counts references to every array that is passed to a function, in the
-# innermost loops too.
-
-
-@intrinsic
-def pointer(typingctx: Any, array: Any) -> Any:
-    """Address of a contiguous float32 array's first element; the caller keeps the array alive."""
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return context.make_array(sig.args[0])(context, builder, args[0]).data
-
-    return FloatPointer(array), codegen
+# Addresses (``jit.address``), because Numba counts references to every array that is passed to a
+# function, in the innermost loops too.
 
 
 @intrinsic(prefer_literal=True)
@@ -150,30 +140,6 @@ def stack_floats(typingctx: Any, count: Any) -> Any:
         return builder.bitcast(block, _F32.as_pointer())
 
     return FloatPointer(count), codegen
-
-
-@intrinsic
-def read(typingctx: Any, floats: Any, index: Any) -> Any:
-    """The float at ``index`` behind a pointer; unchecked, as all below."""
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(_element(context, builder, sig, args))
-
-    return types.float32(FloatPointer, index), codegen
-
-
-@intrinsic
-def write(typingctx: Any, floats: Any, index: Any, value: Any) -> Any:
-    """The counterpart of ``read``."""
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        builder.store(
-            context.cast(builder, args[2], sig.args[2], types.float32),
-            _element(context, builder, sig, args),
-        )
-        return context.get_dummy_value()
-
-    return types.void(FloatPointer, index, value), codegen
 
 
 @intrinsic

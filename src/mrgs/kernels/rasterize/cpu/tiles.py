@@ -14,8 +14,13 @@ import numpy as np
 from numba import prange
 
 from mrgs.errors import MrgsError
-from mrgs.kernels.jit import strict_inner_function, strict_kernel, strict_parallel_kernel
-from mrgs.kernels.rasterize.cpu.simd import load, pointer, prefetch, store
+from mrgs.kernels.jit import (
+    address,
+    strict_inner_function,
+    strict_kernel,
+    strict_parallel_kernel,
+)
+from mrgs.kernels.rasterize.cpu.simd import load, prefetch, store
 from mrgs.rasterizer import splat
 
 TILE_WIDTH = 8
@@ -92,7 +97,7 @@ def gather_splats(splats: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 @strict_parallel_kernel()
 def _gather(splats, order, gathered):
-    source, target = pointer(splats), pointer(gathered)
+    source, target = address(splats, 0), address(gathered, 0)
     for rank in prange(order.size):
         prefetch(source, order[min(rank + PREFETCH_AHEAD, order.size - 1)] * splat.SPLAT_FLOATS)
         store(target, rank * splat.SPLAT_FLOATS, load(source, order[rank] * splat.SPLAT_FLOATS))

@@ -1,4 +1,4 @@
-"""EWA projection of the Gaussians, one thread per Gaussian, in single precision.
+"""EWA projection of the Gaussians and its backward, one thread per Gaussian, in single precision.
 
 With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
 rotation and scales: Σ' = N Nᵀ + d I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance
@@ -21,6 +21,15 @@ from mrgs.kernels.rasterize.gpu.constants import (
     DEPTH,
     EXPONENT,
     EXTENT_Y,
+    GRAD_ACROSS,
+    GRAD_ACROSS_ACROSS,
+    GRAD_ACROSS_DY,
+    GRAD_COLOR,
+    GRAD_DEPTH,
+    GRAD_DY,
+    GRAD_DY_DY,
+    GRAD_FLOATS,
+    GRAD_SCALAR,
     HALF_WIDTH,
     LARGEST_PX,
     MARGIN,
@@ -35,7 +44,7 @@ from mrgs.kernels.rasterize.gpu.tiles import count_pairs
 
 
 @device_function
-def load_three(tensor, i, mask):
+def _load_three(tensor, i, mask):
     """Row i of a tensor of three columns."""
     return (
         tl.load(tensor + 3 * i, mask=mask, other=0.0),
@@ -45,7 +54,15 @@ def load_three(tensor, i, mask):
 
 
 @device_function
-def load_rotation(viewmat, row: tl.constexpr):
+def store_three(tensor, i, mask, values):
+    """Into row i of a tensor of three columns."""
+    tl.store(tensor + 3 * i, values[0], mask=mask)
+    tl.store(tensor + 3 * i + 1, values[1], mask=mask)
+    tl.store(tensor + 3 * i + 2, values[2], mask=mask)
+
+
+@device_function
+def _load_rotation(viewmat, row: tl.constexpr):
     """A row of the camera's rotation."""
     return (
         tl.load(viewmat + 4 * row),
@@ -55,31 +72,31 @@ def load_rotation(viewmat, row: tl.constexpr):
 
 
 @device_function
-def load_intrinsics(K):
+def _load_intrinsics(K):
     """fx, fy, cx, cy."""
     return tl.load(K), tl.load(K + 4), tl.load(K + 2), tl.load(K + 5)
 
 
 @device_function
-def dot(a, b):
+def _dot(a, b):
     """Scalar product of two vectors of three."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @device_function
-def cross(a, b):
+def _cross(a, b):
     """Vector product of two vectors of three."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @device_function
-def scaled(row, scales):
+def _scaled(row, scales):
     """A row vector with its entries multiplied by the scales."""
     return row[0] * scales[0], row[1] * scales[1], row[2] * scales[2]
 
 
 @device_function
-def row_times_matrix(row, row0, row1, row2):
+def _row_times_matrix(row, row0, row1, row2):
     """A row vector times a 3×3 matrix that is given by its rows."""
     return (
         row[0] * row0[0] + row[1] * row1[0] + row[2] * row2[0],
@@ -89,22 +106,18 @@ def row_times_matrix(row, row0, row1, row2):
 
 
 @device_function
-def load_quaternion(quats, i, mask):
+def _load_quaternion(quats, i, mask):
     """Quaternion i, normalised, and its length; the identity where masked."""
-    w, x = (
-        tl.load(quats + 4 * i, mask=mask, other=1.0),
-        tl.load(quats + 4 * i + 1, mask=mask, other=0.0),
-    )
-    y, z = (
-        tl.load(quats + 4 * i + 2, mask=mask, other=0.0),
-        tl.load(quats + 4 * i + 3, mask=mask, other=0.0),
-    )
+    w = tl.load(quats + 4 * i, mask=mask, other=1.0)
+    x = tl.load(quats + 4 * i + 1, mask=mask, other=0.0)
+    y = tl.load(quats + 4 * i + 2, mask=mask, other=0.0)
+    z = tl.load(quats + 4 * i + 3, mask=mask, other=0.0)
     length = tl.sqrt(w * w + x * x + y * y + z * z)
     return (w / length, x / length, y / length, z / length), length
 
 
 @device_function
-def rotation(quaternion):
+def _rotation(quaternion):
     """The rows of the rotation matrix of a normalised quaternion."""
     w, x, y, z = quaternion
     row0 = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y))
@@ -114,26 +127,26 @@ def rotation(quaternion):
 
 
 @device_function
-def to_camera(point, viewmat):
+def _to_camera(point, viewmat):
     """Centres in camera coordinates, and whether they lie before the camera; where not, z is 1."""
-    x = dot(load_rotation(viewmat, 0), point) + tl.load(viewmat + 3)
-    y = dot(load_rotation(viewmat, 1), point) + tl.load(viewmat + 7)
-    z = dot(load_rotation(viewmat, 2), point) + tl.load(viewmat + 11)
+    x = _dot(_load_rotation(viewmat, 0), point) + tl.load(viewmat + 3)
+    y = _dot(_load_rotation(viewmat, 1), point) + tl.load(viewmat + 7)
+    z = _dot(_load_rotation(viewmat, 2), point) + tl.load(viewmat + 11)
     in_front = z >= NEAR_PLANE
     return x, y, tl.where(in_front, z, 1.0), in_front
 
 
 @device_function
-def clamped_slope(slope, focal, centre, size):
+def _clamped_slope(slope, focal, centre, size):
     """x/z (or y/z), clamped to the widened image: outside it the linearisation J would explode."""
     margin = size / focal * (0.5 * MARGIN)
     return tl.minimum(tl.maximum(slope, -centre / focal - margin), (size - centre) / focal + margin)
 
 
 @device_function
-def jacobian_row(viewmat, row: tl.constexpr, focal_over_z, slope):
+def _jacobian_row(viewmat, row: tl.constexpr, focal_over_z, slope):
     """Row 0 or 1 of M = J R_w."""
-    own, forward = load_rotation(viewmat, row), load_rotation(viewmat, 2)
+    own, forward = _load_rotation(viewmat, row), _load_rotation(viewmat, 2)
     return (
         focal_over_z * (own[0] - slope * forward[0]),
         focal_over_z * (own[1] - slope * forward[1]),
@@ -142,12 +155,12 @@ def jacobian_row(viewmat, row: tl.constexpr, focal_over_z, slope):
 
 
 @device_function
-def covariance(n0, n1, dilation):
+def _covariance(n0, n1, dilation):
     """Entries xx, xy, yy of Σ', then det Σ'."""
-    xx, yy = dot(n0, n0), dot(n1, n1)
-    area = cross(n0, n1)
-    determinant = dot(area, area) + (xx + yy) * dilation + dilation * dilation
-    return xx + dilation, dot(n0, n1), yy + dilation, determinant
+    xx, yy = _dot(n0, n0), _dot(n1, n1)
+    area = _cross(n0, n1)
+    determinant = _dot(area, area) + (xx + yy) * dilation + dilation * dilation
+    return xx + dilation, _dot(n0, n1), yy + dilation, determinant
 
 
 @device_function
@@ -157,7 +170,7 @@ def _store_layers(
 ):  # fmt: skip
     """The layers' parts of the records."""
     if HAS_COLOR:
-        red, green, blue = load_three(features_color, i, mask)
+        red, green, blue = _load_three(features_color, i, mask)
         tl.store(record + COLOR, tl.load(opacities_color + i, mask=mask, other=0.0), mask=mask)
         tl.store(record + COLOR + 1, red, mask=mask)
         tl.store(record + COLOR + 2, green, mask=mask)
@@ -193,18 +206,18 @@ def project(
         opacity = tl.maximum(opacity, tl.load(opacities_color + i, mask=inside, other=0.0))
     if HAS_SCALAR:
         opacity = tl.maximum(opacity, tl.load(opacities_scalar + i, mask=inside, other=0.0))
-    x, y, z, visible = to_camera(load_three(means, i, inside), viewmat)
-    fx, fy, cx, cy = load_intrinsics(K)
-    m0 = jacobian_row(viewmat, 0, fx / z, clamped_slope(x / z, fx, cx, width))
-    m1 = jacobian_row(viewmat, 1, fy / z, clamped_slope(y / z, fy, cy, height))
-    quaternion, _ = load_quaternion(quats, i, inside)
-    row0, row1, row2 = rotation(quaternion)
-    scale = load_three(scales, i, inside)
-    n0 = scaled(row_times_matrix(m0, row0, row1, row2), scale)
-    n1 = scaled(row_times_matrix(m1, row0, row1, row2), scale)
-    along_axis = scaled(row_times_matrix(load_rotation(viewmat, 2), row0, row1, row2), scale)
-    xx, xy, yy, determinant = covariance(n0, n1, dilation)
-    visible &= inside & (opacity >= ALPHA_MIN) & (dot(along_axis, along_axis) <= z * z)
+    x, y, z, visible = _to_camera(_load_three(means, i, inside), viewmat)
+    fx, fy, cx, cy = _load_intrinsics(K)
+    m0 = _jacobian_row(viewmat, 0, fx / z, _clamped_slope(x / z, fx, cx, width))
+    m1 = _jacobian_row(viewmat, 1, fy / z, _clamped_slope(y / z, fy, cy, height))
+    quaternion, _ = _load_quaternion(quats, i, inside)
+    row0, row1, row2 = _rotation(quaternion)
+    scale = _load_three(scales, i, inside)
+    n0 = _scaled(_row_times_matrix(m0, row0, row1, row2), scale)
+    n1 = _scaled(_row_times_matrix(m1, row0, row1, row2), scale)
+    along_axis = _scaled(_row_times_matrix(_load_rotation(viewmat, 2), row0, row1, row2), scale)
+    xx, xy, yy, determinant = _covariance(n0, n1, dilation)
+    visible &= inside & (opacity >= ALPHA_MIN) & (_dot(along_axis, along_axis) <= z * z)
     # dᵀ Σ'⁻¹ d where α = 1/255; not quite 0, so that the ellipse keeps its shape.
     reach = tl.maximum(2.0 * tl.log(tl.maximum(opacity, ALPHA_MIN) / ALPHA_MIN), 1e-12)
     mean_x = fx * x / z + cx + tl.load(means2d_offset + 2 * i, mask=inside, other=0.0)
@@ -239,3 +252,163 @@ def project(
         record, i, visible, opacities_color, features_color, opacities_scalar, features_scalar,
         HAS_COLOR, HAS_SCALAR,
     )  # fmt: skip
+
+
+@device_function
+def _combination(a, x, b, y):
+    """a x + b y of two vectors of three."""
+    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
+
+
+@device_function
+def _screen_gradients(n0, n1, dilation, moments, mask):
+    """∂L/∂μ' and the rows of ∂L/∂N from the moments of v = α ∂L/∂α = ∂L/∂(ln G').
+
+    In the record's coordinates, across = dx − shear·dy and dy, Σ' is diagonal, with var(across) and
+    yy, so that nothing cancels for thin slanting Gaussians: ln G' = −½ (across² / var(across) +
+    dy² / yy), ∂L/∂μ' = Σ v Σ'⁻¹ d and ∂L/∂N = (Σ'⁻¹ (Σ v d dᵀ) Σ'⁻¹) N, the rows of N being
+    n_across = n0 − shear·n1 = (n1 × (n0 × n1) + d n0) / yy and n1.
+    """
+    _, xy, yy, determinant = _covariance(n0, n1, dilation)
+    shear = xy / yy
+    per_across, per_dy = yy / determinant, 1.0 / yy
+    grad_across = tl.load(moments + GRAD_ACROSS, mask=mask, other=0.0) * per_across
+    grad_dy = tl.load(moments + GRAD_DY, mask=mask, other=0.0) * per_dy
+    across_across = (
+        tl.load(moments + GRAD_ACROSS_ACROSS, mask=mask, other=0.0) * per_across * per_across
+    )
+    across_dy = tl.load(moments + GRAD_ACROSS_DY, mask=mask, other=0.0) * per_across * per_dy
+    dy_dy = tl.load(moments + GRAD_DY_DY, mask=mask, other=0.0) * per_dy * per_dy
+    n_across = _combination(1.0 / yy, _cross(n1, _cross(n0, n1)), dilation / yy, n0)
+    grad_n_across = _combination(across_across, n_across, across_dy, n1)
+    grad_n_dy = _combination(across_dy, n_across, dy_dy, n1)
+    grad_mean = (grad_across, grad_dy - shear * grad_across)
+    return grad_mean, grad_n_across, _combination(1.0, grad_n_dy, -shear, grad_n_across)
+
+
+@device_function
+def _quaternion_gradient(quaternion, length, g0, g1, g2):
+    """∂L/∂quaternion from ∂L/∂R (its rows), through the normalisation."""
+    w, x, y, z = quaternion
+    gw = 2 * (x * (g2[1] - g1[2]) + y * (g0[2] - g2[0]) + z * (g1[0] - g0[1]))
+    gx = 2 * (
+        y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g2[1] - g1[2]) - 2 * x * (g1[1] + g2[2])
+    )
+    gy = 2 * (
+        x * (g0[1] + g1[0]) + z * (g1[2] + g2[1]) + w * (g0[2] - g2[0]) - 2 * y * (g0[0] + g2[2])
+    )
+    gz = 2 * (
+        x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) + w * (g1[0] - g0[1]) - 2 * z * (g0[0] + g1[1])
+    )
+    along = gw * w + gx * x + gy * y + gz * z
+    return (
+        (gw - along * w) / length,
+        (gx - along * x) / length,
+        (gy - along * y) / length,
+        (gz - along * z) / length,
+    )
+
+
+@device_function
+def _axis_gradient(grad_row, viewmat, row: tl.constexpr, focal, across, z, slope, grad_mean):
+    """What one image axis adds to ∂L/∂(centre in camera coordinates), along that axis and along
+    z."""
+    grad_own = _dot(grad_row, _load_rotation(viewmat, row))
+    grad_forward = _dot(grad_row, _load_rotation(viewmat, 2))
+    focal_over_z = focal / z
+    is_free = slope == across / z  # not clamped
+    grad_slope = tl.where(is_free, focal_over_z * grad_forward, 0.0)
+    grad_across = focal_over_z * grad_mean - grad_slope / z
+    from_slope = grad_slope * (across / z) - focal_over_z * (grad_own - slope * grad_forward)
+    return grad_across, (from_slope - focal * (across / z) * grad_mean) / z
+
+
+@device_function
+def _store_layer_gradients(
+    i, mask, moments, opacities, grad_opacities, grad_features, FIRST: tl.constexpr,
+    CHANNELS: tl.constexpr
+):  # fmt: skip
+    """∂L/∂o = Σ v / o and ∂L/∂features of one layer."""
+    grad = tl.load(moments + FIRST, mask=mask, other=0.0)
+    opacity = tl.load(opacities + i, mask=mask, other=0.0)
+    is_opaque = opacity > 0.0
+    tl.store(
+        grad_opacities + i,
+        tl.where(is_opaque, grad / tl.where(is_opaque, opacity, 1.0), 0.0),
+        mask=mask,
+    )
+    for channel in tl.static_range(CHANNELS):
+        value = tl.load(moments + FIRST + 1 + channel, mask=mask, other=0.0)
+        tl.store(grad_features + CHANNELS * i + channel, value, mask=mask)
+
+
+@triton.jit(do_not_specialize=["count", "width", "height"])
+def project_backward(
+    means, quats, scales, opacities_color, opacities_scalar, viewmat, K, radii, gaussian_grads,
+    grad_means, grad_quats, grad_scales, grad_opacities_color, grad_features_color,
+    grad_opacities_scalar, grad_features_scalar, grad_means2d_offset, count, width, height,
+    dilation,
+    HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """Chain the moments of each Gaussian back to its parameters.
+
+    Args:
+        means, ..., opacities_scalar, viewmat, K, count, width, height, dilation: as in ``project``.
+        radii: what that wrote.
+        gaussian_grads: moments per Gaussian, [N, 12].
+        grad_*: filled, with 0 for the Gaussians that are left out.
+    """
+    i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    inside = i < count
+    moments = gaussian_grads + i * GRAD_FLOATS
+    if HAS_COLOR:
+        _store_layer_gradients(
+            i, inside, moments, opacities_color, grad_opacities_color, grad_features_color,
+            GRAD_COLOR, 3,
+        )  # fmt: skip
+    if HAS_SCALAR:
+        _store_layer_gradients(
+            i, inside, moments, opacities_scalar, grad_opacities_scalar, grad_features_scalar,
+            GRAD_SCALAR, 1,
+        )  # fmt: skip
+    drawn = tl.load(radii + i, mask=inside, other=0.0) > 0.0
+    x, y, z, _ = _to_camera(_load_three(means, i, drawn), viewmat)
+    fx, fy, cx, cy = _load_intrinsics(K)
+    u, v = _clamped_slope(x / z, fx, cx, width), _clamped_slope(y / z, fy, cy, height)
+    m0, m1 = _jacobian_row(viewmat, 0, fx / z, u), _jacobian_row(viewmat, 1, fy / z, v)
+    quaternion, length = _load_quaternion(quats, i, drawn)
+    row0, row1, row2 = _rotation(quaternion)
+    scale = _load_three(scales, i, drawn)
+    p0, p1 = _row_times_matrix(m0, row0, row1, row2), _row_times_matrix(m1, row0, row1, row2)
+    n0, n1 = _scaled(p0, scale), _scaled(p1, scale)
+    grad_mean, gn0, gn1 = _screen_gradients(n0, n1, dilation, moments, drawn)
+    tl.store(grad_means2d_offset + 2 * i, grad_mean[0], mask=inside)
+    tl.store(grad_means2d_offset + 2 * i + 1, grad_mean[1], mask=inside)
+    grad_scale = (
+        gn0[0] * p0[0] + gn1[0] * p1[0],
+        gn0[1] * p0[1] + gn1[1] * p1[1],
+        gn0[2] * p0[2] + gn1[2] * p1[2],
+    )
+    store_three(grad_scales, i, inside, grad_scale)
+    gp0, gp1 = _scaled(gn0, scale), _scaled(gn1, scale)
+    gr0 = _combination(m0[0], gp0, m1[0], gp1)
+    gr1 = _combination(m0[1], gp0, m1[1], gp1)
+    gr2 = _combination(m0[2], gp0, m1[2], gp1)
+    gw, gx, gy, gz = _quaternion_gradient(quaternion, length, gr0, gr1, gr2)
+    tl.store(grad_quats + 4 * i, gw, mask=inside)
+    tl.store(grad_quats + 4 * i + 1, gx, mask=inside)
+    tl.store(grad_quats + 4 * i + 2, gy, mask=inside)
+    tl.store(grad_quats + 4 * i + 3, gz, mask=inside)
+    gm0 = (_dot(gp0, row0), _dot(gp0, row1), _dot(gp0, row2))
+    gm1 = (_dot(gp1, row0), _dot(gp1, row1), _dot(gp1, row2))
+    gx, gz0 = _axis_gradient(gm0, viewmat, 0, fx, x, z, u, grad_mean[0])
+    gy, gz1 = _axis_gradient(gm1, viewmat, 1, fy, y, z, v, grad_mean[1])
+    gz = gz0 + gz1 + tl.load(moments + GRAD_DEPTH, mask=drawn, other=0.0)
+    right, down = _load_rotation(viewmat, 0), _load_rotation(viewmat, 1)
+    forward = _load_rotation(viewmat, 2)
+    grad_point = (
+        right[0] * gx + down[0] * gy + forward[0] * gz,
+        right[1] * gx + down[1] * gy + forward[1] * gz,
+        right[2] * gx + down[2] * gy + forward[2] * gz,
+    )
+    store_three(grad_means, i, inside, grad_point)

@@ -16,12 +16,13 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.errors import MrgsError
-from mrgs.kernels.gpu_spec import Arguments
-from mrgs.kernels.rasterize import cpu, in_passes
-from mrgs.kernels.rasterize.gpu import kernels
+from mrgs.kernels.gpu_spec import Arguments, KernelSpec
+from mrgs.kernels.rasterize import cpu, in_passes, require_pass
+from mrgs.kernels.rasterize.gpu.blend import blend, blend_backward, sum_pairs
 from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
-from mrgs.kernels.require import require_camera
-from mrgs.rasterizer.contract import DILATION_PX2, Layer, Raster
+from mrgs.kernels.rasterize.gpu.projection import project, project_backward
+from mrgs.kernels.rasterize.gpu.tiles import list_pairs
+from mrgs.rasterizer.contract import Geometry, Layer, Projection, Raster
 from mrgs.scene import Blend
 from mrgs.system.cuda_graph import room_of_list
 
@@ -45,6 +46,85 @@ _MOST_SHORT_TILES = 2**15 - 1
 time of 32."""
 
 
+LEFT_OUT = {"fused": None, "color": "scalar", "scalar": "color"}
+"""The layers that a pass may have, and which layer it then lacks."""
+
+BLOCK = 128
+"""Gaussians, or pairs, of one program: one per thread."""
+
+RANKS = 4
+PAIRS = 16
+"""Ranks of one program of ``sum_pairs``, and pairs of each that it adds in one turn."""
+
+_TYPES = {
+    "pair_counts": "*i32", "splat_of_pair": "*i32", "tile_splats": "*i32", "tile_starts": "*i32",
+    "order": "*i64", "pair_ends": "*i64", "tile_pairs": "*i64",
+    "count": "i32", "pairs": "i32", "tiles": "i32", "width": "i32", "height": "i32",
+    "dilation": "fp32",
+}  # fmt: skip
+"""Types of the arguments, by name; all others are tensors of float32."""
+
+
+def _spec(
+    kernel: Any, variant: str, num_warps: int, constants: dict[str, Any], **types: str
+) -> KernelSpec:
+    """An entry; of one stage, for there are no loads that Triton could fetch ahead: the walks do
+    that themselves."""
+    types = _TYPES | types
+    signature = {
+        name: types.get(name, "*fp32") for name in kernel.arg_names if name not in constants
+    }
+    return KernelSpec(kernel, signature, constants, num_warps, 1, variant)
+
+
+def _layer_constants(kernel: Any, layers: str) -> dict[str, Any]:
+    """Which layers the specialisation has; the tensors of one that it lacks are None."""
+    left_out = LEFT_OUT[layers]
+    tensors = {
+        name: None for name in kernel.arg_names if left_out and name.endswith(f"_{left_out}")
+    }
+    return {"HAS_COLOR": left_out != "color", "HAS_SCALAR": left_out != "scalar", **tensors}
+
+
+def _blends(kernel: Any) -> dict[str, KernelSpec]:
+    """The entries of a kernel that walks the lists, by layers: one warp per tile."""
+    return {
+        layers: _spec(kernel, layers, 1, _layer_constants(kernel, layers)) for layers in LEFT_OUT
+    }
+
+
+def _projections(kernel: Any) -> dict[str, KernelSpec]:
+    """The entries of a kernel that takes one Gaussian per thread, by layers."""
+    return {
+        layers: _spec(
+            kernel, layers, BLOCK // 32, {**_layer_constants(kernel, layers), "BLOCK": BLOCK}
+        )
+        for layers in LEFT_OUT
+    }
+
+
+PROJECT = _projections(project)
+LIST_PAIRS = {
+    dtype: _spec(list_pairs, name, BLOCK // 32, {"BLOCK": BLOCK}, tile_of_pair=f"*{name}")
+    for dtype, name in ((torch.int16, "i16"), (torch.int32, "i32"))
+}
+BLEND = _blends(blend)
+BLEND_BACKWARD = _blends(blend_backward)
+SUM_PAIRS = _spec(sum_pairs, "", 1, {"RANKS": RANKS, "PAIRS": PAIRS})
+PROJECT_BACKWARD = _projections(project_backward)
+
+KERNELS: tuple[KernelSpec, ...] = (
+    *PROJECT.values(),
+    *LIST_PAIRS.values(),
+    *BLEND.values(),
+    *BLEND_BACKWARD.values(),
+    SUM_PAIRS,
+    *PROJECT_BACKWARD.values(),
+)
+"""Every specialisation that is launched, with the constants of its launch: the launches read these
+entries, so that what is compiled ahead of time is what runs."""
+
+
 class _Pass(NamedTuple):
     """What a pass draws; ``channels`` by layer, in the order of the outputs."""
 
@@ -55,7 +135,7 @@ class _Pass(NamedTuple):
 
     @property
     def layers(self) -> str:
-        """The layers as ``kernels`` calls them."""
+        """The layers as ``LEFT_OUT`` calls them."""
         return "fused" if len(self.channels) == 2 else next(iter(self.channels))
 
     @property
@@ -80,28 +160,22 @@ class _FusedPass(torch.autograd.Function):
     def forward(
         ctx: Any, what: _Pass, viewmat: Tensor, K: Tensor, *inputs: Tensor
     ) -> tuple[Tensor, ...]:
-        buffers: Arguments = {
-            "count": len(inputs[0]),
-            "tiles": what.tiles,
-            "width": what.width,
-            "height": what.height,
-            "dilation": what.dilation_px2,
-        }
-        sizes = dict(buffers)
-        buffers |= {"viewmat": viewmat, "K": K}
-        buffers |= {
-            name: tensor.contiguous() for name, tensor in zip(what.inputs, inputs, strict=True)
-        }
+        sizes: Arguments = {
+            "count": len(inputs[0]), "tiles": what.tiles, "width": what.width,
+            "height": what.height, "dilation": what.dilation_px2,
+        }  # fmt: skip
+        given = zip(what.inputs, inputs, strict=True)
+        buffers = sizes | {"viewmat": viewmat, "K": K}
+        buffers |= {name: tensor.contiguous() for name, tensor in given}
         with torch.cuda.device_of(inputs[0]):
             _project(what, buffers)
             _list(buffers)
             _blend(what, buffers)
         ctx.mark_non_differentiable(buffers["radii"])
-        ctx.what, ctx.sizes, ctx.kept = (
-            what,
-            sizes,
-            sorted(_needed_backward(what) & buffers.keys() - sizes.keys()),
-        )
+        backward = BLEND_BACKWARD[what.layers], SUM_PAIRS, PROJECT_BACKWARD[what.layers]
+        needed = {name for spec in backward for name in spec.signature}
+        ctx.what, ctx.sizes = what, sizes
+        ctx.kept = sorted(needed & buffers.keys() - sizes.keys())
         ctx.save_for_backward(*(buffers[name] for name in ctx.kept))
         return (*(buffers[name] for name in what.outputs), buffers["radii"])
 
@@ -118,16 +192,7 @@ class _FusedPass(torch.autograd.Function):
         return None, None, None, *(buffers[f"grad_{name}"] for name in what.inputs)
 
 
-def _needed_backward(what: _Pass) -> set[str]:
-    backward = (
-        kernels.BLEND_BACKWARD[what.layers],
-        kernels.SUM_PAIRS,
-        kernels.PROJECT_BACKWARD[what.layers],
-    )
-    return {name for spec in backward for name in spec.signature}
-
-
-def _programs(items: int, per_program: int = kernels.BLOCK) -> tuple[int]:
+def _programs(items: int, per_program: int = BLOCK) -> tuple[int]:
     """The grid in which each program takes ``per_program`` items."""
     return (-(-items // per_program),)
 
@@ -140,7 +205,7 @@ def _project(what: _Pass, buffers: Arguments) -> None:
     buffers["splats"] = means.new_empty(max(count, 1), SPLAT_FLOATS.value)
     buffers["radii"], buffers["depths"] = means.new_empty(count), means.new_empty(count)
     buffers["pair_counts"] = means.new_empty(count, dtype=torch.int32)
-    kernels.PROJECT[what.layers].launch(_programs(count), buffers)
+    PROJECT[what.layers].launch(_programs(count), buffers)
 
 
 def _list(buffers: Arguments) -> None:
@@ -152,15 +217,13 @@ def _list(buffers: Arguments) -> None:
     """
     depths, tiles = buffers["depths"], buffers["tiles"]
     order = torch.argsort(depths, stable=True)
-    pair_ends = torch.cumsum(
-        buffers["pair_counts"].index_select(0, order), dim=0, dtype=torch.int64
-    )
+    counts = buffers["pair_counts"].index_select(0, order)
+    pair_ends = torch.cumsum(counts, dim=0, dtype=torch.int64)
     pairs = room_of_list(pair_ends[-1:]) if len(pair_ends) else 0
     if pairs > _MOST_PAIRS:
         raise MrgsError(
             f"the Gaussians reach {pairs:,} tiles of the image together, and at most "
-            f"{_MOST_PAIRS:,} can be drawn: "
-            "render a smaller image, or fewer Gaussians"
+            f"{_MOST_PAIRS:,} can be drawn: render a smaller image, or fewer Gaussians"
         )
     pair_ends = pair_ends.clamp_max(pairs)  # where a recorded list has too little room
     dtype = torch.int16 if tiles <= _MOST_SHORT_TILES else torch.int32
@@ -168,7 +231,7 @@ def _list(buffers: Arguments) -> None:
     splat_of_pair = depths.new_empty(pairs, dtype=torch.int32)
     buffers |= {"order": order, "pair_ends": pair_ends, "pairs": pairs}
     given = buffers | {"tile_of_pair": tile_of_pair, "splat_of_pair": splat_of_pair}
-    kernels.LIST_PAIRS[dtype].launch(_programs(pairs), given)
+    LIST_PAIRS[dtype].launch(_programs(pairs), given)
     tile_of_pair, tile_pairs = torch.sort(tile_of_pair, stable=True)
     every_tile = torch.arange(tiles + 1, dtype=dtype, device=depths.device)
     buffers["tile_starts"] = torch.searchsorted(tile_of_pair, every_tile, out_int32=True)
@@ -183,7 +246,7 @@ def _blend(what: _Pass, buffers: Arguments) -> None:
         buffers[f"image_{layer}"] = means.new_empty(*size, channels)
         for name in ("depth", "alpha", "transmittance"):
             buffers[f"{name}_{layer}"] = means.new_empty(size)
-    kernels.BLEND[what.layers].launch((what.tiles,), buffers)
+    BLEND[what.layers].launch((what.tiles,), buffers)
 
 
 def _blend_backward(what: _Pass, buffers: Arguments) -> None:
@@ -192,15 +255,13 @@ def _blend_backward(what: _Pass, buffers: Arguments) -> None:
     pair_grads = means.new_zeros(len(tile_pairs), GRAD_FLOATS.value)
     grad_backgrounds = means.new_empty(4, what.tiles)
     given = buffers | {"pair_grads": pair_grads, "grad_backgrounds": grad_backgrounds}
-    kernels.BLEND_BACKWARD[what.layers].launch((what.tiles,), given)
+    BLEND_BACKWARD[what.layers].launch((what.tiles,), given)
     if "color" in what.channels:
         buffers["grad_background_color"] = grad_backgrounds[:3].sum(dim=1)
     if "scalar" in what.channels:
         buffers["grad_background_scalar"] = grad_backgrounds[3:].sum(dim=1)
     buffers["gaussian_grads"] = means.new_empty(buffers["count"], GRAD_FLOATS.value)
-    kernels.SUM_PAIRS.launch(
-        _programs(buffers["count"], kernels.RANKS), buffers | {"pair_grads": pair_grads}
-    )
+    SUM_PAIRS.launch(_programs(buffers["count"], RANKS), buffers | {"pair_grads": pair_grads})
 
 
 def _project_backward(what: _Pass, buffers: Arguments) -> None:
@@ -210,87 +271,57 @@ def _project_backward(what: _Pass, buffers: Arguments) -> None:
         shapes |= {f"opacities_{layer}": (), f"features_{layer}": (channels,)}
     for name, shape in shapes.items():
         buffers[f"grad_{name}"] = buffers["means"].new_empty(buffers["count"], *shape)
-    kernels.PROJECT_BACKWARD[what.layers].launch(_programs(buffers["count"]), buffers)
+    PROJECT_BACKWARD[what.layers].launch(_programs(buffers["count"]), buffers)
 
 
 def median_depth(
-    means: Float[Tensor, "n 3"],
-    quats: Float[Tensor, "n 4"],
-    scales: Float[Tensor, "n 3"],
-    opacities: Float[Tensor, " n"],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    width: int,
-    height: int,
-    dilation_px2: float = DILATION_PX2,
+    geometry: Geometry, opacities: Float[Tensor, " n"], projection: Projection
 ) -> Float[Tensor, "h w"]:
     """``reference.median_depth`` for float32 tensors on a GPU, computed by the host: no training
     needs it."""
-    found: Tensor = cpu.median_depth(
-        means.detach().cpu(), quats.detach().cpu(), scales.detach().cpu(),
-        opacities.detach().cpu(), viewmat.cpu(), K.cpu(), width, height, dilation_px2,
-    )  # fmt: skip
-    return found.to(means.device)
+    on_host = Geometry(*(tensor.detach().cpu() for tensor in geometry))
+    projection = projection._replace(viewmat=projection.viewmat.cpu(), K=projection.K.cpu())
+    found: Tensor = cpu.median_depth(on_host, opacities.detach().cpu(), projection)
+    return found.to(opacities.device)
 
 
 def rasterize(
-    means: Float[Tensor, "n 3"],
-    quats: Float[Tensor, "n 4"],
-    scales: Float[Tensor, "n 3"],
+    geometry: Geometry,
     layers: Sequence[Layer],
-    viewmat: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    width: int,
-    height: int,
+    projection: Projection,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
-    dilation_px2: float = DILATION_PX2,
 ) -> Raster:
     """``contract.Rasterizer`` for float32 tensors on a GPU.
 
-    The camera may lie on any device; where it is not on that of ``means`` it is copied there.
+    The camera may be on any device; where it is not on that of the means it is copied there.
 
     Raises:
         ValueError: no layer, or tensors of other types, sizes or devices.
         MrgsError: there are more Gaussians, or they reach more tiles together, than the kernels can
             number.
     """
+    means = geometry.means
     if len(means) > _MOST_GAUSSIANS:
         raise MrgsError(
             f"there are {len(means):,} Gaussians, and a GPU can draw at most "
             f"{_MOST_GAUSSIANS:,}: use the CPU"
         )
-    require_camera(viewmat, K, width, height)
     offset = means.new_zeros(len(means), 2) if means2d_offset is None else means2d_offset
+    require_pass(geometry, layers, projection, offset)
     # Not blocking: the host would wait for all that is queued. The copy has left a CPU tensor
     # before the call returns.
     viewmat, K = (
         matrix.detach().to(means, non_blocking=means.is_cuda).contiguous()
-        for matrix in (viewmat, K)
+        for matrix in projection[:2]
     )
 
     def one_pass(layers: Sequence[Layer]) -> Raster:
         channels = [layer.features.shape[1] for layer in layers]
-        what = _Pass({_SLOTS[c]: c for c in channels}, width, height, dilation_px2)
-        inputs = [means, quats, scales, offset, *(tensor for layer in layers for tensor in layer)]
-        _check(inputs, channels)
+        what = _Pass({_SLOTS[c]: c for c in channels}, *projection[2:])
+        inputs = (*geometry, offset, *(tensor for layer in layers for tensor in layer))
         outputs = _FusedPass.apply(what, viewmat, K, *inputs)
         return Raster(
             tuple(Blend(*outputs[i : i + 3]) for i in range(0, 3 * len(channels), 3)), outputs[-1]
         )
 
     return in_passes(layers, one_pass)
-
-
-def _check(inputs: Sequence[Tensor], channels: Sequence[int]) -> None:
-    """The kernels trust sizes, types and devices, so nothing else may reach them."""
-    count, device = len(inputs[0]), inputs[0].device
-    shapes: list[tuple[int, ...]] = [(count, columns) for columns in _GEOMETRY.values()]
-    for c in channels:
-        shapes += [(count,), (count, c), (c,)]
-    for tensor, shape in zip(inputs, shapes, strict=True):
-        if tensor.dtype != torch.float32 or tensor.device != device or tensor.shape != shape:
-            raise ValueError(
-                f"the GPU rasterizer takes float32 tensors of matching sizes on one device; got "
-                f"{tensor.dtype} "
-                f"{tuple(tensor.shape)} on {tensor.device} where {shape} on {device} is needed"
-            )

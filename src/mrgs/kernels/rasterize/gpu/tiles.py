@@ -118,11 +118,8 @@ def list_pairs(
     before = pair - tl.load(pair_ends + rank - 1, mask=rank > 0, other=0).to(tl.int32)
     index = tl.load(order + rank).to(tl.int32)
     record = splats + index * SPLAT_FLOATS
-    mean_x, mean_y, shear = (
-        tl.load(record + MEAN_X),
-        tl.load(record + MEAN_Y),
-        tl.load(record + SHEAR),
-    )
+    mean_x, mean_y = tl.load(record + MEAN_X), tl.load(record + MEAN_Y)
+    shear = tl.load(record + SHEAR)
     extent_y, half_width = tl.load(record + EXTENT_Y), tl.load(record + HALF_WIDTH)
     tiles_x, tiles_y = tl.cdiv(width, TILE_WIDTH), tl.cdiv(height, TILE_HEIGHT)
     row, last_row = tile_rows(mean_y, extent_y, height)
