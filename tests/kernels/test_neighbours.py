@@ -9,7 +9,7 @@ from mrgs.field.heat import neighbour_distances
 from mrgs.kernels import neighbours
 from mrgs.kernels.neighbours import nearest_neighbours
 from mrgs.scene.point_cloud import CROWDED
-from mrgs.system.operation import plainly
+from mrgs.system.operation import disable_kernels
 
 
 def crowded_points(each: int) -> torch.Tensor:
@@ -39,7 +39,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 def test_points_at_crowded_places_have_their_nearest_neighbours(k):
     points = crowded_points(CROWDED + 50)
     found = nearest_neighbours(points, k)
-    with plainly():
+    with disable_kernels():
         expected = nearest_neighbours_plain(points, k)
     torch.testing.assert_close(
         neighbour_distances(found, points, k), neighbour_distances(expected, points, k)

@@ -8,7 +8,7 @@ import torch
 from mrgs.errors import KernelWarning
 from mrgs.method.adam import Adam, ParameterGroup, move
 from mrgs.system.gpu import HOST
-from mrgs.system.operation import checking, plainly
+from mrgs.system.operation import checking, disable_kernels
 from mrgs.training.kernel_check import _check_optimizer
 
 
@@ -32,7 +32,7 @@ def after_steps(good: list[bool]) -> list[torch.Tensor]:
 
 @pytest.mark.parametrize("good", [[True] * 3, [True, False, True], [False]])
 def test_the_equation_moves_as_torch_does(good):
-    with plainly():
+    with disable_kernels():
         expected = after_steps(good)
     for found, each in zip(after_steps(good), expected, strict=True):
         torch.testing.assert_close(found, each)

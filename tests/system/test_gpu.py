@@ -3,8 +3,10 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import sysconfig
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -43,12 +45,20 @@ class Cuda:
         return self.capability
 
 
+class FakeMachine(SimpleNamespace):
+    def _replace(self, **changes):
+        return FakeMachine(**{**vars(self), **changes})
+
+
 @pytest.fixture
-def machine(tmp_path: Path) -> Machine:
+def machine(tmp_path: Path) -> FakeMachine:
     """A machine with a GPU on which everything is right."""
     (tmp_path / "Python.h").touch()
     cuda = Cuda()
-    return Machine(True, True, "3.4.0", True, [tmp_path], "linux", "2.13.0", "12.8", cuda)
+    return FakeMachine(
+        has_driver=True, has_triton=True, triton_version="3.4.0", has_compiler=True,
+        headers=[tmp_path], platform="linux", torch_version="2.13.0", built_for="12.8", cuda=cuda,
+    )  # fmt: skip
 
 
 NO_DRIVER = "Found no NVIDIA driver on your system. Please check that you have an NVIDIA GPU"
@@ -102,15 +112,19 @@ def test_auto_is_quiet_where_there_is_no_gpu(changes, machine):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="the schemes of POSIX")
-def test_headers_are_looked_for_where_triton_does_on_debian():
-    assert gpu._header_folders("posix_local") == gpu._header_folders("posix_prefix")
+def test_headers_are_looked_for_where_triton_does_on_debian(monkeypatch):
+    found = []
+    for scheme in ("posix_local", "posix_prefix"):
+        monkeypatch.setattr(sysconfig, "get_default_scheme", lambda chosen=scheme: chosen)
+        found.append(Machine().headers)
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("name", ["CPATH", "C_INCLUDE_PATH"])
 def test_headers_may_be_where_the_compiler_is_told(name, machine, monkeypatch):
     (there,) = machine.headers
     monkeypatch.setenv(name, f"/elsewhere{os.pathsep}{there}")
-    _, *told = gpu._header_folders()
+    _, *told = Machine().headers
     assert told[-2:] == [Path("/elsewhere"), there]
     assert choose_device("cuda", machine._replace(headers=[Path("/nowhere"), *told])).type == "cuda"
 
@@ -118,9 +132,9 @@ def test_headers_may_be_where_the_compiler_is_told(name, machine, monkeypatch):
 def test_a_compiler_is_found_by_its_name_or_by_the_variable(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    assert not gpu._has_compiler()
+    assert not Machine().has_compiler
     monkeypatch.setenv("CC", "mine")
-    assert gpu._has_compiler()
+    assert Machine().has_compiler
 
 
 def test_on_windows_triton_brings_its_own_headers_and_compiler(machine):

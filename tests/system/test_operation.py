@@ -13,7 +13,7 @@ from mrgs import kernels
 from mrgs.errors import MrgsWarning
 from mrgs.system import operation as module
 from mrgs.system.gpu import interpreted
-from mrgs.system.operation import Operation, checking, operation, plainly
+from mrgs.system.operation import Operation, checking, disable_kernels, operation
 
 SOURCE = Path(kernels.__file__).parents[1]
 
@@ -72,12 +72,12 @@ def test_other_types_and_declined_arguments_are_computed_plainly():
 
 def test_kernels_can_be_turned_off(monkeypatch):
     energy = make_operation(lambda x, layer: "kernel")
-    with plainly():
+    with disable_kernels():
         assert energy(*inputs()) != "kernel"
-    with plainly(False):
+    with disable_kernels(False):
         assert energy(*inputs()) == "kernel"
-    with plainly():
-        with plainly():
+    with disable_kernels():
+        with disable_kernels():
             pass
         assert energy(*inputs()) != "kernel"
     monkeypatch.setenv("MRGS_PLAIN", "1")

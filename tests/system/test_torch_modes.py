@@ -183,30 +183,7 @@ def test_products_are_not_rounded_and_the_callers_choice_is_back_afterwards(choo
     assert precisions() == chosen
 
 
-@pytest.mark.usefixtures("restored")
-def test_the_choice_is_back_when_the_last_thread_is_done():
-    torch.set_float32_matmul_precision("high")
-    chosen = precisions()
-    entered, leave = threading.Event(), threading.Event()
-
-    def other() -> None:
-        with own_modes():
-            entered.set()
-            leave.wait(60)
-
-    thread = threading.Thread(target=other)
-    try:
-        with own_modes():
-            thread.start()
-            assert entered.wait(60)
-        assert are_exact()
-    finally:
-        leave.set()
-        thread.join()
-    assert precisions() == chosen
-
-
-def test_where_one_setting_cannot_be_made_the_others_are_the_callers_again():
+def test_where_one_setting_cannot_be_made_the_others_are_the_callers_again(monkeypatch):
     made = ["high"]
 
     def fails(value: str) -> None:
@@ -215,9 +192,9 @@ def test_where_one_setting_cannot_be_made_the_others_are_the_callers_again():
 
     good = torch_modes._Setting(lambda: made[-1], made.append, "highest")
     broken = torch_modes._Setting(lambda: "high", fails, "highest")
-    precision = torch_modes._FullPrecision([good, broken])
+    monkeypatch.setattr(torch_modes, "_SETTINGS", [good, broken])
     for _ in range(2):
-        with pytest.raises(RuntimeError, match="not allowed"), precision.held():
+        with pytest.raises(RuntimeError, match="not allowed"), own_modes():
             pass
         assert made[-3:] == ["high", "highest", "high"]
 

@@ -10,14 +10,14 @@ import shutil
 import sys
 import sysconfig
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from functools import lru_cache
+from functools import cache
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as installed_version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import torch
 from torch import Tensor
@@ -68,21 +68,51 @@ def interpreted() -> Iterator[None]:
         _interpreted.reset(token)
 
 
-class Machine(NamedTuple):
-    """What a choice of the device depends on; headers are the folders where Python.h may be."""
+class Machine:
+    """What a choice of the device depends on, looked up when it is asked for."""
 
-    has_driver: bool
-    has_triton: bool
-    triton_version: str | None
-    has_compiler: bool
-    headers: Sequence[Path]
-    platform: str = sys.platform
-    torch_version: str = torch.__version__
-    built_for: str | None = torch.version.cuda
+    platform = sys.platform
+    torch_version = torch.__version__
+    built_for = torch.version.cuda
     cuda: Any = torch.cuda
 
+    @property
+    def has_driver(self) -> bool:
+        """Whether NVIDIA's driver is installed."""
+        driver = Path("/proc/driver/nvidia/version")
+        return driver.exists() or shutil.which("nvidia-smi") is not None
 
-def choose_device(name: DeviceName, machine: Machine | None = None) -> torch.device:
+    @property
+    def has_triton(self) -> bool:
+        """Whether Triton is installed."""
+        return _has_triton()
+
+    @property
+    def triton_version(self) -> str | None:
+        """Read without loading Triton, which decides when it is imported whether it interprets."""
+        for name in ("triton", "triton-windows"):
+            with suppress(PackageNotFoundError):
+                return installed_version(name)
+        return None
+
+    @property
+    def has_compiler(self) -> bool:
+        """Whether Triton finds a C compiler."""
+        return bool(os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang"))
+
+    @property
+    def headers(self) -> list[Path]:
+        """Where Python.h is looked for when Triton compiles: its own choice first, then the options
+        of a C compiler."""
+        scheme = sysconfig.get_default_scheme()
+        if scheme == "posix_local":  # Debian's names a folder below /usr/local without headers
+            scheme = "posix_prefix"
+        options = (os.environ.get(name, "") for name in ("CPATH", "C_INCLUDE_PATH"))
+        folders = [folder for each in options for folder in each.split(os.pathsep) if folder]
+        return [Path(folder) for folder in (sysconfig.get_paths(scheme)["include"], *folders)]
+
+
+def choose_device(name: DeviceName, machine: Any = Machine()) -> torch.device:  # noqa: B008
     """The device of a name; "auto" is the GPU where there is one that can be used, else the CPU.
 
     Warns:
@@ -99,10 +129,7 @@ def choose_device(name: DeviceName, machine: Machine | None = None) -> torch.dev
             options=("device",),
         )
     if name == "cpu":
-        return torch.device("cpu")
-    machine = machine or Machine(
-        _driver_is_installed(), _has_triton(), _triton_version(), _has_compiler(), _header_folders()
-    )
+        return HOST
     obstacle = _obstacle(machine)
     if obstacle is None:
         return torch.device("cuda", machine.cuda.current_device())
@@ -110,7 +137,7 @@ def choose_device(name: DeviceName, machine: Machine | None = None) -> torch.dev
         raise DeviceError(f"{obstacle}; or use the CPU", options=("device",))
     if machine.has_driver:
         warn_user(f"the NVIDIA GPU is not used: {obstacle}")
-    return torch.device("cpu")
+    return HOST
 
 
 def device_title(device: torch.device) -> str:
@@ -129,7 +156,7 @@ def lacks_memory(error: Exception) -> bool:
     )
 
 
-def _obstacle(machine: Machine) -> str | None:
+def _obstacle(machine: Any) -> str | None:
     """Why the GPU cannot be used, and the remedy; None if it can."""
     if machine.platform == "darwin":
         return "there is no CUDA for macOS"
@@ -145,7 +172,7 @@ def _obstacle(machine: Machine) -> str | None:
     )
 
 
-def _driver_obstacle(machine: Machine) -> str | None:
+def _driver_obstacle(machine: Any) -> str | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # torch's own warning about an old driver; ours is below
         if machine.cuda.is_available():
@@ -182,12 +209,13 @@ def _capability_obstacle(cuda: Any) -> str | None:
     )
 
 
-def _triton_obstacle(machine: Machine) -> str | None:
+def _triton_obstacle(machine: Any) -> str | None:
     on_windows = machine.platform == "win32"
     if not machine.has_triton:
         return f"Triton is missing: pip install triton{'-windows' if on_windows else ''}"
     version = machine.triton_version
-    if version is not None and _numbers(version) < OLDEST_TRITON:
+    numbers = tuple(map(int, re.findall(r"\d+", version or "")[:2]))
+    if version is not None and numbers < OLDEST_TRITON:
         return (
             f"Triton {version} is too old: {'.'.join(map(str, OLDEST_TRITON))} or newer is needed, "
             "which comes with torch 2.8: pip install --upgrade torch"
@@ -205,40 +233,6 @@ def _triton_obstacle(machine: Machine) -> str | None:
     return None
 
 
-def _has_compiler() -> bool:
-    return bool(os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang"))
-
-
-def _header_folders(scheme: str | None = None) -> list[Path]:
-    """Where Python.h is looked for when Triton compiles: its own choice first, then the options of
-    a C compiler."""
-    scheme = scheme or sysconfig.get_default_scheme()
-    if scheme == "posix_local":  # Debian's names a folder below /usr/local that holds no headers
-        scheme = "posix_prefix"
-    searched = [os.environ.get(name, "").split(os.pathsep) for name in ("CPATH", "C_INCLUDE_PATH")]
-    return [
-        Path(sysconfig.get_paths(scheme)["include"]),
-        *(Path(folder) for each in searched for folder in each if folder),
-    ]
-
-
-@lru_cache(maxsize=1)
+@cache
 def _has_triton() -> bool:
     return importlib.util.find_spec("triton") is not None
-
-
-def _triton_version() -> str | None:
-    """Read without loading Triton, which decides when it is imported whether it interprets."""
-    for name in ("triton", "triton-windows"):
-        with suppress(PackageNotFoundError):
-            return installed_version(name)
-    return None
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    """(3, 4) of "3.4.0+git1"."""
-    return tuple(int(number) for number in re.findall(r"\d+", version)[:2])
-
-
-def _driver_is_installed() -> bool:
-    return Path("/proc/driver/nvidia/version").exists() or shutil.which("nvidia-smi") is not None

@@ -108,12 +108,11 @@ class Operation(Generic[P, R]):
     def kernel(self, arguments: Sequence[Any]) -> Callable[..., Any] | None:
         """The kernel for these arguments, chosen by their first tensor; None if there is none."""
         tensor = _first_tensor(arguments)
-        if tensor is None or is_plain():
+        if tensor is None or kernels_disabled():
             return None
-        device: Device | None = "gpu" if gpu.runs_triton(tensor) else None
-        if device is None and tensor.is_cpu:
-            device = "cpu"
-        return None if device is None else self.listed(device, tensor.dtype)
+        if gpu.runs_triton(tensor):
+            return self.listed("gpu", tensor.dtype)
+        return self.listed("cpu", tensor.dtype) if tensor.is_cpu else None
 
     def listed(self, device: Device, dtype: torch.dtype) -> Callable[..., Any] | None:
         """The kernel for a device and a type; None if there is none."""
@@ -122,13 +121,7 @@ class Operation(Generic[P, R]):
             return None
         return _imported(entry.function) if isinstance(entry.function, str) else entry.function
 
-    def _compare(
-        self,
-        kernel: Callable[..., Any],
-        check: _Check,
-        args: tuple[Any, ...],
-        kwargs: dict[str, Any],
-    ) -> None:
+    def _compare(self, kernel: Callable[..., Any], check: _Check, args: Any, kwargs: Any) -> None:
         """Compare the kernel with the plain definition; a warning where it is rejected."""
         comparison = KernelComparison(self.plain, self.measure, check.gradients)
         problem = comparison.problem_of(kernel, args, kwargs)
@@ -160,20 +153,20 @@ def operation(plain: Any = None, *, measure: Any = None) -> Any:
     return partial(Operation, measure=measure) if plain is None else Operation(plain, measure)
 
 
-def is_plain() -> bool:
-    """Whether kernels are turned off, by ``plainly`` or by the environment variable MRGS_PLAIN."""
-    return _plain_blocks > 0 or os.environ.get(PLAIN_VARIABLE, "0") not in ("", "0")
+def kernels_disabled() -> bool:
+    """Whether ``disable_kernels`` or the environment variable MRGS_PLAIN turns kernels off."""
+    return _disabling > 0 or os.environ.get(PLAIN_VARIABLE, "0") not in ("", "0")
 
 
 @contextmanager
-def plainly(enabled: bool = True) -> Iterator[None]:
-    """Within this block no thread of the process uses a kernel, unless ``enabled`` is false."""
-    global _plain_blocks
-    _plain_blocks += enabled
+def disable_kernels(really: bool = True) -> Iterator[None]:
+    """Within this block no thread of the process uses a kernel, if ``really``."""
+    global _disabling
+    _disabling += really
     try:
         yield
     finally:
-        _plain_blocks -= enabled
+        _disabling -= really
 
 
 @contextmanager
@@ -205,7 +198,7 @@ class _Check(NamedTuple):
     rejected: set[Callable[..., Any]]
 
 
-_plain_blocks = 0
+_disabling = 0
 _registered: dict[tuple[str, Device], Kernel] = {}
 _check: ContextVar[_Check | None] = ContextVar("mrgs_check", default=None)
 

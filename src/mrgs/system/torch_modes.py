@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
-from threading import Lock
 from typing import Any, NamedTuple
 
 import torch
@@ -42,7 +41,7 @@ def own_modes(device: torch.device = HOST) -> Iterator[None]:
         stack.enter_context(torch.inference_mode(False))
         stack.enter_context(torch.enable_grad())
         stack.enter_context(torch.autograd.set_multithreading_enabled(False))
-        stack.enter_context(_full_precision.held())
+        stack.enter_context(_full_precision())
         for kind in ("cpu", "cuda"):
             if torch.is_autocast_enabled(kind):
                 stack.enter_context(torch.autocast(kind, enabled=False))
@@ -53,50 +52,26 @@ def own_modes(device: torch.device = HOST) -> Iterator[None]:
         yield
 
 
-class _FullPrecision:
-    """float32 products and convolutions whose operands are not rounded (no TF32, no bfloat16).
+@contextmanager
+def _full_precision() -> Iterator[None]:
+    """Within this block, operands of float32 products and convolutions are not rounded (no TF32, no
+    bfloat16).
 
     torch rounds those of cuDNN's convolutions by default, and of all products on request. A kernel
     would then differ from its plain definition by more than the check of kernels allows. The
-    settings are the process's: they are the caller's again when no thread is within ``held``.
+    settings are the process's, and are the caller's again after the block.
     """
-
-    def __init__(self, settings: Sequence[_Setting]) -> None:
-        self._settings = settings
-        self._lock = Lock()
-        self._holders = 0
-        self._before: list[tuple[_Setting, Any]] = []
-
-    @contextmanager
-    def held(self) -> Iterator[None]:
-        """Within this block, in all threads."""
-        with self._lock:
-            if self._holders == 0:
-                self._begin()
-            self._holders += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._holders -= 1
-                if self._holders == 0:
-                    self._end()
-
-    def _begin(self) -> None:
-        self._before = []
-        for setting in self._settings:
-            # Where the operations behind a common name have different settings, torch raises.
-            with suppress(RuntimeError):
-                self._before.append((setting, setting.get()))
-        try:
-            for setting, _ in self._before:
-                setting.set(setting.exact)
-        except BaseException:
-            self._end()
-            raise
-
-    def _end(self) -> None:
-        for setting, value in self._before:
+    before = []
+    for setting in _SETTINGS:
+        # Where the operations behind a common name have different settings, torch raises.
+        with suppress(RuntimeError):
+            before.append((setting, setting.get()))
+    try:
+        for setting, _ in before:
+            setting.set(setting.exact)
+        yield
+    finally:
+        for setting, value in before:
             setting.set(value)
 
 
@@ -110,8 +85,8 @@ class _Setting(NamedTuple):
 
 def _settings() -> list[_Setting]:
     """The common names, and from torch 2.9 on the operations' own. As far as they can be read, all
-    say the same within ``held``: otherwise torch would raise where something reads a common
-    name."""
+    say the same within ``_full_precision``: otherwise torch would raise where something reads a
+    common name."""
     cuda, cudnn = torch.backends.cuda, torch.backends.cudnn
     mkldnn: Any = torch.backends.mkldnn  # its annotations lack the operations
     products = _Setting(
@@ -135,7 +110,6 @@ def _settings() -> list[_Setting]:
 
 
 _SETTINGS = _settings()
-_full_precision = _FullPrecision(_SETTINGS)
 
 
 @contextmanager

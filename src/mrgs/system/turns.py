@@ -4,48 +4,45 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 
 class FairLock:
     """A lock that threads get in the order in which they ask for it, also where the one that gives
-    it back asks again at once; the thread that holds it may take it again.
+    it back asks again at once; the thread that has it may take it again.
 
     Ctrl-C while a thread waits, or as its turn comes, leaves the lock free for the others.
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._last = threading.Lock()
-        """Held by the thread that asked last, until it is done or has given up."""
-        self._holder: int | None = None
-        self._held = self._last
+        self._changed = threading.Condition()
+        self._queue: deque[int] = deque()
+        """The thread that has the lock, then those that wait for it."""
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Within this block no other thread holds the lock."""
-        if self._holder == threading.get_ident():
+        """Within this block no other thread has the lock."""
+        own, queue = threading.get_ident(), self._queue
+        if queue and queue[0] == own:
             yield
             return
-        mine = threading.Lock()
-        with mine:  # Python handles no signal between taking a lock in a with and its block
-            before, self._last = self._last, mine
-            with before:
-                pass
-            with self._lock:  # the one before may have given up while another thread is at work
-                try:
-                    self._held = mine
-                    # A Ctrl-C that has come meanwhile is raised by this call, within the blocks.
-                    self._holder = threading.get_ident()
-                    yield
-                finally:
-                    self._holder = None
+        try:
+            with self._changed:
+                queue.append(own)
+                self._changed.wait_for(lambda: queue[0] == own)
+            yield
+        finally:
+            with self._changed:
+                if own in queue:
+                    queue.remove(own)
+                self._changed.notify_all()
 
     @property
     def is_awaited(self) -> bool:
-        """Whether a thread waits for the one that holds the lock."""
-        return self._holder is not None and self._held is not self._last
+        """Whether a thread waits for the one that has the lock."""
+        return len(self._queue) > 1
 
 
 @contextmanager

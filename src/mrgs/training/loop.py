@@ -17,7 +17,7 @@ from mrgs.run_files.folder import RunFolder
 from mrgs.run_files.record import RunRecord, asks_to_stop
 from mrgs.scene import Scene
 from mrgs.system.gpu import lacks_memory
-from mrgs.system.operation import is_plain
+from mrgs.system.operation import kernels_disabled
 from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.turns import FairLock, ctrl_c_waits
@@ -64,7 +64,8 @@ class Trainer:
             skipped_in_a_row=int(state.skipped_in_a_row),
         )
         self._scale = SceneScale.of(scene)
-        self._recorder = Recorder(device) if device.type == "cuda" and not is_plain() else None
+        records = device.type == "cuda" and not kernels_disabled()
+        self._recorder = Recorder(device) if records else None
         self._photos = TrainingPhotos(device)
         self._turns = FairLock()
         self._is_half_done = self._is_closed = False

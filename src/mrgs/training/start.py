@@ -26,7 +26,7 @@ from mrgs.system import gpu
 from mrgs.system.disk import warn_if_short
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.limits import whole_number
-from mrgs.system.operation import plainly
+from mrgs.system.operation import disable_kernels
 from mrgs.system.threads import require_own_threads, will_compute
 from mrgs.system.torch_modes import own_modes
 from mrgs.training import checkpoint
@@ -195,7 +195,7 @@ def begun_run(
     else:
         folder.require_new()
     loaded = scene_to_train(scene, config)
-    with folder.training(config, options.resume), plainly(options.plain):
+    with folder.training(config, options.resume), disable_kernels(options.plain):
         if hooks.on_start is not None:
             hooks.on_start(loaded, config)
         with own_modes():
