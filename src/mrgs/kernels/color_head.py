@@ -3,7 +3,6 @@ block by block."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,13 +13,17 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from mrgs.field.appearance import ColorHead
-from mrgs.kernels.dense.encoding import encode, encode_backward
-from mrgs.kernels.dense.layers import (
+from mrgs.kernels.dense import (
+    BLOCK_ROWS,
     SHARES,
+    TILE_COLUMNS,
+    TILE_ROWS,
     Activations,
-    PackedLayer,
-    Sums,
+    Network,
+    NetworkSums,
     blocks_of,
+    encode,
+    encode_backward,
     linear,
     linear_backward,
     no_sums,
@@ -28,10 +31,10 @@ from mrgs.kernels.dense.layers import (
     read_in_order,
     rectify,
     rectify_backward,
+    rounded_up,
     slots,
-    total,
+    totals,
 )
-from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.harmonics.cpu import add_direction_gradient, direction
 from mrgs.kernels.jit import reordering_inlined_function, reordering_parallel_kernel
 from mrgs.kernels.require import listed, require, require_layers
@@ -67,18 +70,6 @@ def color_residuals(
     return residuals
 
 
-class _Network(NamedTuple):
-    first: PackedLayer
-    second: PackedLayer
-    output: PackedLayer
-
-
-class _NetworkSums(NamedTuple):
-    first: Sums
-    second: Sums
-    output: Sums
-
-
 class _Inputs(NamedTuple):
     """Arrays of all Gaussians (or their gradients); camera: its position."""
 
@@ -96,7 +87,7 @@ class _ColorResidual(torch.autograd.Function):
         hidden = Activations(slots(len(rows), keep), 2, BLOCK_ROWS, units)
         residual = np.empty((len(rows), 3), np.float32)
         gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
-        network = _packed(tensors[3:])
+        network = Network(*(pack(*tensors[place : place + 2]) for place in (3, 5, 7)))
         _forward(gaussians, rows.numpy(), frequencies, *network, hidden.array, keep, residual)
         if keep:
             ctx.save_for_backward(*tensors, rows)
@@ -107,31 +98,24 @@ class _ColorResidual(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         *tensors, rows = ctx.saved_tensors
-        hidden, weights = ctx.hidden.array, tensors[3::2]
-        units, inputs = hidden.shape[3], rounded_up(weights[0].shape[1], TILE_COLUMNS)
-        sums = _NetworkSums(
-            no_sums(units, inputs), no_sums(units, units), no_sums(TILE_ROWS, units)
-        )
+        weights = tensors[3::2]
+        sums = no_sums(weights)
         gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
         gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
-        grad = grads[0].contiguous().numpy()
         _backward(
-            gaussians, rows.numpy(), ctx.frequencies, *ctx.network, hidden, grad, *sums, gradients
-        )
+            gaussians, rows.numpy(), ctx.frequencies, *ctx.network, ctx.hidden.array,
+            grads[0].contiguous().numpy(), *sums, gradients,
+        )  # fmt: skip
         if ctx.needs_input_grad[2]:
             gradients.camera[:] = -gradients.means.sum(axis=0)
-        of_layers = [tensor for pair in zip(sums, weights, strict=True) for tensor in total(*pair)]
-        return (*(torch.from_numpy(array) for array in gradients), *of_layers, None, None, None)
-
-
-def _packed(parameters: Sequence[Tensor]) -> _Network:
-    return _Network(*(pack(parameters[place], parameters[place + 1]) for place in (0, 2, 4)))
+        of_inputs = (torch.from_numpy(array) for array in gradients)
+        return (*of_inputs, *totals(sums, weights), None, None, None)
 
 
 @reordering_parallel_kernel
 def _forward(gaussians, rows, frequencies, first, second, output, hidden, keep, residual):
     for share in prange(SHARES):
-        network = _Network(first, second, output)  # here, because prange takes no tuples of tuples
+        network = Network(first, second, output)  # here, because prange takes no tuples of tuples
         _forward_share(
             np.int64(share), gaussians, rows, frequencies, network, hidden, keep, residual
         )
@@ -174,24 +158,12 @@ def _fill_inputs(gaussians, rows, frequencies, inputs):
 
 @reordering_parallel_kernel
 def _backward(
-    gaussians,
-    rows,
-    frequencies,
-    first,
-    second,
-    output,
-    hidden,
-    grad,
-    first_sums,
-    second_sums,
-    output_sums,
-    gradients,
-):
+    gaussians, rows, frequencies, first, second, output, hidden, grad,
+    first_sums, second_sums, output_sums, gradients,
+):  # fmt: skip
     for share in prange(SHARES):
-        network, sums = (
-            _Network(first, second, output),
-            _NetworkSums(first_sums, second_sums, output_sums),
-        )
+        network = Network(first, second, output)
+        sums = NetworkSums(first_sums, second_sums, output_sums)
         _backward_share(
             np.int64(share), gaussians, rows, frequencies, network, hidden, grad, sums, gradients
         )

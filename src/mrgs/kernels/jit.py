@@ -1,7 +1,7 @@
 """How the Numba kernels are compiled: on first call and kept on disk; division by zero gives inf.
 
-Python calls kernels, and kernels call inner functions. These are compiled without what Python would
-need to call them, which takes a fifth of all compiling.
+Python calls kernels, and kernels call inner functions. These are kept as parts of their kernels,
+and compiled without what Python would need to call them, which takes a fifth of all compiling.
 
 Three arithmetics, each for parallel kernels, kernels and inner functions:
 
@@ -49,7 +49,8 @@ def _compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any
     if is_jitted(dispatcher):  # not so with NUMBA_DISABLE_JIT
         if options.get("no_cpython_wrapper", False):
             dispatcher.__class__ = InnerFunction
-        keep_on_disk(dispatcher)
+        else:
+            keep_on_disk(dispatcher)
     return dispatcher
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.kernels.dense import layers
+from mrgs.kernels import dense as layers
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from mrgs.field.encoding import positional_encoding
-from mrgs.kernels.dense.encoding import encode, encode_backward
+from mrgs.kernels.dense import encode, encode_backward
 
 
 @pytest.mark.parametrize("frequencies", [0, 1, 4, 10])

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from mrgs.field import FieldConfig, RadianceField, nearest_neighbours
-from mrgs.kernels.dense.layers import SHARES, slots
+from mrgs.kernels.dense import SHARES, slots
 from mrgs.kernels.harmonics.cpu import shade
 from mrgs.scene import RGB, THERMAL, Gaussians
 

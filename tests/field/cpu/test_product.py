@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.kernels.dense.layers import product
-from mrgs.kernels.dense.product import (
+from mrgs.kernels.dense import (
     BLOCK_ROWS,
     TILE_COLUMNS,
     TILE_ROWS,
     add_product,
     multiply,
     panels,
+    product,
     rounded_up,
 )
 

@@ -44,8 +44,7 @@ def blur_kernel(
         sigma: σ in pixels, one value.
         result: receives P x.
         weight_sums: receives t by the place along the axis, [H] or [W].
-        height: H.
-        width: W.
+        height, width: H, W.
         reach: how many σ away the weights end.
         AXIS: 0 down the columns, 1 along the rows.
     """
@@ -69,31 +68,17 @@ def blur_kernel(
 
 @triton.jit(do_not_specialize=SIZES)
 def blur_backward_kernel(
-    plane,
-    sigma,
-    gradient,
-    weight_sums,
-    result,
-    by_sigma,
-    height,
-    width,
-    reach,
-    AXIS: tl.constexpr,
-    BLOCK: tl.constexpr,
-):
+    plane, sigma, gradient, weight_sums, result, by_sigma, height, width, reach,
+    AXIS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
     """The gradients behind ``blur_kernel``.
 
     Args:
-        plane: x, [H, W].
-        sigma: σ in pixels, one value.
+        plane, sigma, height, width, reach, AXIS: as there.
         gradient: by P x, [H, W].
         weight_sums: t, as the forward kernel stored it.
         result: receives the gradient by x.
         by_sigma: receives each program's part of the gradient by σ.
-        height: H.
-        width: W.
-        reach: how many σ away the weights end.
-        AXIS: 0 down the columns, 1 along the rows.
     """
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     mask = at < height * width
@@ -161,15 +146,7 @@ class _Blur(torch.autograd.Function):
 
 def _forward(plane: Tensor, sigma_px: Tensor, reach: float, axis: int) -> tuple[Tensor, Tensor]:
     result, weight_sums = torch.empty_like(plane), plane.new_empty(plane.shape[axis])
-    given: Arguments = {
-        "plane": plane,
-        "sigma": sigma_px,
-        "result": result,
-        "weight_sums": weight_sums,
-        "reach": reach,
-    }
-    given |= dict(zip(SIZES, plane.shape, strict=True))
-    _spec(blur_kernel, FORWARD, axis).launch((triton.cdiv(plane.numel(), BLOCK),), given)
+    _launch(blur_kernel, FORWARD, (plane, sigma_px, result, weight_sums), reach, axis)
     return result, weight_sums
 
 
@@ -177,18 +154,21 @@ def _backward(
     plane: Tensor, sigma_px: Tensor, gradient: Tensor, weight_sums: Tensor, reach: float, axis: int
 ) -> tuple[Tensor, Tensor]:
     """The gradients by the plane and by σ of the blur along one axis."""
-    programs = triton.cdiv(plane.numel(), BLOCK)
-    result, by_sigma = torch.empty_like(plane), plane.new_empty(programs)
-    given: Arguments = {
-        "plane": plane,
-        "sigma": sigma_px,
-        "gradient": gradient,
-        "weight_sums": weight_sums,
-        "reach": reach,
-    }
-    given |= {"result": result, "by_sigma": by_sigma, **dict(zip(SIZES, plane.shape, strict=True))}
-    _spec(blur_backward_kernel, BACKWARD, axis).launch((programs,), given)
+    result = torch.empty_like(plane)
+    by_sigma = plane.new_empty(triton.cdiv(plane.numel(), BLOCK))
+    tensors = (plane, sigma_px, gradient, weight_sums, result, by_sigma)
+    _launch(blur_backward_kernel, BACKWARD, tensors, reach, axis)
     return result, by_sigma.sum(dtype=torch.float64)
+
+
+def _launch(
+    kernel: Any, names: Sequence[str], tensors: Sequence[Tensor], reach: float, axis: int
+) -> None:
+    """Start a kernel along an axis of the first of its tensors."""
+    plane = tensors[0]
+    given: Arguments = dict(zip(names, tensors, strict=True)) | {"reach": reach}
+    given |= dict(zip(SIZES, plane.shape, strict=True))
+    _spec(kernel, names, axis).launch((triton.cdiv(plane.numel(), BLOCK),), given)
 
 
 def _spec(kernel: Any, tensors: Sequence[str], axis: int) -> KernelSpec:

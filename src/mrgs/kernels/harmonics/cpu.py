@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.field import spherical_harmonics as sh
-from mrgs.kernels.dense.layers import SHARES
+from mrgs.kernels.dense import SHARES
 from mrgs.kernels.jit import address, reordering_inner_function, reordering_parallel_kernel
 from mrgs.kernels.require import listed, require
 
@@ -122,11 +122,8 @@ def _backward(
     means, dc, rest, camera, rows, is_clamped, bands, floors, grad, grad_means, grad_dc, grad_rest
 ):
     for share in prange(SHARES):
-        basis, weights, g = (
-            np.zeros(15, np.float32),
-            np.zeros(15, np.float32),
-            np.zeros(len(floors), np.float32),
-        )
+        basis, weights = np.zeros(15, np.float32), np.zeros(15, np.float32)
+        g = np.zeros(len(floors), np.float32)
         for place in range(
             np.int64(share) * rows.size // SHARES, (np.int64(share) + 1) * rows.size // SHARES
         ):
@@ -215,12 +212,8 @@ def _basis_gradient(x, y, z, weights, bands):
 def _basis_gradient_of_degree_three(x, y, z, weights):
     xx, yy, zz = x * x, y * y, z * z
     w0, w1, w2 = -_C3_ORDER3 * weights[8], _C3_ORDER2 * weights[9], -_C3_ORDER1 * weights[10]
-    w3, w4, w5, w6 = (
-        _C3_ZONAL * weights[11],
-        -_C3_ORDER1 * weights[12],
-        _C3_ORDER2 * weights[13],
-        -_C3_ORDER3 * weights[14],
-    )
+    w3, w4 = _C3_ZONAL * weights[11], -_C3_ORDER1 * weights[12]
+    w5, w6 = _C3_ORDER2 * weights[13], -_C3_ORDER3 * weights[14]
     gx = (
         w0 * _SIX * x * y + w1 * y * z - w2 * _TWO * x * y - w3 * _SIX * x * z
         + w4 * (_FOUR * zz - _THREE * xx - yy) + w5 * x * z + w6 * _THREE * (xx - yy)

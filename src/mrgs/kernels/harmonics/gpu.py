@@ -62,13 +62,8 @@ def _basis(x, y, z):
     """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``."""
     xx, yy, zz = x * x, y * y, z * z
     return (
-        y * -FIRST,
-        z * FIRST,
-        x * -FIRST,
-        x * y * SECOND,
-        y * z * -SECOND,
-        (2 * zz - xx - yy) * SECOND_ZONAL,
-        x * z * -SECOND,
+        y * -FIRST, z * FIRST, x * -FIRST,
+        x * y * SECOND, y * z * -SECOND, (2 * zz - xx - yy) * SECOND_ZONAL, x * z * -SECOND,
         (xx - yy) * (0.5 * SECOND),
         y * (3 * xx - yy) * -THIRD_ORDER3,
         x * y * z * THIRD_ORDER2,
@@ -77,7 +72,7 @@ def _basis(x, y, z):
         x * (4 * zz - xx - yy) * -THIRD_ORDER1,
         z * (xx - yy) * (0.5 * THIRD_ORDER2),
         x * (xx - 3 * yy) * -THIRD_ORDER3,
-    )
+    )  # fmt: skip
 
 
 @device_function
@@ -96,53 +91,31 @@ def _basis_slopes(x, y, z):
         (x * SECOND, y * -SECOND, zero),
         (x * y * (-6 * THIRD_ORDER3), (xx - yy) * (-3 * THIRD_ORDER3), zero),
         (y * z * THIRD_ORDER2, x * z * THIRD_ORDER2, x * y * THIRD_ORDER2),
-        (
-            x * y * (2 * THIRD_ORDER1),
-            (4 * zz - xx - 3 * yy) * -THIRD_ORDER1,
-            y * z * (-8 * THIRD_ORDER1),
-        ),
-        (
-            x * z * (-6 * THIRD_ZONAL),
-            y * z * (-6 * THIRD_ZONAL),
-            (6 * zz - 3 * xx - 3 * yy) * THIRD_ZONAL,
-        ),
-        (
-            (4 * zz - 3 * xx - yy) * -THIRD_ORDER1,
-            x * y * (2 * THIRD_ORDER1),
-            x * z * (-8 * THIRD_ORDER1),
-        ),
+        (x * y * (2 * THIRD_ORDER1), (4 * zz - xx - 3 * yy) * -THIRD_ORDER1,
+         y * z * (-8 * THIRD_ORDER1)),
+        (x * z * (-6 * THIRD_ZONAL), y * z * (-6 * THIRD_ZONAL),
+         (6 * zz - 3 * xx - 3 * yy) * THIRD_ZONAL),
+        ((4 * zz - 3 * xx - yy) * -THIRD_ORDER1, x * y * (2 * THIRD_ORDER1),
+         x * z * (-8 * THIRD_ORDER1)),
         (x * z * THIRD_ORDER2, y * z * -THIRD_ORDER2, (xx - yy) * (0.5 * THIRD_ORDER2)),
         ((xx - yy) * (-3 * THIRD_ORDER3), x * y * (6 * THIRD_ORDER3), zero),
-    )
+    )  # fmt: skip
 
 
 @triton.jit(do_not_specialize=SIZES)
 def shade_kernel(
-    means,
-    camera,
-    dc,
-    rest,
-    values,
-    count,
-    bands,
-    held,
-    floor,
-    CHANNELS: tl.constexpr,
+    means, camera, dc, rest, values, count, bands, held, floor, CHANNELS: tl.constexpr,
     BLOCK: tl.constexpr,
-):
+):  # fmt: skip
     """Harmonics of the viewing direction + ½, not below the floor.
 
     Args:
-        means: centres, [N, 3].
-        camera: centre of projection, [3].
-        dc: coefficients of degree 0, [N, 1, C].
-        rest: of the higher degrees, [N, B, C].
+        means, camera: centres, [N, 3], and centre of projection, [3].
+        dc, rest: coefficients of degree 0, [N, 1, C], and of the higher degrees, [N, B, C].
         values: filled, [N, C].
-        count: N.
+        count, held, CHANNELS: N, B and C.
         bands: coefficients that count.
-        held: B.
         floor: smallest value.
-        CHANNELS: C.
     """
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     inside = i < count
@@ -161,22 +134,9 @@ def shade_kernel(
 
 @triton.jit(do_not_specialize=SIZES)
 def shade_backward_kernel(
-    means,
-    camera,
-    dc,
-    rest,
-    values,
-    gradient,
-    grad_means,
-    grad_dc,
-    grad_rest,
-    count,
-    bands,
-    held,
-    floor,
-    CHANNELS: tl.constexpr,
-    BLOCK: tl.constexpr,
-):
+    means, camera, dc, rest, values, gradient, grad_means, grad_dc, grad_rest, count, bands, held,
+    floor, CHANNELS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
     """The gradients behind ``shade_kernel``.
 
     Args:

@@ -11,7 +11,7 @@ from numba import get_num_threads, prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.dense.layers import SHARES
+from mrgs.kernels.dense import SHARES
 from mrgs.kernels.jit import (
     reordering_inner_function,
     reordering_kernel,

@@ -23,7 +23,7 @@ from mrgs.field import RadianceField
 from mrgs.field.encoding import take
 from mrgs.field.heat import FourierHeatTransformation
 from mrgs.field.spherical_harmonics import MAX_DEGREE, up_to_degree
-from mrgs.kernels.dense.layers import product
+from mrgs.kernels.dense import product
 from mrgs.kernels.heat.exchange import exchange, with_neighbours
 from mrgs.kernels.heat.thermal_head import project_features
 from mrgs.kernels.require import listed

@@ -16,13 +16,15 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.dense.encoding import encode
-from mrgs.kernels.dense.layers import (
+from mrgs.kernels.dense import (
+    BLOCK_ROWS,
     SHARES,
+    TILE_COLUMNS,
     Activations,
-    PackedLayer,
-    Sums,
+    Network,
+    NetworkSums,
     blocks_of,
+    encode,
     linear,
     linear_backward,
     no_sums,
@@ -30,10 +32,10 @@ from mrgs.kernels.dense.layers import (
     read_in_order,
     rectify,
     rectify_backward,
+    rounded_up,
     slots,
-    total,
+    totals,
 )
-from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.jit import (
     reordering_inlined_function,
     reordering_inner_function,
@@ -86,18 +88,6 @@ def project_features(
     return projected
 
 
-class _Network(NamedTuple):
-    phi_sh: PackedLayer
-    first: PackedLayer
-    output: PackedLayer
-
-
-class _NetworkSums(NamedTuple):
-    phi_sh: Sums
-    first: Sums
-    output: Sums
-
-
 class _Inputs(NamedTuple):
     """Arrays of all Gaussians (or their gradients): e_m, the 3 and the other 45 colour
     coefficients."""
@@ -113,20 +103,14 @@ class _Projection(torch.autograd.Function):
         *tensors, positions, frequencies, rows, keep = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
         network = _packed(tensors[3:])
-        hidden = Activations(slots(len(rows), keep), BLOCK_ROWS, network.first.bias.size)
+        hidden = Activations(slots(len(rows), keep), BLOCK_ROWS, network.second.bias.size)
         projected = np.zeros((len(positions), len(tensors[-1])), np.float32)
         positions = positions.contiguous()
         gaussians = _flattened(tensors[:3])
         _forward(
-            gaussians,
-            positions.numpy(),
-            rows.numpy(),
-            frequencies,
-            *network,
-            hidden.array,
-            keep,
+            gaussians, positions.numpy(), rows.numpy(), frequencies, *network, hidden.array, keep,
             projected,
-        )
+        )  # fmt: skip
         if keep:
             ctx.save_for_backward(*tensors, positions, rows)
             ctx.frequencies, ctx.network, ctx.hidden = frequencies, network, hidden
@@ -136,61 +120,42 @@ class _Projection(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         *tensors, positions, rows = ctx.saved_tensors
-        hidden, weights = ctx.hidden.array, tensors[3::2]
-        outputs, units, width = (
-            rounded_up(len(weights[2]), TILE_ROWS),
-            hidden.shape[2],
-            len(weights[0]),
-        )
-        inputs = rounded_up(weights[1].shape[1], TILE_COLUMNS)
-        sums = _NetworkSums(
-            no_sums(rounded_up(width, TILE_COLUMNS), _SH),
-            no_sums(units, inputs),
-            no_sums(outputs, units),
-        )
+        weights = tensors[3::2]
+        sums = no_sums(weights)
         gaussians = _flattened(tensors[:3])
         gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
         _backward(
-            gaussians, positions.numpy(), rows.numpy(), ctx.frequencies, *ctx.network, hidden,
-            grads[0].contiguous().numpy(), *sums, gradients,
+            gaussians, positions.numpy(), rows.numpy(), ctx.frequencies, *ctx.network,
+            ctx.hidden.array, grads[0].contiguous().numpy(), *sums, gradients,
         )  # fmt: skip
         of_gaussians = [
             torch.from_numpy(array.reshape(tensor.shape))  # no view, so autograd adds in place
             for array, tensor in zip(gradients, tensors[:3], strict=True)
         ]
-        of_layers = [tensor for pair in zip(sums, weights, strict=True) for tensor in total(*pair)]
-        return (*of_gaussians, *of_layers, None, None, None, None)
+        return (*of_gaussians, *totals(sums, weights), None, None, None, None)
 
 
 def _flattened(tensors: Sequence[Tensor]) -> _Inputs:
     return _Inputs(*(tensor.detach().flatten(1).numpy() for tensor in tensors))
 
 
-def _packed(parameters: Sequence[Tensor]) -> _Network:
-    """The layers, packed; only e_orth among the first layer's inputs gets a gradient."""
-    phi_sh, phi_sh_bias, first, first_bias, output, output_bias = parameters
-    return _Network(
-        pack(phi_sh, phi_sh_bias), pack(first, first_bias, len(phi_sh)), pack(output, output_bias)
-    )
+def _packed(parameters: Sequence[Tensor]) -> Network:
+    """φ_SH and the two layers; only e_orth among the inputs of the second gets a gradient."""
+    phi_sh, phi_sh_bias, second, second_bias, output, output_bias = parameters
+    back = pack(second, second_bias, len(phi_sh))
+    return Network(pack(phi_sh, phi_sh_bias), back, pack(output, output_bias))
 
 
 @reordering_parallel_kernel
 def _forward(
-    gaussians, positions, rows, frequencies, phi_sh, first, output, hidden, keep, projected
+    gaussians, positions, rows, frequencies, phi_sh, second, output, hidden, keep, projected
 ):
     for share in prange(SHARES):
-        network = _Network(phi_sh, first, output)  # here, because prange takes no tuples of tuples
+        network = Network(phi_sh, second, output)  # here, because prange takes no tuples of tuples
         _forward_share(
-            np.int64(share),
-            gaussians,
-            positions,
-            rows,
-            frequencies,
-            network,
-            hidden,
-            keep,
+            np.int64(share), gaussians, positions, rows, frequencies, network, hidden, keep,
             projected,
-        )
+        )  # fmt: skip
 
 
 @reordering_inlined_function
@@ -204,7 +169,7 @@ def _forward_share(
         here = rows[block * BLOCK_ROWS : (block + 1) * BLOCK_ROWS]
         _fill_inputs(gaussians, positions, here, frequencies, network, sh, directions, inputs)
         h = hidden[block if keep else share]
-        linear(inputs, network.first, h)
+        linear(inputs, network.second, h)
         rectify(h)
         linear(h, network.output, outputs)
         for place in range(here.size):
@@ -215,10 +180,10 @@ def _forward_share(
 @reordering_inner_function
 def _scratch(network):
     """SH, SH' and e_orth ⊕ PE_p of a block."""
-    inputs = rounded_up(network.first.forward.shape[1], TILE_COLUMNS)
+    inputs = rounded_up(network.second.forward.shape[1], TILE_COLUMNS)
     return (
         np.zeros((BLOCK_ROWS, _SH), np.float32),
-        np.zeros((BLOCK_ROWS, network.phi_sh.bias.size), np.float32),
+        np.zeros((BLOCK_ROWS, network.first.bias.size), np.float32),
         np.zeros((BLOCK_ROWS, inputs), np.float32),
     )
 
@@ -235,7 +200,7 @@ def _fill_inputs(gaussians, positions, rows, frequencies, network, sh, direction
             sh[place, channel] = gaussians.sh_dc[row, channel]
         for coefficient in range(_SH - 3):
             sh[place, 3 + coefficient] = gaussians.sh_rest[row, coefficient]
-    linear(sh, network.phi_sh, directions)
+    linear(sh, network.first, directions)
     for place in range(rows.size):
         row = rows[place]
         share, _ = _share_along(gaussians.embedding, row, directions, place)
@@ -259,14 +224,12 @@ def _share_along(embedding, row, directions, place):
 
 @reordering_parallel_kernel
 def _backward(
-    gaussians, positions, rows, frequencies, phi_sh, first, output, hidden, grad,
-    phi_sh_sums, first_sums, output_sums, gradients,
+    gaussians, positions, rows, frequencies, phi_sh, second, output, hidden, grad,
+    phi_sh_sums, second_sums, output_sums, gradients,
 ):  # fmt: skip
     for share in prange(SHARES):
-        network, sums = (
-            _Network(phi_sh, first, output),
-            _NetworkSums(phi_sh_sums, first_sums, output_sums),
-        )
+        network = Network(phi_sh, second, output)
+        sums = NetworkSums(phi_sh_sums, second_sums, output_sums)
         _backward_share(
             np.int64(share), gaussians, positions, rows, frequencies, network, hidden, grad, sums,
             gradients
@@ -293,9 +256,9 @@ def _backward_share(
         read_in_order(hidden[block], h)
         linear_backward(g_outputs, h, network.output, sums.output, share, g_hidden)
         rectify_backward(g_hidden, h)
-        linear_backward(g_hidden, inputs, network.first, sums.first, share, g_directions)
+        linear_backward(g_hidden, inputs, network.second, sums.second, share, g_directions)
         _reject_backward(gaussians.embedding, here, directions, g_directions, gradients.embedding)
-        linear_backward(g_directions, sh, network.phi_sh, sums.phi_sh, share, g_sh)
+        linear_backward(g_directions, sh, network.first, sums.first, share, g_sh)
         for place in range(here.size):
             row = here[place]
             for channel in range(3):

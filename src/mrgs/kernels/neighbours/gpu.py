@@ -56,17 +56,9 @@ SLACK = tl.constexpr(0.99999)
 
 @triton.jit(do_not_specialize=("count", "blocks"))
 def neighbours_kernel(
-    points,
-    originals,
-    boxes,
-    result,
-    count,
-    blocks,
-    K: tl.constexpr,
-    SLOTS: tl.constexpr,
-    BLOCK: tl.constexpr,
-    CHUNK: tl.constexpr,
-):
+    points, originals, boxes, result, count, blocks,
+    K: tl.constexpr, SLOTS: tl.constexpr, BLOCK: tl.constexpr, CHUNK: tl.constexpr,
+):  # fmt: skip
     """The K nearest others of each point of a block, nearest first.
 
     Args:
@@ -85,11 +77,8 @@ def neighbours_kernel(
     y = tl.load(points + count + queries, mask=exists, other=0.0)
     z = tl.load(points + 2 * count + queries, mask=exists, other=0.0)
     itself = tl.load(originals + queries, mask=exists, other=-1)
-    low_x, low_y, low_z = (
-        tl.load(boxes + own),
-        tl.load(boxes + blocks + own),
-        tl.load(boxes + 2 * blocks + own),
-    )
+    low_x, low_y = tl.load(boxes + own), tl.load(boxes + blocks + own)
+    low_z = tl.load(boxes + 2 * blocks + own)
     high_x, high_y = tl.load(boxes + 3 * blocks + own), tl.load(boxes + 4 * blocks + own)
     high_z = tl.load(boxes + 5 * blocks + own)
 
@@ -173,14 +162,11 @@ def nearest_neighbours(means: Tensor, k: int) -> Tensor:
     points = means.index_select(0, order).T.contiguous()
     boxes = _boxes(points)
     result = torch.empty(count, k, dtype=torch.int64, device=means.device)
-    blocks = boxes.shape[1]
     given: Arguments = {
-        "points": points,
-        "originals": order.int(),
-        "boxes": boxes,
-        "result": result,
-    }
-    _spec(k).launch((blocks,), given | {"count": count, "blocks": blocks})
+        "points": points, "originals": order.int(), "boxes": boxes, "result": result,
+        "count": count, "blocks": boxes.shape[1],
+    }  # fmt: skip
+    _spec(k).launch((boxes.shape[1],), given)
     return result
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import torch
 from jaxtyping import Bool, Float
@@ -39,42 +40,20 @@ class Dissimilarity(NamedTuple):
     errors: Float[Tensor, "h w c"] | None = None
 
 
-class Compare(Protocol):
-    """A device's kernel: Σ weights (l1 g (d − h g) + dssim (1 − SSIM)), with d = x − y and g = s d
-    between −1 and 1.
+Scalars: TypeAlias = tuple[float, float, float, float, float, float]
 
-    That is |d| where s is large and h = 0, and the Huber loss of width δ where s = 1 / δ and h = δ
-    / 2.
-    """
+Compare: TypeAlias = Callable[[Tensor, Tensor, Tensor, Scalars, bool], Dissimilarity]
+"""A device's kernel: Σ weights (l1 g (d − h g) + dssim (1 − SSIM)), with d = x − y and g = s d
+between −1 and 1. That is |d| where s is large and h = 0, and the Huber loss of width δ where s = 1
+/ δ and h = δ / 2.
 
-    def __call__(
-        self,
-        x: Float[Tensor, "h w c"],
-        y: Float[Tensor, "h w c"],
-        weights: Float[Tensor, "h2 w"],
-        scalars: tuple[float, float, float, float, float, float],
-        wants_errors: bool,
-    ) -> Dissimilarity:
-        """Compare two images.
-
-        Args:
-            x: an image.
-            y: the image to compare with.
-            weights: of each pixel, [H, W], or [1, W] for all rows alike; where 0, both images are
-                read as 0.
-            scalars: dssim and l1, the shares of 1 − SSIM and of L1; c1 and c2, SSIM's stabilisers;
-                s and h.
-            wants_errors: whether 1 − SSIM of each value is wanted.
-        """
+It takes x and y, [H, W, C]; the weights of each pixel, [H, W], or [1, W] for all rows alike, and
+where they are 0, both images are read as 0; the scalars dssim and l1, the shares of 1 − SSIM and of
+L1, c1 and c2, SSIM's stabilisers, s and h; and whether 1 − SSIM of each value is wanted."""
 
 
 def l1_dssim(
-    compare: Compare,
-    x: Float[Tensor, "h w c"],
-    y: Float[Tensor, "h w c"],
-    weights: Float[Tensor, "h2 w"],
-    dssim: float,
-    huber_width: float = 0.0,
+    compare: Compare, x: Tensor, y: Tensor, weights: Tensor, dssim: float, huber_width: float = 0.0
 ) -> Dissimilarity:
     """Σ weights ((1 − dssim) H(x − y) + dssim (1 − SSIM)) with ``ssim.ssim_map`` at a data range of
     1 and H the Huber loss, |x − y| where its width is 0; see ``Compare``."""
@@ -84,10 +63,7 @@ def l1_dssim(
 
 
 def structural_dissimilarity(
-    compare: Compare,
-    x: Float[Tensor, "h w c"],
-    y: Float[Tensor, "h w c"],
-    weights: Float[Tensor, "h2 w"],
+    compare: Compare, x: Tensor, y: Tensor, weights: Tensor
 ) -> Dissimilarity:
     """Σ weights (1 − S-SSIM) with ``ssim.structural_similarity``, and 1 − S-SSIM of each value; see
     ``Compare``."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from mrgs.kernels import ssim as ssim_losses
 from mrgs.kernels.jit import address, inner_function, moved, parallel_kernel
 from mrgs.kernels.require import require
-from mrgs.kernels.ssim import Dissimilarity
+from mrgs.kernels.ssim import Dissimilarity, Scalars
 from mrgs.method.losses.ssim import WEIGHTS
 
 RADIUS = 5
@@ -42,8 +42,7 @@ class ImagePair(NamedTuple):
             images are read as 0.
         channels: C, how far the window's taps along a row lie apart.
         window: weights of the window's first six taps, the rest by symmetry.
-        scalars: [dssim, l1, c1, c2, steepness, half_width], as in ``losses.Compare``; the first
-            two must add up to 1.
+        scalars: those of ``ssim.Compare``; the first two must add up to 1.
         grad_x: receives the gradient by x, [H, W·C]; [0, 0] if not wanted.
         grad_y: receives the gradient by y, [H, W·C]; [0, 0] if not wanted.
         errors: receives 1 − SSIM of each value, [H, W·C]; [0, 0] if not wanted.
@@ -64,11 +63,10 @@ class ImagePair(NamedTuple):
 
 @parallel_kernel()
 def _compare(comparison):
-    """What ``losses.Compare`` sums, as the sums over each strip and column."""
+    """What ``ssim.Compare`` sums, as the sums over each strip and column."""
     for strip in prange(comparison.sums.shape[0]):
-        _walk_strip(
-            comparison, np.int64(strip)
-        )  # prange counts in uint64, and uint64 less int64 is float64 in Numba
+        # prange counts in uint64, and uint64 less int64 is float64 in Numba
+        _walk_strip(comparison, np.int64(strip))
 
 
 @inner_function()
@@ -101,10 +99,8 @@ def _enter_moments(comparison, row, rows, ring):
     weights = address(comparison.weights, at % comparison.weights.size)
     padding, padded_width = RADIUS * comparison.channels, rows.shape[1]
     x, squares = address(rows, padding), address(rows, padded_width + padding)
-    product, y = (
-        address(rows, 2 * padded_width + padding),
-        address(rows, 3 * padded_width + padding),
-    )
+    product = address(rows, 2 * padded_width + padding)
+    y = address(rows, 3 * padded_width + padding)
     _copy_counted(address(comparison.x, at), weights, x, width)
     _copy_counted(address(comparison.y, at), weights, y, width)
     for i in range(width):
@@ -137,9 +133,8 @@ def _enter_derivatives(comparison, row, moments, block, rows, ring):
         _filter_across(moments, row, start, count, width, comparison.window, block)
         _differentiate_ssim(address(block, 0), weights, count, comparison.scalars)
         for k in range(rows.shape[0]):
-            _copy(
-                address(block, k * BLOCK), address(rows, k * padded_width + padding + start), count
-            )
+            row_at = address(rows, k * padded_width + padding + start)
+            _copy(address(block, k * BLOCK), row_at, count)
     _filter_along(rows, comparison.channels, comparison.window, ring, row % TAPS, width)
 
 
@@ -209,29 +204,13 @@ def _store_gradients(comparison, row, derivatives, block):
         _filter_across(derivatives, row, start, count, width, comparison.window, block)
         weights = address(comparison.weights, at % comparison.weights.size)
         x, y = address(comparison.x, at), address(comparison.y, at)
-        dissimilar = address(block, 0)
+        means, scalars = address(block, 0), comparison.scalars
         if comparison.grad_x.size:
-            _gradient(
-                x,
-                y,
-                weights,
-                dissimilar,
-                MEAN_X,
-                count,
-                comparison.scalars,
-                address(comparison.grad_x, at),
-            )
+            result = address(comparison.grad_x, at)
+            _gradient(x, y, weights, means, MEAN_X, count, scalars, result)
         if comparison.grad_y.size:
-            _gradient(
-                y,
-                x,
-                weights,
-                dissimilar,
-                MEAN_Y,
-                count,
-                comparison.scalars,
-                address(comparison.grad_y, at),
-            )
+            result = address(comparison.grad_y, at)
+            _gradient(y, x, weights, means, MEAN_Y, count, scalars, result)
 
 
 @inner_function()
@@ -249,10 +228,8 @@ def _gradient(x, y, weights, block, mean, count, scalars, result):
 def _filter_along(rows, channels, window, ring, slot, width):
     """The window along each of as many padded rows as the ring holds, into its ``slot``."""
     for k in range(ring.shape[0]):
-        row, result = (
-            address(rows, k * rows.shape[1]),
-            address(ring, k * ring.shape[1] + slot * width),
-        )
+        row = address(rows, k * rows.shape[1])
+        result = address(ring, k * ring.shape[1] + slot * width)
         _weigh(row, 0, channels, window, result, width)
 
 
@@ -308,10 +285,10 @@ def compare(
     x: Float[Tensor, "h w c"],
     y: Float[Tensor, "h w c"],
     weights: Float[Tensor, "h2 w"],
-    scalars: tuple[float, float, float, float, float, float],
+    scalars: Scalars,
     wants_errors: bool,
 ) -> Dissimilarity:
-    """``losses.Compare``.
+    """``ssim.Compare``.
 
     Raises:
         ValueError: tensors of other sizes or types.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 import triton
@@ -14,7 +14,7 @@ from torch import Tensor
 from mrgs.kernels import ssim as ssim_losses
 from mrgs.kernels.gpu_spec import Arguments, KernelSpec
 from mrgs.kernels.require import require
-from mrgs.kernels.ssim import Dissimilarity
+from mrgs.kernels.ssim import Dissimilarity, Scalars
 from mrgs.method.losses.ssim import RADIUS_PX, WEIGHTS
 
 BLOCK = 128
@@ -46,26 +46,12 @@ def _no_sums(BLOCK: tl.constexpr):
 def _enter(sums, value, WINDOW: tl.constexpr):
     """A row enters the window's begun sums down the rows: the sum that it completes, and the next
     ten."""
-    a, b, c, d, e, f = (
-        WINDOW[0] * value,
-        WINDOW[1] * value,
-        WINDOW[2] * value,
-        WINDOW[3] * value,
-        WINDOW[4] * value,
-        WINDOW[5] * value,
-    )
+    a, b, c = WINDOW[0] * value, WINDOW[1] * value, WINDOW[2] * value
+    d, e, f = WINDOW[3] * value, WINDOW[4] * value, WINDOW[5] * value
     begun = (
-        sums[1] + b,
-        sums[2] + c,
-        sums[3] + d,
-        sums[4] + e,
-        sums[5] + f,
-        sums[6] + e,
-        sums[7] + d,
-        sums[8] + c,
-        sums[9] + b,
-        a,
-    )
+        sums[1] + b, sums[2] + c, sums[3] + d, sums[4] + e, sums[5] + f,
+        sums[6] + e, sums[7] + d, sums[8] + c, sums[9] + b, a,
+    )  # fmt: skip
     return sums[0] + a, begun
 
 
@@ -77,49 +63,24 @@ def _huber_slope(difference, steepness):
 
 @triton.jit(do_not_specialize=SIZES)
 def compare_kernel(
-    x,
-    y,
-    weights,
-    derivatives,
-    errors,
-    totals,
-    height,
-    width,
-    channels,
-    weights_pitch,
-    dssim,
-    l1,
-    c1,
-    c2,
-    steepness,
-    half_width,
-    WINDOW: tl.constexpr,
-    STRIP_ROWS: tl.constexpr,
-    BLOCK: tl.constexpr,
-    BY_Y: tl.constexpr,
-):
+    x, y, weights, derivatives, errors, totals, height, width, channels, weights_pitch,
+    dssim, l1, c1, c2, steepness, half_width,
+    WINDOW: tl.constexpr, STRIP_ROWS: tl.constexpr, BLOCK: tl.constexpr, BY_Y: tl.constexpr,
+):  # fmt: skip
     """Derivatives of Σ weights dssim (1 − SSIM) by the moments, and each program's part of the
     whole sum.
 
     Args:
-        x: an image, [H, W·C].
-        y: the other image.
+        x, y: the images, [H, W·C].
         weights: of each pixel, [H, W], or [1, W] with a pitch of 0; where 0, both images are read
             as 0.
         derivatives: receives them, [3 + BY_Y, H, W·C].
         errors: receives 1 − SSIM of each value, [H, W·C]; None if not wanted.
         totals: receives Σ weights (l1 H(x − y) + dssim (1 − SSIM)) of each program, with H the
             Huber loss, [rows of the grid, its columns].
-        height: H.
-        width: W.
-        channels: C.
+        height, width, channels: H, W, C.
         weights_pitch: W, or 0 for one row of weights.
-        dssim: the share of 1 − SSIM.
-        l1: the share of H.
-        c1: SSIM's first stabiliser.
-        c2: its second.
-        steepness: 1 / width of H; large for |x − y|.
-        half_width: of H.
+        dssim, l1, c1, c2, steepness, half_width: see ``ssim.Compare``.
     """
     columns = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     nothing = tl.zeros((BLOCK,), tl.int32)  # the interpreter cannot broadcast the truth of one row
@@ -192,22 +153,9 @@ def compare_kernel(
 
 @triton.jit(do_not_specialize=SIZES)
 def gradients_kernel(
-    x,
-    y,
-    weights,
-    derivatives,
-    gradient_x,
-    gradient_y,
-    height,
-    width,
-    channels,
-    weights_pitch,
-    l1,
-    steepness,
-    WINDOW: tl.constexpr,
-    STRIP_ROWS: tl.constexpr,
-    BLOCK: tl.constexpr,
-):
+    x, y, weights, derivatives, gradient_x, gradient_y, height, width, channels, weights_pitch,
+    l1, steepness, WINDOW: tl.constexpr, STRIP_ROWS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
     """The gradients by the images from the derivatives by the moments, and L1's own.
 
     Args:
@@ -262,102 +210,29 @@ def gradients_kernel(
             tl.store(gradient_y + at, tl.where(counts, gradient, 0.0), mask=mask)
 
 
-class ComparedImages(NamedTuple):
-    """The weighted L1 and SSIM of two images, with gradients.
-
-    Attributes:
-        total: Σ weights (l1 H(x − y) + dssim (1 − SSIM)) with H the Huber loss, float64, on the
-            images' device.
-        gradient_x: its gradient by x, [H, W, C].
-        gradient_y: its gradient by y; None if not wanted.
-        errors: 1 − SSIM of each value, [H, W, C]; None if not wanted.
-    """
-
-    total: Tensor
-    gradient_x: Tensor
-    gradient_y: Tensor | None
-    errors: Tensor | None
-
-
-def _compared(
-    x: Tensor,
-    y: Tensor,
-    weights: Tensor,
-    scalars: tuple[float, float, float, float, float, float],
-    by_y: bool,
-    wants_errors: bool,
-) -> ComparedImages:
-    """L1 and SSIM of two float32 images, without a host round trip.
-
-    Args:
-        x: an image, [H, W, C].
-        y: the other image.
-        weights: of each pixel, [H, W], or [1, W] for all rows alike; where 0, both images are read
-            as 0.
-        scalars: dssim, l1, c1, c2, steepness, half_width: the shares of 1 − SSIM and of L1, SSIM's
-            stabilisers, and what makes L1 a Huber loss.
-        by_y: whether the gradient by y is wanted.
-        wants_errors: whether 1 − SSIM of each value is wanted.
-
-    Raises:
-        ValueError: tensors of other sizes, types or devices.
-    """
-    require("x", x, (None, None, None), device=x.device)
-    require("y", y, x.shape, device=x.device)
-    rows = 1 if len(weights) == 1 else len(x)
-    require("weights", weights, (rows, x.shape[1]), device=x.device)
-    x, y, weights = (tensor.detach().contiguous() for tensor in (x, y, weights))
-    height, width, channels = x.shape
-    grid = (triton.cdiv(width * channels, BLOCK), triton.cdiv(height, STRIP_ROWS))
-    derivatives = x.new_empty(3 + by_y, height, width * channels)
-    errors = torch.empty_like(x) if wants_errors else None
-    gradient_x, gradient_y = torch.empty_like(x), torch.empty_like(y) if by_y else None
-    totals = x.new_empty(grid[1], grid[0])
-    sizes = (height, width, channels, 0 if len(weights) == 1 else width)
-    given: Arguments = {
-        "x": x,
-        "y": y,
-        "weights": weights,
-        "derivatives": derivatives,
-        "errors": errors,
-        "totals": totals,
-    }
-    given |= {"gradient_x": gradient_x, "gradient_y": gradient_y}
-    given |= dict(zip((*SIZES, *SCALARS), (*sizes, *scalars), strict=True))
-    for spec in _specs(by_y, wants_errors):
-        spec.launch(grid, given)
-    return ComparedImages(totals.sum(dtype=torch.float64), gradient_x, gradient_y, errors)
-
-
 def _specs(by_y: bool, wants_errors: bool) -> tuple[KernelSpec, KernelSpec]:
     """Both kernels, with or without what only S-SSIM asks for."""
-    images = dict.fromkeys(("x", "y", "weights", "derivatives"), "*fp32") | dict.fromkeys(
-        SIZES, "i32"
-    )
+    images = dict.fromkeys(("x", "y", "weights", "derivatives"), "*fp32")
+    images |= dict.fromkeys(SIZES, "i32")
+    compared = images | {"errors": "*fp32", "totals": "*fp32"} | dict.fromkeys(SCALARS, "fp32")
+    differentiated = images | dict.fromkeys(("gradient_x", "gradient_y"), "*fp32")
+    differentiated |= {"l1": "fp32", "steepness": "fp32"}
     blocks = {"WINDOW": WINDOW, "STRIP_ROWS": STRIP_ROWS, "BLOCK": BLOCK}
-    compared, constants = (
-        images | {"totals": "*fp32"} | dict.fromkeys(SCALARS, "fp32"),
-        blocks | {"BY_Y": by_y},
-    )
-    differentiated = images | {"gradient_x": "*fp32", "l1": "fp32", "steepness": "fp32"}
-    compared, constants = _with_tensor("errors", wants_errors, compared, constants)
-    differentiated, blocks = _with_tensor("gradient_y", by_y, differentiated, blocks)
     variant = "structure" if by_y else "l1_dssim"
     return (
-        KernelSpec(compare_kernel, compared, constants, NUM_WARPS, variant=variant),
-        KernelSpec(gradients_kernel, differentiated, blocks, NUM_WARPS, variant=variant),
+        _spec(compare_kernel, compared, blocks | {"BY_Y": by_y}, variant, errors=wants_errors),
+        _spec(gradients_kernel, differentiated, blocks, variant, gradient_y=by_y),
     )
 
 
-def _with_tensor(
-    name: str, wanted: bool, signature: dict[str, str], constants: dict[str, Any]
-) -> tuple[dict[str, str], dict[str, Any]]:
-    """Signature and constants with a tensor that is None where it is not wanted."""
-    return (
-        (signature | {name: "*fp32"}, constants)
-        if wanted
-        else (signature, constants | {name: None})
-    )
+def _spec(
+    kernel: Any, signature: dict[str, str], constants: dict[str, Any], variant: str, **wanted: bool
+) -> KernelSpec:
+    """An entry; tensors that are not wanted are None."""
+    left_out = [name for name, is_wanted in wanted.items() if not is_wanted]
+    signature = {name: kind for name, kind in signature.items() if name not in left_out}
+    constants = constants | dict.fromkeys(left_out)
+    return KernelSpec(kernel, signature, constants, NUM_WARPS, variant=variant)
 
 
 KERNELS = (*_specs(False, False), *_specs(True, True))
@@ -368,13 +243,36 @@ def compare(
     x: Float[Tensor, "h w c"],
     y: Float[Tensor, "h w c"],
     weights: Float[Tensor, "h2 w"],
-    scalars: tuple[float, float, float, float, float, float],
+    scalars: Scalars,
     wants_errors: bool,
 ) -> Dissimilarity:
-    """``losses.Compare``."""
-    found = _compared(x, y, weights, scalars, y.requires_grad, wants_errors)
-    grad_x = found.gradient_x if x.requires_grad else None
-    return Dissimilarity(found.total, grad_x, found.gradient_y, found.errors)
+    """``ssim.Compare`` for float32 images, without a host round trip; the total is of float64.
+
+    Raises:
+        ValueError: tensors of other sizes, types or devices.
+    """
+    require("x", x, (None, None, None), device=x.device)
+    require("y", y, x.shape, device=x.device)
+    rows = 1 if len(weights) == 1 else len(x)
+    require("weights", weights, (rows, x.shape[1]), device=x.device)
+    by_x, by_y = x.requires_grad, y.requires_grad
+    x, y, weights = (tensor.detach().contiguous() for tensor in (x, y, weights))
+    height, width, channels = x.shape
+    grid = (triton.cdiv(width * channels, BLOCK), triton.cdiv(height, STRIP_ROWS))
+    gradient_x, gradient_y = torch.empty_like(x), torch.empty_like(y) if by_y else None
+    given: Arguments = {
+        "x": x, "y": y, "weights": weights,
+        "derivatives": x.new_empty(3 + by_y, height, width * channels),
+        "errors": torch.empty_like(x) if wants_errors else None,
+        "totals": x.new_empty(grid[1], grid[0]),
+        "gradient_x": gradient_x, "gradient_y": gradient_y,
+    }  # fmt: skip
+    sizes = (height, width, channels, 0 if len(weights) == 1 else width)
+    given |= dict(zip((*SIZES, *SCALARS), (*sizes, *scalars), strict=True))
+    for spec in _specs(by_y, wants_errors):
+        spec.launch(grid, given)
+    total = given["totals"].sum(dtype=torch.float64)
+    return Dissimilarity(total, gradient_x if by_x else None, gradient_y, given["errors"])
 
 
 photometric_loss = partial(ssim_losses.photometric_loss, compare)

@@ -38,22 +38,18 @@ def total_variation(
     require("image", image, (None, None, None), (torch.float32, torch.float64))
     height, width, channels = image.shape
     pixels = image.detach().contiguous()
-    given = (row_weights, column_weights)
-    pairs = [valid_pairs(image, axis, valid, weights) for axis, weights in enumerate(given)]
-    gradient = torch.empty_like(pixels)
-    scales = [1 / max(channels * int(counted), 1) for counted, _ in pairs]
+    pairs = [
+        valid_pairs(image, axis, valid, weights)
+        for axis, weights in enumerate((row_weights, column_weights))
+    ]
+    gradient, none = torch.empty_like(pixels), pixels.new_empty(0, 0)
+    weights = [none if each is None else each.contiguous() for _, each in pairs]
+    scales = pixels.new_tensor([1 / max(channels * int(counted), 1) for counted, _ in pairs])
     sums = torch.zeros(math.ceil(height / STRIP_ROWS), width * channels, dtype=torch.float64)
     sum_differences(
-        pixels.view(height, width * channels).numpy(),
-        channels,
-        *(
-            pixels.new_empty(0, 0).numpy() if weights is None else weights.contiguous().numpy()
-            for _, weights in pairs
-        ),
-        pixels.new_tensor(scales).numpy(),
-        gradient.view(height, width * channels).numpy(),
-        sums.numpy(),
-    )
+        pixels.flatten(1).numpy(), channels, *(each.numpy() for each in weights), scales.numpy(),
+        gradient.flatten(1).numpy(), sums.numpy(),
+    )  # fmt: skip
     return with_gradients(sums.sum().item(), [image], [gradient])
 
 
@@ -86,16 +82,8 @@ def _walk_strip(image, channels, row_weights, column_weights, scales, gradient, 
     for row in range(max(first - 1, 0), last):
         _step_to_next_row(image, row, channels, row_weights, scales, buffers)
         if row >= first:
-            _finish_row(
-                image,
-                row,
-                channels,
-                column_weights,
-                scales,
-                buffers,
-                gradient,
-                address(sums, strip * width),
-            )
+            totals = address(sums, strip * width)
+            _finish_row(image, row, channels, column_weights, scales, buffers, gradient, totals)
 
 
 @inner_function()
@@ -116,12 +104,8 @@ def _step_to_next_row(image, row, channels, weights, scales, buffers):
 def _finish_row(image, row, channels, weights, scales, buffers, gradient, totals):
     """The steps within a row, the gradient from all four steps, and the row's part of the sum."""
     height, width = image.shape
-    pixels, result, factors = (
-        address(image, row * width),
-        address(gradient, row * width),
-        address(buffers, 0),
-    )
-    pitch = buffers.shape[1]
+    pixels, result = address(image, row * width), address(gradient, row * width)
+    factors, pitch = address(buffers, 0), buffers.shape[1]
     before, behind = address(buffers, pitch), address(buffers, pitch + channels)
     below, above = address(buffers, (2 + row % 2) * pitch), address(buffers, (3 - row % 2) * pitch)
     _spread(weights, row, scales[1], channels, factors, width - channels)

@@ -30,18 +30,9 @@ WEIGHTS = ("row_weights", "column_weights")
 
 @triton.jit(do_not_specialize=SIZES)
 def variation_kernel(
-    image,
-    row_weights,
-    column_weights,
-    gradient,
-    totals,
-    height,
-    width,
-    channels,
-    row_scale,
-    column_scale,
-    BLOCK: tl.constexpr,
-):
+    image, row_weights, column_weights, gradient, totals, height, width, channels,
+    row_scale, column_scale, BLOCK: tl.constexpr,
+):  # fmt: skip
     """Σ scale weight |first difference| of each program's values, to the next row and to the next
     column.
 
@@ -51,11 +42,8 @@ def variation_kernel(
         column_weights: of the differences between neighbouring columns, [H, W − 1]; None for 1.
         gradient: receives the gradient, [H, W, C].
         totals: receives each program's part of the sum.
-        height: H.
-        width: W.
-        channels: C.
-        row_scale: of all differences between rows.
-        column_scale: of all differences between columns.
+        height, width, channels: H, W, C.
+        row_scale, column_scale: of all differences between rows, and between columns.
     """
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     row_values = width * channels
@@ -105,6 +93,7 @@ def total_variation(
         ValueError: tensors of other sizes, types or devices.
     """
     require("image", image, (None, None, None), device=image.device)
+    source = image
     weights: list[Tensor | None] = []
     scales = []
     for axis, given in enumerate((row_weights, column_weights)):
@@ -116,59 +105,24 @@ def total_variation(
         else:
             weights.append(pairs)
             scales.append(1 / max(image.shape[2] * counted, 1))
-    value, gradient = sum_differences(image, (weights[0], weights[1]), (scales[0], scales[1]))
-    return with_gradients(value, [image], [gradient])
-
-
-def sum_differences(
-    image: Tensor, weights: tuple[Tensor | None, Tensor | None], scales: tuple[float, float]
-) -> tuple[Tensor, Tensor]:
-    """Σ scale weight |first difference| as a float64 tensor on the image's device, and its
-    gradient.
-
-    Args:
-        image: float32, [H, W, C].
-        weights: of the differences between rows, [H − 1, W], and between columns, [H, W − 1]; None
-            for 1.
-        scales: of all differences between rows, and of all between columns.
-    """
     image = image.detach().contiguous()
-    row_weights, column_weights = (
-        None if tensor is None else tensor.contiguous() for tensor in weights
-    )
-    gradient = torch.empty_like(image)
-    programs = triton.cdiv(image.numel(), BLOCK)
-    totals = image.new_empty(programs)
-    given: Arguments = {
-        "image": image,
-        "row_weights": row_weights,
-        "column_weights": column_weights,
-        "gradient": gradient,
-    }
-    given |= {
-        "totals": totals,
-        **dict(zip((*SIZES, *SCALES), (*image.shape, *scales), strict=True)),
-    }
+    gradient, programs = torch.empty_like(image), triton.cdiv(image.numel(), BLOCK)
+    tensors = (image, *(None if each is None else each.contiguous() for each in weights), gradient)
+    given: Arguments = dict(zip(("image", *WEIGHTS, "gradient"), tensors, strict=True))
+    given |= dict(zip((*SIZES, *SCALES), (*image.shape, *scales), strict=True))
+    given["totals"] = image.new_empty(programs)
     _spec([name for name in WEIGHTS if given[name] is None]).launch((programs,), given)
-    return totals.sum(dtype=torch.float64), gradient
+    return with_gradients(given["totals"].sum(dtype=torch.float64), [source], [gradient])
 
 
 def _spec(left_out: Sequence[str]) -> KernelSpec:
     """The kernel without some of the weights."""
     tensors = ("image", "gradient", "totals", *(name for name in WEIGHTS if name not in left_out))
-    signature = (
-        dict.fromkeys(tensors, "*fp32")
-        | dict.fromkeys(SIZES, "i32")
-        | dict.fromkeys(SCALES, "fp32")
-    )
+    signature = dict.fromkeys(tensors, "*fp32") | dict.fromkeys(SIZES, "i32")
+    signature |= dict.fromkeys(SCALES, "fp32")
     constants = {"BLOCK": BLOCK} | dict.fromkeys(left_out)
-    return KernelSpec(
-        variation_kernel,
-        signature,
-        constants,
-        NUM_WARPS,
-        variant="plain" if left_out else "weighted",
-    )
+    variant = "plain" if left_out else "weighted"
+    return KernelSpec(variation_kernel, signature, constants, NUM_WARPS, variant=variant)
 
 
 KERNELS = (_spec(WEIGHTS), _spec(()))

@@ -12,7 +12,8 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.dense.layers import (
+from mrgs.kernels.dense import (
+    BLOCK_ROWS,
     SHARES,
     blocks_of,
     linear,
@@ -21,9 +22,8 @@ from mrgs.kernels.dense.layers import (
     pack,
     rectify,
     rectify_backward,
-    total,
+    totals,
 )
-from mrgs.kernels.dense.product import BLOCK_ROWS, TILE_COLUMNS, TILE_ROWS, rounded_up
 from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.require import require, require_layers
 
@@ -67,19 +67,13 @@ class _Perceptron(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, ...]:
         inputs, *weights = ctx.saved_tensors
-        width = rounded_up(inputs.shape[1], TILE_COLUMNS)
-        units = rounded_up(len(weights[1]), TILE_COLUMNS)
-        hidden_sums, output_sums = (
-            no_sums(units, width),
-            no_sums(rounded_up(len(weights[3]), TILE_ROWS), units),
-        )
+        sums = no_sums(weights[::2])
         grad_inputs = torch.empty_like(inputs)
         _backward(
             inputs.numpy(), pack(weights[0], weights[1]), pack(weights[2], weights[3]),
-            grads[0].contiguous().numpy(),
-            hidden_sums, output_sums, grad_inputs.numpy(),
+            grads[0].contiguous().numpy(), *sums, grad_inputs.numpy(),
         )  # fmt: skip
-        return grad_inputs, *total(hidden_sums, weights[0]), *total(output_sums, weights[2])
+        return grad_inputs, *totals(sums, weights[::2])
 
 
 @inner_function

@@ -1,1 +1,0 @@
-"""Linear layers over blocks of rows, from which the heads are made."""
