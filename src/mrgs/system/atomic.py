@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import re
-import secrets
 import shutil
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -114,13 +114,8 @@ def remove_abandoned(folder: Path) -> None:
 
 
 def write_error(path: Path, error: Exception, options: tuple[str, ...] = ()) -> WriteError:
-    """The error of a file or a folder that cannot be written, with its remedy.
-
-    Args:
-        path: what cannot be written.
-        error: of the system, or of the safetensors library in its stead.
-        options: those of the error.
-    """
+    """The error of a file or a folder that cannot be written, with its remedy, from an error of the
+    system or of the safetensors library."""
     number, reason = getattr(error, "errno", None), getattr(error, "strerror", None) or str(error)
     if isinstance(error, SafetensorError) and (found := re.search(r"os error (\d+)", reason)):
         number = int(found[1])
@@ -140,8 +135,12 @@ def _temporary_beside(path: Path) -> Iterator[Path]:
 
     The folder is locked as long as this process lives, so that others can tell if it is abandoned.
     """
-    folder, lock = _locked_folder(path.parent)
+    folder = Path(tempfile.mkdtemp(prefix=TEMPORARY, dir=path.parent))
+    lock = None if fcntl is None else os.open(folder, os.O_RDONLY)
     try:
+        if lock is not None:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(lock, fcntl.LOCK_EX)
         yield folder / f"file{path.suffix if len(path.suffix) <= _LONGEST_SUFFIX else ''}"
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -149,41 +148,16 @@ def _temporary_beside(path: Path) -> Iterator[Path]:
             os.close(lock)
 
 
-def _locked_folder(parent: Path) -> tuple[Path, int | None]:
-    """A new folder, and the descriptor that holds its lock; None where there are no locks."""
-    while True:
-        folder = parent / f"{TEMPORARY}{secrets.token_hex(6)}"
-        folder.mkdir(mode=0o700)
-        if fcntl is None:
-            return folder, None
-        with suppress(FileNotFoundError):  # taken for abandoned before it was locked
-            lock = os.open(folder, os.O_RDONLY)
-            with suppress(OSError):  # a file system without locks
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            if folder.exists():
-                return folder, lock
-            os.close(lock)
-
-
 def _remove_abandoned(paths: Iterator[Path]) -> None:
-    """Remove those of the paths that are temporary folders which no process holds locked."""
+    """Remove those of the paths that are temporary folders which no process has locked."""
     if fcntl is None:
         return
     with suppress(OSError):  # a folder that may not be listed
-        for path in list(paths):
-            if path.name.startswith(TEMPORARY):
-                _remove_if_abandoned(path)
-
-
-def _remove_if_abandoned(folder: Path) -> None:
-    try:
-        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except OSError:  # gone, a link, or another user's
-        return
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(folder, ignore_errors=True)
-    except OSError:  # held, or a file system without locks
-        pass
-    finally:
-        os.close(lock)
+        for path in [path for path in paths if path.name.startswith(TEMPORARY)]:
+            with suppress(OSError):  # gone, a link, another user's, locked, or without locks
+                lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(path, ignore_errors=True)
+                finally:
+                    os.close(lock)

@@ -35,16 +35,13 @@ class Child:
     """
 
     def __init__(self, arguments: Sequence[str], request: Any, log: Path, **variables: str) -> None:
-        """Start the process in a session of its own, so that Ctrl-C reaches the parent alone.
+        """Start Python in a session of its own, so that Ctrl-C reaches the parent alone.
 
         Args:
-            arguments: for Python, such as ``("-m", "package.module")``.
-            request: what JSON can hold.
+            arguments: such as ``("-m", "package.module")``.
+            request: anything that JSON can express.
             log: file for its standard error, replaced.
             variables: changes of the environment.
-
-        Raises:
-            OSError: the log cannot be written.
         """
         self.log = log
         self.end: Message = {}
@@ -53,16 +50,10 @@ class Child:
         with log.open("w", encoding="utf-8") as errors:
             self._process = subprocess.Popen(
                 [sys.executable, *arguments, json.dumps(request)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                text=True,
-                encoding="utf-8",
-                errors="replace",
-                env=environment,
-                cwd=CHILD_FOLDER,
-                start_new_session=True,
-            )
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
+                encoding="utf-8", errors="replace",
+                env=environment, cwd=CHILD_FOLDER, start_new_session=True,
+            )  # fmt: skip
 
     def messages(self) -> Iterator[Message]:
         """All messages but the last, as they come; returns when the process has ended."""

@@ -101,11 +101,8 @@ def _set_sync_debug_mode(mode: int | str, cuda: Any) -> None:
 class ListRoom:
     """The room of the lists that are made within ``lists_have``.
 
-    Args:
-        size: entries of each list; None to measure how many are needed.
-
     Attributes:
-        size: as given.
+        size: entries of each list; None to measure how many are needed.
         measured: entries of the longest list, where the size is None.
     """
 

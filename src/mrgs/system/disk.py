@@ -15,15 +15,11 @@ def free_disk(folder: Path) -> int:
 
 
 def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
-    """Compare the room on a folder's disk with an estimate.
+    """Compare the room on the disk of a folder, which need not exist yet, with an estimate of what
+    will be written there; ``what`` is the subject of the sentence.
 
     Too little room is no error: the estimate may be too high, and what is written before the disk
     is full is kept.
-
-    Args:
-        folder: that will be written into; it need not exist yet.
-        needed_bytes: the estimate.
-        what: needs it; the subject of the sentence.
 
     Warns:
         MrgsWarning: there is less.

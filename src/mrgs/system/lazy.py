@@ -21,9 +21,6 @@ def lazy_imports(package: str) -> tuple[Callable[[str], Any], Callable[[], list[
     marks the name as exported. Modules of the package itself are no part of ``__all__``::
 
         __getattr__, __dir__, __all__ = lazy_imports(__name__)
-
-    Args:
-        package: name of the package.
     """
     homes = {
         alias.name: statement.module
@@ -56,12 +53,7 @@ def _source(package: str) -> str:
 
 
 def optional_package(name: str, what: str, extra: str) -> ModuleType:
-    """Import a package.
-
-    Args:
-        name: of the package.
-        what: needs it, in the plural.
-        extra: of mrgs, which installs it.
+    """Import a package that the extra of mrgs installs; ``what`` needs it, in the plural.
 
     Raises:
         ConfigError: it is not installed.

@@ -25,17 +25,11 @@ MOST_SEED = 2**32 - 1
 def require_within(
     config: Any, names: Iterable[str], low: float, high: float, title: str = "{}"
 ) -> None:
-    """Fields of a configuration must lie in a range; NaN lies in none.
-
-    Args:
-        config: has the fields.
-        names: of the fields.
-        low: smallest value that is allowed.
-        high: largest value that is allowed.
-        title: what the message calls a field; {} stands for its name.
+    """Fields of a configuration must be from ``low`` to ``high``, and not NaN; ``title`` is what
+    the message calls a field, with {} for its name.
 
     Raises:
-        ConfigError: a value lies outside.
+        ConfigError: a value is outside.
     """
     for name in names:
         value = getattr(config, name)
@@ -45,11 +39,7 @@ def require_within(
 
 
 def whole_number(value: object, name: str) -> int:
-    """A whole number of any type.
-
-    Args:
-        value: given by the caller.
-        name: what the message calls it.
+    """A whole number of any type, which the message calls by a name.
 
     Raises:
         ConfigError: it is something else.

@@ -143,13 +143,9 @@ def operation(plain: Callable[P, R]) -> Operation[P, R]: ...
 @overload
 def operation(*, measure: Callable[..., Tensor]) -> Callable[[Callable[P, R]], Operation[P, R]]: ...
 def operation(plain: Any = None, *, measure: Any = None) -> Any:
-    """Mark the plain definition of an operation, which kernels may replace.
-
-    Args:
-        plain: the definition.
-        measure: turns a result and the arguments into what a check compares, for results that can
-            be written in several ways.
-    """
+    """Mark the plain definition of an operation, which kernels may replace; ``measure`` turns a
+    result and the arguments into what a check compares, for results that can be written in several
+    ways."""
     return partial(Operation, measure=measure) if plain is None else Operation(plain, measure)
 
 
@@ -174,12 +170,10 @@ def checking(gradients: bool = True) -> Iterator[None]:
     """Within this block every kernel is compared with its plain definition before it is used.
 
     Both compute the operation from the same inputs; results and gradients (for the same random
-    cotangents) may differ by ``operation_check.TOLERANCE``, as a relative L2 norm. A kernel that
+    cotangents; not without ``gradients``) may differ by ``operation_check.TOLERANCE``, as a
+    relative L2 norm. A kernel that
     differs is not used from then on in this process, unless it passes a later check with gradients;
     one without skips it. torch's random generators are left alone.
-
-    Args:
-        gradients: whether to compare gradients as well as results.
 
     Warns:
         KernelWarning: a kernel differs from its plain definition, or fails.

@@ -32,7 +32,7 @@ class KernelComparison(NamedTuple):
 
     Attributes:
         plain: the plain definition.
-        measure: what is compared of a result, from the result and the arguments; None for all.
+        measure: as of the operation; None for all of a result.
         gradients: whether to compare gradients as well as results.
     """
 
@@ -84,21 +84,18 @@ class KernelComparison(NamedTuple):
         if not self.gradients:
             return _Outcome(results, [])
         generator = torch.Generator().manual_seed(0)
-        cotangents = [
-            torch.randn(tensor.shape, generator=generator, dtype=tensor.dtype).to(tensor.device)
+        pairs = [
+            (tensor, torch.randn(tensor.shape, generator=generator, dtype=tensor.dtype))
             for tensor in results
         ]
-        depend = [place for place, tensor in enumerate(results) if tensor.requires_grad]
-        if not (depend and inputs):
-            no_gradients = [torch.zeros_like(tensor) for tensor in inputs]
-            return _Outcome([tensor.detach() for tensor in results], no_gradients)
-        found = torch.autograd.grad(
-            [results[place] for place in depend],
-            inputs,
-            [cotangents[place] for place in depend],
-            materialize_grads=True,
-        )
-        return _Outcome([tensor.detach() for tensor in results], list(found))
+        depend = [(each, cotangent.to(each)) for each, cotangent in pairs if each.requires_grad]
+        gradients = [torch.zeros_like(tensor) for tensor in inputs]
+        if depend and inputs:
+            outputs, cotangents = zip(*depend, strict=True)
+            gradients = list(
+                torch.autograd.grad(outputs, inputs, cotangents, materialize_grads=True)
+            )
+        return _Outcome([tensor.detach() for tensor in results], gradients)
 
 
 def members(value: Any) -> Iterable[Any]:

@@ -44,13 +44,8 @@ def first_difference(first: Mapping[str, Any], second: Mapping[str, Any]) -> str
 
 
 def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = None) -> Config:
-    """The dataclass that ``write_yaml`` wrote, or a part of one over another of the same kind.
-
-    Args:
-        cls: the dataclass.
-        text: YAML.
-        source: the file's name, for messages.
-        base: holds the fields that the text leaves out; the defaults do if None.
+    """The dataclass that ``write_yaml`` wrote, or a part of one over another of the same kind, the
+    ``base``; ``source`` is the file's name, for messages.
 
     Raises:
         ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
@@ -129,15 +124,10 @@ def _member(options: list[Any], value: Any) -> Any:
 
 
 def convert(hint: Any, value: Any, source: str) -> Any:
-    """A value as its field's type; nested dataclasses are built.
-
-    Args:
-        hint: the type.
-        value: as YAML gives it.
-        source: of the value, for messages.
+    """A value of YAML as its field's type; nested dataclasses are built.
 
     Raises:
-        ConfigError: it is of another type.
+        ConfigError: it is of another type; the message names the ``source``.
     """
     if typing.get_origin(hint) in (types.UnionType, typing.Union):
         if value is None:

@@ -42,10 +42,8 @@ _computes: int | None = None
 
 
 def require_own_threads() -> None:
-    """To be called before something is computed.
-
-    The threads of torch and Numba do not survive a fork: the child would wait for them forever, or
-    be ended by Numba.
+    """To be called before something is computed: the threads of torch and Numba do not survive a
+    fork, and the child would wait for them forever, or be ended by Numba.
 
     Raises:
         MrgsError: this process was forked from one that has computed.
@@ -59,11 +57,7 @@ def require_own_threads() -> None:
 
 def will_compute() -> None:
     """To be called where this process begins to train, to load a run or to render: from now on its
-    forks must not.
-
-    Raises:
-        MrgsError: this process was forked from one that has computed.
-    """
+    forks must not. Raises as ``require_own_threads``."""
     global _computes
     require_own_threads()
     _computes = os.getpid()

@@ -29,13 +29,9 @@ def listed(names: Sequence[str], most: int = 3) -> str:
 class Message(str):
     """A text with values filled in; anything that reads texts can read it.
 
-    Args:
+    Attributes:
         template: English, with values as ``{name}``.
         values: in place of them, formatted.
-
-    Attributes:
-        template: as given.
-        values: as given.
     """
 
     template: str
