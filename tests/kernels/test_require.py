@@ -16,7 +16,7 @@ from mrgs.kernels import color_head, convolution
 from mrgs.kernels.blur import cpu as blur
 from mrgs.kernels.harmonics import cpu as harmonics
 from mrgs.kernels.heat import residuals as heat
-from mrgs.kernels.heat.exchange import exchange, with_neighbours
+from mrgs.kernels.heat.residuals import exchange, with_neighbours
 from mrgs.kernels.rasterize.cpu.rasterize import median_depth, rasterize
 from mrgs.kernels.ssim import cpu as ssim
 from mrgs.kernels.variation import cpu as variation

@@ -23,8 +23,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.kernels.jit import reordering_inner_function, reordering_kernel
+from mrgs.kernels.simd import F32, FUSE, LANES, VECTOR, in_all_lanes
 
-TILE_COLUMNS = 16
+TILE_COLUMNS = LANES
 """Columns of a vector of sums, and of a panel."""
 
 TILE_ROWS, TILE_VECTORS = (8, 2) if binding.get_host_cpu_features().get("avx512f") else (4, 1)
@@ -39,11 +40,7 @@ SHARES = 32
 """Parts that the rows are cut into, each with sums of its own, so that no sum depends on the number
 of threads."""
 
-_F32 = ir.FloatType()
-_I32 = ir.IntType(32)
 _I64 = ir.IntType(64)
-_VECTOR = ir.VectorType(_F32, TILE_COLUMNS)
-_FUSE = ("contract",)
 
 # sin(πt) / t on [-1/2, 1/2] as a polynomial in t², fitted at the Chebyshev nodes: error 3e-11
 # before rounding.
@@ -89,29 +86,29 @@ def _tile_of(vectors: int) -> Callable[..., Any]:
             return builder.inttoptr(builder.add(base, offset), kind.as_pointer())
 
         def vector_at(base: Any, row_stride: Any, row: int, vector: int) -> Any:
-            row_start = builder.ptrtoint(at(base, row_stride, row, _VECTOR), _I64)
-            return at(row_start, ir.Constant(_I64, TILE_COLUMNS), vector, _VECTOR)
+            row_start = builder.ptrtoint(at(base, row_stride, row, VECTOR), _I64)
+            return at(row_start, ir.Constant(_I64, TILE_COLUMNS), vector, VECTOR)
 
         places = [(row, vector) for row in range(TILE_ROWS) for vector in range(vectors)]
-        sums = {place: cgutils.alloca_once(builder, _VECTOR) for place in places}
+        sums = {place: cgutils.alloca_once(builder, VECTOR) for place in places}
         for place in places:
             first = builder.load(vector_at(start, start_row, *place), align=4)
             builder.store(first, sums[place])
         with cgutils.for_range(builder, k) as loop:
-            row_of_b = builder.ptrtoint(at(b, b_k, loop.index, _VECTOR), _I64)
+            row_of_b = builder.ptrtoint(at(b, b_k, loop.index, VECTOR), _I64)
             loaded = [
-                builder.load(at(row_of_b, b_vector, vector, _VECTOR), align=4)
+                builder.load(at(row_of_b, b_vector, vector, VECTOR), align=4)
                 for vector in range(vectors)
             ]
-            column = builder.ptrtoint(at(a, a_k, loop.index, _F32), _I64)
+            column = builder.ptrtoint(at(a, a_k, loop.index, F32), _I64)
             factors = [
-                _broadcast(builder, builder.load(at(column, a_row, row, _F32)))
+                in_all_lanes(builder, builder.load(at(column, a_row, row, F32)))
                 for row in range(TILE_ROWS)
             ]
             for row, vector in places:
-                product = builder.fmul(factors[row], loaded[vector], flags=_FUSE)
+                product = builder.fmul(factors[row], loaded[vector], flags=FUSE)
                 so_far = builder.load(sums[row, vector])
-                builder.store(builder.fadd(so_far, product, flags=_FUSE), sums[row, vector])
+                builder.store(builder.fadd(so_far, product, flags=FUSE), sums[row, vector])
         for place in places:
             builder.store(builder.load(sums[place]), vector_at(out, out_row, *place), align=4)
         return context.get_dummy_value()
@@ -121,14 +118,6 @@ def _tile_of(vectors: int) -> Callable[..., Any]:
         return types.void(*[types.int64] * 11), codegen
 
     return tile
-
-
-def _broadcast(builder: Any, scalar: Any) -> Any:
-    undefined = ir.Constant(_VECTOR, ir.Undefined)
-    first = builder.insert_element(undefined, scalar, ir.Constant(_I32, 0))
-    return builder.shuffle_vector(
-        first, undefined, ir.Constant(ir.VectorType(_I32, TILE_COLUMNS), [0] * TILE_COLUMNS)
-    )
 
 
 _whole_tile = _tile_of(TILE_VECTORS)

@@ -29,7 +29,8 @@ from mrgs.kernels.jit import (
     strict_inner_function,
     strict_parallel_kernel,
 )
-from mrgs.kernels.rasterize.cpu.simd import (
+from mrgs.kernels.rasterize.cpu.tiles import PREFETCH_AHEAD, TILE_HEIGHT, TILE_WIDTH
+from mrgs.kernels.simd import (
     LANES,
     any_lane,
     broadcast,
@@ -46,7 +47,6 @@ from mrgs.kernels.rasterize.cpu.simd import (
     store,
     store_sums,
 )
-from mrgs.kernels.rasterize.cpu.tiles import PREFETCH_AHEAD, TILE_HEIGHT, TILE_WIDTH
 from mrgs.rasterizer import contract, splat
 
 ALPHA_MAX = np.float32(contract.ALPHA_MAX)

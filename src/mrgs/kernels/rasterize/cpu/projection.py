@@ -15,7 +15,7 @@ import numpy as np
 from numba import prange
 
 from mrgs.kernels.jit import address, strict_inner_function, strict_parallel_kernel
-from mrgs.kernels.rasterize.cpu.simd import prefetch
+from mrgs.kernels.simd import prefetch
 from mrgs.rasterizer import contract, splat
 
 NEAR_PLANE = contract.NEAR_PLANE

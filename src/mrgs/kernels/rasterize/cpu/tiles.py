@@ -20,7 +20,7 @@ from mrgs.kernels.jit import (
     strict_kernel,
     strict_parallel_kernel,
 )
-from mrgs.kernels.rasterize.cpu.simd import load, prefetch, store
+from mrgs.kernels.simd import load, prefetch, store
 from mrgs.rasterizer import splat
 
 TILE_WIDTH = 8

@@ -19,12 +19,12 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 LANES = 16
 
-_F32 = ir.FloatType()
+F32 = ir.FloatType()
 _I32 = ir.IntType(32)
-_VECTOR = ir.VectorType(_F32, LANES)
+VECTOR = ir.VectorType(F32, LANES)
 _VECTOR_I32 = ir.VectorType(_I32, LANES)
 _MASK = ir.VectorType(ir.IntType(1), LANES)
-_FUSE = ("contract",)
+FUSE = ("contract",)
 
 
 class _Float32x16(types.Type):
@@ -45,7 +45,7 @@ FloatPointer = types.CPointer(types.float32)
 @register_model(_Float32x16)
 class _Float32x16Model(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, _VECTOR)
+        super().__init__(dmm, fe_type, VECTOR)
 
 
 @register_model(_Mask16)
@@ -70,9 +70,9 @@ def _define_operator(
         return emit(builder, *args)
 
 
-_define_operator(operator.add, Float32x16, Float32x16, lambda b, x, y: b.fadd(x, y, flags=_FUSE))
-_define_operator(operator.sub, Float32x16, Float32x16, lambda b, x, y: b.fsub(x, y, flags=_FUSE))
-_define_operator(operator.mul, Float32x16, Float32x16, lambda b, x, y: b.fmul(x, y, flags=_FUSE))
+_define_operator(operator.add, Float32x16, Float32x16, lambda b, x, y: b.fadd(x, y, flags=FUSE))
+_define_operator(operator.sub, Float32x16, Float32x16, lambda b, x, y: b.fsub(x, y, flags=FUSE))
+_define_operator(operator.mul, Float32x16, Float32x16, lambda b, x, y: b.fmul(x, y, flags=FUSE))
 _define_operator(operator.truediv, Float32x16, Float32x16, lambda b, x, y: b.fdiv(x, y))
 _define_operator(operator.ge, Float32x16, Mask16, lambda b, x, y: b.fcmp_ordered(">=", x, y))
 _define_operator(operator.lt, Float32x16, Mask16, lambda b, x, y: b.fcmp_ordered("<", x, y))
@@ -80,15 +80,16 @@ _define_operator(operator.and_, Mask16, Mask16, lambda b, x, y: b.and_(x, y))
 _define_operator(operator.or_, Mask16, Mask16, lambda b, x, y: b.or_(x, y))
 
 
-def _broadcast(builder: Any, scalar: Any, vector_type: ir.VectorType = _VECTOR) -> Any:
-    undefined = ir.Constant(vector_type, ir.Undefined)
+def in_all_lanes(builder: Any, scalar: Any) -> Any:
+    """The instructions of ``broadcast``."""
+    undefined = ir.Constant(VECTOR, ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(_I32, 0))
     lanes = ir.Constant(ir.VectorType(_I32, LANES), [0] * LANES)
     return builder.shuffle_vector(first, undefined, lanes)
 
 
 def _constant(value: float) -> ir.Constant:
-    return ir.Constant(_VECTOR, [value] * LANES)
+    return ir.Constant(VECTOR, [value] * LANES)
 
 
 def _element(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -102,7 +103,7 @@ def broadcast(typingctx: Any, value: Any) -> Any:
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         scalar = context.cast(builder, args[0], sig.args[0], types.float32)
-        return _broadcast(builder, scalar)
+        return in_all_lanes(builder, scalar)
 
     return Float32x16(value), codegen
 
@@ -113,7 +114,7 @@ def _lane_constants(value: Callable[[int, int], float]) -> Callable:
     @intrinsic(prefer_literal=True)
     def constants(typingctx: Any, width: Any) -> Any:
         values = [float(value(lane, width.literal_value)) for lane in range(LANES)]
-        return Float32x16(width), lambda context, builder, sig, args: ir.Constant(_VECTOR, values)
+        return Float32x16(width), lambda context, builder, sig, args: ir.Constant(VECTOR, values)
 
     return constants
 
@@ -135,9 +136,9 @@ def stack_floats(typingctx: Any, count: Any) -> Any:
     size = count.literal_value
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        block = cgutils.alloca_once(builder, ir.ArrayType(_F32, size))
+        block = cgutils.alloca_once(builder, ir.ArrayType(F32, size))
         cgutils.memset(builder, block, ir.Constant(ir.IntType(64), 4 * size), 0)
-        return builder.bitcast(block, _F32.as_pointer())
+        return builder.bitcast(block, F32.as_pointer())
 
     return FloatPointer(count), codegen
 
@@ -161,7 +162,7 @@ def load(typingctx: Any, floats: Any, index: Any) -> Any:
     """Sixteen consecutive floats behind a pointer, from ``index``."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        address = builder.bitcast(_element(context, builder, sig, args), _VECTOR.as_pointer())
+        address = builder.bitcast(_element(context, builder, sig, args), VECTOR.as_pointer())
         return builder.load(address, align=4)
 
     return Float32x16(FloatPointer, index), codegen
@@ -172,7 +173,7 @@ def store(typingctx: Any, floats: Any, index: Any, vector: Any) -> Any:
     """The counterpart of ``load``."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        address = builder.bitcast(_element(context, builder, sig, args), _VECTOR.as_pointer())
+        address = builder.bitcast(_element(context, builder, sig, args), VECTOR.as_pointer())
         builder.store(args[2], address, align=4)
         return context.get_dummy_value()
 
@@ -186,7 +187,7 @@ def _rounded_to_int(instruction: str) -> Callable:
     def rounded(typingctx: Any, value: Any) -> Any:
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             function = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(_F32, [_F32]), instruction
+                builder.module, ir.FunctionType(F32, [F32]), instruction
             )
             return builder.fptosi(builder.call(function, [args[0]]), ir.IntType(64))
 
@@ -259,7 +260,7 @@ def store_sums(typingctx: Any, floats: Any, index: Any, vectors: Any) -> Any:
             sums, sums, ir.Constant(ir.VectorType(_I32, count), list(range(count)))
         )
         address = builder.bitcast(
-            _element(context, builder, sig, args), ir.VectorType(_F32, count).as_pointer()
+            _element(context, builder, sig, args), ir.VectorType(F32, count).as_pointer()
         )
         builder.store(kept, address, align=4)
         return context.get_dummy_value()
@@ -280,17 +281,17 @@ def exp2(typingctx: Any, vector: Any) -> Any:
             builder.fcmp_ordered(">", args[0], _constant(-126.0)), args[0], _constant(-126.0)
         )
         round_to_nearest = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), f"llvm.rint.v{LANES}f32"
+            builder.module, ir.FunctionType(VECTOR, [VECTOR]), f"llvm.rint.v{LANES}f32"
         )
         whole = builder.call(round_to_nearest, [x])
         fraction = builder.fsub(x, whole)
         power = _constant(_EXP2_COEFFICIENTS[-1])
         for coefficient in reversed(_EXP2_COEFFICIENTS[:-1]):
             power = builder.fadd(
-                builder.fmul(power, fraction, flags=_FUSE), _constant(coefficient), flags=_FUSE
+                builder.fmul(power, fraction, flags=FUSE), _constant(coefficient), flags=FUSE
             )
         exponent = builder.fptosi(whole, _VECTOR_I32)
         shifted = builder.shl(exponent, ir.Constant(_VECTOR_I32, [23] * LANES))
-        return builder.bitcast(builder.add(builder.bitcast(power, _VECTOR_I32), shifted), _VECTOR)
+        return builder.bitcast(builder.add(builder.bitcast(power, _VECTOR_I32), shifted), VECTOR)
 
     return Float32x16(Float32x16), codegen
