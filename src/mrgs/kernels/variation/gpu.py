@@ -93,11 +93,10 @@ def total_variation(
         ValueError: tensors of other sizes, types or devices.
     """
     require("image", image, (None, None, None), device=image.device)
-    source = image
     weights: list[Tensor | None] = []
     scales = []
-    for axis, given in enumerate((row_weights, column_weights)):
-        counted, pairs = valid_pairs(image, axis, valid, given)
+    for axis, of_axis in enumerate((row_weights, column_weights)):
+        counted, pairs = valid_pairs(image, axis, valid, of_axis)
         if isinstance(counted, Tensor):  # only the device knows it
             assert pairs is not None
             weights.append(pairs / (image.shape[2] * counted).clamp_min(1))
@@ -105,14 +104,14 @@ def total_variation(
         else:
             weights.append(pairs)
             scales.append(1 / max(image.shape[2] * counted, 1))
-    image = image.detach().contiguous()
-    gradient, programs = torch.empty_like(image), triton.cdiv(image.numel(), BLOCK)
-    tensors = (image, *(None if each is None else each.contiguous() for each in weights), gradient)
+    pixels, programs = image.detach().contiguous(), triton.cdiv(image.numel(), BLOCK)
+    gradient = torch.empty_like(pixels)
+    tensors = (pixels, *(None if each is None else each.contiguous() for each in weights), gradient)
     given: Arguments = dict(zip(("image", *WEIGHTS, "gradient"), tensors, strict=True))
     given |= dict(zip((*SIZES, *SCALES), (*image.shape, *scales), strict=True))
     given["totals"] = image.new_empty(programs)
     _spec([name for name in WEIGHTS if given[name] is None]).launch((programs,), given)
-    return with_gradients(given["totals"].sum(dtype=torch.float64), [source], [gradient])
+    return with_gradients(given["totals"].sum(dtype=torch.float64), [image], [gradient])
 
 
 def _spec(left_out: Sequence[str]) -> KernelSpec:
