@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from mrgs.blocks.plan import BlockPlan, read_plan
-from mrgs.evaluation.truth import Truth
+from mrgs.evaluation.evaluate import Truth
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Scene, View
 

@@ -32,8 +32,7 @@ from benchmarks.gpu_workload import FusedPass, RecordedPass, photos_on
 from benchmarks.plan import Effort
 from benchmarks.timing import Summary
 from benchmarks.workload import training_state
-from mrgs.evaluation.evaluate import evaluate
-from mrgs.evaluation.truth import Truth
+from mrgs.evaluation.evaluate import Truth, evaluate
 from mrgs.method.config import make_config
 from mrgs.runs.open import load_run
 from mrgs.training import StepStatistics, train

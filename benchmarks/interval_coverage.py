@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float64
 
 from mrgs.errors import ConfigError
-from mrgs.evaluation.truth import Truth
+from mrgs.evaluation.evaluate import Truth
 from mrgs.marks import open_marks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.run_marks import RunMarks, eye_of, spot_radius

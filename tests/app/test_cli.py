@@ -21,8 +21,7 @@ from PIL import Image
 from safetensors.torch import save_file
 
 from mrgs.app import commands, progress, terminal
-from mrgs.app.cli import main
-from mrgs.app.comparing import how_to_read
+from mrgs.app.cli import how_to_read, main
 from mrgs.comparison.results import Cell
 from mrgs.comparison.table import Group, Row, Table
 from mrgs.training import StepStatistics

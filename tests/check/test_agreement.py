@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.check.agreement import agreements
+from mrgs.check.photos import agreements
 from mrgs.scene import Camera, PointCloud
 
 CAMERA = Camera(

@@ -14,7 +14,6 @@ from PIL import Image, ImageOps
 from mrgs.comparison.plan import Variant, configure
 from mrgs.comparison.runs import (
     SceneData,
-    are_stale,
     is_scored,
     require_same_config,
     require_same_data,
@@ -106,7 +105,7 @@ def of_an_older_version(folder: Path) -> None:
 def test_a_copy_of_the_scene_is_the_same(scene, folder):
     data = data_of(scene)
     require_same_data(folder, data, run_scores(folder))
-    assert not are_stale(run_scores(folder), data)
+    assert not data.changed_since(run_scores(folder))
     shutil.rmtree(folder / "checkpoints")
     require_same_data(folder, data, run_scores(folder))
 
@@ -114,7 +113,7 @@ def test_a_copy_of_the_scene_is_the_same(scene, folder):
 def test_a_folder_without_a_run_is_of_any_scene(scene, tmp_path):
     data = data_of(scene)
     require_same_data(tmp_path / "none", data, run_scores(tmp_path / "none"))
-    assert not are_stale(run_scores(tmp_path / "none"), data)
+    assert not data.changed_since(run_scores(tmp_path / "none"))
     assert vars(data).keys() == {"scene"}  # no photo was read
 
 
@@ -141,7 +140,7 @@ def test_other_held_out_images_make_the_scores_stale(change: Change, scene, fold
     change(scene)
     data = data_of(scene)
     require_same_data(folder, data, run_scores(folder))
-    assert are_stale(run_scores(folder), data)
+    assert data.changed_since(run_scores(folder))
 
 
 @pytest.mark.parametrize(
@@ -175,7 +174,7 @@ def test_runs_of_an_older_version_count_as_far_as_they_say(scene, folder):
     train_photo(scene)
     data = data_of(scene)
     require_same_data(folder, data, run_scores(folder))
-    assert not are_stale(run_scores(folder), data)
+    assert not data.changed_since(run_scores(folder))
     temperature_range(scene)
     with pytest.raises(ConfigError, match="temperature range"):
         require_same_data(folder, data_of(scene), run_scores(folder))

@@ -6,8 +6,7 @@ import torch
 from PIL import Image
 
 from mrgs.data.lens import Lens
-from mrgs.data.posed import check_files, decode_rgb, posed_image
-from mrgs.data.sources import ImageSource
+from mrgs.data.sources import ImageSource, check_files, decode_rgb, posed_image
 from mrgs.errors import SceneError
 
 LENS = Lens(40, 31, 30.0, 31.0, 20.0, 15.0)

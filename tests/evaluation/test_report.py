@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from mrgs.errors import RunError
-from mrgs.evaluation.evaluate import NO_LPIPS, Metrics, evaluate
+from mrgs.evaluation.evaluate import NO_LPIPS, TRUTH_FIGURES, Metrics, Truth, evaluate
 from mrgs.evaluation.figures import figure_names
 from mrgs.evaluation.report import RunFacts, format_figure, to_document, to_markdown, write_report
-from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
 from mrgs.pictures.files import write_float_tiff
 from mrgs.scene import RGB, THERMAL, Rendering, View
 from tests.helpers.gaussians import NEAR_INFRARED

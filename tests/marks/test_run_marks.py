@@ -11,7 +11,7 @@ import torch
 
 from mrgs import Run, RunMarks, load_run, make_config, open_marks
 from mrgs.errors import RunError
-from mrgs.evaluation.truth import read_float_tiff
+from mrgs.evaluation.evaluate import read_float_tiff
 from mrgs.scene import THERMAL, View
 from tests.helpers.runs import SMALL, trained_run
 

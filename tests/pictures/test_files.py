@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from mrgs.errors import RunError
-from mrgs.evaluation.truth import read_float_tiff
+from mrgs.evaluation.evaluate import read_float_tiff
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import (
     to_rgb8,

@@ -36,14 +36,26 @@ def parse(argv: Sequence[str]) -> Any:
     if first in COMMANDS:
         return tyro.cli(COMMANDS[first], prog=f"mrgs {first}", args=argv[1:], config=_CONFIG)
     if first.startswith(_COMPLETION):
-        return tyro.cli(_any_command(), prog="mrgs", args=argv, config=_CONFIG)
+        kinds = [
+            Annotated[kind, tyro.conf.subcommand(name, description=_summary(kind))]
+            for name, kind in COMMANDS.items()
+        ]
+        any_of_them: Any = reduce(or_, kinds)
+        return tyro.cli(any_of_them, prog="mrgs", args=argv, config=_CONFIG)
     if first in ("-h", "--help", "help"):
         print(_overview())
         raise SystemExit(0)
     if first == "--version":
         print(f"mrgs {version('mrgs')}")
         raise SystemExit(0)
-    print_error(_unknown(first))
+    near = difflib.get_close_matches(first, COMMANDS, n=1, cutoff=0.6)
+    hint = f"did you mean {near[0]}?" if near else "`mrgs` lists the commands"
+    is_option = first.startswith("-")
+    print_error(
+        f"{first} must follow a command; `mrgs` lists them"
+        if is_option
+        else f"unknown command {first!r}; {hint}"
+    )
     raise SystemExit(EXIT_USER_ERROR)
 
 
@@ -63,26 +75,6 @@ def _overview() -> str:
 def _summary(command: type) -> str:
     """The first paragraph of a command's help."""
     return (inspect.getdoc(command) or "").partition("\n\n")[0].replace("\n", " ")
-
-
-def _any_command() -> Any:
-    """The type of which every command is a subcommand, for shell completion."""
-    return reduce(
-        or_,
-        [
-            Annotated[kind, tyro.conf.subcommand(name, description=_summary(kind))]
-            for name, kind in COMMANDS.items()
-        ],
-    )
-
-
-def _unknown(name: str) -> str:
-    """The message for a command that does not exist."""
-    if name.startswith("-"):
-        return f"{name} must follow a command; `mrgs` lists them"
-    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.6)
-    hint = f"did you mean {near[0]}?" if near else "`mrgs` lists the commands"
-    return f"unknown command {name!r}; {hint}"
 
 
 def flag_of(parameter: str) -> str:

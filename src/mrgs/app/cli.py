@@ -6,11 +6,11 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mrgs.app.arguments import EXIT_USER_ERROR, flags_of, parse
+from mrgs.app.arguments import EXIT_USER_ERROR, flags_of, parse, read_text
 from mrgs.app.commands import (
     Check,
     CompareMethods,
@@ -18,6 +18,7 @@ from mrgs.app.commands import (
     Eval,
     Export,
     Measure,
+    PhotoOptions,
     Prepare,
     Render,
     Report,
@@ -26,7 +27,6 @@ from mrgs.app.commands import (
     Train,
     ViewRun,
 )
-from mrgs.app.comparing import compare
 from mrgs.app.interrupts import BY_CTRL_C, interrupts
 from mrgs.app.progress import PrepareProgress, counter
 from mrgs.app.terminal import (
@@ -41,7 +41,12 @@ from mrgs.app.terminal import (
     scene_if_there,
 )
 from mrgs.app.training import train
-from mrgs.errors import ConfigError, MrgsError
+from mrgs.errors import ConfigError, MrgsError, TrainingError
+from mrgs.runs.registry import imported
+
+if TYPE_CHECKING:
+    from mrgs.comparison.table import Table
+
 
 EXIT_BAD_SCENE = 1
 
@@ -88,8 +93,11 @@ def _run(argv: list[str] | None) -> int:
         # For thousands of small matrices BLAS threads only wait for each other. Read once, when
         # NumPy is loaded.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    follow_pipeline = imported("mrgs.app.pipeline", "follow_pipeline")
     handlers: dict[type, Callable[[Any], int | None]] = {
-        RunAll: _run_all,
+        RunAll: lambda given: follow_pipeline(
+            given.photos, given, given.photo.options(), given.yes
+        ),
         Prepare: _prepare,
         Check: _check,
         Train: train,
@@ -97,10 +105,12 @@ def _run(argv: list[str] | None) -> int:
         Eval: _eval,
         Render: _render,
         ViewRun: _view,
-        Measure: _measure,
+        Measure: imported("mrgs.app.measuring", "measure"),
         Export: _export,
         Report: _report,
-        Demo: _demo,
+        Demo: lambda given: follow_pipeline(
+            _bundled_scene(), given, PhotoOptions().options(), True
+        ),
         Synth: _synth,
     }
     return handlers[type(command)](command) or 0
@@ -214,14 +224,9 @@ def _view(command: ViewRun) -> None:
     view(run, scene_if_there(run), command.host, command.port, on_ready=print_viewer_address)
 
 
-def _measure(command: Measure) -> None:
-    from mrgs.app.measuring import measure
-
-    measure(command)
-
-
 def _export(command: Export) -> None:
     from mrgs.export import export
+    from mrgs.maps.options import MapOptions, parse_plane
     from mrgs.pipeline.forecast import expect_export
     from mrgs.runs.open import load_run
     from mrgs.system.memory import release_when_freed
@@ -230,7 +235,8 @@ def _export(command: Export) -> None:
     run = load_run(command.run, command.scene, "cpu")
     note_unfinished(run)
     folder = command.output or command.run / "export"
-    maps = command.maps()
+    plane = None if command.plane is None else parse_plane(*command.plane)
+    maps = MapOptions(plane, command.pixel_size, command.crs)
     scene = run.load_scene()
     with counter("export", expect_export(run, scene, command.format)) as progress:
         paths = export(
@@ -282,17 +288,74 @@ def _state_survey(command: Report) -> None:
         print(f"survey: fill in {own}, and write the report again")
 
 
-def _run_all(command: RunAll) -> None:
-    from mrgs.app.pipeline import follow_pipeline
+def compare(command: CompareMethods) -> None:
+    """Train and score methods side by side."""
+    from mrgs.comparison import Options, Variant
+    from mrgs.comparison import compare as compare_methods
+    from mrgs.comparison.table import to_plain
 
-    follow_pipeline(command.photos, command, command.photo.options(), yes=command.yes)
+    variants = _named_paths("--variants", command.variants, "wide=wide.yaml")
+    given = (Variant.from_text(name, read_text(file), str(file)) for name, file in variants.items())
+    options = Options(
+        command.methods,
+        tuple(given),
+        command.neighbours,
+        command.seeds,
+        command.preset,
+        command.max_steps,
+        command.max_gaussians,
+        command.resolution,
+    )
+    try:
+        comparison = compare_methods(
+            command.scenes,
+            command.output,
+            options,
+            renders=_named_paths("--renders", command.renders, "ThermoNeRF=renders/thermonerf"),
+            jobs=command.jobs,
+            device=command.device,
+            lpips_weights=command.lpips_weights,
+            say=lambda line: print(line, flush=True),
+        )
+    except KeyboardInterrupt:
+        print("interrupted runs keep their checkpoints; re-run the same command to resume")
+        raise
+    for table in comparison.tables:
+        print("\n" + to_plain(table), end="")
+    for line in how_to_read(comparison.tables, command.seeds):
+        print(line)
+    print(f"tables: {command.output / 'tables'}\nfigures: {command.output / 'figures'}")
+    if comparison.failures:
+        name, reason = next(iter(comparison.failures.items()))
+        raise TrainingError(
+            f"{len(comparison.failures)} rows of the tables have no scores, first {name} "
+            f"({reason}); fix the cause and re-run the same command"
+        )
 
 
-def _demo(command: Demo) -> None:
-    from mrgs.app.pipeline import follow_pipeline
-    from mrgs.prepare import PrepareOptions
+def how_to_read(tables: Sequence[Table], seeds: int) -> list[str]:
+    """What the signs of printed tables mean, and whether differences may be by chance."""
+    from mrgs.comparison.table import marks
 
-    follow_pipeline(_bundled_scene(), command, PrepareOptions(), yes=True)
+    lines = []
+    if any(any(row) for table in tables for row in marks(table)):
+        lines.append("*: the best, +: the second best of what was measured here")
+    if tables and seeds == 1:
+        lines.append("one seed: small differences may be by chance; --seeds 3 shows the spread")
+    return lines
+
+
+def _named_paths(option: str, pairs: tuple[str, ...], example: str) -> dict[str, Path]:
+    """Paths by name, from NAME=PATH."""
+    named = {}
+    for pair in pairs:
+        name, separator, path = pair.partition("=")
+        if not separator or not name or not path:
+            raise ConfigError(f"{option} {pair}: use NAME=PATH, for example {example}")
+        if name in named:
+            raise ConfigError(f"{option} {pair}: {name} is used twice; choose another name")
+        named[name] = Path(path)
+    return named
 
 
 def _bundled_scene() -> Path:

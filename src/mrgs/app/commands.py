@@ -4,22 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
-
-if TYPE_CHECKING:
-    from mrgs.maps.options import MapOptions
-
-
-from typing import TYPE_CHECKING, TypeVar
 
 from mrgs.export.formats import FORMATS
 from mrgs.runs.registry import registered_methods
 
 if TYPE_CHECKING:
     from mrgs.prepare import PrepareOptions
-
 
 # tyro keeps the line breaks in docstrings of fields; longer helps are given as arguments.
 RESUME_HELP = (
@@ -47,6 +40,11 @@ FORMATS_HELP = "all, or one of: " + "; ".join(
 DeviceName = Literal["auto", "cpu", "cuda"]
 """As in ``mrgs.system.gpu``, which loads torch."""
 
+RenderDevice = Annotated[
+    DeviceName,
+    tyro.conf.arg(help="Device to render on; auto uses a usable GPU, else the CPU."),
+]
+
 QualityName = Literal["fast", "default", "best"]
 """As in ``mrgs.pipeline.quality``, which loads torch."""
 
@@ -68,8 +66,15 @@ FormatName = Annotated[
 MethodName = Annotated[
     str, tyro.conf.arg(metavar="{" + ",".join(METHOD_NAMES) + "}", help=METHODS_HELP)
 ]
-RunPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+RunPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN", help="Run folder.")]
+MovedScene = Annotated[
+    Maybe[Path], tyro.conf.arg(help="Scene folder, if it has moved since training.")
+]
 ScenePath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
+
+
+_OF_PREPARE = ("pairs", "pair_table", "poses", "one_camera", "thermal_camera", "eval_every")
+"""Options of the same name in ``PrepareOptions``."""
 
 
 @dataclass(frozen=True)
@@ -124,30 +129,22 @@ class PhotoOptions:
         from mrgs.data.radiometric import Overrides
         from mrgs.prepare import PrepareOptions, parse_known_distance, parse_target
 
+        settings = ("emissivity", "humidity", "window_transmission", "unit")
+        target, known = self.target, self.known_distance
         return PrepareOptions(
             overrides=Overrides(
-                emissivity=self.emissivity,
                 distance_m=self.distance,
                 reflected_c=self.reflected,
                 atmospheric_c=self.atmospheric,
-                humidity=self.humidity,
                 window_c=self.window,
-                window_transmission=self.window_transmission,
-                unit=self.unit,
                 bounds_c=self.bounds,
+                **{name: getattr(self, name) for name in settings},
             ),
-            pairs=self.pairs,
-            pair_table=self.pair_table,
             tolerance_s=self.tolerance,
-            poses=self.poses,
-            one_camera=self.one_camera,
             thermal_fov_deg=self.thermal_fov,
-            thermal_camera=self.thermal_camera,
-            target=None if self.target is None else parse_target(*self.target),
-            known_distance=None
-            if self.known_distance is None
-            else parse_known_distance(*self.known_distance),
-            eval_every=self.eval_every,
+            target=None if target is None else parse_target(*target),
+            known_distance=None if known is None else parse_known_distance(*known),
+            **{name: getattr(self, name) for name in _OF_PREPARE},
         )
 
 
@@ -233,18 +230,16 @@ class Eval:
     another program's images of a scene instead, and writes to DIR/eval.
     """
 
-    run: RunPath
+    run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Run folder; with --renders, the scene folder."""
     renders: Maybe[Path] = None
     """Images to score: DIR/rgb/NAME.png, DIR/thermal/NAME.png or .tiff (docs/experiments.md)."""
     resolution: Maybe[int] = None
     """With --renders: downscale photos wider than this many pixels, as in training."""
-    scene: Maybe[Path] = None
-    """Scene folder, if it has moved since training."""
+    scene: MovedScene = None
     lpips_weights: Maybe[Path] = None
     """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
-    device: DeviceName = "auto"
-    """Device to render on; auto uses a usable GPU, else the CPU."""
+    device: RenderDevice = "auto"
 
 
 @dataclass(frozen=True)
@@ -256,17 +251,14 @@ class Render:
     """
 
     run: RunPath
-    """Run folder."""
-    scene: Maybe[Path] = None
-    """Scene folder, if it has moved since training."""
+    scene: MovedScene = None
     split: Literal["eval", "train", "path"] = "eval"
     """Evaluation views, training views, or a camera path (frames; a video with mrgs[video])."""
     palette: PaletteChoice = "inferno"
     """Palette of the thermal images."""
     frames: int = 120
     """Number of frames of the camera path."""
-    device: DeviceName = "auto"
-    """Device to render on; auto uses a usable GPU, else the CPU."""
+    device: RenderDevice = "auto"
 
 
 @dataclass(frozen=True)
@@ -274,9 +266,7 @@ class ViewRun:
     """Explore a run in the browser and read °C under the cursor."""
 
     run: RunPath
-    """Run folder."""
-    scene: Maybe[Path] = None
-    """Scene folder, if it has moved since training."""
+    scene: MovedScene = None
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 exposes the viewer to the network, to whoever has its token."""
     port: int = 8080
@@ -291,12 +281,10 @@ class Export:
     """
 
     run: RunPath
-    """Run folder."""
     format: FormatName = "all"
     output: Maybe[Path] = None
     """Output folder; by default RUN/export."""
-    scene: Maybe[Path] = None
-    """Scene folder, if it has moved since training."""
+    scene: MovedScene = None
     palette: PaletteChoice = "inferno"
     """Palette of the temperatures."""
     range_c: Maybe[tuple[float, float]] = None
@@ -308,17 +296,6 @@ class Export:
     crs: Maybe[str] = None
     """ortho, las: projected coordinate system in metres, such as EPSG:25832; by default UTM."""
 
-    def maps(self) -> MapOptions:
-        """The choices for the maps.
-
-        Raises:
-            ConfigError: a value that cannot be used.
-        """
-        from mrgs.maps.options import MapOptions, parse_plane
-
-        plane = None if self.plane is None else parse_plane(*self.plane)
-        return MapOptions(plane, self.pixel_size, self.crs)
-
 
 @dataclass(frozen=True)
 class Report:
@@ -329,7 +306,6 @@ class Report:
     """
 
     run: RunPath
-    """Run folder."""
     output: Maybe[Path] = None
     """Output file; by default RUN/report.html."""
     survey: Maybe[Path] = None
@@ -340,10 +316,8 @@ class Report:
     """Language of the report."""
     pdf: bool = False
     """Also write a PDF beside it. Needs mrgs[report]."""
-    scene: Maybe[Path] = None
-    """Scene folder, if it has moved since training."""
-    device: DeviceName = "auto"
-    """Device to render on; auto uses a usable GPU, else the CPU."""
+    scene: MovedScene = None
+    device: RenderDevice = "auto"
 
 
 @dataclass(frozen=True)
@@ -356,7 +330,6 @@ class Measure:
     """
 
     run: RunPath
-    """Run folder."""
     spot: Annotated[Several[str], tyro.conf.arg(metavar="VIEW:X,Y")] = ()
     """Add a spot."""
     line: Annotated[Several[str], tyro.conf.arg(metavar="VIEW:X,Y X,Y [X,Y ...]")] = ()
@@ -393,10 +366,8 @@ class Measure:
     """Write the table to this file, and the profiles of lines beside it."""
     geojson: Maybe[Path] = None
     """Write the marks and their values to this file, for maps."""
-    scene: Maybe[Path] = None
-    """Scene folder, if it has moved since training."""
-    device: DeviceName = "auto"
-    """Device to render on; auto uses a usable GPU, else the CPU."""
+    scene: MovedScene = None
+    device: RenderDevice = "auto"
 
 
 @dataclass(frozen=True)

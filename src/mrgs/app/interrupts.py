@@ -28,8 +28,6 @@ class Interruption(NamedTuple):
     """Why a command ends early.
 
     Attributes:
-        cause: its name in messages.
-        status: exit status of the process.
         message: last line on standard error; empty for none.
     """
 
@@ -96,8 +94,8 @@ class Interrupts:
             interruption = Interruption("standard output was closed", 1, "")
         else:
             cause = f"standard output cannot be written ({error.strerror})"
-            message = f"mrgs: error: {cause}: make room, or send it elsewhere"
-            interruption = Interruption(cause, 2, message)
+            remedy = "make room, or send it elsewhere"
+            interruption = Interruption(cause, 2, f"mrgs: error: {cause}: {remedy}")
         if threading.current_thread() is threading.main_thread():
             self._interrupt(interruption)
         else:
@@ -110,7 +108,9 @@ class Interrupts:
             return
         suffix = "" if cause == CTRL_C else f" ({cause})"
         interruption = Interruption(cause, 128 + number, f"mrgs: stopped{suffix}")
-        if self._postpone is None and _is_importing(frame):
+        while frame is not None and frame.f_code.co_filename != _IMPORT_MACHINERY:
+            frame = frame.f_back
+        if self._postpone is None and frame is not None:
             # Libraries turn an exception in the middle of their import into others.
             with suppress(OSError):
                 os.write(2, f"{interruption.message}\n".encode())
@@ -122,12 +122,6 @@ class Interrupts:
         if not is_first or self._postpone is None:
             raise Interrupted
         self._postpone(interruption)
-
-
-def _is_importing(frame: FrameType | None) -> bool:
-    while frame is not None and frame.f_code.co_filename != _IMPORT_MACHINERY:
-        frame = frame.f_back
-    return frame is not None
 
 
 interrupts = Interrupts()

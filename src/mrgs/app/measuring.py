@@ -15,6 +15,7 @@ from mrgs.marks.tables import HEADINGS, text_rows, write_csv, write_geojson
 from mrgs.pictures.values import unit_of
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Camera
+from mrgs.system.wording import aligned
 
 _NUMBER = r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)"
 _CORNER = f"{_NUMBER},{_NUMBER}"
@@ -37,7 +38,19 @@ def measure(command: Measure) -> None:
         marks.remove(command.delete)
     for name in command.drop:
         marks.drop(name)
-    _change(command, marks, added)
+    changes = _changes(command)
+    for kind in added:
+        camera, pixels = _places(getattr(command, kind), kind, marks)
+        if kind != "box":
+            marks.add(kind, camera, pixels, **changes)
+        elif len(pixels) == 2:
+            marks.box(camera, pixels[0], pixels[1], **changes)
+        else:
+            raise ConfigError("--box has two corners: VIEW:X,Y X,Y")
+    for name in command.accept:
+        marks.accept(name, **changes)
+    if command.mark is not None:
+        marks.change(command.mark, **changes)
     if command.reference is not None:
         marks.refer_to(command.reference)
     _show(command, marks)
@@ -67,22 +80,6 @@ def _changes(command: Measure) -> dict[str, Any]:
         "reflected_c": command.reflected,
     }
     return {name: value for name, value in given.items() if value is not None}
-
-
-def _change(command: Measure, marks: RunMarks, added: Sequence[MarkKind]) -> None:
-    changes = _changes(command)
-    for kind in added:
-        camera, pixels = _places(getattr(command, kind), kind, marks)
-        if kind == "box":
-            if len(pixels) != 2:
-                raise ConfigError("--box has two corners: VIEW:X,Y X,Y")
-            marks.box(camera, pixels[0], pixels[1], **changes)
-        else:
-            marks.add(kind, camera, pixels, **changes)
-    for name in command.accept:
-        marks.accept(name, **changes)
-    if command.mark is not None:
-        marks.change(command.mark, **changes)
 
 
 def _places(
@@ -118,34 +115,17 @@ def _show(command: Measure, marks: RunMarks) -> None:
     assumed = [text for each in (*readings, *proposals) for text in marks.assumptions_of(each)]
     for text in dict.fromkeys(map(str, assumed)):
         print_note(text)
+    written = readings, temperature, marks.world, marks.assumptions_of
     if command.csv is not None:
-        for path in write_csv(
-            command.csv, readings, temperature, marks.world, marks.assumptions_of
-        ):
+        for path in write_csv(command.csv, *written):
             print(f"csv: {path}")
     if command.geojson is not None:
-        path = write_geojson(
-            command.geojson, readings, temperature, marks.world, marks.assumptions_of
-        )
-        print(f"geojson: {path}")
+        print(f"geojson: {write_geojson(command.geojson, *written)}")
 
 
 def _print_table(readings: Sequence[MarkReading], marks: RunMarks, title: str) -> None:
     temperature = marks.run.temperature
     named = {"Mark": title, "Mean": f"Mean, {unit_of(THERMAL, temperature)}"}
     headings = tuple(named.get(name, name) for name in HEADINGS)
-    for row in _aligned([headings, *text_rows(readings, temperature, marks.world)]):
-        print(row)
-
-
-def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Rows with columns of equal width: texts to the left, numbers to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    left = {0, 1, len(widths) - 2, len(widths) - 1}
-    return [
-        "  ".join(
-            cell.ljust(width) if i in left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    rows = [headings, *text_rows(readings, temperature, marks.world)]
+    print("\n".join(aligned(rows, {0, 1, len(headings) - 2, len(headings) - 1})))

@@ -27,7 +27,7 @@ GIGABYTE = 1e9
 
 
 def follow_pipeline(
-    source: Path, command: RunAll | Demo, options: PrepareOptions, *, yes: bool
+    source: Path, command: RunAll | Demo, options: PrepareOptions, yes: bool
 ) -> None:
     """Run a pipeline, show how far it is, and print what to open.
 
@@ -134,12 +134,12 @@ class PipelineTerminal(Monitor):
             print_warning(text)
         if self._yes:
             return True
-        return _is_yes(_ask(f"{page} shows what was found. Continue? [y/N] "))
+        return _agrees(f"{page} shows what was found. Continue? [y/N] ")
 
     def accepts_relative(self, reason: MrgsError) -> bool:  # noqa: D102
         self.pause()
         print_warning(f"{reason}{flags_of(reason)}")
-        return self._yes or _is_yes(_ask("Continue with relative values? [y/N] "))
+        return self._yes or _agrees("Continue with relative values? [y/N] ")
 
     def answer(  # noqa: D102
         self, error: MrgsError, options: PrepareOptions
@@ -163,15 +163,14 @@ def _plan_lines(plan: PipelinePlan) -> dict[str, str]:
     """What was found and what will be done, by title."""
     quality, intake = plan.quality, plan.intake
     facts = [counted(plan.cores, "core")]
-    if plan.free_memory is not None:
-        facts.append(
-            f"{plan.free_memory / GIGABYTE:.1f} GB memory free "
-            f"(about {plan.memory / GIGABYTE:.1f} needed)"
-        )
-    free = free_disk(plan.output) / GIGABYTE
-    facts.append(f"{free:.1f} GB disk free (about {plan.disk / GIGABYTE:.1f} needed)")
-    if plan.device != "cpu":
-        facts.append(plan.device)
+    for what, free, needed in (
+        ("memory", plan.free_memory, plan.memory),
+        ("disk", free_disk(plan.output), plan.disk),
+    ):
+        if free is not None:
+            amounts = f"{free / GIGABYTE:.1f} GB {what} free (about {needed / GIGABYTE:.1f} needed)"
+            facts.append(amounts)
+    facts += [plan.device] if plan.device != "cpu" else []
     stages = ", ".join(
         f"{stage.name} {'done' if stage.is_done else duration(stage.seconds)}"
         for stage in plan.stages
@@ -201,6 +200,10 @@ def rough(seconds: float) -> str:
     return f"about {seconds / 3600:.1f} hours"
 
 
+def _agrees(question: str) -> bool:
+    return _ask(question).lower() in ("y", "yes")
+
+
 def _ask(question: str) -> str:
     """The user's answer; empty without a terminal."""
     if not sys.stdin.isatty():
@@ -209,7 +212,3 @@ def _ask(question: str) -> str:
         return input(question).strip()
     except EOFError:
         return ""
-
-
-def _is_yes(answer: str) -> bool:
-    return answer.lower() in ("y", "yes")

@@ -104,7 +104,6 @@ def counter(
     ``left_s`` if the time left is known. Without a terminal, each named part has a line.
 
     Args:
-        verb: what is being done.
         forecast: the time left of named parts; without it, all parts count the same.
     """
     line, started = _Line("spinner", "text", "bar", clock=clock), clock()
@@ -118,7 +117,7 @@ def counter(
             left_s = forecast.left(name)
         elif left_s is None and finished > 0:
             left_s = (clock() - started) / finished * (total - finished)
-        if left_s is not None and not (done == total and not name):
+        if left_s is not None and (name or done != total):
             text += f" | {duration(left_s)} left"
         if not line.bar.disable or name or done == total or line.is_due():
             line.show(text, finished, total or None)
@@ -174,11 +173,9 @@ class TrainingProgress:
 
     def _interrupt(self, interruption: Interruption) -> None:
         """End the training after this step."""
-        self._interruption = interruption
+        self._interruption, then = interruption, f": {interruption.cause}"
         if interruption.cause == CTRL_C:
             then = "; press Ctrl-C again to stop now, without a checkpoint"
-        else:
-            then = f": {interruption.cause}"
         print(f"mrgs: stopping after this step{then}", file=sys.stderr)
 
     def start(self, scene: Scene, config: RunConfig) -> None:
@@ -210,42 +207,34 @@ class TrainingProgress:
         is_plain = self._line.bar.disable
         every_s = PLAIN_LINE_EVERY_S if is_plain else REFRESH_EVERY_S
         if self._line.is_due(every_s) or is_last or self.unfinished:
-            self._read()
+            # What the steps since the last update measured; on a GPU, reading waits.
+            for each in self._unread:
+                for name, value in (("loss", each.loss), ("thermal", each.thermal_error)):
+                    if value is not None and value - value == 0:  # finite
+                        old = self._smoothed.get(name, value)  # the mean over about fifty steps
+                        self._smoothed[name] = old + 0.02 * (value - old)
+            self._unread.clear()
             self._line.show(self._text(statistics), statistics.step, self.max_steps)
         return self.unfinished
 
-    def _read(self) -> None:
-        """Read what the steps since the last update measured; not earlier, because on a GPU
-        reading waits."""
-        for statistics in self._unread:
-            for name, value in (("loss", statistics.loss), ("thermal", statistics.thermal_error)):
-                if value is not None and value - value == 0:  # finite
-                    old = self._smoothed.get(name, value)  # the mean over about fifty steps
-                    self._smoothed[name] = old + 0.02 * (value - old)
-        self._unread.clear()
-
     def _text(self, statistics: StepStatistics) -> str:
         """The line; a narrow terminal cuts off its end."""
-        parts = [f"step {statistics.step:,}/{self.max_steps:,}"]
+        parts, speed = [f"step {statistics.step:,}/{self.max_steps:,}"], None
         steps = statistics.step - (self._first_step or 0)
         seconds = self._line.clock() - self._started
         if steps > 0 and seconds > 0:
-            left_s = (self.max_steps - statistics.step) * seconds / steps
-            parts.append(f"{duration(left_s)} left")
+            speed = steps / seconds
+            parts.append(f"{duration((self.max_steps - statistics.step) / speed)} left")
         if "loss" in self._smoothed:
             parts.append(f"loss {self._smoothed['loss']:.4f}")
-        thermal = self._smoothed.get("thermal")
-        if thermal is not None:
-            parts.append(
-                f"thermal error {thermal:.3f} (normalised)"
-                if self._span_c is None
-                else f"thermal error {thermal * self._span_c:.2f} °C"
-            )
+        if (thermal := self._smoothed.get("thermal")) is not None:
+            error = f"{thermal:.3f} (normalised)"
+            if self._span_c is not None:
+                error = f"{thermal * self._span_c:.2f} °C"
+            parts.append(f"thermal error {error}")
         if statistics.gaussians is not None:
             parts.append(f"{statistics.gaussians:,} Gaussians")
-        if steps > 0 and seconds > 0:
-            parts.append(f"{steps / seconds:.1f} steps/s")
-        return " | ".join(parts)
+        return " | ".join([*parts, *([] if speed is None else [f"{speed:.1f} steps/s"])])
 
 
 class PrepareProgress:
@@ -321,20 +310,18 @@ def _plan(scene: Scene, config: RunConfig) -> str:
     from mrgs.training import TrainConfig, estimate_bytes
     from mrgs.training.memory import gaussian_bytes
 
+    text = f"{config.method}, {config.max_steps:,} steps"
     if not isinstance(config, TrainConfig):
-        return f"{config.method}, {config.max_steps:,} steps"
-    cap = config.densification.max_gaussians
-    compiles = not are_compiled()
+        return text
+    cap, compiles = config.densification.max_gaussians, not are_compiled()
     start = min(len(scene.points.positions), cap)
-    # Once, for it reads photos.
-    first = estimate_bytes(scene, config, start, compiles=compiles)
+    first = estimate_bytes(scene, config, start, compiles=compiles)  # once, for it reads photos
     each = gaussian_bytes(config, scene.modalities, Capture.of(scene))
     last = first + (cap - start) * each
-    return (
-        f"{config.method}, {config.max_steps:,} steps, at most {cap:,} Gaussians; "
-        f"memory: about {first / 2**30:.1f} GiB at the start, "
-        f"{last / 2**30:.1f} GiB at the cap"
-        + ("; kernels are compiled first, which takes about a minute, once" if compiles else "")
+    text += f", at most {cap:,} Gaussians; memory: about {first / 2**30:.1f} GiB at the start, "
+    text += f"{last / 2**30:.1f} GiB at the cap"
+    return text + (
+        "; kernels are compiled first, which takes about a minute, once" if compiles else ""
     )
 
 
@@ -352,19 +339,16 @@ def _hint_at_resolution(scene: Scene, config: RunConfig) -> str | None:
         pixels = sum(each.width * each.height * min(1, width / each.width) ** 2 for each in cameras)
         step_s[width] = step_seconds(cap, pixels / 1e3)
     share = min(step_s.values()) / max(step_s.values())
+    if share >= 0.5:
+        return None
     return (
         f"photos are {widest.width}×{widest.height} px; with --resolution {LARGE_PX} a step takes "
         f"about {share:.0%} of the time"
-        if share < 0.5
-        else None
     )
 
 
 def duration(seconds: float) -> str:
     """M:SS, or H:MM:SS from an hour on."""
     minutes, rest = divmod(int(seconds), 60)
-    return (
-        f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
-        if minutes >= 60
-        else f"{minutes}:{rest:02d}"
-    )
+    hours, part = divmod(minutes, 60)
+    return f"{hours}:{part:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -36,19 +36,19 @@ def styled(text: str, style: str, stream: TextIO) -> str:
     return capture.get()
 
 
-def print_error(text: str) -> None:
-    """Print an error, on one line."""
-    print(f"{styled('mrgs: error:', 'bold red', sys.stderr)} {text}", file=sys.stderr)
+def print_note(text: str, kind: str = "note", style: str = "yellow") -> None:
+    """Print a note on one line."""
+    print(f"{styled(f'mrgs: {kind}:', style, sys.stderr)} {text}", file=sys.stderr)
 
 
 def print_warning(text: str) -> None:
     """Print a warning, which the user should judge, on one line."""
-    print(f"{styled('mrgs: warning:', 'yellow', sys.stderr)} {text}", file=sys.stderr)
+    print_note(text, "warning")
 
 
-def print_note(text: str) -> None:
-    """Print a note on one line."""
-    print(f"{styled('mrgs: note:', 'yellow', sys.stderr)} {text}", file=sys.stderr)
+def print_error(text: str) -> None:
+    """Print an error, on one line."""
+    print_note(text, "error", "bold red")
 
 
 @contextmanager
@@ -95,13 +95,9 @@ def note_unfinished(run: Run) -> None:
 
 def print_baking_loss(loss: BakingLoss) -> None:
     """PSNR on the held-out views that plain splats lose against the trained model."""
-    known = [
-        f"{modality.title} {round(value, 2) + 0.0:.2f} dB"
-        for modality, value in loss.items()
-        if value is not None
-    ]
-    lost = ", ".join(known) or "unknown, there are no held-out views"
-    print(f"quality loss of the export: {lost}")
+    known = {each.title: round(value, 2) + 0.0 for each, value in loss.items() if value is not None}
+    lost = ", ".join(f"{title} {value:.2f} dB" for title, value in known.items())
+    print(f"quality loss of the export: {lost or 'unknown, there are no held-out views'}")
 
 
 def print_exported(folder: Path, paths: Sequence[Path]) -> None:

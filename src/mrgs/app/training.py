@@ -6,7 +6,7 @@ import math
 import shlex
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from mrgs.scene import Scene
     from mrgs.system.gpu import DeviceName
     from mrgs.training import Hooks, StepStatistics, TrainConfig
-    from mrgs.viewer import LiveView
 
 
 def train(command: Train) -> None:
@@ -38,7 +37,7 @@ def train(command: Train) -> None:
     from mrgs.runs.open import method_of
     from mrgs.runs.registry import find_method
     from mrgs.system.gpu import choose_device
-    from mrgs.training.start import TrainOptions
+    from mrgs.training.start import Hooks, TrainOptions
 
     scene = command.scene.parent if command.scene.is_file() else command.scene
     output = command.output or Path("runs") / f"{scene.resolve().name}-{command.method}"
@@ -57,7 +56,23 @@ def train(command: Train) -> None:
         return
     note_gpu(chosen)
     progress = TrainingProgress()
-    with progress, _live_view(command, output) as live:
+    hooks = Hooks(progress.step, progress.start)
+    with progress, ExitStack() as stack:
+        if command.view:
+            from mrgs.viewer import LiveView
+
+            view = LiveView(output, port=command.port, on_ready=print_viewer_address)
+            live = stack.enter_context(view)
+
+            def on_start(scene: Scene, config: TrainConfig) -> None:
+                progress.start(scene, config)
+                live.on_start(scene, config)
+
+            def on_step(statistics: StepStatistics) -> bool:
+                live.on_step(statistics)
+                return progress.step(statistics)
+
+            hooks = Hooks(on_step, on_start, live.on_model)
         method.train(
             command.scene,
             output,
@@ -65,18 +80,13 @@ def train(command: Train) -> None:
             TrainOptions(
                 command.resume, command.accept_changes, device, command.plain, command.tensorboard
             ),
-            _hooks(progress, live),
+            hooks,
         )
     _print_next(command, output, progress)
 
 
 def _require_possible(command: Train, method: Method) -> None:
-    """Check the options against each other and the method.
-
-    Raises:
-        ConfigError: two exclude each other, or one needs Gaussians and there are none.
-        DeviceError: the method cannot use a GPU.
-    """
+    """Check the options against each other and the method."""
     gaussian_options = {
         "--view": command.view, "--max-gaussians": command.max_gaussians, "--batch": command.batch
     }  # fmt: skip
@@ -143,18 +153,17 @@ def _within_minutes(command: Train, method: Method, config: Any, device: DeviceN
 
 
 def _require_own_settings(command: Train, method: Method, folder: RunFolder) -> None:
-    """The options of a resumed run may only repeat its settings.
-
-    Raises:
-        ConfigError: some differ, and would have no effect.
-    """
+    """Check that the options of a resumed run only repeat its settings."""
     defaults = {field.name: field.default for field in fields(command)}
     settings = ("method", "preset", *_OWN_SETTINGS, "config")
     given = [name for name in settings if getattr(command, name) != defaults[name]]
     if not given:
         return
     config = folder.read_config(method.read_config)
-    own = {name: _setting(config, name) for name in ("method", *_OWN_SETTINGS)}
+    values = {"max_gaussians": getattr(config, "densification", None)}
+    own: dict[str, Any] = {
+        name: getattr(values.get(name, config), name, None) for name in ("method", *_OWN_SETTINGS)
+    }
     other = [name for name in given if name in own and getattr(command, name) != own[name]]
     if not other:
         asked = method.configure(
@@ -176,12 +185,6 @@ _OWN_SETTINGS = ("max_steps", "max_gaussians", "resolution", "seed", "batch")
 """Options with a value of their own in a run's configuration."""
 
 
-def _setting(config: Any, name: str) -> Any:
-    """The value of an option in a run's configuration; None if its method does not have it."""
-    holder = getattr(config, "densification", None) if name == "max_gaussians" else config
-    return getattr(holder, name, None)
-
-
 def _print_next(command: Train, output: Path, progress: TrainingProgress) -> None:
     """Print how to resume an unfinished run, or what to do with a finished one."""
     if progress.unfinished:
@@ -194,36 +197,6 @@ def _print_next(command: Train, output: Path, progress: TrainingProgress) -> Non
         print(f"already finished at step {progress.max_steps:,}")
     quoted = shlex.quote(str(output))
     print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
-
-
-@contextmanager
-def _live_view(command: Train, output: Path) -> Iterator[LiveView | None]:
-    """The view of the training, if it is asked for."""
-    if not command.view:
-        yield None
-        return
-    from mrgs.viewer import LiveView
-
-    with LiveView(output, port=command.port, on_ready=print_viewer_address) as live:
-        yield live
-
-
-def _hooks(progress: TrainingProgress, live: LiveView | None) -> Hooks:
-    """Callbacks of ``train``: the terminal's line, and the view if there is one."""
-    from mrgs.training.start import Hooks
-
-    if live is None:
-        return Hooks(progress.step, progress.start)
-
-    def on_start(scene: Scene, config: TrainConfig) -> None:
-        progress.start(scene, config)
-        live.on_start(scene, config)
-
-    def on_step(statistics: StepStatistics) -> bool:
-        live.on_step(statistics)
-        return progress.step(statistics)
-
-    return Hooks(on_step, on_start, live.on_model)
 
 
 def _train_in_blocks(command: Train, folder: RunFolder, config: Any, device: DeviceName) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.check.problem import (
@@ -122,8 +122,7 @@ def near_plane(evidence: Evidence) -> Iterator[Problem]:
 
 
 class TooNear(NamedTuple):
-    """Share of the visible points in front of the near plane, and the power of ten by which the
-    scene should be scaled."""
+    """Share of the visible points in front of the near plane, and the power of ten to scale by."""
 
     share: float
     factor: int
@@ -133,19 +132,17 @@ def too_near(cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> TooNear
     """How much of what the cameras see is in front of the near plane; None if it is little."""
     chosen = points[evenly_spaced(len(points), _NEAR_POINTS)].double()
     some = [cameras[place] for place in evenly_spaced(len(cameras), _NEAR_CAMERAS)]
-    depths = torch.cat([_seen_depths(camera, chosen) for camera in some])
+    seen = []
+    for camera in some:  # ``Camera.project`` knows no pixels of what is nearest
+        x, y, depth = (chosen @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).unbind(dim=1)
+        pixels = torch.stack([x, y], dim=1) / depth[:, None] * camera.K.diagonal()[:2]
+        seen.append(depth[(depth > 0) & camera.contains(pixels + camera.K[:2, 2])])
+    depths = torch.cat(seen)
     if not len(depths):
         return None
     share = (depths < NEAR_PLANE).double().mean().item()
     missing = math.log10(_USUAL_DEPTH * NEAR_PLANE / depths.median().item())
     return TooNear(share, 10 ** math.ceil(missing)) if share > _NEAR_SHARE and missing > 0 else None
-
-
-def _seen_depths(camera: Camera, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, " k"]:
-    """z-depths of the points that a camera sees, however near, in scene units."""
-    x, y, depth = (points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).unbind(dim=1)
-    pixels = torch.stack([x, y], dim=1) / depth[:, None] * camera.K.diagonal()[:2]
-    return depth[(depth > 0) & camera.contains(pixels + camera.K[:2, 2])]
 
 
 def extent(evidence: Evidence) -> Iterator[Problem]:

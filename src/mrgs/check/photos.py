@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Float, Float32
-from torch import Tensor
 
-from mrgs.check.agreement import agreements, jump
 from mrgs.check.problem import (
     Evidence,
     ImageStatistics,
@@ -22,8 +21,8 @@ from mrgs.check.problem import (
     views_text,
 )
 from mrgs.data.images import LUMINANCE, decode
-from mrgs.data.undistort import reduced
-from mrgs.scene import RGB, THERMAL, Camera, Modality, Pixels, PosedImage, Scene
+from mrgs.data.undistort import reduced, sampled
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Pixels, PointCloud, PosedImage, Scene
 from mrgs.scene.modality import in_order
 from mrgs.scene.view import evenly_spaced
 
@@ -69,22 +68,16 @@ def measure_few(scene: Scene) -> dict[Modality, dict[str, ImageStatistics]]:
     Raises:
         SceneError: a photo cannot be read.
     """
-    views = [scene.train[place] for place in evenly_spaced(len(scene.train), FEW_VIEWS)]
-    return {
-        modality: {
-            view.name: measure(_fast_pixels(modality, view.images[modality]), view.images[modality])
-            for view in views
-            if modality in view.images
-        }
-        for modality in scene.modalities
-    }
-
-
-def _fast_pixels(modality: Modality, photo: PosedImage) -> Pixels:
-    """A photo's pixels, not undistorted where that would require reading a large file whole."""
-    if modality == THERMAL or not photo.files:
-        return photo.load()
-    return Pixels(decode(photo.files[0], FAST_WIDTH_PX).values)
+    found: dict[Modality, dict[str, ImageStatistics]] = {each: {} for each in scene.modalities}
+    for place in evenly_spaced(len(scene.train), FEW_VIEWS):
+        view = scene.train[place]
+        for modality, photo in view.images.items():
+            if modality == THERMAL or not photo.files:
+                pixels = photo.load()
+            else:  # not undistorted: that would require reading a large file whole
+                pixels = Pixels(decode(photo.files[0], FAST_WIDTH_PX).values)
+            found[modality][view.name] = measure(pixels, photo)
+    return found
 
 
 def measure(pixels: Pixels, photo: PosedImage) -> ImageStatistics:
@@ -245,10 +238,10 @@ def few_bits(evidence: Evidence) -> Iterator[Problem]:
 def saturated(evidence: Evidence) -> Iterator[Problem]:
     """Temperatures beyond the scale. Colours may be black or white."""
     photos = evidence.photos.get(THERMAL, {})
-    for end, shares in (
-        ("lower", {name: photo.low_end for name, photo in photos.items()}),
-        ("upper", {name: photo.high_end for name, photo in photos.items()}),
-    ):
+    for end, shares in {
+        "lower": {name: photo.low_end for name, photo in photos.items()},
+        "upper": {name: photo.high_end for name, photo in photos.items()},
+    }.items():
         mean = float(np.mean(list(shares.values()))) if shares else 0.0
         if mean > _SATURATED:
             views = [name for name, share in shares.items() if share > 5 * _SATURATED]
@@ -266,12 +259,9 @@ def jumps(evidence: Evidence) -> Iterator[Problem]:
     """Images whose gain or offset differs from that of most."""
     radiometric = any(record.is_radiometric for record in evidence.scene.records)
     for modality, photos in evidence.photos.items():
-        images: list[tuple[Float32[Tensor, "h w"], Camera]] = [
-            (photo.small, photo.camera) for photo in photos.values()
-        ]
         relations = agreements(
-            [small.numpy() for small, _ in images],
-            [camera for _, camera in images],
+            [photo.small.numpy() for photo in photos.values()],
+            [photo.camera for photo in photos.values()],
             evidence.scene.points,
         )
         pairs = zip(photos, relations, strict=True)
@@ -295,3 +285,121 @@ def blurred(evidence: Evidence) -> Iterator[Problem]:
                 f"others: motion blur, or out of focus.",
                 "Leave these views out, unless nothing else shows what they show.",
             )
+
+
+FEWEST_VIEWS = 3
+"""Fewest images that must see a point to determine its usual value."""
+
+_FEWEST_POINTS = 30
+_MOST_POINTS = 3000
+_ROUNDS = 3
+_JUMP = 0.03
+"""Smallest error of an image that jumps, as a share of the set's range."""
+
+_EXPLAINED = 0.6
+"""Largest share of that error which remains after gain and offset have been removed."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How an image's values relate to the usual values at the same points: value ≈ gain · usual +
+    offset. The usual value of a point is the median over the images that see it.
+
+    Attributes:
+        gain: of the image, relative to most.
+        offset: at the middle of the set's values, as a share of the set's range.
+        error: median distance from the usual value, as a share of the set's range.
+        corrected: the error after gain and offset have been removed.
+    """
+
+    gain: float
+    offset: float
+    error: float
+    corrected: float
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the image was taken with another gain or offset than most."""
+        return self.error > _JUMP and self.corrected < _EXPLAINED * self.error
+
+
+def agreements(
+    images: Sequence[Float[np.ndarray, "..."] | None],
+    cameras: Sequence[Camera | None],
+    points: PointCloud,
+) -> list[Agreement | None]:
+    """The agreement of each image with the others; None where it shares too few points with them.
+
+    Occlusions are not detected: medians over views and points are robust to them.
+
+    Args:
+        images: [H, W] each, in one unit; NaN where not valid; None for a view without one.
+    """
+    values = _values_at_points(images, cameras, points)
+    usual = np.full(values.shape[1], np.nan)
+    enough = np.isfinite(values).sum(axis=0) >= FEWEST_VIEWS
+    usual[enough] = np.nanmedian(values[:, enough], axis=0)
+    known = np.isfinite(usual)
+    if known.sum() < _FEWEST_POINTS:
+        return [None] * len(images)
+    low, high = np.quantile(usual[known], [0.02, 0.98])
+    span = max(float(high - low), 1e-9)
+    return [_agreement((row - low) / span, (usual - low) / span) for row in values]
+
+
+def _values_at_points(
+    images: Sequence[Float[np.ndarray, "..."] | None],
+    cameras: Sequence[Camera | None],
+    points: PointCloud,
+) -> Float[np.ndarray, "v n"]:
+    """The value of each image at each point; NaN where the image does not see it."""
+    positions = points.positions[evenly_spaced(len(points.positions), _MOST_POINTS)].double()
+    values = np.full((len(images), len(positions)), np.nan)
+    for row, image, camera in zip(values, images, cameras, strict=True):
+        if image is not None and camera is not None:
+            pixels, _ = camera.project(positions)
+            seen = camera.contains(pixels).numpy()
+            x, y = pixels.numpy()[seen].T
+            row[seen] = sampled(image.astype(np.float64), x, y)
+    return values
+
+
+def _agreement(own: Float[np.ndarray, " n"], usual: Float[np.ndarray, " n"]) -> Agreement | None:
+    both = np.isfinite(own) & np.isfinite(usual)
+    if both.sum() < _FEWEST_POINTS:
+        return None
+    x, y = usual[both] - 0.5, own[both] - 0.5
+    gain, offset = 1.0, float(np.median(y - x))
+    weights = np.ones_like(x)
+    for _ in range(_ROUNDS):  # least squares, with less weight where something hides the point
+        share = weights / weights.sum()
+        mean_x, mean_y = share @ x, share @ y
+        variance = share @ (x - mean_x) ** 2
+        gain = share @ ((x - mean_x) * (y - mean_y)) / variance if variance > 1e-12 else 1.0
+        offset = mean_y - gain * mean_x
+        distance = np.abs(y - gain * x - offset)
+        weights = 1 / np.maximum(distance, 0.02)
+    error = float(np.median(np.abs(y - x)))
+    corrected = float(np.median(np.abs(y - gain * x - offset)))
+    return Agreement(float(gain), float(offset), error, corrected)
+
+
+def jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem:
+    """The warning about images that do not agree with the others.
+
+    Args:
+        radiometric: whether the temperatures are computed from the thermal camera's signal.
+    """
+    changed, cause = "warmer or colder", "as automatic gain or a changed span makes them"
+    remedy = "Export all thermal images with one fixed span, or from radiometric files."
+    if modality != THERMAL:
+        changed, cause = "brighter or darker", "as automatic exposure makes them"
+        remedy = "The colours will be a mixture; fix exposure and white balance next time."
+    elif radiometric:
+        cause = (
+            "though the photos are radiometric: the surfaces have warmed or cooled, the camera has "
+            "drifted, or its settings were changed"
+        )
+        remedy = "Compare these photos and their settings with the others, and leave out outliers."
+    text = f"In {views_text(names)} the same places are {changed} than in the others, {cause}."
+    return Problem("warning", text, remedy)

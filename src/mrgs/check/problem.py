@@ -31,7 +31,6 @@ class Problem:
     """A problem of a scene.
 
     Attributes:
-        severity: how serious it is.
         text: the finding, one sentence.
         remedy: what to do about it, one sentence; empty where the text includes it.
     """
@@ -50,12 +49,9 @@ class ImageStatistics:
         low_end: share of the pixels at or below the lower end of the scale.
         high_end: share of the pixels at or above its upper end.
         spread: difference of the 1 % and the 99 % quantile; the scale is [0, 1].
-        brightest: largest value.
         bits: number of bits that a 16-bit image uses; None if it has 8 bits, or if that is not
             known because it was undistorted or reduced.
-        digest: of the inspected pixels.
         small: [H, W] luminance at the width of a thumbnail, NaN where not valid.
-        camera: of ``small``.
     """
 
     sharpness: float
@@ -74,7 +70,6 @@ class Evidence:
     """A scene, and the statistics of those of its photos that were read.
 
     Attributes:
-        scene: to be judged.
         photos: statistics by modality and view.
         unreadable: message of each photo that cannot be read.
     """

@@ -15,7 +15,6 @@ class Rule(NamedTuple):
     """A rule, and whether it is fast enough for ``mrgs train`` to apply it before each training.
 
     Attributes:
-        find: the problems of a scene.
         fast: it judges what ``fast_problems`` reads: all poses, and the photos of a few views.
     """
 

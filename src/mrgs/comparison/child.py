@@ -41,10 +41,20 @@ class Reporter:
         self._stop = threading.Event()
         self._trains = False
         self._last = 0.0
+
+        def on_signal(*_: object) -> None:
+            self._stop.set()
+            if not self._trains:
+                raise _StoppedError
+
+        def ask_to_stop() -> None:  # from another thread: the main thread handles it as a signal
+            self._stop.set()
+            _thread.interrupt_main(signal.SIGTERM)
+
         for name in REQUESTS:
             if hasattr(signal, name):
-                signal.signal(getattr(signal, name), self._on_signal)
-        listen(self._ask_to_stop)
+                signal.signal(getattr(signal, name), on_signal)
+        listen(ask_to_stop)
 
     def on_step(self, statistics: Any) -> bool:
         """Called after each training step; returns True to stop the training."""
@@ -62,20 +72,6 @@ class Reporter:
         if self._stop.is_set():
             raise _StoppedError
 
-    def _ask_to_stop(self) -> None:
-        """From another thread: the main thread handles it as a signal."""
-        self._stop.set()
-        _thread.interrupt_main(signal.SIGTERM)
-
-    def _on_signal(self, *_: object) -> None:
-        self._stop.set()
-        if not self._trains:
-            raise _StoppedError
-
-
-def _send_warning(message: Warning | str, *_: object, **__: object) -> None:
-    send(warning=str(message))
-
 
 def main(
     request: dict[str, Any],
@@ -87,7 +83,7 @@ def main(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the parent has read the same scene and shown its warnings
     warnings.simplefilter("always", KernelWarning)
-    warnings.showwarning = cast(Any, _send_warning)
+    warnings.showwarning = cast(Any, lambda message, *_, **__: send(warning=str(message)))
     weights = request["lpips_weights"]
     try:
         reporter = Reporter(listen)

@@ -21,7 +21,7 @@ from mrgs.comparison.figures import (
 from mrgs.comparison.plan import Options, PlannedRun, neighbour_methods, plan
 from mrgs.comparison.processes import Progress, run_jobs
 from mrgs.comparison.results import Outcome, failed, outcome
-from mrgs.comparison.runs import Scores, is_scored, read_metrics, run_scores
+from mrgs.comparison.runs import is_scored, read_metrics, run_scores
 from mrgs.comparison.table import Table, to_csv, to_latex, to_markdown
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables
 from mrgs.data import load_scene
@@ -79,7 +79,6 @@ def compare(
     that this one does not write are removed.
 
     Args:
-        scenes: the scenes' folders.
         output: folder to write to, or to continue in.
         options: the methods, and what all runs share.
         renders: other programs' renderings by their name in tables: folders with one folder per
@@ -87,7 +86,6 @@ def compare(
         jobs: number of parallel runs, which share the cores.
         device: where they train and render, if their method can use a GPU.
         lpips_weights: weights for LPIPS; None leaves it out.
-        say: called with lines of progress.
 
     Raises:
         MrgsError: a scene, an option or the output folder cannot be used.
@@ -102,12 +100,23 @@ def compare(
     if lpips_weights is not None:
         Lpips.from_file(lpips_weights)  # better now than after the first training
     planned = plan(scenes, output, options)
-    due = _due(planned, lpips_weights, say)
-    failures = _do(due, jobs, device, lpips_weights, say) if due else {}
-    found = [
-        _run_outcome(job, run_scores(job.folder) if job in due else job.scores, failures)
-        for job in planned
-    ]
+    with_lpips = lpips_weights is not None
+    due = [job for job in planned if not is_scored(job.scores, job.folder, job.config, with_lpips)]
+    say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
+    failures: Mapping[PlannedRun, str] = {}
+    if due:
+        _warn_if_disk_is_short(due)
+        progress = Progress(due, jobs, say)
+        failures = run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick, device)
+    found = []
+    for job in planned:
+        scores = run_scores(job.folder) if job in due else job.scores
+        if job in failures or scores is None:
+            unreadable = f"{job.folder / 'eval' / 'metrics.json'} cannot be read"
+            reason = f"the run failed: {failures.get(job, unreadable)}"
+            found.append(failed(job.scene_name, job.method, job.seed, reason))
+        else:
+            found.append(outcome(job.scene_name, job.method, job.seed, scores))
     paths = {job.scene_name: job.scene for job in planned}
     for name, folder in renders.items():
         for scene, path in paths.items():
@@ -124,9 +133,12 @@ def compare(
     _write_tables(output / "tables", tables)
     _write_results(output / "results.json", outcomes, options, paths)
     _write_figures(output / "figures", outcomes, planned, renders, options)
-    return Comparison(
-        tables, {_label(each): each.failure for each in found if each.failure is not None}, output
-    )
+    reasons = {}
+    for each in found:
+        if each.failure is not None:
+            seed = "" if each.seed is None else f", seed {each.seed}"
+            reasons[f"{each.scene}, {each.method}{seed}"] = each.failure
+    return Comparison(tables, reasons, output)
 
 
 def _check_names(options: Options, renders: Mapping[str, Path]) -> None:
@@ -148,28 +160,7 @@ def _check_names(options: Options, renders: Mapping[str, Path]) -> None:
         taken.add(name)
 
 
-def _due(planned: Sequence[PlannedRun], lpips_weights: Path | None, say: Say) -> list[PlannedRun]:
-    """The runs without scores."""
-    with_lpips = lpips_weights is not None
-    due = [job for job in planned if not is_scored(job.scores, job.folder, job.config, with_lpips)]
-    say(f"{len(planned)} runs, {len(planned) - len(due)} of them scored already")
-    return due
-
-
-def _do(
-    due: Sequence[PlannedRun],
-    jobs: int,
-    device: DeviceName,
-    lpips_weights: Path | None,
-    say: Say,
-) -> dict[PlannedRun, str]:
-    """Train and score runs; returns the reasons of failures."""
-    _check_room(due)
-    progress = Progress(due, jobs, say)
-    return run_jobs(due, jobs, lpips_weights, progress.on_message, progress.on_tick, device)
-
-
-def _check_room(due: Sequence[PlannedRun]) -> None:
+def _warn_if_disk_is_short(due: Sequence[PlannedRun]) -> None:
     """Warn if the disk has too little room for the checkpoints that the runs will keep."""
     configs = [job.config for job in due if isinstance(job.config, TrainConfig)]
     sizes = [
@@ -177,15 +168,6 @@ def _check_room(due: Sequence[PlannedRun]) -> None:
     ]
     needed = CHECKPOINTS_KEPT * sum(sizes) + max(sizes, default=0)
     warn_if_short(due[0].folder, needed, f"these {len(due)} runs")
-
-
-def _run_outcome(
-    job: PlannedRun, scores: Scores | None, failures: Mapping[PlannedRun, str]
-) -> Outcome:
-    if job in failures or scores is None:
-        reason = failures.get(job, f"{job.folder / 'eval' / 'metrics.json'} cannot be read")
-        return failed(job.scene_name, job.method, job.seed, f"the run failed: {reason}")
-    return outcome(job.scene_name, job.method, job.seed, scores)
 
 
 def _renders_outcome(
@@ -230,7 +212,7 @@ def _write_results(
     path: Path, outcomes: Outcomes, options: Options, scenes: Mapping[str, Path]
 ) -> None:
     """Every figure of every run, with the reason of each that is null."""
-    runs: list[dict[str, Any]] = []
+    runs = []
     for each in outcomes.all:
         pairs = {name: to_json(figure) for name, figure in each.figures.items()}
         runs.append(
@@ -240,9 +222,7 @@ def _write_results(
                 "seed": each.seed,
                 "failure": each.failure,
                 "figures": {name: number for name, (number, _) in pairs.items()},
-                "reasons": {
-                    name: reason for name, (_, reason) in pairs.items() if reason is not None
-                },
+                "reasons": {name: why for name, (_, why) in pairs.items() if why is not None},
                 "metrics": each.document,
             }
         )
@@ -263,7 +243,7 @@ def _write_figures(
     options: Options,
 ) -> None:
     """Write ``qualitative.png``, and ``depth.png`` where both of its methods are there, of the
-    first seed; files of an earlier call that have no contents now are removed."""
+    first seed; remove files of an earlier call that have no contents now."""
     figures: dict[str, list[Image.Image]] = {"qualitative.png": [], "depth.png": []}
     for scene in outcomes.scenes:
         exhibit = _exhibit(scene, outcomes, planned, renders, options)
@@ -290,16 +270,14 @@ def _exhibit(
     path = next(job.scene for job in planned if job.scene_name == scene)
     loaded = load_scene(path, resolution=options.resolution)
     view = loaded.eval[len(loaded.eval) // 2]
-    wanted = _in_figures(outcomes)
+    wanted, pair = set(outcomes.methods), {WITH_BOLTZ, WITHOUT_BOLTZ}
+    if pair <= {each.method for each in outcomes.all}:  # one may be a run of neighbours alone
+        wanted |= pair
     shown: dict[str, ViewImages] = {}
     figures: dict[str, Any] = {}
     for each in outcomes.all:
-        if (
-            each.scene != scene
-            or each.document is None
-            or each.method not in wanted
-            or each.method in shown
-        ):
+        is_scored_here = each.scene == scene and each.document is not None
+        if not is_scored_here or each.method not in wanted or each.method in shown:
             continue
         try:
             # A rendering keeps its run in memory: it must not outlive the call.
@@ -312,17 +290,10 @@ def _exhibit(
             )
         except MrgsError:  # scored, but its checkpoints or images were removed since
             continue
-        figures[each.method] = next(
-            (entry for entry in each.document.get("views", []) if entry["name"] == view.name), {}
-        )
+        views = (each.document or {}).get("views", [])
+        own = (entry for entry in views if entry["name"] == view.name)
+        figures[each.method] = next(own, {})
     return Exhibit(loaded, path.parent if path.is_file() else path, view, shown, figures)
-
-
-def _in_figures(outcomes: Outcomes) -> set[str]:
-    """The methods of the tables' rows, and both of the depth figure, of which one may be a run of
-    neighbours alone."""
-    pair = {WITH_BOLTZ, WITHOUT_BOLTZ}
-    return {*outcomes.methods, *(pair if pair <= {each.method for each in outcomes.all} else ())}
 
 
 def _render(
@@ -332,23 +303,12 @@ def _render(
     planned: Sequence[PlannedRun],
     renders: Mapping[str, Path],
 ) -> Rendering:
-    """A view as the cameras would have recorded it.
-
-    Raises:
-        MrgsError: the run's checkpoint or the other program's images cannot be used.
-    """
+    """A view as the cameras would have recorded it."""
     if each.seed is None:
         return find_renders(renders[each.method] / each.scene, scene).rendering(
             view, scene.temperature
         )
-    job = next(job for job in planned if (job.scene_name, job.method, job.seed) == _key(each))
+    key = each.scene, each.method, each.seed
+    job = next(job for job in planned if (job.scene_name, job.method, job.seed) == key)
     run = open_run(job.folder, job.scene, "cpu")
     return run.camera_response(run.render_view(view), view.camera)
-
-
-def _key(each: Outcome) -> tuple[str, str, int | None]:
-    return each.scene, each.method, each.seed
-
-
-def _label(each: Outcome) -> str:
-    return f"{each.scene}, {each.method}" + ("" if each.seed is None else f", seed {each.seed}")

@@ -4,6 +4,7 @@ with and without L_boltz."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from mrgs.evaluation.contact_sheet import (
     error_scale,
     pooled,
 )
-from mrgs.evaluation.truth import read_float_tiff
+from mrgs.evaluation.evaluate import read_float_tiff
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.sheet import Bar, Panel, PanelRow, draw_section
@@ -42,9 +43,7 @@ class Exhibit:
     """One view of one scene as every method shows it.
 
     Attributes:
-        scene: as ``load_scene`` returns it.
         folder: the scene's folder, for its exact depths.
-        view: the held-out view that is shown.
         shown: images by method, with the depth from the thermal camera, on which L_boltz acts.
         figures: by method, this view's entry in ``metrics.json``.
     """
@@ -97,7 +96,11 @@ def qualitative_section(exhibit: Exhibit, methods: Sequence[str]) -> Image.Image
 def depth_section(exhibit: Exhibit) -> Image.Image:
     """Draw depth and thermal rendering without and with L_boltz, and the exact depth if there is
     one. The exhibit must show both ``WITHOUT_BOLTZ`` and ``WITH_BOLTZ``."""
-    exact = _exact_depth(exhibit)
+    exact, path = None, exhibit.folder / "truth" / "depth" / f"{exhibit.view.name}.tiff"
+    if path.is_file():
+        with suppress(SceneError):  # a damaged file, which scoring reports
+            found = read_float_tiff(path)
+            exact = np.where(np.isfinite(found) & (found > 0), found, np.float32(np.nan))
     pair = {method: exhibit.shown[method] for method in (WITHOUT_BOLTZ, WITH_BOLTZ)}
     depths = pooled([images.depth for images in pair.values()])
     near, far = display_range(depths if exact is None else exact, tail=1.0)
@@ -121,18 +124,6 @@ def depth_section(exhibit: Exhibit) -> Image.Image:
     return draw_section(
         columns, [PanelRow("", panels)], bars, cell_px=WIDE_PX, label_px=0, title=exhibit.title
     )
-
-
-def _exact_depth(exhibit: Exhibit) -> np.ndarray | None:
-    """None where there is no file, or a damaged one, which scoring reports."""
-    path = exhibit.folder / "truth" / "depth" / f"{exhibit.view.name}.tiff"
-    if not path.is_file():
-        return None
-    try:
-        depth = read_float_tiff(path)
-    except SceneError:
-        return None
-    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan))
 
 
 def _caption(exhibit: Exhibit, method: str, modality: Modality) -> str:

@@ -13,7 +13,6 @@ from mrgs.check import warn_of_problems
 from mrgs.comparison.runs import (
     SceneData,
     Scores,
-    are_stale,
     require_same_config,
     require_same_data,
     run_scores,
@@ -38,10 +37,7 @@ class Variant:
     """A method with some values changed, which has rows of its own in the tables.
 
     Attributes:
-        name: in tables.
-        method: a registered method.
         changes: the values that differ from the method's, as YAML; empty for none.
-        source: of the changes, for messages.
     """
 
     name: str
@@ -68,7 +64,6 @@ class Options:
         variants: methods with changed values; their rows follow.
         neighbours: n of the paper's Table 4; each is a run of ``mrgs``.
         seeds: number of seeds, from 0.
-        preset: of every run.
         max_steps: training steps; None for the preset's.
         max_gaussians: cap on the Gaussians; None for the preset's.
         resolution: images wider than this many pixels are downscaled to it; None keeps them.
@@ -136,11 +131,7 @@ class PlannedRun:
 
     Attributes:
         scene: absolute path of the scene's folder or transforms file.
-        scene_name: in tables.
         method: its name in tables; unique among the methods of a comparison.
-        seed: of every random choice.
-        config: of the training.
-        folder: of the run.
         scores: of an earlier call; None if there are none, or of other held-out images.
     """
 
@@ -168,7 +159,11 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Planned
         raise ConfigError(
             f"the number of seeds must be at least 1, not {options.seeds}", options=("seeds",)
         )
-    variants = _variants(options)
+    variants = {method: Variant(method, method) for method in options.methods}
+    variants |= {variant.name: variant for variant in options.variants}
+    for n, name in neighbour_methods(options).items():
+        changes = f"field: {{neighbours_n: {n}}}"
+        variants.setdefault(name, Variant(name, NEIGHBOURS_METHOD, changes, f"neighbours n = {n}"))
     if not variants:
         raise ConfigError(
             "there is nothing to compare: name at least one method", options=("methods",)
@@ -188,19 +183,9 @@ def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[Planned
         data, scores = named[job.scene_name], run_scores(job.folder)
         require_same_config(job.folder, job.config, scores)
         require_same_data(job.folder, data, scores)
-        if not are_stale(scores, data):
+        if not data.changed_since(scores):
             jobs[index] = replace(job, scores=scores)
     return jobs
-
-
-def _variants(options: Options) -> dict[str, Variant]:
-    """What is trained on every scene, by its name in the tables."""
-    variants = {method: Variant(method, method) for method in options.methods}
-    variants |= {variant.name: variant for variant in options.variants}
-    for n, name in neighbour_methods(options).items():
-        changes = f"field: {{neighbours_n: {n}}}"
-        variants.setdefault(name, Variant(name, NEIGHBOURS_METHOD, changes, f"neighbours n = {n}"))
-    return variants
 
 
 def neighbour_methods(options: Options) -> dict[int, str]:

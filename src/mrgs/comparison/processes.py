@@ -47,11 +47,8 @@ def run_jobs(
     Args:
         jobs: in the order in which they are started.
         count: number of parallel processes, which share the cores.
-        lpips_weights: weights for LPIPS.
         on_message: called with each message of a child, and with ``{"start": True}`` when it
             starts.
-        on_tick: called about once a second.
-        device: where they train and render.
         child: arguments of the Python process that does a run.
 
     Returns:
@@ -108,15 +105,14 @@ def _start(
     log.parent.mkdir(parents=True, exist_ok=True)
     limits = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
     run = _Run(job, Child(child, request, log, **limits))
-    threading.Thread(target=_listen, args=(run, inbox), daemon=True).start()
+
+    def listen() -> None:
+        for message in run.child.messages():
+            inbox.put((run, message))
+        inbox.put((run, None))
+
+    threading.Thread(target=listen, daemon=True).start()
     return run
-
-
-def _listen(run: _Run, inbox: _Inbox) -> None:
-    """Put the messages into the inbox, and None when the child has ended."""
-    for message in run.child.messages():
-        inbox.put((run, message))
-    inbox.put((run, None))
 
 
 def _receive(
@@ -135,23 +131,17 @@ def _receive(
         return
     running.remove(run)
     run.child.close()
-    reason = _failure(run.child)
+    reason = run.child.failure()
+    if reason is None or run.child.end.get("end") == "error":
+        run.child.log.unlink(missing_ok=True)
+    else:  # the log has more
+        more = ": run fewer at a time" if reason == OUT_OF_MEMORY else f"; see {run.child.log}"
+        reason += more
     if reason is None:
         on_message(run.job, run.child.end)
     else:
         failures[run.job] = reason
         on_message(run.job, {"end": "error", "message": reason})
-
-
-def _failure(child: Child) -> str | None:
-    """The reason of a child's failure; the log is kept if it holds more."""
-    reason = child.failure()
-    if reason is None or child.end.get("end") == "error":
-        child.log.unlink(missing_ok=True)
-        return reason
-    if reason == OUT_OF_MEMORY:
-        return f"{reason}: run fewer at a time"
-    return f"{reason}; see {child.log}"
 
 
 @dataclass
@@ -168,14 +158,7 @@ class _Running:
 
 @dataclass
 class Progress:
-    """Turns the messages of runs into lines for people.
-
-    Attributes:
-        jobs: all runs that are due.
-        count: number of parallel runs.
-        say: called with each line.
-        clock: seconds.
-    """
+    """Turns the messages of runs into lines for people."""
 
     jobs: Sequence[PlannedRun]
     count: int
@@ -233,20 +216,19 @@ class Progress:
         self.say(f"{verb}: {job}{reason} | {len(self._ended)} of {len(self.jobs)} done")
 
     def _time_left(self) -> str:
-        """Rough; empty while no run has taken a step."""
+        """Rough: as long as the method's last run took, or else the steps left at the speeds seen
+        so far; empty while no run has taken a step."""
         if not self._speeds:
             return ""
-        seconds = sum(self._seconds_left(job) for job in self.jobs if job not in self._ended)
+        mean, seconds = sum(self._speeds.values()) / len(self._speeds), 0.0
+        for job in (each for each in self.jobs if each not in self._ended):
+            running = self._running.get(job)
+            if job.method in self._durations:
+                elapsed = self.clock() - running.started if running else 0.0
+                seconds += max(0.0, self._durations[job.method] - elapsed)
+            else:
+                steps = job.config.max_steps - (running.step if running else 0)
+                seconds += steps / self._speeds.get(job.method, mean)
         minutes = round(seconds / min(self.count, len(self.jobs)) / 60)
         hours = f"{minutes // 60} h " if minutes >= 60 else ""
         return f", about {hours}{minutes % 60} min left" if minutes else ", less than a minute left"
-
-    def _seconds_left(self, job: PlannedRun) -> float:
-        """As long as the method's last run took; before it, the steps left at the speeds seen so
-        far."""
-        running = self._running.get(job)
-        if job.method in self._durations:
-            elapsed = self.clock() - running.started if running else 0.0
-            return max(0.0, self._durations[job.method] - elapsed)
-        speed = self._speeds.get(job.method, sum(self._speeds.values()) / len(self._speeds))
-        return (job.config.max_steps - (running.step if running else 0)) / speed

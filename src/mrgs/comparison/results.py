@@ -16,8 +16,6 @@ class Kind(NamedTuple):
     """Properties of a figure.
 
     Attributes:
-        heading: in tables.
-        unit: may be empty.
         decimals: as printed; ``paper_decimals`` as the paper prints it.
         better: which direction is better; None where neither is (the camera's own error).
     """
@@ -59,10 +57,7 @@ class Outcome:
     """The result of one run, or of one set of another program's renders.
 
     Attributes:
-        scene: the scene's name.
-        method: its name in tables.
         seed: of the run; None for renders.
-        figures: by the names of ``figure_keys``.
         document: the content of ``metrics.json``; None where there is none.
         failure: why there is none.
     """
@@ -84,9 +79,7 @@ class Cell(NamedTuple):
     """Mean and sample standard deviation over seeds.
 
     Attributes:
-        mean: None if missing.
         std: None for fewer than two seeds.
-        seeds: number of seeds with the figure.
         note: why it is missing, or what it leaves out.
     """
 
@@ -103,16 +96,15 @@ def kind_of(figure: str) -> Kind:
 
 
 def figure_keys(modalities: Sequence[str]) -> tuple[str, ...]:
-    """Keys of all figures in tables."""
+    """Keys of all figures in tables; of thermal images the MAE in °C, of all others LPIPS."""
     names = dict.fromkeys((*(modality.name for modality in REPORTED), *modalities))
-    images = [f"{name}.{key}" for name in names for key in _image_keys(name)]
+    images = [
+        f"{name}.{key}"
+        for name in names
+        for key in IMAGE_KINDS
+        if key != ("lpips" if name == THERMAL.name else "mae_c")
+    ]
     return (*images, *RUN_KINDS)
-
-
-def _image_keys(modality: str) -> list[str]:
-    """The figures of a modality in tables: the MAE in °C for thermal, LPIPS for all others."""
-    omitted = "lpips" if modality == THERMAL.name else "mae_c"
-    return [key for key in IMAGE_KINDS if key != omitted]
 
 
 def outcome(scene: str, method: str, seed: int | None, document: dict[str, Any]) -> Outcome:
@@ -137,39 +129,30 @@ def failed(scene: str, method: str, seed: int | None, reason: str) -> Outcome:
 def over_seeds(figures: Sequence[Figure]) -> Cell:
     """Mean ± standard deviation of the seeds with the figure; a note if some or all lack it."""
     values = [figure for figure in figures if not isinstance(figure, Missing)]
-    reasons = list(
-        dict.fromkeys(figure.reason for figure in figures if isinstance(figure, Missing))
-    )
-    if not values:
-        return Cell(None, note="; ".join(reasons) or "not run")
-    note = (
-        None
-        if not reasons
-        else f"{len(values)} of {len(figures)} seeds; the others: {'; '.join(reasons)}"
-    )
-    std = statistics.stdev(values) if len(values) > 1 else None
-    return Cell(math.fsum(values) / len(values), std, len(values), note)
+    missing = (figure.reason for figure in figures if isinstance(figure, Missing))
+    reasons = "; ".join(dict.fromkeys(missing))
+    return _cell(values, len(figures), reasons or "not run", f"the others: {reasons}")
 
 
 def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
     """The mean over scenes of the seeds that have all of them, and its standard deviation over
-    seeds.
-    """
+    seeds."""
     per_seed = []
     for seed in zip(*scenes, strict=True):
         values = [figure for figure in seed if not isinstance(figure, Missing)]
         if len(values) == len(scenes):
             per_seed.append(math.fsum(values) / len(values))
-    if not per_seed:
-        return Cell(None, note=_why_no_mean(scenes, names))
-    seeds = len(scenes[0])
-    note = (
-        None
-        if len(per_seed) == seeds
-        else f"{len(per_seed)} of {seeds} seeds; the others lack a scene"
-    )
-    std = statistics.stdev(per_seed) if len(per_seed) > 1 else None
-    return Cell(math.fsum(per_seed) / len(per_seed), std, len(per_seed), note)
+    why = "" if per_seed else _why_no_mean(scenes, names)
+    return _cell(per_seed, len(scenes[0]), why, "the others lack a scene")
+
+
+def _cell(values: Sequence[float], seeds: int, if_none: str, if_fewer: str) -> Cell:
+    """Mean and deviation; with a note if there are no values, or fewer than seeds."""
+    if not values:
+        return Cell(None, note=if_none)
+    note = None if len(values) == seeds else f"{len(values)} of {seeds} seeds; {if_fewer}"
+    std = statistics.stdev(values) if len(values) > 1 else None
+    return Cell(math.fsum(values) / len(values), std, len(values), note)
 
 
 def _why_no_mean(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> str:
@@ -180,8 +163,8 @@ def _why_no_mean(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> st
         return reasons.pop()
     gaps = [
         name
-        for name, figures in zip(names, scenes, strict=True)
-        if any(isinstance(x, Missing) for x in figures)
+        for name, own in zip(names, scenes, strict=True)
+        if any(isinstance(figure, Missing) for figure in own)
     ]
     return f"no mean, because the figure is missing for {', '.join(gaps)}"
 
@@ -193,7 +176,12 @@ def _figure(document: dict[str, Any], name: str) -> Figure:
         return _scaled(_number(document, "train_seconds"), 1 / 60)
     group, _, key = name.partition(".")
     if group == "poses":
-        return _of_poses(document, name)
+        poses = document.get("poses")
+        if name.startswith("poses.aligned") and isinstance(poses, dict) and "aligned" not in poses:
+            right = "the poses of the held-out photos are right, as far as this model tells"
+            error_px = _number(document, "poses.error_px")
+            return error_px if isinstance(error_px, Missing) else Missing(right)
+        return _number(document, name)
     if group != "truth":
         return _number(document, f"mean.{group}.{key}")
     if "truth" not in document:
@@ -206,19 +194,6 @@ def _figure(document: dict[str, Any], name: str) -> Figure:
             return error if isinstance(error, Missing) else camera
         return error / camera if camera > 0 else Missing("the camera makes no error")
     return _number(document, f"truth.{key}")
-
-
-def _of_poses(document: dict[str, Any], name: str) -> Figure:
-    """A figure of the held-out views' poses, or of the scores with aligned ones."""
-    poses = document.get("poses")
-    if name.startswith("poses.aligned") and isinstance(poses, dict) and "aligned" not in poses:
-        error_px = _number(document, "poses.error_px")
-        return (
-            error_px
-            if isinstance(error_px, Missing)
-            else Missing("the poses of the held-out photos are right, as far as this model tells")
-        )
-    return _number(document, name)
 
 
 def _number(document: dict[str, Any], path: str) -> Figure:

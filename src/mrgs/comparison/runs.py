@@ -45,11 +45,7 @@ def run_one(
     """Train, continue, or only score one run, depending on its state.
 
     Args:
-        scene: the scene's folder.
-        folder: the run's folder.
-        config: of the training.
         device: where it is trained and rendered, if its method can use a GPU.
-        lpips_weights: see ``evaluate_run``.
         on_step: called after every training step; returning True stops with a checkpoint.
         on_score: called with the numbers of scored views and of all.
 
@@ -78,7 +74,9 @@ def is_scored(scores: Scores | None, folder: Path, config: RunConfig, with_lpips
     """
     if scores is None or scores.get("steps") != config.max_steps:
         return False
-    if not _has_every_figure(scores) and _is_trained(folder, config):
+    names = {modality.name: set(figure_names(modality)) for modality in REPORTED}
+    is_complete = all(_means(scores, name).keys() >= own for name, own in names.items())
+    if not is_complete and _is_trained(folder, config):
         return False
     return not with_lpips or any(
         _means(scores, group).get("lpips") is not None for group in scores.get("mean") or {}
@@ -126,13 +124,6 @@ def _is_trained(folder: Path, config: RunConfig) -> bool:
     )
 
 
-def _has_every_figure(scores: Scores) -> bool:
-    """Whether each figure has an entry, which may be null."""
-    return all(
-        _means(scores, modality.name).keys() >= set(figure_names(modality)) for modality in REPORTED
-    )
-
-
 def _means(scores: Scores, group: str) -> dict[str, Any]:
     """A group's means; empty if the scores have another shape."""
     means = scores.get("mean")
@@ -152,9 +143,18 @@ class SceneData:
         return CheckpointFacts.at_start(self.scene)
 
     @cached_property
-    def scored(self) -> ScoredData:
+    def _scored(self) -> ScoredData:
         """The data of scores that were computed now."""
         return ScoredData.of(self.scene, self.facts.images)
+
+    def changed_since(self, scores: Scores | None) -> str:
+        """How the scene differs from the data of scores; empty if it does not, or they name none.
+
+        Raises:
+            SceneError: a photo cannot be read.
+        """
+        scored = ScoredData.from_json((scores or {}).get("data"))
+        return "" if scored is None else scored.changes(self._scored, self.scene)
 
 
 def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> None:
@@ -166,9 +166,12 @@ def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> N
         ConfigError: it was trained, or scored, on other data; the message says what has changed.
         SceneError: a photo cannot be read.
     """
-    facts = _facts_of(folder)
+    facts = None  # of the newest readable checkpoint; the run itself reports others
+    for checkpoint in RunFolder(folder).checkpoints():
+        with suppress(RunError):
+            facts = load_facts(checkpoint)
     if facts is None:
-        changed = _scores_differ(scores, data)
+        changed = data.changed_since(scores)
     elif (facts.images, facts.temperature) == (data.facts.images, data.facts.temperature):
         return  # without reading all photos for every run
     else:
@@ -179,26 +182,3 @@ def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> N
             f"choose another folder, or remove this one",
             options=("output",),
         )
-
-
-def are_stale(scores: Scores | None, data: SceneData) -> bool:
-    """Whether the data of a scene have changed since its scores.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
-    return bool(_scores_differ(scores, data))
-
-
-def _facts_of(folder: Path) -> CheckpointFacts | None:
-    """The facts of a run's newest readable checkpoint; None if there is none."""
-    for checkpoint in reversed(RunFolder(folder).checkpoints()):
-        with suppress(RunError):  # the run itself reports it
-            return load_facts(checkpoint)
-    return None
-
-
-def _scores_differ(scores: Scores | None, data: SceneData) -> str:
-    """How the scene differs from the data of scores; empty if it does not, or they name none."""
-    scored = ScoredData.from_json((scores or {}).get("data"))
-    return "" if scored is None else scored.changes(data.scored, data.scene)

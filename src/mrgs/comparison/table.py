@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 
 from mrgs.comparison.results import Cell, kind_of
 from mrgs.pictures.escape import escape_cell, escape_markdown
+from mrgs.system.wording import aligned
 
 Mark = Literal["best", "second", ""]
 
@@ -44,7 +45,6 @@ class Row:
     """A line of the table.
 
     Attributes:
-        labels: the first columns.
         cells: one per figure of every group, in order.
         block: rows of one block are ranked against each other.
         published: the figures are the paper's: printed with its decimals, and not ranked.
@@ -58,16 +58,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of figures.
-
-    Attributes:
-        name: the file's stem.
-        caption: what it shows, one sentence.
-        label_headings: of the first columns.
-        groups: of the other columns.
-        rows: from top to bottom.
-        remarks: sentences below it.
-    """
+    """A table of figures."""
 
     name: str
     caption: str
@@ -101,23 +92,17 @@ def marks(table: Table) -> list[list[Mark]]:
     result: list[list[Mark]] = [["" for _ in table.figures] for _ in table.rows]
     for column, figure in enumerate(table.figures):
         for block in dict.fromkeys(row.block for row in table.rows):
-            members = [
-                index
-                for index, row in enumerate(table.rows)
-                if row.block == block and not row.published
-            ]
-            for index, mark in _rank(table, members, column, figure).items():
+            for index, mark in _rank(table, block, column, figure).items():
                 result[index][column] = mark
     return result
 
 
-def _rank(table: Table, members: Sequence[int], column: int, figure: str) -> dict[int, Mark]:
-    kind = kind_of(figure)
-    values = {
-        index: round(mean, kind.decimals)
-        for index in members
-        if (mean := table.rows[index].cells[column].mean) is not None
-    }
+def _rank(table: Table, block: str, column: int, figure: str) -> dict[int, Mark]:
+    kind, values = kind_of(figure), {}
+    for index, row in enumerate(table.rows):
+        mean = row.cells[column].mean
+        if row.block == block and not row.published and mean is not None:
+            values[index] = round(mean, kind.decimals)
     if kind.better is None or len(values) < 2:
         return {}
     order = sorted(set(values.values()), reverse=kind.better == "higher")
@@ -130,16 +115,18 @@ def to_markdown(table: Table) -> str:
     notes = _Notes()
     blocks = [f"**{escape_markdown(table.caption)}**"]
     for part in _parts(table, MARKDOWN_GROUPS):
-        headings = [
-            *map(escape_markdown, part.label_headings),
-            *_headings(_escaped_groups(part), "<br>"),
-        ]
+        escaped = (each._replace(heading=escape_markdown(each.heading)) for each in part.groups)
+        columns = _headings(replace(part, groups=tuple(escaped)), "<br>")
+        headings = [*map(escape_markdown, part.label_headings), *columns]
         lines = [
             _pipe(headings),
             "|" + "---|" * len(part.label_headings) + "---:|" * len(part.figures),
         ]
         for labels, cells in _cells(part, notes):
-            shown = [_markdown_cell(text, mark, note) for text, mark, note in cells]
+            shown = []
+            for text, mark, note in cells:
+                marked = {"best": f"**{text}**", "second": f"<u>{text}</u>", "": text}[mark]
+                shown.append(f"{marked}<sup>{note}</sup>" if note else marked)
             lines.append(_pipe([*map(escape_markdown, labels), *shown]))
         blocks.append("\n".join(lines))
     footnotes = [
@@ -178,19 +165,9 @@ def to_csv(table: Table) -> str:
         for (group, name), cell, mark in zip(columns, row.cells, row_marks, strict=True):
             mean, std = ("" if value is None else repr(value) for value in (cell.mean, cell.std))
             kind = kind_of(name)
-            writer.writerow(
-                [
-                    *map(escape_cell, row.labels),
-                    escape_cell(group),
-                    kind.heading,
-                    kind.unit,
-                    mean,
-                    std,
-                    cell.seeds or "",
-                    mark,
-                    escape_cell(cell.note or ""),
-                ]
-            )
+            names = map(escape_cell, [*row.labels, group])
+            figure = kind.heading, kind.unit, mean, std, cell.seeds or "", mark
+            writer.writerow([*names, *figure, escape_cell(cell.note or "")])
     return text.getvalue()
 
 
@@ -206,16 +183,8 @@ def to_plain(table: Table) -> str:
             [*labels, *(text + signs[mark] for text, mark, _ in cells)]
             for labels, cells in _cells(part, _Notes())
         ]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        left = len(part.label_headings)
         lines += [f"\n{part.groups[0].heading}"] if part.groups[0].heading else [""]
-        lines += [
-            "  ".join(
-                text.ljust(width) if place < left else text.rjust(width)
-                for place, (text, width) in enumerate(zip(row, widths, strict=True))
-            ).rstrip()
-            for row in rows
-        ]
+        lines += aligned(rows, range(len(part.label_headings)))
     return "\n".join(lines) + "\n"
 
 
@@ -266,12 +235,6 @@ def _cells(
         yield row.labels, cells
 
 
-def _escaped_groups(table: Table) -> Table:
-    """The table, with the headings of its groups for Markdown."""
-    groups = (group._replace(heading=escape_markdown(group.heading)) for group in table.groups)
-    return replace(table, groups=tuple(groups))
-
-
 def _headings(table: Table, line_break: str) -> list[str]:
     arrows = {"higher": " ↑", "lower": " ↓", None: ""}
     headings = []
@@ -287,38 +250,28 @@ def _pipe(fields: Sequence[str]) -> str:
     return "| " + " | ".join(fields) + " |"
 
 
-def _markdown_cell(text: str, mark: Mark, note: str) -> str:
-    marked = {"best": f"**{text}**", "second": f"<u>{text}</u>", "": text}[mark]
-    return f"{marked}<sup>{note}</sup>" if note else marked
-
-
 def _tabular(table: Table, notes: _Notes) -> list[str]:
     labels = len(table.label_headings)
     lines = [rf"\begin{{tabular}}{{{'l' * labels}{'r' * len(table.figures)}}}", r"\toprule"]
-    if any(group.heading for group in table.groups):
-        spans = [
-            rf"\multicolumn{{{len(group.figures)}}}{{c}}{{\textit{{{_escape_latex(group.heading)}}}}}"
-            for group in table.groups
-        ]
+    headings = [(len(group.figures), _escape_latex(group.heading)) for group in table.groups]
+    if any(heading for _, heading in headings):
+        spans = [rf"\multicolumn{{{n}}}{{c}}{{\textit{{{heading}}}}}" for n, heading in headings]
         lines.append(" & ".join([""] * labels + spans) + r" \\")
     plain = replace(table, groups=tuple(group._replace(heading="") for group in table.groups))
-    lines.append(
-        " & ".join(map(_escape_latex, [*table.label_headings, *_headings(plain, " ")])) + r" \\"
-    )
+    columns = [*table.label_headings, *_headings(plain, " ")]
+    lines.append(" & ".join(map(_escape_latex, columns)) + r" \\")
     block = None
     for row, (row_labels, cells) in zip(table.rows, _cells(table, notes), strict=True):
         if row.block != block:
             lines.append(r"\midrule")
             block = row.block
-        shown = [_latex_cell(text, mark, note) for text, mark, note in cells]
+        shown = []
+        for plain_text, mark, note in cells:
+            text = _escape_latex(plain_text)
+            commands = {"best": rf"\textbf{{{text}}}", "second": rf"\underline{{{text}}}", "": text}
+            shown.append(f"{commands[mark]}$^{{{note}}}$" if note else commands[mark])
         lines.append(" & ".join([*map(_escape_latex, row_labels), *shown]) + r" \\")
     return [*lines, r"\bottomrule", r"\end{tabular}"]
-
-
-def _latex_cell(text: str, mark: Mark, note: str) -> str:
-    text = _escape_latex(text)
-    marked = {"best": rf"\textbf{{{text}}}", "second": rf"\underline{{{text}}}", "": text}[mark]
-    return f"{marked}$^{{{note}}}$" if note else marked
 
 
 def _escape_latex(text: str) -> str:

@@ -72,7 +72,6 @@ class Outcomes:
     """All outcomes of a comparison, by scene and method.
 
     Attributes:
-        all: in any order.
         scenes: names in the order of the columns.
         methods: in the order of the rows, without those of the table of neighbours alone.
         neighbours: the method of each n of the table of neighbours.
@@ -96,14 +95,15 @@ class Outcomes:
         scenes = [scene for scene in self.scenes_with(figure) if scene in among] or among
         return over_scenes([self.figures(scene, method, figure) for scene in scenes], scenes)
 
-    def scenes_with(self, figure: str) -> list[str]:
-        """The scenes where at least one method has the figure."""
+    def scenes_with(self, *figures: str) -> list[str]:
+        """The scenes where at least one method has one of the figures."""
         return [
             scene
             for scene in self.scenes
             if any(
                 isinstance(value, float)
                 for method in self.methods
+                for figure in figures
                 for value in self.figures(scene, method, figure)
             )
         ]
@@ -151,19 +151,21 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
     tables = []
     if outcomes.methods:
         caption = "novel views of scenes and methods: held-out views, full frame."
-        for modality, title in _scored(outcomes).items():
+        titles = {modality.name: capitalised(modality.title) for modality in REPORTED}
+        others = {name for each in outcomes.all for name in each.modalities} - titles.keys()
+        for modality, title in (titles | {name: name for name in sorted(others)}).items():
             figures_of = partial(_figures_of, outcomes, modality)
             tables.append(_by_scene(outcomes, modality, f"{title} {caption}", figures_of))
     if sum(method in ABLATION for method in outcomes.methods) > 1:
         tables.append(_ablation(outcomes))
     if outcomes.neighbours:
         tables.append(_neighbours(outcomes))
-    if with_truth := _scenes_with_any(outcomes, TRUTH):
+    if with_truth := tuple(outcomes.scenes_with(*TRUTH)):
         caption = "Against exact temperatures and depths, of scenes that have them."
         tables.append(
             _by_scene(outcomes, "truth", caption, lambda _: TRUTH, with_truth, TRUTH_REMARKS)
         )
-    if with_aligned := _scenes_with_any(outcomes, ALIGNED[1:]):
+    if with_aligned := tuple(outcomes.scenes_with(*ALIGNED[1:])):
         figures = tuple(figure for figure in ALIGNED if outcomes.scenes_with(figure))
         caption = (
             "Scores after aligning each held-out photo with the model, for scenes whose poses seem "
@@ -175,19 +177,6 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
             )
         )
     return tables
-
-
-def _scenes_with_any(outcomes: Outcomes, figures: Sequence[str]) -> tuple[str, ...]:
-    """The scenes where at least one method has one of the figures."""
-    found = {scene for figure in figures for scene in outcomes.scenes_with(figure)}
-    return tuple(scene for scene in outcomes.scenes if scene in found)
-
-
-def _scored(outcomes: Outcomes) -> dict[str, str]:
-    """Names and titles of the tables' modalities: ``REPORTED``, and what else any scene has."""
-    titles = {modality.name: capitalised(modality.title) for modality in REPORTED}
-    others = {name for each in outcomes.all for name in each.modalities} - titles.keys()
-    return titles | {name: name for name in sorted(others)}
 
 
 def _figures_of(outcomes: Outcomes, modality: str, scenes: Sequence[str]) -> tuple[str, ...]:
@@ -238,21 +227,16 @@ def _by_scene(
 def _ablation(outcomes: Outcomes) -> Table:
     """A block of rows per scene, as the paper's Table 3."""
     labels = {method: ABLATION[method] for method in ABLATION if method in outcomes.methods}
-    rows = _blocks(outcomes, "ablation", CELSIUS, labels, ABLATION)
-    remarks = [PUBLISHED] if any(row.published for row in rows) else []
+    rows, remarks = _blocks(outcomes, "ablation", CELSIUS, labels, ABLATION)
     if len(outcomes.scenes) > 1:
         for method, label in labels.items():
             cells = tuple(outcomes.mean(method, key) for key in CELSIUS)
             rows.append(Row((MEAN, *label), cells, block=MEAN))
         remarks += _remarks_on_means(outcomes, outcomes.scenes, CELSIUS)
-    return Table(
-        "ablation",
-        "Ablation of the paper's parts: thermal images of held-out views.",
-        ("scene", "3DGS_RGB-T", "MrGS base", "Fourier", "L_boltz"),
-        (Group("", CELSIUS),),
-        tuple(rows),
-        tuple(remarks),
-    )
+    caption = "Ablation of the paper's parts: thermal images of held-out views."
+    headings = ("scene", "3DGS_RGB-T", "MrGS base", "Fourier", "L_boltz")
+    groups = (Group("", CELSIUS),)
+    return Table("ablation", caption, headings, groups, tuple(rows), tuple(remarks))
 
 
 def _neighbours(outcomes: Outcomes) -> Table:
@@ -260,22 +244,18 @@ def _neighbours(outcomes: Outcomes) -> Table:
     methods = {n: outcomes.neighbours[n] for n in sorted(outcomes.neighbours)}
     labels = {method: (f"n = {n}",) for n, method in methods.items()}
     paper_labels = {str(n): (f"n = {n}",) for n in methods}
-    rows = _blocks(outcomes, "neighbours", NEIGHBOURS, labels, paper_labels)
+    rows, remarks = _blocks(outcomes, "neighbours", NEIGHBOURS, labels, paper_labels)
     remarks = [
         "Each Gaussian exchanges heat with K = n² − 1 neighbours.",
         "The time is that of the training alone.",
+        *remarks,
     ]
-    if any(row.published for row in rows):
-        remarks.append(PUBLISHED)
-    return Table(
-        "neighbours",
+    caption = (
         "The number of neighbours in the Fourier heat transformation: thermal images of held-out "
-        "views.",
-        ("scene", "neighbours"),
-        (Group("", NEIGHBOURS),),
-        tuple(rows),
-        tuple(remarks),
+        "views."
     )
+    headings, groups = ("scene", "neighbours"), (Group("", NEIGHBOURS),)
+    return Table("neighbours", caption, headings, groups, tuple(rows), tuple(remarks))
 
 
 def _blocks(
@@ -284,8 +264,9 @@ def _blocks(
     figures: Sequence[str],
     labels: Mapping[str, tuple[str, ...]],
     paper_labels: Mapping[str, tuple[str, ...]],
-) -> list[Row]:
-    """Per scene a row for each labelled method, and the paper's rows where it has them."""
+) -> tuple[list[Row], list[str]]:
+    """Per scene a row for each labelled method, and the paper's rows where it has them, with a
+    remark."""
     rows = []
     for scene in outcomes.scenes:
         title = scene_title(scene)
@@ -297,7 +278,7 @@ def _blocks(
                 cells = [_published_cell(table, row, key, scene) for key in figures]
                 label = (f"{title} (paper)", *paper_labels[row])
                 rows.append(Row(label, tuple(cells), block=scene, published=True))
-    return rows
+    return rows, [PUBLISHED] if any(row.published for row in rows) else []
 
 
 def _remarks_on_means(

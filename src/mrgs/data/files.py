@@ -34,11 +34,7 @@ def contained(root: Path, relative: str, named_in: Path | str) -> Path:
     try:
         path = root / relative.replace("\\", "/")
         outside = not path.resolve().is_relative_to(root) or Path(relative).is_absolute()
-    except (
-        ValueError,
-        OSError,
-        RuntimeError,
-    ):  # a null byte, a name that is too long, a loop of links
+    except (ValueError, OSError, RuntimeError):  # a null byte, a long name, a loop of links
         raise scene_error(named_in, f"{shown(relative)} is not a usable path; correct it") from None
     if outside:
         raise scene_error(
@@ -153,7 +149,6 @@ class _Listing:
     """The images of one folder inside the scene.
 
     Attributes:
-        folder: where they lie.
         links: by name, whether an image is a symbolic link.
         by_stem: their names by what stands before the extension, sorted.
     """
@@ -235,11 +230,7 @@ class ImageFinder:
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
-    """What lies in a folder, by name; nothing if there is no such folder.
-
-    Raises:
-        SceneError: it cannot be listed.
-    """
+    """The entries of a folder, by name; none if there is no such folder."""
     try:
         with os.scandir(folder) as entries:
             return sorted(entries, key=lambda entry: entry.name)

@@ -73,7 +73,6 @@ class Decoded(NamedTuple):
             bit), floats as they are; C = 1 for grey and float images, 3 for colour.
         valid: [H, W], False where a pixel is transparent (alpha under one half) or not finite (its
             value is then 0); None if all are usable.
-        kind: what the file holds.
     """
 
     values: Float32[Tensor, "h w c"]

@@ -47,7 +47,6 @@ class Cache:
     """Results by name; each is computed once, until something that it depends on changes.
 
     Attributes:
-        folder: keeps the results.
         made: number of results that were computed rather than found, so far.
     """
 
@@ -133,14 +132,8 @@ def load(path: Path, kind: Any, made_from: str) -> Any:
             tensors = {name: file.get_tensor(name).clone() for name in names}
         return _decode(kind, json.loads(metadata["value"]), tensors)
     except (
-        OSError,
-        SafetensorError,
-        LookupError,
-        TypeError,
-        ValueError,
-        RecursionError,
-        MrgsError,
-    ):
+        OSError, SafetensorError, LookupError, TypeError, ValueError, RecursionError, MrgsError
+    ):  # fmt: skip
         return MISSING
 
 

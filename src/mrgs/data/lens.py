@@ -13,7 +13,7 @@ not the centre of its first pixel, lies at (0, 0), in COLMAP and nerfstudio as h
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -41,12 +41,6 @@ class Lens:
     """Intrinsics and distortion of an image file; all lengths in pixels.
 
     Attributes:
-        width: image width.
-        height: image height.
-        fx: focal length along x.
-        fy: focal length along y.
-        cx: principal point.
-        cy: principal point.
         radial: k1, k2, k3, k4.
         tangential: p1, p2; unused by a fisheye.
         fisheye: which of the two models the coefficients belong to.
@@ -70,15 +64,8 @@ class Lens:
     def resized(self, width: int, height: int) -> Lens:
         """The lens for the same field of view on a pixel grid of this width and height."""
         x, y = width / self.width, height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * x,
-            fy=self.fy * y,
-            cx=self.cx * x,
-            cy=self.cy * y,
-        )
+        sizes = width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y
+        return Lens(*sizes, self.radial, self.tangential, self.fisheye)
 
     def distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Normalised coordinates of rays -> distorted normalised coordinates (any shape)."""

@@ -25,8 +25,15 @@ from mrgs.data.files import (
 )
 from mrgs.data.images import Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
-from mrgs.data.posed import Decoder, check_files, decode_intensities, posed_image
-from mrgs.data.sources import FilenameLists, ReadingNotes, SceneSource
+from mrgs.data.sources import (
+    Decoder,
+    FilenameLists,
+    ReadingNotes,
+    SceneSource,
+    check_files,
+    decode_intensities,
+    posed_image,
+)
 from mrgs.data.transforms import BOUNDS_FILES
 from mrgs.errors import ConfigError, warn_user
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View

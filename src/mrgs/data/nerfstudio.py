@@ -20,7 +20,6 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import NDArray
 from torch import Tensor
 
 from mrgs.data.colmap import find_model, read_points3d
@@ -62,15 +61,10 @@ _TAKEN = re.compile(
     r"images|.*masks|sparse|truth|train|val|test|eval|temperature_c|thermal_normalised|depth_.*"
 )
 """Names of other folders, in scenes and among renderings, that a modality must not have."""
-_PERSPECTIVE_MODELS = {
-    "OPENCV",
-    "PINHOLE",
-    "SIMPLE_PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "PERSPECTIVE",
-}
-_FISHEYE_MODELS = {"OPENCV_FISHEYE"}
+_FISHEYE = "OPENCV_FISHEYE"
+_MODELS = {
+    "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE", _FISHEYE
+}  # fmt: skip
 _LENS_KEYS = frozenset(
     ["camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"]
 )
@@ -149,8 +143,8 @@ def lens_from_json(
         return finite_number(value, f"{name} of {what}", file)
 
     model = values.get("camera_model", "OPENCV")
-    if not isinstance(model, str) or model not in _PERSPECTIVE_MODELS | _FISHEYE_MODELS:
-        known = ", ".join(sorted(_PERSPECTIVE_MODELS | _FISHEYE_MODELS))
+    if not isinstance(model, str) or model not in _MODELS:
+        known = ", ".join(sorted(_MODELS))
         raise scene_error(
             file, f"camera_model is {shown(model)}; undistort the images, or use one of {known}"
         )
@@ -162,7 +156,7 @@ def lens_from_json(
             file, f"the image size of {what}, {width}×{height}, is not whole; correct w and h"
         )
     focal = number("fl_x")
-    fisheye = model in _FISHEYE_MODELS
+    fisheye = model == _FISHEYE
     k1, k2, k3, k4, p1, p2 = (number(name, 0.0) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
     lens = Lens(
         int(width),
@@ -286,7 +280,12 @@ class _TransformsReader:
             raise scene_error(self.file, f"{camera} is {shown(own)}, not an object; correct it")
         lens = self._lens(frame if own is None else own, path, what, shared=own is None)
         pose = f"{prefix}transform_matrix"
-        viewmat = self._viewmat(frame, pose if pose in frame else "transform_matrix", what)
+        name = pose if pose in frame else "transform_matrix"
+        value, label = frame.get(name), f"{name} of {what}"
+        viewmat = self._viewmats.get(id(value))
+        if viewmat is None:
+            matrix = matrix_from_json(value, (3, 4), label, self.file)
+            viewmat = viewmat_from_opengl(matrix, label, self.file)
         mask = self._path(frame, f"{prefix}mask_path", what) or self.images.find_mask(
             f"{prefix}masks", path.name, self.file
         )
@@ -344,7 +343,7 @@ class _TransformsReader:
 
     def _read_poses(self, frames: Sequence[object]) -> None:
         """Read the matrices of all frames at once. Those that cannot be used are left to
-        ``_viewmat``, which knows what to call them."""
+        ``_source``, which knows what to call them."""
         names = [f"{modality}_transform_matrix" for modality in self.modalities if modality != RGB]
         values, matrices = [], []
         for frame in frames:
@@ -356,14 +355,6 @@ class _TransformsReader:
         for value, viewmat in zip(values, viewmats_from_opengl(matrices), strict=True):
             if viewmat is not None:
                 self._viewmats[id(value)] = viewmat  # ``top`` keeps the value alive
-
-    def _viewmat(self, frame: Mapping[str, Any], name: str, what: str) -> Float64[Tensor, "4 4"]:
-        value, label = frame.get(name), f"{name} of {what}"
-        viewmat = self._viewmats.get(id(value))
-        if viewmat is None:
-            matrix = matrix_from_json(value, (3, 4), label, self.file)
-            viewmat = viewmat_from_opengl(matrix, label, self.file)
-        return viewmat
 
     def _lens(self, own: Mapping[str, Any], image: Path, what: str, shared: bool = True) -> Lens:
         """The lens of an image; ``own`` wins, and what it lacks comes from the top level if the
@@ -408,7 +399,14 @@ class _TransformsReader:
         model = find_model(self.root)
         if model is None:
             return None
-        return point_cloud(*read_points3d(model), self.notes, scale * self._applied_transform())
+        transform, value = _LEGACY_APPLIED_TRANSFORM, self.top.get("applied_transform")
+        if value is None:
+            self.notes.decide(
+                "There is no applied_transform: COLMAP's points are turned as nerfstudio used to."
+            )
+        else:
+            transform = matrix_from_json(value, (3, 4), "applied_transform", self.file)[:3]
+        return point_cloud(*read_points3d(model), self.notes, scale * transform)
 
     def _world(self) -> WorldFrame:
         """The frame as ``prepare`` writes it; of other programs' files nothing is known."""
@@ -425,12 +423,3 @@ class _TransformsReader:
             facts.residual_m,
             facts.scale_error,
         )
-
-    def _applied_transform(self) -> NDArray[np.float64]:
-        value = self.top.get("applied_transform")
-        if value is None:
-            self.notes.decide(
-                "There is no applied_transform: COLMAP's points are turned as nerfstudio used to."
-            )
-            return _LEGACY_APPLIED_TRANSFORM
-        return matrix_from_json(value, (3, 4), "applied_transform", self.file)[:3]

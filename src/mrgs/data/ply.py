@@ -68,13 +68,17 @@ def write_ply(
     Raises:
         RunError: the file cannot be written.
     """
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *(f"comment {_ascii(line)}" for line in comments),
-    ]
+    header = ["ply", "format binary_little_endian 1.0"]
+    for line in comments:
+        text = " ".join(line.split()).replace("°C", "degrees Celsius")
+        header.append(f"comment {text.encode('ascii', 'replace').decode('ascii')}")
     for name, element in elements.items():
-        header += [f"element {name} {_count(element)}", *_properties(element)]
+        header.append(f"element {name} {_count(element)}")
+        if isinstance(element, np.ndarray):
+            header.append("property list uchar int vertex_indices")
+        else:
+            kinds = {column: _PLY_TYPES[values.dtype.str[1:]] for column, values in element.items()}
+            header += [f"property {kind} {column}" for column, kind in kinds.items()]
     with replacing(path) as temporary, open(temporary, "wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
         for element in elements.values():
@@ -106,32 +110,30 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | Non
         SceneError: not a PLY file with vertices x, y, z, or shorter than its header says.
     """
     data = read_bytes(path)
-    lines, body = _split_header(data, path)
-    ascii_text, elements = _parse_header(lines, path)
-    before: list[_Element] = []
-    for element in elements:
-        if element.name == "vertex":
-            break
-        before.append(element)
-    else:
-        raise scene_error(path, "has no element vertex; export it as a point cloud")
-    if element.has_lists or any(other.has_lists for other in before):
-        raise scene_error(path, "has lists in or before its vertices; export it as a point cloud")
-    if not {"x", "y", "z"} <= set(element.properties):
-        raise scene_error(path, "has vertices without x, y and z; export it as a point cloud")
-    read = _ascii_vertices if ascii_text else _binary_vertices
-    vertices = read(data[body:], element, before, path)
-    positions = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    return positions, _colors(vertices)
-
-
-def _split_header(data: bytes, path: Path) -> tuple[list[str], int]:
-    """The header's lines after the magic word, and the offset of what follows it."""
     end = data.find(b"end_header", 0, MAX_HEADER_BYTES)
     newline = data.find(b"\n", end, end + 16) if end >= 0 else -1
     if not data.startswith(b"ply") or newline < 0:
         raise scene_error(path, "is not a PLY file (no header found); export the points again")
-    return data[:end].decode("latin-1").splitlines()[1:], newline + 1
+    lines = data[:end].decode("latin-1").splitlines()[1:]
+    ascii_text, elements = _parse_header(lines, path)
+    names = [element.name for element in elements]
+    if "vertex" not in names:
+        raise scene_error(path, "has no element vertex; export it as a point cloud")
+    before, element = elements[: names.index("vertex")], elements[names.index("vertex")]
+    if element.has_lists or any(other.has_lists for other in before):
+        raise scene_error(path, "has lists in or before its vertices; export it as a point cloud")
+    if not {"x", "y", "z"} <= set(element.properties):
+        raise scene_error(path, "has vertices without x, y and z; export it as a point cloud")
+    body = data[newline + 1 :]
+    if ascii_text:
+        vertices = _ascii_vertices(body, element, before, path)
+    else:
+        offset = sum(other.count * other.dtype.itemsize for other in before)
+        if offset + element.count * element.dtype.itemsize > len(body):
+            raise _too_short(path, element.count)
+        vertices = np.frombuffer(body, element.dtype, element.count, offset)
+    positions = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    return positions, _colors(vertices)
 
 
 def _parse_header(lines: list[str], path: Path) -> tuple[bool, list[_Element]]:
@@ -162,15 +164,6 @@ def _parse_header(lines: list[str], path: Path) -> tuple[bool, list[_Element]]:
     if order is None:
         raise scene_error(path, "has no format line in its header; export the points again")
     return order == "ascii", elements
-
-
-def _binary_vertices(
-    body: bytes, vertex: _Element, before: list[_Element], path: Path
-) -> np.ndarray:
-    offset = sum(element.count * element.dtype.itemsize for element in before)
-    if offset + vertex.count * vertex.dtype.itemsize > len(body):
-        raise _too_short(path, vertex.count)
-    return np.frombuffer(body, vertex.dtype, vertex.count, offset)
 
 
 def _ascii_vertices(
@@ -222,14 +215,6 @@ def _count(element: Columns | np.ndarray) -> int:
     return len(element) if isinstance(element, np.ndarray) else len(next(iter(element.values())))
 
 
-def _properties(element: Columns | np.ndarray) -> list[str]:
-    if isinstance(element, np.ndarray):
-        return ["property list uchar int vertex_indices"]
-    return [
-        f"property {_PLY_TYPES[column.dtype.str[1:]]} {name}" for name, column in element.items()
-    ]
-
-
 def _records(element: Columns | np.ndarray, rows: slice) -> np.ndarray:
     """Some rows of an element as the file holds them."""
     columns: Columns
@@ -245,8 +230,3 @@ def _records(element: Columns | np.ndarray, rows: slice) -> np.ndarray:
     for name, column in columns.items():
         records[name] = column
     return records
-
-
-def _ascii(line: str) -> str:
-    text = " ".join(line.split()).replace("°C", "degrees Celsius")
-    return text.encode("ascii", "replace").decode("ascii")

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
@@ -79,11 +78,10 @@ def viewmat_from_opengl(
     Raises:
         SceneError: not a rigid motion.
     """
-    if not ends_in_last_row(camera_to_world):
+    (viewmat,) = viewmats_from_opengl([camera_to_world])
+    if viewmat is None:
+        nearest_rotation(camera_to_world[:3, :3], what, file)
         raise scene_error(file, f"the last row of {what} is not 0 0 0 1; correct it")
-    nearest_rotation(camera_to_world[:3, :3], what, file)
-    viewmat = viewmats_from_opengl([camera_to_world])[0]
-    assert viewmat is not None
     return viewmat
 
 
@@ -97,13 +95,13 @@ def viewmats_from_opengl(
     given = np.stack([matrix[:3] for matrix in cameras_to_world])
     rotations, is_rotation = nearest_rotations(given[:, :, :3])
     from_world = OPENGL_FROM_OPENCV[:3, :3] @ rotations.transpose(0, 2, 1)
-    viewmats = np.tile(np.eye(4), (len(given), 1, 1))
-    viewmats[:, :3, :3] = from_world
-    viewmats[:, :3, 3] = -(from_world @ given[:, :, 3:])[:, :, 0]
+    translations = -(from_world @ given[:, :, 3:])[:, :, 0]
     # Each in memory of its own: one camera that is kept must not keep all the others.
     return [
-        torch.from_numpy(viewmat.copy()) if rigid and ends_in_last_row(matrix) else None
-        for viewmat, rigid, matrix in zip(viewmats, is_rotation, cameras_to_world, strict=True)
+        rigid_transform(rotation, translation) if rigid and ends_in_last_row(matrix) else None
+        for rotation, translation, rigid, matrix in zip(
+            from_world, translations, is_rotation, cameras_to_world, strict=True
+        )
     ]
 
 

@@ -1,20 +1,33 @@
 """A scene as a layout's reader describes it: image files with lenses and poses, before splitting,
-undistortion and decoding."""
+undistortion and decoding; and from such a file to the pixels of a pinhole camera."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Bool, Float32, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mrgs.data.files import scene_error
+from mrgs.data.images import (
+    DRAFT_MARGIN,
+    DRAFT_SHARES,
+    ImageInfo,
+    decode,
+    decode_mask,
+    has_eight_bit_levels,
+    probe,
+    with_channels,
+)
 from mrgs.data.lens import Lens
-from mrgs.scene import Modality, PointCloud, WorldFrame
+from mrgs.data.undistort import pinhole_of, resize, undistort
+from mrgs.scene import RGB, Camera, Modality, Pixels, PointCloud, PosedImage, WorldFrame
 from mrgs.scene.point_cloud import GREY
 from mrgs.scene.radiometry import PhotoRecord
 
@@ -46,7 +59,6 @@ class ImageSource:
     """An image file with its lens and pose.
 
     Attributes:
-        path: the image.
         lens: intrinsics and distortion in pixels of the file.
         viewmat: world to camera, OpenCV axes, [4, 4].
         mask: an image of the same size, black where pixels are ignored; None if all count.
@@ -87,12 +99,10 @@ class SceneSource:
     """The content of a scene folder; nothing is decoded yet.
 
     Attributes:
-        root: the folder, resolved.
         file: the one that names the images, for messages.
         views: in the file's order; never empty.
         points: start points from the files; None if there are none.
         lists: the explicit split, if the files give one.
-        notes: decisions and repairs.
         world: what the files say about the frame of the poses.
     """
 
@@ -118,7 +128,6 @@ def point_cloud(
         positions: [N, 3].
         colors: RGB in [0, 1], [N, 3]; None gives middle grey.
         notes: receives how many points were dropped.
-        transform: an affine map to world coordinates.
 
     Returns:
         The points, None if none is left.
@@ -133,9 +142,145 @@ def point_cloud(
         notes.repair(f"{dropped} start points are not finite; left out.")
     if not usable.any():
         return None
-    rgb = (
-        np.full(single.shape, GREY, dtype=np.float32)
-        if colors is None
-        else colors.astype(np.float32)
+    rgb = np.full(single.shape, GREY) if colors is None else colors
+    rgb = rgb.astype(np.float32)[usable]
+    return PointCloud(torch.from_numpy(single[usable]), torch.from_numpy(rgb))
+
+
+Decoder = Callable[[Path, int | None], tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]]
+"""The values and the mask of usable pixels of a file, which may be decoded at one of
+``DRAFT_SHARES`` of its size that is at least so many pixels wide; whole if None."""
+
+Prober = Callable[[Path], ImageInfo]
+
+
+def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
+    """Compare the headers of the image and its mask with the intrinsics; nothing is decoded.
+
+    Args:
+        probed: ``probe``, which may remember the files that several images share.
+
+    Raises:
+        SceneError: a file is missing, unreadable, or of another size than the lens says.
+    """
+    info = probed(source.path)
+    _check_size((info.width, info.height), source.lens, source.path)
+    if source.mask is not None:
+        mask = probed(source.mask)
+        _check_size((mask.width, mask.height), source.lens, source.mask)
+    return info
+
+
+def posed_image(
+    source: ImageSource,
+    decoder: Decoder,
+    resolution: int | None,
+    keeps_levels: bool = False,
+) -> PosedImage:
+    """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is
+    called.
+
+    Args:
+        resolution: largest width in pixels; None keeps the file's.
+        keeps_levels: whether an image of 8 bits has no more levels after it was undistorted or made
+            smaller, so that it takes as little memory as before.
+
+    Raises:
+        SceneError: the distortion leaves nothing of the image.
+    """
+    try:
+        pinhole = pinhole_of(source.lens)
+    except ValueError as error:
+        raise scene_error(source.path, f"{error}; correct its distortion coefficients") from None
+    camera = Camera(_matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
+    least_width = None
+    if resolution is not None and resolution < camera.width:
+        camera = camera.with_width(resolution)
+        least_width = DRAFT_MARGIN * resolution
+    size = camera.width, camera.height
+    files = (source.path,) if source.mask is None else (source.path, source.mask)
+    return PosedImage(
+        camera,
+        partial(_load, source, decoder, keeps_levels, size, least_width),
+        files,
+        source.record,
+        partial(_load, source, decoder, keeps_levels, size),
     )
-    return PointCloud(torch.from_numpy(single[usable]), torch.from_numpy(rgb[usable]))
+
+
+@lru_cache(maxsize=1024)
+def _matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
+    """K of a lens without distortion; cameras share it."""
+    return torch.tensor(
+        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]],
+        dtype=torch.float64,
+    )
+
+
+def decode_intensities(
+    path: Path, least_width: int | None, channels: int
+) -> tuple[Float32[Tensor, "h w {channels}"], Bool[Tensor, "h w"] | None]:
+    """Values in [0, 1] and the mask of usable pixels (None if all are).
+
+    A grey image gets ``channels`` equal channels; of a colour image, where one channel is wanted,
+    the luminance is taken. ``least_width`` as for ``decode``.
+
+    Raises:
+        SceneError: the file cannot be decoded, holds floats, or has another number of channels.
+    """
+    values, valid, kind = decode(path, least_width)
+    if kind == "float":
+        raise scene_error(
+            path, "holds floats where intensities are expected; save it with 8 or 16 bits"
+        )
+    try:
+        return with_channels(values, channels), valid
+    except ValueError as error:
+        raise scene_error(path, str(error)) from error
+
+
+def decode_rgb(
+    path: Path, least_width: int | None = None
+) -> tuple[Float32[Tensor, "h w 3"], Bool[Tensor, "h w"] | None]:
+    """Colours in [0, 1] and the mask of usable pixels; see ``decode_intensities``."""
+    return decode_intensities(path, least_width, RGB.channels)
+
+
+def _load(
+    source: ImageSource,
+    decoder: Decoder,
+    keeps_levels: bool,
+    size: tuple[int, int],
+    least_width: int | None,
+) -> Pixels:
+    """The image, decoded at least so wide, and made smaller where that is wider than ``size``."""
+    decoded, valid = decoder(source.path, least_width)
+    values = decoded
+    lens, size_read = source.lens, (values.shape[1], values.shape[0])
+    share = 1  # how many pixels of the lens, across, one of the values stands for
+    if least_width is not None:
+        shares = {(lens.width / each, lens.height / each): each for each in DRAFT_SHARES}
+        share = shares.get(size_read, 1)
+    lens = lens.resized(lens.width // share, lens.height // share)
+    _check_size(size_read, lens, source.path)
+    if source.mask is not None:
+        mask = decode_mask(source.mask)
+        _check_size((mask.shape[1], mask.shape[0]), source.lens, source.mask)
+        height, width = lens.height, lens.width  # a pixel counts if all do that it stands for
+        mask = mask.reshape(height, share, width, share).all(dim=3).all(dim=1)
+        valid = mask if valid is None else valid & mask
+    values, valid = undistort(values, valid, lens)
+    if values.shape[1] > size[0]:
+        values, valid = resize(values, valid, *size)
+    if keeps_levels and values is not decoded and has_eight_bit_levels(decoded):
+        values = (values * 255).round_() / 255
+    return Pixels(values.contiguous(), valid)
+
+
+def _check_size(size: tuple[int, int], lens: Lens, path: Path) -> None:
+    if size != (lens.width, lens.height):
+        raise scene_error(
+            path,
+            f"is {size[0]}×{size[1]} px, but its intrinsics are for {lens.width}×{lens.height} px; "
+            "resize the image or correct the intrinsics",
+        )

@@ -41,7 +41,6 @@ def frame_json(
     """One entry of ``frames``.
 
     Args:
-        viewmat: world to camera with OpenCV axes.
         file_path: image of this pose; None if there are only ``others``.
         lens: intrinsics of this frame alone; None if all frames share them.
         viewmats: poses of other modalities that are not ``viewmat``.

@@ -99,8 +99,6 @@ def sampled(
 
     Args:
         values: on a grid with one value per ``step`` pixels.
-        u: columns, in pixels.
-        v: rows, in pixels.
         step: distance of two values, in pixels.
     """
     return map_coordinates(values, [v / step - 0.5, u / step - 0.5], order=1, mode="nearest")

@@ -68,9 +68,6 @@ class ViewImages:
         """The images of a view with its photos, and of a rendering that is compared with them.
 
         Args:
-            view: with its photos.
-            rendering: of the view.
-            temperature: the scene's; None without °C.
             ball: how far the scene reaches; depth beyond it is the background's. None if unbounded.
             depth_of: the modality whose depth is shown if known; None for the first.
 
@@ -104,10 +101,8 @@ def _values(
 ) -> ImageValues:
     if not modality.is_metric:
         return to_rgb8(pixels.values)
-    shown = shown_values(modality, pixels.values, temperature)
-    return (
-        shown if pixels.valid is None else np.where(pixels.valid.numpy(), shown, np.float32(np.nan))
-    )
+    shown, valid = shown_values(modality, pixels.values, temperature), pixels.valid
+    return shown if valid is None else np.where(valid.numpy(), shown, np.float32(np.nan))
 
 
 class SheetRows:
@@ -155,23 +150,17 @@ def contact_sheet(
 
     Args:
         rows: with aligned poses, if ``metrics`` has them.
-        facts: of the run, for the heading.
-        metrics: for the heading.
-        temperature: the scene's scale; None without °C.
 
     Raises:
         ValueError: there are no rows.
     """
     if not rows:
         raise ValueError("a contact sheet needs at least one row")
-    images = [each for _, each in rows]
-    columns, bars = _columns(images, temperature)
-    panel_rows = [
-        PanelRow(
-            view.name, [Panel(pictures[number]) for pictures in columns.values()], _figures(view)
-        )
-        for number, (view, _) in enumerate(rows)
-    ]
+    columns, bars = _columns([images for _, images in rows], temperature)
+    panel_rows = []
+    for number, (view, _) in enumerate(rows):
+        panels = [Panel(pictures[number]) for pictures in columns.values()]
+        panel_rows.append(PanelRow(view.name, panels, _figures(view)))
     section = draw_section([*columns], panel_rows, bars, cell_px=CELL_PX, label_px=LABEL_PX)
     return stack([_heading(section.width, facts, metrics), section])
 
@@ -258,11 +247,11 @@ def _figures(view: ViewMetrics) -> list[tuple[str, str]]:
     """The lines below a view's name."""
     lines = []
     for modality in in_order(view.figures):
-        figures = view.figures[modality]
-        lines.append((modality.title, _with_unit(figures, "psnr", "dB")))
-        lines.append(("", _with_unit(figures, "ssim", "SSIM")))
-        lines.append(("", _with_unit(figures, "mae_c", "°C MAE")))
-    return [(caption, value) for caption, value in lines if value is not None]
+        units = {"psnr": "dB", "ssim": "SSIM", "mae_c": "°C MAE"}
+        for caption, (name, unit) in zip((modality.title, "", ""), units.items(), strict=True):
+            if (shown := _with_unit(view.figures[modality], name, unit)) is not None:
+                lines.append((caption, shown))
+    return lines
 
 
 def _with_unit(figures: Figures, name: str, unit: str) -> str | None:

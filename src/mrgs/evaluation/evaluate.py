@@ -3,10 +3,17 @@ exact truth."""
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from PIL import Image
 from torch import Tensor
 
 from mrgs.errors import SceneError
@@ -30,13 +37,13 @@ from mrgs.evaluation.metrics import (
     ssim,
     ssim_pair_range,
 )
-from mrgs.evaluation.truth import TRUTH_FIGURES, Truth
 from mrgs.scene import (
     THERMAL,
     CameraResponse,
     Modality,
     Pixels,
     Rendering,
+    Scene,
     TemperatureRange,
     View,
     ideal_cameras,
@@ -48,12 +55,155 @@ NO_LPIPS = "no VGG-16 and LPIPS weights were given"
 NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
 
 
+TRUTH_FIGURES = ("mae_c", "camera_mae_c", "depth_median_relative_error")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The exact truth of a generated scene, which no camera has blurred or rounded; its files are
+    read when a view is scored.
+
+    ``SCENE/truth/temperature/NAME.tiff`` has °C and ``SCENE/truth/depth/NAME.tiff`` z-depth in
+    metres (the scene's unit), both float32 and seen from the thermal camera of the view NAME.
+    Temperatures that are not finite and depths that are not finite and positive (sky) are left out.
+    """
+
+    folder: Path
+
+    @classmethod
+    def find(cls, scene: Path) -> Truth | None:
+        """The exact truth in a scene's folder; None if there is none, as for every real capture."""
+        folder = scene / "truth"
+        return cls(folder) if folder.is_dir() else None
+
+    @classmethod
+    def of(cls, scene: Scene) -> Truth | None:
+        """The exact truth of a scene; None if there is none, or if it was made from arrays."""
+        path = Path(scene.path)
+        if not scene.path:
+            return None
+        return cls.find(path.parent if path.is_file() else path)
+
+    def score(
+        self,
+        name: str,
+        thermal: Float[Tensor, "h w 1"] | None,
+        photo: Pixels | None,
+        depth: Float[Tensor, "h w"] | None,
+        temperature: TemperatureRange | None,
+    ) -> Figures:
+        """Score one view against the exact truth.
+
+        Args:
+            thermal: rendered normalised temperatures, [H, W, 1]; None without them.
+            depth: rendered z-depth of the surface that the thermal camera sees, scene units,
+                [H, W]; NaN where it sees none, which counts as an infinite error. None without a
+                depth.
+
+        Returns:
+            ``mae_c``: |rendered − exact temperature|, mean over the frame. ``camera_mae_c``:
+            |photo − exact temperature|, the error of the camera itself.
+            ``depth_median_relative_error``: median of |rendered − exact| / exact.
+
+        Raises:
+            SceneError: a truth file is damaged, or lies outside the scene.
+        """
+        figures = all_missing(
+            TRUTH_FIGURES, "the view has no thermal image, or the scene has no °C"
+        )
+        if temperature is not None and thermal is not None:
+            figures["mae_c"] = self._temperature_error(name, thermal, None, temperature)
+        if temperature is not None and photo is not None:
+            figures["camera_mae_c"] = self._temperature_error(
+                name, photo.values, photo.valid, temperature
+            )
+        figures["depth_median_relative_error"] = self._depth_error(name, depth)
+        return figures
+
+    def _temperature_error(
+        self, name: str, thermal: Tensor, valid: Tensor | None, temperature: TemperatureRange
+    ) -> Figure:
+        exact = self.read("temperature", name, (thermal.shape[0], thermal.shape[1]))
+        if isinstance(exact, Missing):
+            return exact
+        known = exact.isfinite() if valid is None else exact.isfinite() & valid.cpu()
+        if not known.any():
+            return Missing(f"no pixel of truth/temperature/{name}.tiff has a temperature")
+        return mean_absolute_error(temperature.to_celsius(thermal[..., 0]).cpu(), exact, known)
+
+    def _depth_error(self, name: str, depth: Tensor | None) -> Figure:
+        if depth is None:
+            return Missing("the model renders no depth")
+        exact = self.read("depth", name, (depth.shape[0], depth.shape[1]))
+        if isinstance(exact, Missing):
+            return exact
+        known = exact.isfinite() & (exact > 0)
+        if not known.any():
+            return Missing(f"no pixel of truth/depth/{name}.tiff has a depth")
+        errors = (depth.detach().cpu()[known] - exact[known]).abs() / exact[known]
+        median = float(np.median(errors.nan_to_num(nan=math.inf).numpy()))
+        return median if math.isfinite(median) else Missing("most pixels show no surface")
+
+    def read(
+        self, kind: str, name: str, shape: tuple[int, int]
+    ) -> Float32[Tensor, "h w"] | Missing:
+        """The truth of one view at the size of a rendering; averaged over areas where that is
+        smaller.
+
+        Args:
+            kind: ``temperature`` (°C) or ``depth`` (z-depth, metres).
+
+        Raises:
+            SceneError: the file is damaged, or lies outside the scene.
+        """
+        path = self.folder / kind / f"{name}.tiff"
+        if not path.resolve().is_relative_to(self.folder.resolve()):
+            raise SceneError(f"{path} lies outside {self.folder}: rename the view")
+        if not path.is_file():
+            return Missing(f"there is no truth/{kind}/{name}.tiff")
+        exact = read_float_tiff(path)
+        height, width = exact.shape
+        if (height, width) != shape:
+            if (
+                shape[0] > height
+                or shape[1] > width
+                or abs(shape[0] * width - shape[1] * height) > max(width, height)
+            ):
+                return Missing(
+                    f"truth/{kind} is {width}×{height}, the rendering {shape[1]}×{shape[0]}"
+                )
+            exact = np.asarray(
+                Image.fromarray(exact).resize((shape[1], shape[0]), Image.Resampling.BOX)
+            )
+        return torch.from_numpy(np.array(exact))
+
+
+def read_float_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
+    """Read a one-channel float32 TIFF.
+
+    Raises:
+        SceneError: the file is damaged or of another kind.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # Pillow only warns of damaged tags
+            image = Image.open(path)
+        with image:
+            if image.mode != "F":
+                raise SceneError(
+                    f"{path}: a one-channel float32 TIFF is expected, the file's mode is "
+                    f"{image.mode}"
+                )
+            return np.asarray(image, dtype=np.float32)
+    except (OSError, ValueError, SyntaxError, Warning, Image.DecompressionBombError) as error:
+        raise SceneError(f"{path}: not a readable TIFF ({error})") from error
+
+
 @dataclass(frozen=True)
 class ViewMetrics:
     """The figures of one view.
 
     Attributes:
-        name: the view's.
         figures: of each modality, by the names of ``figure_names``.
         truth: against the exact truth, by the names of ``TRUTH_FIGURES``; None where the scene has
             none.
@@ -72,7 +222,6 @@ class Metrics:
         mean: of each modality, means over the views that have the figure.
         truth: means over the views of the figures against the exact truth; None where the scene
             has none.
-        views: each view's own figures.
         pose_error_px: distance of a typical held-out photo from what the model shows, pixels of the
             photo; None if not inspected.
         aligned: the figures with each photo aligned with the model; None if the poses are right.
@@ -101,14 +250,12 @@ def evaluate(
     views load.
 
     Args:
-        views: the held-out views.
         render: the model, from a view to its images.
         temperature: the scene's scale; None leaves the figures in °C out.
-        lpips: the network; None leaves LPIPS out.
-        truth: exact temperatures and depths, see ``Truth.find``.
+        truth: exact temperatures and depths, compared with the rendering; see ``Truth.find``.
         visit: called after each view with the images that were compared with its photos.
         camera_response: from the rendering to what the cameras record, which is compared with the
-            photos; the truth is compared with the rendering.
+            photos.
 
     Raises:
         SceneError: there are no views, or an image or a truth file cannot be read.
@@ -126,22 +273,20 @@ def evaluate(
         observed = camera_response(rendering, view.camera)
         photos = _photos(view, observed)
         figures = {each: measure.figures(each, photos.get(each), observed) for each in modalities}
-        exact = None if truth is None else _score_truth(truth, view, rendering, photos, temperature)
+        exact = None
+        if truth is not None:  # what the thermal camera saw
+            thermal = rendering[THERMAL].image if THERMAL in rendering else None
+            seen = rendering.with_depth(THERMAL)
+            depth = None if seen is None else rendering.surface_depth(seen)
+            exact = truth.score(view.name, thermal, photos.get(THERMAL), depth, temperature)
         metrics = ViewMetrics(view.name, figures, exact)
         scored.append(metrics)
         if visit is not None:
             visit(view, observed, metrics)
         give_back_freed()  # else each view leaves gaps of some MB, and there may be hundreds
-    return _averaged(scored, modalities)
-
-
-def _averaged(scored: Sequence[ViewMetrics], modalities: Sequence[Modality]) -> Metrics:
-    """The views' figures and their means."""
     mean = {
-        modality: mean_figures(
-            [metrics.figures[modality] for metrics in scored], figure_names(modality)
-        )
-        for modality in modalities
+        each: mean_figures([metrics.figures[each] for metrics in scored], figure_names(each))
+        for each in modalities
     }
     truths = [metrics.truth for metrics in scored if metrics.truth is not None]
     return Metrics(mean, mean_figures(truths, TRUTH_FIGURES) if truths else None, tuple(scored))
@@ -155,38 +300,22 @@ def scored_modalities(views: Sequence[View]) -> tuple[Modality, ...]:
 
 
 def _photos(view: View, rendering: Rendering) -> dict[Modality, Pixels]:
-    """The view's photos on the rendering's device.
-
-    Raises:
-        SceneError: an image cannot be read.
-        ValueError: the rendering has another size than a photo.
-    """
-    return {
-        modality: _on_device(image.load(), rendering, modality)
-        for modality, image in view.images.items()
-    }
-
-
-def _on_device(pixels: Pixels, rendering: Rendering, modality: Modality) -> Pixels:
-    if modality not in rendering:
-        return pixels
-    image = rendering[modality].image
-    if image.shape != pixels.values.shape:
-        raise ValueError(
-            f"rendering {tuple(image.shape)} and photo {tuple(pixels.values.shape)} differ in size"
-        )
-    valid = None if pixels.valid is None else pixels.valid.to(image.device)
-    return Pixels(pixels.values.to(image), valid)
+    """The view's photos, on the device of the rendering that they are compared with."""
+    photos = {modality: image.load() for modality, image in view.images.items()}
+    for modality, photo in photos.items():
+        if modality in rendering:
+            image = rendering[modality].image
+            if image.shape != photo.values.shape:
+                sizes = f"rendering {tuple(image.shape)} and photo {tuple(photo.values.shape)}"
+                raise ValueError(f"{sizes} differ in size")
+            valid = None if photo.valid is None else photo.valid.to(image.device)
+            photos[modality] = Pixels(photo.values.to(image), valid)
+    return photos
 
 
 class _Measure(NamedTuple):
-    """What the figures of all views depend on.
-
-    Attributes:
-        temperature: the scene's scale; None without °C.
-        foreground: of the thermal photos; None where they have none.
-        lpips: the network; None leaves LPIPS out.
-    """
+    """What the figures of all views depend on: the scene's scale, the foreground of its thermal
+    photos, the network of LPIPS; None where there is none."""
 
     temperature: TemperatureRange | None
     foreground: Foreground | None
@@ -201,36 +330,17 @@ class _Measure(NamedTuple):
             )
         if photo.valid is not None and not photo.valid.any():
             return all_missing(names, "no pixel of the photo is valid")
-        image = rendering[modality].image
-        figures = _pixel_figures(image, photo) | {"lpips": _lpips(image, photo, self.lpips)}
+        image, compared = rendering[modality].image, (photo.values, photo.valid)
+        figures: Figures = {
+            "psnr": psnr(image, *compared),
+            "psnr_matched": psnr_matched(image, *compared),
+            "ssim": ssim(image, *compared),
+            "ssim_pair_range": ssim_pair_range(image, *compared),
+            "lpips": _lpips(image, photo, self.lpips),
+        }
         if modality == THERMAL:
             figures |= _temperature_figures(image, photo, self.temperature, self.foreground)
         return {name: figures[name] for name in names}
-
-
-def _score_truth(
-    truth: Truth,
-    view: View,
-    rendering: Rendering,
-    photos: Mapping[Modality, Pixels],
-    temperature: TemperatureRange | None,
-) -> Figures:
-    """The rendering against the exact truth, which the thermal camera saw."""
-    thermal = rendering[THERMAL].image if THERMAL in rendering else None
-    seen = rendering.with_depth(THERMAL)
-    depth = None if seen is None else rendering.surface_depth(seen)
-    return truth.score(view.name, thermal, photos.get(THERMAL), depth, temperature)
-
-
-def _pixel_figures(image: Tensor, photo: Pixels) -> Figures:
-    """PSNR and SSIM in both conventions."""
-    target, valid = photo.values, photo.valid
-    return {
-        "psnr": psnr(image, target, valid),
-        "psnr_matched": psnr_matched(image, target, valid),
-        "ssim": ssim(image, target, valid),
-        "ssim_pair_range": ssim_pair_range(image, target, valid),
-    }
 
 
 def _lpips(image: Tensor, photo: Pixels, lpips: Lpips | None) -> Figure:

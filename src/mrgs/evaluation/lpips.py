@@ -84,33 +84,28 @@ class Lpips:
                 f"{tuple(image.shape[:2])}"
             )
         distance = 0.0
-        for layer, (a, b) in enumerate(
-            zip(self.features(image), self.features(target), strict=True)
-        ):
-            difference = (_unit(a) - _unit(b)).square()
-            distance += (
-                functional.conv2d(difference, self._weights[f"lin{layer}.model.1.weight"])
-                .mean()
-                .item()
-            )
+        pairs = zip(self.features(image), self.features(target), strict=True)
+        for layer, (one, other) in enumerate(pairs):
+            difference = (_unit(one) - _unit(other)).square()
+            weighted = functional.conv2d(difference, self._weights[f"lin{layer}.model.1.weight"])
+            distance += weighted.mean().item()
         return distance
 
     def features(self, image: Float[Tensor, "h w c"]) -> list[Float[Tensor, "1 _ _ _"]]:
         """The five layers' activations, [1, C, H / 2^layer, W / 2^layer]."""
         device = self._weights["features.0.weight"].device
         x = image.to(device, torch.float32).expand(-1, -1, 3).permute(2, 0, 1)[None] * 2 - 1
-        shift, scale = (
-            torch.tensor(values, device=device).view(1, 3, 1, 1) for values in (_SHIFT, _SCALE)
-        )
+        shift, scale = torch.tensor([_SHIFT, _SCALE], device=device).view(2, 1, 3, 1, 1)
         x = (x - shift) / scale
         layers = []
         for block, indices in enumerate(_BLOCKS):
             x = functional.max_pool2d(x, 2) if block else x
             for index in indices:
-                weight, bias = (
-                    self._weights[f"features.{index}.{kind}"] for kind in ("weight", "bias")
+                name, weights = f"features.{index}", self._weights
+                x = functional.conv2d(
+                    x, weights[f"{name}.weight"], weights[f"{name}.bias"], padding=1
                 )
-                x = functional.conv2d(x, weight, bias, padding=1).relu()
+                x = x.relu()
             layers.append(x)
         return layers
 

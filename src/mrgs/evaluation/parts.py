@@ -10,9 +10,9 @@ from typing import Any
 import torch
 
 from mrgs.errors import SceneError
+from mrgs.evaluation.evaluate import Truth
 from mrgs.evaluation.figures import Figure, Figures, Missing, mean_figures, to_json
 from mrgs.evaluation.metrics import psnr
-from mrgs.evaluation.truth import Truth
 from mrgs.method.parts import PartSpreads, knock_outs, part_spreads
 from mrgs.render import Model, render
 from mrgs.runs.open import Run
@@ -29,7 +29,6 @@ class Parts:
         spreads: how much they differ from Gaussian to Gaussian.
         knock_out: mean figures of the held-out views for each copy of ``knock_outs``, by the names
             in ``KNOCK_OUT_FIGURES``.
-        temperature: the scene's scale; None without °C.
     """
 
     spreads: PartSpreads

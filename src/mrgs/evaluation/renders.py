@@ -16,9 +16,8 @@ scene units) is optional.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import torch
@@ -29,10 +28,9 @@ from mrgs.data import load_scene
 from mrgs.data.files import IMAGE_SUFFIXES, without_image_suffix
 from mrgs.data.images import Decoded, decode, with_channels
 from mrgs.errors import RunError, SceneError, warn_user
-from mrgs.evaluation.evaluate import Metrics
+from mrgs.evaluation.evaluate import Metrics, Truth
 from mrgs.evaluation.report import RunFacts
 from mrgs.evaluation.score_run import Counted, Progress, score_views
-from mrgs.evaluation.truth import Truth
 from mrgs.scene import (
     THERMAL,
     Blend,
@@ -52,9 +50,6 @@ GREY_TOLERANCE = 2.5 / 255
 FLOAT_SUFFIXES = frozenset({".tif", ".tiff"})
 
 CELSIUS_FOLDER = "temperature_c"
-
-Convert = Callable[[Path, Decoded, TemperatureRange | None], Tensor]
-"""From a decoded image (the path is for messages) to the values that a model would render."""
 
 
 @dataclass(frozen=True)
@@ -80,28 +75,16 @@ class Renders:
         for modality, posed in view.images.items():
             if modality in self.images:
                 path = self.images[modality][view.name]
-                image = _read(path, posed.camera, _conversion(modality, path), temperature)
+                image = _read(path, posed.camera, modality, temperature)
                 blends[modality] = Blend.of_image(image)
         depths = {}
         if THERMAL in blends and view.name in self.depths:
-            camera = view.images[THERMAL].camera
-            depths[THERMAL] = _read_depth(self.depths[view.name], camera)
+            path = self.depths[view.name]
+            decoded = _decoded(path, view.images[THERMAL].camera)
+            depth, hit = _floats(path, decoded)[..., 0], decoded.valid
+            # Infinite where the program found no surface.
+            depths[THERMAL] = depth if hit is None else torch.where(hit, depth, torch.inf)
         return Rendering(blends, depths)
-
-
-def _folders(modality: Modality) -> tuple[str, ...]:
-    """Folders of a modality's images; the first that exists is read."""
-    folders = [f"{modality}_normalised"] if modality.is_metric else []
-    if modality == THERMAL:
-        folders.insert(0, CELSIUS_FOLDER)
-    return (*folders, modality.name)
-
-
-def _conversion(modality: Modality, path: Path) -> Convert:
-    """How a modality's file is read."""
-    if path.parent.name == modality.name:
-        return _temperatures if modality == THERMAL else partial(_intensities, modality)
-    return _celsius if path.parent.name == CELSIUS_FOLDER else _floats
 
 
 def evaluate_renders(
@@ -120,13 +103,11 @@ def evaluate_renders(
     the undistorted photos, at the size at which ``load_scene`` gives them.
 
     Args:
-        scene: the scene's folder.
         folder: of the images, see the module.
         name: of the program, in the report; by default the folder's name.
         output: folder to write to; by default ``folder/eval``.
         resolution: photos wider than this many pixels are downscaled to it, as in training.
         lpips_weights: weights for LPIPS; without them it is missing, with the reason.
-        progress: called after each view.
 
     Raises:
         SceneError: the scene cannot be read, or has no eval views.
@@ -138,15 +119,7 @@ def evaluate_renders(
     folder = Path(folder)
     loaded = load_scene(scene, resolution=resolution)
     renders = find_renders(folder, loaded)
-    facts = RunFacts(
-        method=name or folder.resolve().name,
-        scene=loaded.name,
-        steps=None,
-        gaussians=None,
-        train_seconds=None,
-        peak_memory_bytes=None,
-        device="not known",
-    )
+    facts = RunFacts(name or folder.resolve().name, loaded.name)
     return score_views(
         loaded,
         Truth.of(loaded),
@@ -174,7 +147,9 @@ def find_renders(folder: Path, scene: Scene) -> Renders:
     images, wanted = {}, []
     for modality in modalities:
         names = [view.name for view in scene.eval if modality in view.images]
-        found = [name for name in _folders(modality) if (folder / name).is_dir()]
+        possible = [CELSIUS_FOLDER] if modality == THERMAL else []
+        possible += [f"{modality}_normalised"] if modality.is_metric else []
+        found = [name for name in possible if (folder / name).is_dir()]
         place = folder / next(iter(found), modality.name)
         suffixes = IMAGE_SUFFIXES if place.name == modality.name else FLOAT_SUFFIXES
         files = _files(place, names, suffixes)
@@ -224,23 +199,28 @@ def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str
 
 
 def _read(
-    path: Path, camera: Camera, convert: Convert, temperature: TemperatureRange | None
+    path: Path, camera: Camera, modality: Modality, temperature: TemperatureRange | None
 ) -> Float32[Tensor, "h w c"]:
-    """The image's values, whole and of the camera's size."""
+    """The values that a model would render, of every pixel; the name of the file's folder
+    determines how it is read."""
     image = _decoded(path, camera)
     if image.valid is not None:
         what = "not finite" if image.kind == "float" else "transparent"
         raise RunError(
             f"{path} has pixels that are {what}: every pixel is scored, so render all of them"
         )
-    return convert(path, image, temperature)
-
-
-def _read_depth(path: Path, camera: Camera) -> Float32[Tensor, "h w"]:
-    """z-depths of the camera's size; infinite where the program found no surface."""
-    image = _decoded(path, camera)
-    depth = _floats(path, image, None)[..., 0]
-    return depth if image.valid is None else torch.where(image.valid, depth, torch.inf)
+    if path.parent.name == CELSIUS_FOLDER:
+        return _celsius(path, image, temperature)
+    if path.parent.name != modality.name:
+        return _floats(path, image)
+    if modality == THERMAL:
+        return _temperatures(path, image, temperature)
+    if image.kind == "float":
+        raise RunError(f"{path} is a float image: save {modality.title} with 8 bits per channel")
+    try:
+        return with_channels(image.values, modality.channels)
+    except ValueError as error:
+        raise RunError(f"{path} {error}") from error
 
 
 def _decoded(path: Path, camera: Camera) -> Decoded:
@@ -259,18 +239,7 @@ def _decoded(path: Path, camera: Camera) -> Decoded:
     return image
 
 
-def _intensities(
-    modality: Modality, path: Path, image: Decoded, _: TemperatureRange | None
-) -> Float32[Tensor, "h w c"]:
-    if image.kind == "float":
-        raise RunError(f"{path} is a float image: save {modality.title} with 8 bits per channel")
-    try:
-        return with_channels(image.values, modality.channels)
-    except ValueError as error:
-        raise RunError(f"{path} {error}") from error
-
-
-def _floats(path: Path, image: Decoded, _: TemperatureRange | None) -> Float32[Tensor, "h w 1"]:
+def _floats(path: Path, image: Decoded) -> Float32[Tensor, "h w 1"]:
     if image.kind != "float":
         raise RunError(f"{path} holds no floats: save it as a one-channel float32 TIFF")
     return image.values
@@ -284,7 +253,7 @@ def _celsius(
             f"{path} holds °C, but the scene has no temperature range: put normalised floats into "
             f"thermal_normalised/"
         )
-    return temperature.from_celsius(_floats(path, image, None))
+    return temperature.from_celsius(_floats(path, image))
 
 
 def _temperatures(

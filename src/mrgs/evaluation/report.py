@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from mrgs.evaluation.evaluate import Metrics
+from mrgs.evaluation.evaluate import TRUTH_FIGURES, Metrics
 from mrgs.evaluation.figures import Figure, Figures, Missing, figure_names, to_json
 from mrgs.evaluation.parts import Parts
-from mrgs.evaluation.truth import TRUTH_FIGURES
 from mrgs.pictures.escape import escape_markdown
 from mrgs.pictures.values import capitalised
 from mrgs.run_files.facts import ImageFingerprint, changes, fingerprints
-from mrgs.scene import Scene, TemperatureRange
+from mrgs.scene import Modality, Scene
 from mrgs.system.atomic import write_text
+from mrgs.system.typed_json import from_json
 
 COLUMNS = {
     "psnr": ("PSNR, dB", 2),
@@ -59,19 +59,20 @@ UNKNOWN_FACTS = {
 """Why a fact about a run can be None."""
 
 
-class ScoredData(NamedTuple):
-    """The data of a run that was scored.
+@dataclass(frozen=True)
+class ScoredData:
+    """The data of a run that was scored: what scores depend on besides the model.
 
     Attributes:
-        temperature: the scene's scale; None without known °C.
+        held_out: of each held-out image, view by view.
         training_photos: digest of the photos that the run was trained on; empty where its
             checkpoint does not name them.
-        held_out: of each held-out image, view by view.
+        temperature_c: the °C of the scene's values 0 and 1; None without known °C.
     """
 
-    temperature: TemperatureRange | None
-    training_photos: str
     held_out: tuple[ImageFingerprint, ...]
+    training_photos: str = ""
+    temperature_c: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, scene: Scene, trained: Sequence[ImageFingerprint]) -> ScoredData:
@@ -82,33 +83,26 @@ class ScoredData(NamedTuple):
         """
         photos = "".join(image.photo for image in trained)
         digest = hashlib.sha256(photos.encode()).hexdigest() if photos else ""
-        return cls(scene.temperature, digest, fingerprints(_held_out(scene)))
+        bounds = None if scene.temperature is None else astuple(scene.temperature)
+        return cls(fingerprints(_held_out(scene)), digest, bounds)
 
     def to_json(self) -> dict[str, Any]:
         """The object for ``metrics.json``; what is not known has no entry."""
-        values: dict[str, Any] = {"held_out": self.held_out}
-        if self.training_photos:
-            values["training_photos"] = self.training_photos
-        if self.temperature is not None:
-            values["temperature_c"] = [self.temperature.min_c, self.temperature.max_c]
-        return values
+        return {"held_out": self.held_out} | {name: v for name, v in vars(self).items() if v}
 
     @classmethod
     def from_json(cls, value: Any) -> ScoredData | None:
         """The data from their JSON form; None where it is none, as in older files."""
         try:
-            bounds = value.get("temperature_c")
-            return cls(
-                None if bounds is None else TemperatureRange(*bounds),
-                str(value.get("training_photos", "")),
-                tuple(map(ImageFingerprint.from_json, value["held_out"])),
-            )
-        except (AttributeError, KeyError, TypeError, ValueError):
+            data = from_json(cls, value)
+        except ValueError:
             return None
+        images = data.held_out
+        return data if all(len(i.pose) == 12 and len(i.intrinsics) == 6 for i in images) else None
 
     def changes(self, now: ScoredData, scene: Scene) -> str:
         """What has changed since the scores were computed, for the user; empty if nothing has."""
-        if self.temperature != now.temperature:
+        if self.temperature_c != now.temperature_c:
             return "it has another temperature range"
         if self.training_photos and self.training_photos != now.training_photos:
             return "training photos"
@@ -128,22 +122,20 @@ class RunFacts:
 
     Attributes:
         method: name of the method, such as ``mrgs`` or ``3dgs-rgbt``.
-        scene: the scene's name.
         steps: training steps taken; None for another program's images.
         gaussians: how many Gaussians the model has; None if it has none, or for another program's
             images.
         train_seconds: wall-clock time of the training, s.
-        peak_memory_bytes: largest memory of the training.
         device: ``cpu`` or the GPU's name.
     """
 
     method: str
     scene: str
-    steps: int | None
-    gaussians: int | None
-    train_seconds: float | None
-    peak_memory_bytes: int | None
-    device: str
+    steps: int | None = None
+    gaussians: int | None = None
+    train_seconds: float | None = None
+    peak_memory_bytes: int | None = None
+    device: str = "not known"
 
 
 def to_document(
@@ -169,12 +161,9 @@ def to_document(
     document["reasons"] = reasons
     document["views"] = []
     for view in metrics.views:
-        groups = {modality.name: figures for modality, figures in view.figures.items()}
-        if view.truth is not None:
-            groups["truth"] = view.truth
-        view_reasons: dict[str, str] = {}
-        entry = {group: _split(figures, group, view_reasons) for group, figures in groups.items()}
-        document["views"].append({"name": view.name, **entry, "reasons": view_reasons})
+        own: dict[str, str] = {}
+        entry = _groups(view.figures, view.truth, "", own)
+        document["views"].append({"name": view.name, **entry, "reasons": own})
     if data is not None:
         document["data"] = data.to_json()
     return document
@@ -185,31 +174,34 @@ def _poses(metrics: Metrics, reasons: dict[str, str]) -> dict[str, Any]:
     if metrics.pose_error_px is None:
         reasons["poses.error_px"] = NO_POSE_ERROR
     document: dict[str, Any] = {"error_px": metrics.pose_error_px}
-    aligned = metrics.aligned
-    if aligned is not None:
-        groups = {modality.name: figures for modality, figures in aligned.mean.items()}
-        if aligned.truth is not None:
-            groups["truth"] = aligned.truth
-        document["aligned"] = {
-            group: _split(figures, f"poses.aligned.{group}", reasons)
-            for group, figures in groups.items()
-        }
+    if (aligned := metrics.aligned) is not None:
+        document["aligned"] = _groups(aligned.mean, aligned.truth, "poses.aligned.", reasons)
     return document
+
+
+def _groups(
+    figures: Mapping[Modality, Figures], truth: Figures | None, prefix: str, reasons: dict[str, str]
+) -> dict[str, dict[str, float | None]]:
+    """The figures of each modality, and against the exact truth where there is one."""
+    groups = {modality.name: own for modality, own in figures.items()}
+    groups |= {} if truth is None else {"truth": truth}
+    return {name: _split(own, f"{prefix}{name}", reasons) for name, own in groups.items()}
 
 
 def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -> str:
     """The content of ``metrics.md``: the figures as tables; a dash for a missing one, with the
     reasons at the end."""
-    seconds = "not measured" if facts.train_seconds is None else f"{facts.train_seconds:.0f} s"
-    memory = (
-        "not measured"
-        if facts.peak_memory_bytes is None
-        else f"{facts.peak_memory_bytes / 2**20:.0f} MiB"
-    )
+    seconds, memory = facts.train_seconds, facts.peak_memory_bytes
+    counts = {"steps": facts.steps, "Gaussians": facts.gaussians}
+    cost = [f"{number:,} {noun}" for noun, number in counts.items() if number is not None]
+    cost += [
+        "training " + ("not measured" if seconds is None else f"{seconds:.0f} s"),
+        "peak memory " + ("not measured" if memory is None else f"{memory / 2**20:.0f} MiB"),
+        f"device {escape_markdown(facts.device)}.",
+    ]
     blocks = [
         f"# {escape_markdown(facts.method)} on {escape_markdown(facts.scene)}",
-        f"{_count(facts.steps, 'steps')}{_count(facts.gaussians, 'Gaussians')}training {seconds}, "
-        f"peak memory {memory}, device {escape_markdown(facts.device)}.",
+        ", ".join(cost),
     ]
     for modality, mean in metrics.mean.items():
         figures = [(escape_markdown(view.name), view.figures[modality]) for view in metrics.views]
@@ -223,12 +215,17 @@ def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
         blocks += ["## With aligned poses", _aligned_text(metrics, metrics.aligned)]
     if parts is not None:
         blocks += ["## The model's parts", _parts_text(parts)]
-    reasons = _distinct_reasons(metrics)
+    groups = [*metrics.mean.values(), metrics.truth or {}]
+    for view in metrics.views:
+        groups += [*view.figures.values(), view.truth or {}]
+    reasons = dict.fromkeys(
+        f"- {escape_markdown(f'{COLUMNS[name][0]}: {figure.reason}')}"
+        for figures in groups
+        for name, figure in figures.items()
+        if isinstance(figure, Missing)
+    )
     if reasons:
-        blocks.append(
-            "A dash stands for a missing figure:\n\n"
-            + "\n".join(f"- {escape_markdown(line)}" for line in reasons)
-        )
+        blocks.append("\n".join(["A dash stands for a missing figure:\n", *reasons]))
     return "\n\n".join([*blocks, CONVENTIONS]) + "\n"
 
 
@@ -244,16 +241,12 @@ def write_report(
     Raises:
         RunError: a file cannot be written.
     """
-    text = (
-        json.dumps(
-            to_document(facts, metrics, parts, data), indent=2, ensure_ascii=False, allow_nan=False
-        )
-        + "\n"
+    document = to_document(facts, metrics, parts, data)
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return (
+        write_text(folder / "metrics.json", text),
+        write_text(folder / "metrics.md", to_markdown(facts, metrics, parts)),
     )
-    paths = folder / "metrics.json", folder / "metrics.md"
-    for path, content in zip(paths, (text, to_markdown(facts, metrics, parts)), strict=True):
-        write_text(path, content)
-    return paths
 
 
 SPREADS = {
@@ -286,15 +279,12 @@ def _parts_text(parts: Parts) -> str:
         f"| {format_figure('mae_c', figures['truth_mae_c'])} |"
         for part, figures in parts.knock_out.items()
     ]
-    return "\n".join(
-        [
-            f"Standard deviations over the Gaussians: {', '.join(spreads)}.",
-            "",
-            "| knocked out | thermal PSNR, dB | RGB PSNR, dB | against the truth, °C |",
-            "|---|---|---|---|",
-            *rows,
-        ]
-    )
+    lines = [
+        f"Standard deviations over the Gaussians: {', '.join(spreads)}.\n",
+        "| knocked out | thermal PSNR, dB | RGB PSNR, dB | against the truth, °C |",
+        "|---|---|---|---|",
+    ]
+    return "\n".join([*lines, *rows])
 
 
 def _aligned_text(metrics: Metrics, aligned: Metrics) -> str:
@@ -329,11 +319,6 @@ def format_figure(name: str, figure: Figure) -> str:
     return f"{number:.{COLUMNS[name][1]}f}"
 
 
-def _count(number: int | None, noun: str) -> str:
-    """A part of the line of facts; empty where the number is not known."""
-    return "" if number is None else f"{number:,} {noun}, "
-
-
 def _split(figures: Figures, prefix: str, reasons: dict[str, str]) -> dict[str, float | None]:
     """The figures as JSON numbers; the reason of each null is added to ``reasons``."""
     numbers: dict[str, float | None] = {}
@@ -345,27 +330,13 @@ def _split(figures: Figures, prefix: str, reasons: dict[str, str]) -> dict[str, 
 
 
 def _table(rows: Sequence[tuple[str, Figures]], names: Sequence[str], corner: str = "") -> str:
+    def row(first: str, cells: Iterable[str]) -> str:
+        return " | ".join([first, *cells]) + " |"
+
     lines = [
-        f"| {corner}".rstrip() + " | " + " | ".join(COLUMNS[name][0] for name in names) + " |",
+        row(f"| {corner}".rstrip(), (COLUMNS[name][0] for name in names)),
         "|---|" + "---:|" * len(names),
     ]
     for label, figures in rows:
-        lines.append(
-            f"| {label} | "
-            + " | ".join(format_figure(name, figures[name]) for name in names)
-            + " |"
-        )
+        lines.append(row(f"| {label}", (format_figure(name, figures[name]) for name in names)))
     return "\n".join(lines)
-
-
-def _distinct_reasons(metrics: Metrics) -> list[str]:
-    groups = [*metrics.mean.values(), metrics.truth or {}]
-    for view in metrics.views:
-        groups += [*view.figures.values(), view.truth or {}]
-    lines = [
-        f"{COLUMNS[name][0]}: {figure.reason}"
-        for figures in groups
-        for name, figure in figures.items()
-        if isinstance(figure, Missing)
-    ]
-    return list(dict.fromkeys(lines))

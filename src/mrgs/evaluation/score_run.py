@@ -3,34 +3,44 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import torch
+from jaxtyping import Bool, Float64
+from torch import Tensor
 
 from mrgs.errors import ConfigError, SceneError, warn_user
 from mrgs.evaluation.contact_sheet import SheetRows, ViewImages, contact_sheet
-from mrgs.evaluation.evaluate import Metrics, ViewMetrics, Visitor, evaluate
-from mrgs.evaluation.held_out_poses import (
-    NOT_KNOWN,
-    HeldOutPoses,
-    aligned_view,
-    held_out_error,
-    looked_at_first,
-)
+from mrgs.evaluation.evaluate import Metrics, Truth, ViewMetrics, evaluate
 from mrgs.evaluation.lpips import Lpips
+from mrgs.evaluation.metrics import psnr
 from mrgs.evaluation.parts import Parts, score_parts
 from mrgs.evaluation.report import RunFacts, ScoredData, write_report
-from mrgs.evaluation.truth import Truth
+from mrgs.method.camera_model.pose_error import (
+    Alignable,
+    PoseAgreement,
+    agreement,
+    alignables,
+    halves_px,
+    pose_error,
+)
+from mrgs.method.camera_model.pose_refinement import as_matrix, effect, motion_axes
 from mrgs.pictures.files import to_picture, write_png, write_rendering
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.video import frame_writer
 from mrgs.runs.open import Run, TrainedRun
+from mrgs.runs.refined_poses import moved_cameras, moved_view
 from mrgs.scene import Camera, CameraResponse, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
 from mrgs.system.memory import give_back_freed
+from mrgs.training.pose_check import looked_at, spread
+from mrgs.training.view_pass import pixel_sizes
 
 PATH_FRAMES = 120
 
@@ -39,6 +49,170 @@ Split: TypeAlias = Literal["eval", "train", "path"]
 
 Progress = Callable[[int, int], None]
 """Called with the number of images done and of all images."""
+
+
+MOST_VIEWS = 16
+"""Number of held-out views that are inspected for wrong poses."""
+
+FEWEST_VIEWS = 4
+"""Least number of views: the halves of fewer may agree by chance."""
+
+MOST_ROUNDS = 4
+"""Rounds of alignment, each with a rendering from the pose that the last one found."""
+
+NEAR_PX = 0.02
+"""Motion of the photo below which alignment stops."""
+
+FEWEST_POINTS = 16
+"""Least number of surface points that a view must show."""
+
+MOST_POINTS = 1000
+
+
+class HeldOutError(NamedTuple):
+    """Distance of typical held-out photos from what the model shows.
+
+    Attributes:
+        found: in the inspected pixels.
+        pixel_size: of these, in pixels of the photos.
+    """
+
+    found: PoseAgreement
+    pixel_size: float
+
+    @property
+    def photo_px(self) -> float | None:
+        """The distance in pixels of the photos; None if the model is not clear enough."""
+        known = self.found.is_right or self.found.is_wrong
+        return self.found.agreed_px * self.pixel_size if known else None
+
+
+class HeldOutPoses(NamedTuple):
+    """Result of checking the poses of eval views.
+
+    At a wrong pose a sharp model scores no better than a blurred one. So where the poses of
+    held-out photos are wrong, the photos are aligned with the model and scored there as well, as is
+    usual where poses are learned (Lin et al., BARF, 2021).
+
+    Attributes:
+        error_px: how far off what the model shows a typical photo is, pixels of the photo;
+            None where that is not known.
+        aligned: the views with their photos aligned; None where the poses are right.
+    """
+
+    error_px: float | None
+    aligned: tuple[View, ...] | None = None
+
+
+NOT_KNOWN = HeldOutPoses(None)
+
+
+def looked_at_first(views: Sequence[View]) -> list[View]:
+    """The views that are inspected for wrong poses: all, some of many, or none of too few."""
+    if len(views) < FEWEST_VIEWS:
+        return []
+    return [views[number] for number in spread(len(views), MOST_VIEWS)]
+
+
+def held_out_error(
+    run: TrainedRun, views: Sequence[View], on_view: Callable[[], None] = lambda: None
+) -> HeldOutError | None:
+    """How far off what the model shows held-out photos are; None where it shows a surface in too
+    few.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    halves, sizes = [], []
+    for view in views:
+        photographed = _Photographed(run, view)
+        images = photographed.images(torch.eye(4, dtype=torch.float64))
+        if (frame := _frame(images)) is not None:
+            halves.append(halves_px(images, *frame))
+            sizes.append(photographed.pixel_size)
+        on_view()
+    if len(halves) < FEWEST_VIEWS:
+        return None
+    first, second = torch.stack(halves, dim=1)
+    return HeldOutError(agreement(first, second), sum(sizes) / len(sizes))
+
+
+def aligned_view(run: TrainedRun, view: View, on_view: Callable[[], None] = lambda: None) -> View:
+    """The view with its photos where the model shows what they show; as given where nothing fits
+    better.
+
+    Raises:
+        SceneError: a photo cannot be read.
+    """
+    photographed = _Photographed(run, view)
+    motion = best = torch.eye(4, dtype=torch.float64)
+    best_db = -math.inf
+    for _ in range(MOST_ROUNDS):
+        images = photographed.images(motion)
+        if (frame := _frame(images)) is None:
+            break
+        fits = [
+            psnr(each.rendering, each.photo, each.valid) for each in images if _seen(each).any()
+        ]
+        fit_db = sum(fits) / len(fits)  # of the renderings, mean over the images
+        if fit_db > best_db:
+            best, best_db = motion, fit_db
+        centre, axes_px = frame
+        error_px = pose_error(images, centre, axes_px)
+        if error_px.norm() < NEAR_PX:
+            break
+        motion = motion @ as_matrix(axes_px @ error_px, centre)
+    on_view()
+    return moved_view(view, best)
+
+
+class _Photographed:
+    """A view's photos of the modalities that a model renders, at the inspected size."""
+
+    def __init__(self, run: TrainedRun, view: View) -> None:
+        self._run = run
+        rendered = {each: view.images[each] for each in view.images if each in run.modalities}
+        cameras = {modality: image.camera for modality, image in rendered.items()}
+        photos = {modality: image.load() for modality, image in rendered.items()}
+        self._cameras, self._photos = looked_at(cameras, photos) if cameras else ({}, {})
+        self._sizes = pixel_sizes(cameras, self._cameras)
+
+    @property
+    def pixel_size(self) -> float:
+        """Side of the inspected pixels, in pixels of the first photo."""
+        return next(iter(self._sizes.values()))
+
+    def images(self, motion: Float64[Tensor, "4 4"]) -> list[Alignable]:
+        """The photos and the renderings that should look like them."""
+        if not self._cameras:
+            return []
+        cameras = moved_cameras(self._cameras, motion)
+        first = next(iter(cameras.values()))
+        rendering = self._run.render_cameras(cameras)
+        observed = self._run.camera_response(rendering, first, self._sizes)
+        return alignables(cameras, self._photos, rendering, observed)
+
+
+def _frame(
+    images: Sequence[Alignable],
+) -> tuple[Float64[Tensor, "3"], Float64[Tensor, "6 6"]] | None:
+    """What the motion of a view is measured about and along: by the image that shows most; None
+    where no surface is seen."""
+    if not images:
+        return None
+    image = max(images, key=lambda each: int(_seen(each).sum()))
+    camera, seen = image.camera, _seen(image)
+    points = camera.unproject_image(image.depth.double())[seen]
+    if len(points) < FEWEST_POINTS:
+        return None
+    points = points[:: -(-len(points) // MOST_POINTS)]
+    return camera.position, motion_axes(effect(camera, points)) / camera.focal_px
+
+
+def _seen(image: Alignable) -> Bool[Tensor, "h w"]:
+    """Which pixels show a surface and count."""
+    seen = image.depth.isfinite()
+    return seen if image.valid is None else seen & image.valid
 
 
 def evaluate_run(
@@ -50,7 +224,6 @@ def evaluate_run(
     ``eval``.
 
     Args:
-        run: what ``load_run`` or ``open_run`` returns.
         lpips_weights: weights for LPIPS; without them it is left out, with the reason.
         progress: called with finished and all steps: a view is inspected, and scored. There are
             more steps if the poses turn out to be wrong.
@@ -94,11 +267,8 @@ class Counted:
 
 
 def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutPoses:
-    """The poses of the held-out views, checked, and corrected where they are wrong.
-
-    Warns:
-        MrgsWarning: they are wrong.
-    """
+    """The poses of the held-out views, checked, and corrected with a warning where they are
+    wrong."""
     error = held_out_error(run, looked_at_first(scene.eval), counted.one_more)
     if error is None or not error.found.is_wrong:
         return HeldOutPoses(None if error is None else error.photo_px)
@@ -108,11 +278,8 @@ def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutP
         f"with aligned poses as well"
     )
     counted.total += 2 * len(scene.eval)
-    aligned = []
-    for view in scene.eval:
-        aligned.append(aligned_view(run, view))
-        counted.one_more()
-    return HeldOutPoses(error.photo_px, tuple(aligned))
+    aligned = tuple(aligned_view(run, view, counted.one_more) for view in scene.eval)
+    return HeldOutPoses(error.photo_px, aligned)
 
 
 def score_views(
@@ -132,13 +299,8 @@ def score_views(
     folder.
 
     Args:
-        scene: with eval views.
         truth: the scene's exact truth; None if there is none.
-        render: from a view to its images.
-        facts: of the run, for the report.
-        output: folder to write to.
         lpips_weights: weights for LPIPS; without them it is missing, with the reason.
-        on_view: called after each view.
         camera_response: from a rendering to what the cameras record, which the photos show.
         parts: for the report; None if the model has none.
         data: of the scores, for the report; None for another program's renderings.
@@ -168,7 +330,13 @@ def score_views(
         truth=truth,
         camera_response=camera_response,
     )
-    visit = _visitor(scene, shown, on_view)
+    ball, numbers = scene.reach, itertools.count()
+
+    def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
+        images = partial(ViewImages.of, view, rendering, scene.temperature, ball)
+        shown.add(next(numbers), metrics, images)
+        on_view()
+
     if poses.aligned is None:
         metrics = score(scene.eval, visit=visit)
     else:
@@ -182,31 +350,16 @@ def score_views(
     return metrics
 
 
-def _visitor(scene: Scene, shown: SheetRows, on_view: Callable[[], None]) -> Visitor:
-    """Collects the rows of the contact sheet, and reports the progress."""
-    ball, numbers = scene.reach, itertools.count()
-
-    def visit(view: View, rendering: Rendering, metrics: ViewMetrics) -> None:
-        shown.add(
-            next(numbers),
-            metrics,
-            lambda: ViewImages.of(view, rendering, scene.temperature, ball),
-        )
-        on_view()
-
-    return visit
-
-
 def facts_of(run: TrainedRun, scene: Scene) -> RunFacts:
     """Facts about a run for its report: method, scene, size and cost."""
     return RunFacts(
-        method=run.config.method,
-        scene=scene.name,
-        steps=run.facts.step,
-        gaussians=run.gaussian_count,
-        train_seconds=run.facts.train_seconds,
-        peak_memory_bytes=run.facts.peak_memory_bytes or None,
-        device=run.facts.device,
+        run.config.method,
+        scene.name,
+        run.facts.step,
+        run.gaussian_count,
+        run.facts.train_seconds,
+        run.facts.peak_memory_bytes or None,
+        run.facts.device,
     )
 
 
@@ -236,8 +389,7 @@ def render_run(
     scene = run.load_scene()
     folder = run.folder.path / "renders" / split
     if split == "path":
-        cameras = orbit(scene.train_cameras, frames)
-        _write_path(run, scene, cameras, folder, palette, progress)
+        _write_path(run, scene, orbit(scene.train_cameras, frames), folder, palette, progress)
         return folder
     views = scene.eval if split == "eval" else scene.train
     if not views:

@@ -15,9 +15,8 @@ from mrgs.data.files import read_json_object, scene_error
 from mrgs.data.images import decode, probe
 from mrgs.data.lens import Lens
 from mrgs.data.nerfstudio import lens_from_json
-from mrgs.data.posed import decode_rgb, posed_image
 from mrgs.data.poses import matrix_from_json, nearest_rotation
-from mrgs.data.sources import ImageSource
+from mrgs.data.sources import ImageSource, decode_rgb, posed_image
 from mrgs.errors import ConfigError
 from mrgs.prepare.contract import ConvertedView, Georeference
 from mrgs.prepare.options import PrepareOptions

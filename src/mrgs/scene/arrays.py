@@ -112,11 +112,7 @@ def as_whole(value: SupportsIndex, name: str) -> int:
 
 
 def _tensor_of(array: Array | float, name: str) -> Tensor:
-    """A tensor that torch can compute with.
-
-    Raises:
-        ValueError: not real numbers.
-    """
+    """A tensor that torch can compute with."""
     try:
         values = array if isinstance(array, Tensor) else torch.from_numpy(_plain(array))
     except (TypeError, ValueError):  # of objects, or of rows that differ in length
@@ -129,24 +125,17 @@ def _tensor_of(array: Array | float, name: str) -> Tensor:
 def _plain(array: NDArray[Any] | Sequence[Any] | float) -> NDArray[Any]:
     """An array that torch can share: in order, writable, in the machine's byte order, without a
     mask."""
-    values = _gathered(array)
+    try:
+        values = np.asanyarray(array)
+    except (RuntimeError, TypeError):  # of a list with tensors that have gradients, or on a GPU
+        values = np.asanyarray(_on_host(array))
     if isinstance(values, np.ma.MaskedArray):
         floats = np.result_type(values, np.float32)
         values = np.ma.filled(values.astype(floats), np.nan)
-    if values.dtype.kind == "f" and values.dtype.itemsize > 8:  # long double
+    if values.dtype == np.longdouble:
         values = values.astype(np.float64)
-    values = np.asarray(values, values.dtype.newbyteorder("="), order="C")
-    in_order = values.flags.writeable and all(stride >= 0 for stride in values.strides)
-    return values if in_order else values.copy()
-
-
-def _gathered(array: NDArray[Any] | Sequence[Any] | float) -> NDArray[Any]:
-    """What NumPy makes of an array or a list, whose tensors may require a gradient or lie on a
-    GPU."""
-    try:
-        return np.asanyarray(array)
-    except (RuntimeError, TypeError):
-        return np.asanyarray(_on_host(array))
+    values = np.require(values, values.dtype.newbyteorder("="), ["C", "W"])
+    return values if all(stride >= 0 for stride in values.strides) else values.copy()
 
 
 def _on_host(nested: Any) -> Any:

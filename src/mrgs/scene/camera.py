@@ -40,8 +40,6 @@ class Camera:
         K: intrinsics in pixels, [3, 3]; fx and fy may differ, the skew is zero.
         viewmat: world to camera, [4, 4], a rotation and a translation in scene units. Of a rotation
             that was rounded to few digits the nearest one is kept.
-        width: image width in pixels.
-        height: image height in pixels.
 
     Raises:
         ValueError: not the matrices of such a camera, or a size that is not a whole number of
@@ -59,16 +57,14 @@ class Camera:
         width, height = as_whole(width, "width"), as_whole(height, "height")
         if width < 1 or height < 1:
             raise ValueError(f"a camera needs at least one pixel, not {width}×{height}")
-        values = {
-            "K": checked_intrinsics(as_finite(K, (3, 3), "K")),
-            "viewmat": checked_pose(as_finite(viewmat, (4, 4), "viewmat")),
-            "width": width,
-            "height": height,
-            "_tensors": {},
-            "_resized": {},
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            K=checked_intrinsics(as_finite(K, (3, 3), "K")),
+            viewmat=checked_pose(as_finite(viewmat, (4, 4), "viewmat")),
+            width=width,
+            height=height,
+            _tensors={},
+            _resized={},
+        )
 
     @classmethod
     def from_fov(cls, width: int, height: int, fov_deg: float) -> Camera:
@@ -77,8 +73,6 @@ class Camera:
         It looks along +z; place it with ``look_at``.
 
         Args:
-            width: image width in pixels.
-            height: image height in pixels.
             fov_deg: horizontal field of view in degrees, between 0 and 180.
 
         Raises:
@@ -115,13 +109,9 @@ class Camera:
         """The camera on a device; kept, because to copy it for every image would make the host wait
         for a GPU."""
         if (device, dtype) not in self._tensors:
-            position = self.position
-            self._tensors[device, dtype] = CameraTensors(
-                *(
-                    tensor.to(device, dtype, copy=True)
-                    for tensor in (self.K, self.viewmat, position)
-                )
-            )
+            own = self.K, self.viewmat, self.position
+            copies = (tensor.to(device, dtype, copy=True) for tensor in own)
+            self._tensors[device, dtype] = CameraTensors(*copies)
         return self._tensors[device, dtype]
 
     def recording_copy(self) -> Camera:
@@ -263,10 +253,8 @@ def viewmat_towards(
     position: Array, target: Array, up: Array = (0.0, 0.0, 1.0)
 ) -> Float64[Tensor, "4 4"]:
     """World to camera of a camera at a place, its axis through a target; see ``Camera.look_at``."""
-    here, there, upwards = (
-        as_finite(value, (3,), name)
-        for value, name in ((position, "position"), (target, "target"), (up, "up"))
-    )
+    given = {"position": position, "target": target, "up": up}
+    here, there, upwards = (as_finite(value, (3,), name) for name, value in given.items())
     forward = there - here
     right = torch.linalg.cross(forward, upwards)
     if not right.norm() > 1e-9 * forward.norm() * upwards.norm():
@@ -285,7 +273,6 @@ class MovedCamera(Camera):
     position carries none, and all else (``viewmat``, ``project``, ...) is as before the motion.
 
     Args:
-        camera: before the motion.
         motion: of the world, [4, 4]: a point X is seen where the camera saw motion · X.
     """
 
@@ -298,9 +285,7 @@ class MovedCamera(Camera):
         viewmat = viewmat @ motion
         rotation, translation = viewmat.detach()[:3, :3], viewmat.detach()[:3, 3]
         moved = CameraTensors(K, viewmat, -rotation.T @ translation)
-        own = {"_before": camera, "_motion": motion, "_moved": moved}
-        for name, value in {**vars(camera), **own}.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(vars(camera), _before=camera, _motion=motion, _moved=moved)
 
     def tensors(self, device: torch.device, dtype: torch.dtype = torch.float64) -> CameraTensors:
         """The moved camera on a device."""

@@ -20,24 +20,30 @@ def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     are those of the first camera.
 
     Args:
-        cameras: the training cameras, in any order.
         frames: how many poses to return; the last one is followed by the first.
 
     Raises:
         ConfigError: there are no cameras, or fewer than one frame is asked for.
     """
-    _check(cameras, frames)
+    if not cameras:
+        raise ConfigError("a camera path needs at least one training camera")
+    if frames < 1:
+        raise ConfigError(f"a camera path needs at least one frame, got {frames}")
     positions = np.stack([camera.position.numpy() for camera in cameras])
     centre = positions.mean(axis=0)
     _, spread, axes = np.linalg.svd(positions - centre, full_matrices=True)
     spread = np.pad(spread, (0, 3))[:2] / np.sqrt(len(cameras))
     angles = np.linspace(0, 2 * np.pi, frames, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    target, up = focus_point(cameras), _mean_up(cameras)
-    path = centre + np.sqrt(2) * (circle * spread) @ axes[:2]
-    return [
-        cameras[0].look_at(position, target, _upright(target - position, up)) for position in path
-    ]
+    target = focus_point(cameras)
+    mean_up = -np.stack([camera.viewmat[1, :3].numpy() for camera in cameras]).mean(axis=0)
+    path = []
+    for position in centre + np.sqrt(2) * (circle * spread) @ axes[:2]:
+        forward, up = target - position, mean_up
+        if np.linalg.norm(np.cross(forward, up)) < 1e-6 * np.linalg.norm(forward):
+            up = np.eye(3)[np.abs(forward).argmin()]
+        path.append(cameras[0].look_at(position, target, up))
+    return path
 
 
 def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
@@ -59,23 +65,3 @@ def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
     mean_direction = directions.mean(axis=0)
     ahead = mean_direction if np.linalg.norm(mean_direction) > 1e-6 else directions[0]
     return centre + distance * ahead / np.linalg.norm(ahead)
-
-
-def _check(cameras: Sequence[Camera], frames: int) -> None:
-    if not cameras:
-        raise ConfigError("a camera path needs at least one training camera")
-    if frames < 1:
-        raise ConfigError(f"a camera path needs at least one frame, got {frames}")
-
-
-def _mean_up(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """The cameras' mean up direction (−y of the OpenCV axes), not normalised."""
-    return -np.stack([camera.viewmat[1, :3].numpy() for camera in cameras]).mean(axis=0)
-
-
-def _upright(forward: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """``up``, or any upright where that is the viewing direction itself."""
-    forward = forward / np.linalg.norm(forward)
-    if np.linalg.norm(np.cross(forward, up)) < 1e-6:
-        return np.eye(3)[np.abs(forward).argmin()]
-    return up

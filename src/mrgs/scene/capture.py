@@ -41,10 +41,9 @@ class Capture:
 
     Attributes:
         thermal_viewpoints: of each training view's camera, None where it has no thermal photo.
-        extent: of the scene.
         has_celsius: whether the values of the thermal photos are temperatures.
-        finest_focal_px: median focal length, in pixels, of the modality whose photos are finest;
-            None in the checkpoints of older versions.
+        finest_focal_px: median focal length, in pixels, of the modality with the finest photos: one
+            zoomed photo makes none finer. None in the checkpoints of older versions.
     """
 
     thermal_viewpoints: tuple[Viewpoint | None, ...]
@@ -56,6 +55,10 @@ class Capture:
     def of(cls, scene: Scene) -> Capture:
         """The capture of a scene's training views."""
         extent = scene.extent
+        focal_px = [
+            [photo.camera.focal_px for photo in scene.train_photos(modality)]
+            for modality in scene.modalities
+        ]
         return cls(
             tuple(
                 Viewpoint.of(camera, extent) if THERMAL in view.images else None
@@ -63,7 +66,7 @@ class Capture:
             ),
             extent,
             scene.temperature is not None,
-            _finest_focal_px(scene),
+            max(statistics.median(own) for own in focal_px if own),
         )
 
     @property
@@ -91,16 +94,6 @@ class Capture:
         return from_json(cls, values)
 
 
-def _finest_focal_px(scene: Scene) -> float:
-    """The largest of the modalities' median focal lengths: one zoomed photo makes none finer."""
-    photos = [scene.train_photos(modality) for modality in scene.modalities]
-    return max(statistics.median(photo.camera.focal_px for photo in own) for own in photos if own)
-
-
 def model_modalities(captured: Iterable[Modality]) -> tuple[Modality, ...]:
-    """What a model renders: RGB and thermal always, others where there are photos.
-
-    Args:
-        captured: the scene's modalities.
-    """
+    """What a model renders: RGB and thermal always, others where there are photos."""
     return in_order((RGB, THERMAL, *captured))

@@ -48,7 +48,6 @@ class DepthMap:
     """Depth and image of one camera.
 
     Attributes:
-        camera: of the images.
         depth: z-depth in scene units, infinite where nothing but the sky is seen, NaN where it is
             not known, [H, W].
         image: any C channels to be carried over to the surface, [H, W, C].
@@ -75,7 +74,6 @@ class DepthMap:
         """The points that lie on the surface which the camera sees.
 
         Args:
-            points: world coordinates.
             relative_tolerance: a point this far before or behind the depth of its pixel is still
                 seen there, as a share of the point's depth.
             tolerance: the same in scene units; the larger of the two applies.
@@ -96,7 +94,6 @@ def carry_over(
     1 / z², and whether any camera does [N].
 
     Args:
-        points: world coordinates.
         tolerance: a point this far before or behind the depth of its pixel is still seen there,
             scene units.
         relative_tolerance: tolerance as a share of the point's depth; the larger of the two
@@ -114,19 +111,14 @@ def carry_over(
 
 def visible(camera: Camera, positions: Float32[np.ndarray, "n 3"]) -> PointsInImage:
     """The points inside a camera's image."""
-    found = [_visible(camera, positions, rows) for rows in row_chunks(len(positions))]
-    rows, columns, lines, z = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return PointsInImage(rows, (lines, columns), z)
-
-
-def _visible(
-    camera: Camera, positions: Float32[np.ndarray, "n 3"], piece: slice
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of some of the points those inside the image: their places, columns, rows and z-depths."""
-    pixels, depth = camera.project(torch.from_numpy(positions[piece]))
-    rows = camera.contains(pixels).nonzero()[:, 0]
-    column, row = pixels[rows].long().unbind(dim=1)
-    return (rows + piece.start).numpy(), column.numpy(), row.numpy(), depth[rows].numpy()
+    found = []
+    for chunk in row_chunks(len(positions)):
+        pixels, depth = camera.project(torch.from_numpy(positions[chunk]))
+        rows = camera.contains(pixels).nonzero()[:, 0]
+        column, line = pixels[rows].long().unbind(dim=1)
+        found.append((rows + chunk.start, column, line, depth[rows]))
+    places, x, y, z = (torch.cat(parts).numpy() for parts in zip(*found, strict=True))
+    return PointsInImage(places, (y, x), z)
 
 
 def surveying_cameras(cameras: Sequence[Camera]) -> list[Camera]:

@@ -114,14 +114,11 @@ class Gaussians:
             setattr(self, name, tensor)
             return
         by_modality = self.opacity_logits if group == "opacity_logit" else getattr(self, group)
-        by_modality[self._modality(modality)] = tensor
+        by_modality[next(each for each in self.modalities if each.name == modality)] = tensor
 
     def with_tensors(self, tensors: Mapping[str, Tensor]) -> Gaussians:
         """Gaussians of the same modalities, with other ``tensors``."""
         return Gaussians.from_tensors(tensors, self.modalities)
-
-    def _modality(self, name: str) -> Modality:
-        return next(modality for modality in self.modalities if modality.name == name)
 
     @classmethod
     def from_tensors(

@@ -75,7 +75,11 @@ def merged(gaussians: Gaussians, most: int) -> Merged:
     )
     own = (rotations * scales[:, None, :].square()) @ rotations.transpose(1, 2)
     spread = own + away[:, :, None] * away[:, None, :]
-    new_scales, quats = _axes(_weighted_sums(spread, weights, of, count))
+    covariances = _weighted_sums(spread, weights, of, count)
+    variances, axes = torch.linalg.eigh(covariances.double())
+    axes[:, :, 0] *= torch.linalg.det(axes).sign()[:, None]  # a rotation, not a reflection
+    new_scales = variances.clamp_min(SMALLEST_SCALE**2).sqrt().float()
+    quats = torch.from_numpy(quaternion_from_matrix(axes.numpy()).astype(np.float32))
 
     tensors = {
         name: _weighted_sums(tensor.detach(), weights, of, count)
@@ -94,8 +98,8 @@ def merged(gaussians: Gaussians, most: int) -> Merged:
 def _cells(means: Float[Tensor, "n 3"], most: int) -> tuple[Int64[Tensor, " n"], int]:
     """The cell of each centre in the finest cubic grid with at most so many occupied cells, or
     nearly so; numbered from 0, and their number."""
-    low, high = _central_box(means)
-    edge = (high - low).amax().item() / most ** (1 / 2)
+    ordered, out = means.sort(dim=0).values, len(means) // 40  # without the farthest twentieth
+    edge = (ordered[-1 - out] - ordered[out]).amax().item() / most ** (1 / 2)
     best: tuple[Tensor, int] | None = None
     for _ in range(_MOST_GRIDS):
         of, count = _occupied(means, edge)
@@ -110,13 +114,6 @@ def _cells(means: Float[Tensor, "n 3"], most: int) -> tuple[Int64[Tensor, " n"],
         of, count = _occupied(means, edge)
         best = (of, count) if count <= most else None
     return best
-
-
-def _central_box(means: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
-    """The box of the centres without the twentieth that lies farthest out along each axis."""
-    ordered = means.sort(dim=0).values
-    out = len(means) // 40
-    return ordered[out], ordered[-1 - out]
 
 
 def _occupied(means: Float[Tensor, "n 3"], edge: float) -> tuple[Int64[Tensor, " n"], int]:
@@ -136,14 +133,3 @@ def _weighted_sums(
 def _area(scales: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
     """Product of the two largest standard deviations."""
     return scales.prod(dim=1) / scales.amin(dim=1)
-
-
-def _axes(
-    covariances: Float[Tensor, "m 3 3"],
-) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m 4"]]:
-    """Standard deviations along the main axes, and the rotations to them."""
-    values, vectors = torch.linalg.eigh(covariances.double())
-    # A rotation, not a reflection.
-    vectors[:, :, 0] *= torch.linalg.det(vectors).sign()[:, None]
-    quats = torch.from_numpy(quaternion_from_matrix(vectors.numpy()).astype(np.float32))
-    return values.clamp_min(SMALLEST_SCALE**2).sqrt().float(), quats

@@ -55,24 +55,14 @@ def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
     front of the cameras; none is placed unseen.
     """
     generator = torch.Generator().manual_seed(seed)
-    K = torch.stack([camera.K for camera in cameras])
-    camera_to_world = torch.linalg.inv(torch.stack([camera.viewmat for camera in cameras]))
-    size = torch.tensor([[camera.width, camera.height] for camera in cameras], dtype=torch.float64)
     which = torch.randint(len(cameras), (RANDOM_POINTS,), generator=generator)
     unit = torch.rand(RANDOM_POINTS, 3, generator=generator, dtype=torch.float64)
-    pixel = unit[:, :2] * size[which]
-    focal, centre = K[which][:, [0, 1], [0, 1]], K[which][:, [0, 1], [2, 2]]
-    depth = _looking_depth(cameras) / torch.lerp(
-        torch.full((RANDOM_POINTS,), 1 / NEAREST, dtype=torch.float64),
-        torch.tensor(1 / FARTHEST).double(),
-        unit[:, 2],
-    )
-    in_camera = torch.cat(
-        [(pixel - centre) / focal, torch.ones(RANDOM_POINTS, 1, dtype=torch.float64)], dim=1
-    )
-    in_camera = in_camera * depth[:, None]
-    pose = camera_to_world[which]
-    positions = (pose[:, :3, :3] @ in_camera[..., None])[..., 0] + pose[:, :3, 3]
+    depth = _looking_depth(cameras) / (1 / NEAREST + unit[:, 2] * (1 / FARTHEST - 1 / NEAREST))
+    positions = torch.empty(RANDOM_POINTS, 3, dtype=torch.float64)
+    for number, camera in enumerate(cameras):
+        own = which == number
+        pixels = unit[own, :2] * torch.tensor([camera.width, camera.height])
+        positions[own] = camera.unproject(pixels, depth[own])
     grey = torch.full((RANDOM_POINTS, 3), GREY, dtype=torch.float32)
     return PointCloud(positions.float(), grey, random=True)
 

@@ -57,7 +57,6 @@ def best_view(cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> int:
     one that has the middle of the scene nearest to its axis.
 
     Args:
-        cameras: at least one.
         points: of the scene's surfaces, world coordinates, at least one.
     """
     points = points[:: max(1, len(points) // MOST_POINTS)].double()

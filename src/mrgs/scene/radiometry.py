@@ -17,11 +17,8 @@ from mrgs.system.typed_json import from_json
 
 ZERO_CELSIUS_K = 273.15
 
-_COLDEST_SCENE_C, _HOTTEST_SCENE_C = -60.0, 150.0
-"""Range in which 98 % of the pixels of everyday photos lie, °C."""
-
-_COLDEST_MIDDLE_C, _HOTTEST_MIDDLE_C = -30.0, 100.0
-"""Range in which their median lies, °C."""
+_SCENE_C, _MIDDLE_C = (-60.0, 150.0), (-30.0, 100.0)
+"""Ranges of 98 % of the pixels of everyday photos, and of their median, °C."""
 
 Value = TypeVar("Value", float, Tensor, np.ndarray)
 
@@ -77,8 +74,7 @@ class TemperatureRange:
 def are_everyday(low: float, middle: float, high: float) -> bool:
     """Whether the 1st, 50th and 99th percentile of photos, in °C, are those of everyday scenes: for
     telling units apart."""
-    in_scene = low >= _COLDEST_SCENE_C and high <= _HOTTEST_SCENE_C
-    return in_scene and _COLDEST_MIDDLE_C <= middle <= _HOTTEST_MIDDLE_C
+    return _SCENE_C[0] <= low <= high <= _SCENE_C[1] and _MIDDLE_C[0] <= middle <= _MIDDLE_C[1]
 
 
 COLDEST_C, HOTTEST_C = -200.0, 3500.0

@@ -53,7 +53,6 @@ class Rendering(Mapping[Modality, Blend]):
     """What a model shows from one view: a ``Blend`` for each modality that has a camera.
 
     Args:
-        blends: by modality.
         median_depths: z-depths at which half of the light is blocked, scene units, [H, W] each; NaN
             where less than half is. Or functions that find them, which are called once, when the
             depth is first read. Empty where they were not asked for, as in training.
@@ -108,7 +107,6 @@ class Rendering(Mapping[Modality, Blend]):
         was not asked for D / A, the blended depth without the share of the background.
 
         Args:
-            modality: whose image it is.
             min_alpha: a pixel that is covered less shows no surface.
             max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one
                 of more lies on an outline, where the mean depth is that of neither surface. None to
@@ -141,9 +139,15 @@ class Rendering(Mapping[Modality, Blend]):
 
     def cpu(self) -> Rendering:
         """The same images in the host's memory."""
+
+        def on_host(modality: Modality) -> Float[Tensor, "h w"]:
+            depth = self._median_depth(modality)
+            assert depth is not None
+            return depth.cpu()
+
         return Rendering(
             {each: Blend(*(tensor.cpu() for tensor in blend)) for each, blend in self.items()},
-            {each: _on_host(depth) for each, depth in self._median_depths.items()},
+            {each: partial(on_host, each) for each in self._median_depths},
         )
 
     def with_images(self, images: Mapping[Modality, Float[Tensor, "h w c"]]) -> Rendering:
@@ -193,10 +197,6 @@ def ideal_cameras(
 ) -> Rendering:
     """A camera response that changes nothing."""
     return rendering
-
-
-def _on_host(depth: Float[Tensor, "h w"] | DepthFinder) -> Float[Tensor, "h w"] | DepthFinder:
-    return (lambda: depth().cpu()) if callable(depth) else depth.cpu()
 
 
 def _depth_range(depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:

@@ -29,11 +29,7 @@ def rigid_transform(rotation: ArrayLike, translation: ArrayLike) -> Float64[Tens
 
 
 def opengl_camera_to_world(viewmat: Float64[Tensor, "4 4"]) -> Float64[np.ndarray, "4 4"]:
-    """Nerfstudio's camera pose: camera to world with OpenGL axes.
-
-    Args:
-        viewmat: world to camera with OpenCV axes.
-    """
+    """Nerfstudio's camera pose: camera to world with OpenGL axes."""
     rotation, translation = viewmat[:3, :3].numpy(), viewmat[:3, 3].numpy()
     return rigid_transform(rotation.T, -rotation.T @ translation).numpy() @ OPENGL_FROM_OPENCV
 

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import zip_longest
+from typing import TypeAlias
 
+import numpy as np
 import torch
+from jaxtyping import Float32
+from torch import Tensor
 
-from mrgs.errors import SceneError
-from mrgs.scene.arrays import Array, as_whole
+from mrgs.errors import SceneError, warn_user
+from mrgs.scene.arrays import Array, as_tensor, as_whole
 from mrgs.scene.camera import Camera
-from mrgs.scene.from_arrays import (
-    Images,
-    cameras_from,
-    cloud_from_arrays,
-    color_images,
-    range_of,
-    thermal_images,
-    views_from_arrays,
-    warn_of_kelvin,
+from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
+from mrgs.scene.point_cloud import GREY, PointCloud, random_points
+from mrgs.scene.radiometry import (
+    COLDEST_C,
+    HOTTEST_C,
+    ZERO_CELSIUS_K,
+    PhotoRecord,
+    TemperatureRange,
+    are_everyday,
 )
-from mrgs.scene.modality import THERMAL, Modality, in_order
-from mrgs.scene.point_cloud import PointCloud, random_points
-from mrgs.scene.radiometry import PhotoRecord, TemperatureRange
-from mrgs.scene.view import PosedImage, View
+from mrgs.scene.view import Pixels, PosedImage, View
 from mrgs.scene.world import SceneBounds, WorldFrame
 
 STILL_CAMERAS = 1e-3
@@ -38,7 +41,6 @@ class Scene:
         name: the folder's name.
         train: views to learn from; never empty.
         eval: views held out; may be empty.
-        points: start points.
         temperature: scale of the thermal values; None if the capture has no known °C.
         notes: repairs and decisions of the reader, one sentence each, for the user and the report.
         path: absolute path that it was read from; empty for a scene made from arrays.
@@ -101,22 +103,21 @@ class Scene:
         eval_every = as_whole(eval_every, "eval_every")
         if eval_every != 0 and eval_every < 2:
             raise ValueError(f"eval_every must be 0, or at least 2, not {eval_every}")
-        cameras = cameras_from(cameras, "cameras")
-        thermal = thermal_images(celsius)
-        warn_of_kelvin(thermal)
-        temperature = range_of(thermal)
-        views = views_from_arrays(
+        cameras = _cameras_from(cameras, "cameras")
+        thermal = _thermal_images(celsius)
+        temperature = _range_of(thermal)
+        views = _views_from_arrays(
             cameras,
-            color_images(rgb),
+            _color_images(rgb),
             thermal,
-            cameras_from(thermal_cameras, "thermal_cameras") or cameras,
+            _cameras_from(thermal_cameras, "thermal_cameras") or cameras,
             temperature,
         )
         if not views:
             raise SceneError("a scene needs at least one view: give cameras and images")
         held_out = tuple(views[::eval_every]) if eval_every and len(views) > 1 else ()
         train = tuple(view for view in views if view not in held_out)
-        cloud = cloud_from_arrays(points, colors)
+        cloud = _cloud_from_arrays(points, colors)
         if cloud is None:
             cloud = random_points([each for view in train for each in view.cameras.values()], seed)
         return cls(name, train, held_out, cloud, temperature)
@@ -174,3 +175,171 @@ class Scene:
         """What the camera noted beside the thermal photos, as far as the scene says."""
         found = (view.images[THERMAL].record for view in self.views if THERMAL in view.images)
         return [record for record in found if record is not None]
+
+
+Images: TypeAlias = Iterable[Array | None]
+"""One image for each view, None where a view has none."""
+
+_ROUNDING = 1e-3
+"""Colours this far outside [0, 1] count as rounded."""
+
+_SAMPLED = 1_000
+"""Of each image, about so many temperatures tell whether they are in kelvin."""
+
+
+def _cameras_from(cameras: Iterable[Camera] | None, name: str) -> list[Camera]:
+    listed = _listed(cameras, name, "cameras")
+    for number, each in enumerate(listed):
+        if not isinstance(each, Camera):
+            raise ValueError(
+                f"{name}[{number}] is of type {type(each).__name__}, not Camera: make it with "
+                f"Camera(K, world_to_camera, width, height)"
+            )
+    return listed
+
+
+def _color_images(rgb: Images | None) -> list[Tensor | None]:
+    """RGB images of a caller: uint8, or numbers in [0, 1] with NaN in pixels that are not known;
+    None for those without a known pixel."""
+    images = []
+    for number, each in enumerate(_listed(rgb, "rgb", "images")):
+        image = None if each is None else _colors(each, (None, None, 3), f"rgb[{number}]")
+        images.append(image if image is not None and image.isfinite().any() else None)
+    return images
+
+
+def _thermal_images(celsius: Images | None) -> list[Tensor | None]:
+    """Thermal images of a caller in °C, NaN where a pixel is not known; None for those without a
+    known pixel. Warns if they look like kelvin: only the caller can know that they show a furnace.
+    """
+    images: list[Tensor | None] = []
+    sampled = []
+    for number, each in enumerate(given := _listed(celsius, "celsius", "images")):
+        image = None if each is None else as_tensor(each, None, (None, None), f"celsius[{number}]")
+        known = None if image is None else image[image.isfinite()]
+        if known is None or not len(known):
+            images.append(None)
+            continue
+        low, high = known.min().item(), known.max().item()
+        if low < COLDEST_C or high > HOTTEST_C:
+            raise ValueError(
+                f"celsius[{number}] has values from {low:.5g} to {high:.5g}: give °C between "
+                f"{COLDEST_C:g} and {HOTTEST_C:g}, no raw counts, and NaN where a pixel is not "
+                f"known"
+            )
+        images.append(image)
+        sampled.append(known[:: 1 + len(known) // _SAMPLED].double())
+    if any(each is not None for each in given) and not sampled:
+        raise SceneError("no thermal image has a finite temperature: give °C")
+    if sampled:
+        low, middle, high = np.percentile(torch.cat(sampled).numpy(), (1, 50, 99)).tolist()
+        if are_everyday(*(value - ZERO_CELSIUS_K for value in (low, middle, high))):
+            warn_user(
+                f"celsius has values from {low:.5g} to {high:.5g}, which look like kelvin: "
+                f"subtract {ZERO_CELSIUS_K} if they are"
+            )
+    return images
+
+
+def _range_of(thermal: Sequence[Tensor | None]) -> TemperatureRange | None:
+    """The range of thermal images in °C, rounded outwards to whole degrees; None if there are
+    none."""
+    limits = [image[image.isfinite()].aminmax() for image in thermal if image is not None]
+    if not limits:
+        return None
+    return TemperatureRange.around(
+        min(low.item() for low, _ in limits), max(high.item() for _, high in limits)
+    )
+
+
+def _views_from_arrays(
+    cameras: Sequence[Camera],
+    rgb: Sequence[Tensor | None],
+    thermal: Sequence[Tensor | None],
+    thermal_cameras: Sequence[Camera],
+    temperature: TemperatureRange | None,
+) -> list[View]:
+    """Views of images in memory, named by their number; see ``Scene.from_arrays``."""
+    if len(thermal_cameras) != len(cameras):
+        raise ValueError(f"{len(cameras)} cameras, but {len(thermal_cameras)} thermal cameras")
+    for name, images in (("rgb", rgb), ("celsius", thermal)):
+        if len(images) not in (0, len(cameras)):
+            raise ValueError(f"{len(cameras)} cameras, but {len(images)} images in {name}")
+    views = []
+    for number, (camera, colors, thermal_camera, celsius) in enumerate(
+        zip_longest(cameras, rgb, thermal_cameras, thermal)
+    ):
+        found: dict[Modality, PosedImage] = {}
+        if colors is not None:
+            _check_size(colors, camera, f"rgb[{number}]")
+            found[RGB] = PosedImage(camera, partial(_load, colors, None))
+        if celsius is not None and temperature is not None:
+            _check_size(celsius, thermal_camera, f"celsius[{number}]")
+            found[THERMAL] = PosedImage(thermal_camera, partial(_load, celsius, temperature))
+        if not found:
+            raise SceneError(f"view {number} has no image with a known pixel: leave its camera out")
+        views.append(View(f"{number:05d}", found))
+    return views
+
+
+def _cloud_from_arrays(points: Array | None, colors: Array | None) -> PointCloud | None:
+    """Start points without those that are not finite; None if there are none."""
+    if points is None:
+        return None
+    positions = as_tensor(points, torch.float32, (None, 3), "points")
+    given = None if colors is None else _colors(colors, (None, 3), "colors")
+    if given is None or not len(given):
+        rgb = torch.full_like(positions, GREY)
+    elif len(given) == len(positions):
+        rgb = _as_shares(given).nan_to_num(GREY, GREY, GREY)
+    else:
+        raise ValueError(f"{len(positions)} points, but {len(given)} colors")
+    finite = positions.square().isfinite().all(dim=1)  # distances are taken in float32
+    return PointCloud(positions[finite], rgb[finite]) if finite.any() else None
+
+
+def _listed(items: Iterable | None, name: str, what: str) -> list:
+    """Items of a list, an array, a tensor or a generator; none for None."""
+    try:
+        return [] if items is None else list(items)
+    except TypeError:
+        raise ValueError(f"{name} must be a list of {what}, one for each view") from None
+
+
+def _colors(array: Array, shape: tuple[int | None, ...], name: str) -> Tensor:
+    """RGB as uint8, or as numbers in [0, 1] with NaN where it is not known."""
+    if isinstance(array, np.ma.MaskedArray) and array.dtype == np.uint8:
+        array = array.astype(np.float32) * np.float32(1 / 255)  # bytes have no NaN for the mask
+    colors = as_tensor(array, None, shape, name)
+    known = colors[:0] if colors.dtype == torch.uint8 else colors[colors.isfinite()]
+    if known.numel():
+        low, high = known.min().item(), known.max().item()
+        if low < -_ROUNDING or high > 1 + _ROUNDING:
+            raise ValueError(
+                f"{name} has values from {low:.5g} to {high:.5g}: give uint8, or numbers in [0, 1]"
+            )
+    return colors
+
+
+def _as_shares(colors: Tensor) -> Float32[Tensor, "*n 3"]:
+    """Bytes, or numbers in [0, 1], -> numbers in [0, 1]."""
+    scale = 1 / 255 if colors.dtype == torch.uint8 else 1.0
+    return (colors.float() * scale).contiguous()
+
+
+def _check_size(image: Tensor, camera: Camera, name: str) -> None:
+    size = (camera.height, camera.width)
+    if image.shape[:2] != size:
+        expected = [*size, *image.shape[2:]]
+        raise ValueError(f"{name} must have shape {expected}, not {list(image.shape)}")
+
+
+def _load(image: Tensor, temperature: TemperatureRange | None) -> Pixels:
+    """Colours, or °C where there is a scale; pixels that are not finite in all channels are not
+    valid."""
+    if temperature is None:
+        values = _as_shares(image)
+    else:
+        values = temperature.from_celsius(image.float())[..., None]
+    known = values.isfinite().all(dim=2)
+    return Pixels(values) if known.all() else Pixels(values.nan_to_num(0, 0, 0), known)

@@ -31,11 +31,8 @@ class Survey:
     """What the inspector states; None for what is not stated.
 
     Attributes:
-        title: of the report.
         object: what was inspected.
-        address: of the object.
         client: who ordered the inspection.
-        inspector: who did it.
         company: the inspector's.
         qualification: the inspector's, such as "ISO 9712 level 2".
         purpose: the question to answer.
@@ -44,9 +41,7 @@ class Survey:
         parts_observed: of the object.
         orientation: that the inspected side faces.
         side: whether the building was photographed from inside or outside.
-        date: of the photos.
         time: of the photos, such as "06:30 to 07:10".
-        weather: in words.
         precipitation: in the 12 hours before, and during the photos.
         sun: in the 12 hours before, and during the photos.
         inside_c: temperature of the air inside, °C.
@@ -55,10 +50,8 @@ class Survey:
         outside_high_c: highest temperature outside in the 24 hours before, °C.
         humidity_percent: relative humidity of the air inside.
         pressure_pa: pressure inside minus outside, Pa.
-        wind_m_s: speed of the wind, m/s.
         hours_without_sun: since direct sun last fell on the surfaces.
         irradiance_w_m2: of the sun in the plane of the modules, W/m².
-        cloud_eighths: cover of clouds, in eighths.
         camera: thermal camera, where the photos do not name it.
         camera_serial: its serial number, where the photos do not have it.
         camera_accuracy_c: limit of error in the camera's data sheet, K.
@@ -68,9 +61,7 @@ class Survey:
         reflected_uncertainty_c: standard uncertainty of the reflected temperatures, K.
         distance_uncertainty_percent: standard uncertainty of the distances, per cent.
         hot_places: largest number of hottest places that are proposed as anomalies.
-        cold_places: the same of the coldest.
         statement: the inspector's conclusion.
-        remarks: anything else.
 
     Raises:
         ConfigError: a value that cannot be.
@@ -142,14 +133,20 @@ class Survey:
             ConfigError: no assignment, no such field, or a value that cannot be.
         """
         hints = get_type_hints(Survey)
-        stated = {}
+        stated: dict[str, Any] = {}
         for text in assignments:
             name, equals, value = text.partition("=")
             if not equals or name not in hints:
                 raise ConfigError(
                     f"{source} {shown(text)}: write NAME=VALUE, with a NAME of {', '.join(hints)}"
                 )
-            stated[name] = _value_of(value, hints[name], f"{source}: {name}")
+            if value.strip():
+                kind = next(each for each in get_args(hints[name]) if each is not type(None))
+                is_text = kind is str or get_origin(kind) is Literal  # as it is; others as in YAML
+                parsed = value if is_text else parse_yaml(value, f"{source}: {name}")
+                stated[name] = convert(hints[name], parsed, f"{source}: {name}")
+            else:
+                stated[name] = None
         try:
             return replace(self, **stated)
         except ConfigError as error:
@@ -205,23 +202,10 @@ def write_survey(path: Path, survey: Survey) -> Path:
     """
     lines = []
     stated = asdict(survey)
-    for line in _template().splitlines():
+    template = files("mrgs").joinpath("survey/template.yaml").read_text(encoding="utf-8")
+    for line in template.splitlines():
         name = line.removesuffix(":")
         if name in stated and stated[name] is not None:
             line = yaml.safe_dump({name: stated[name]}, allow_unicode=True).rstrip()
         lines.append(line)
     return write_text(path, "\n".join(lines) + "\n")
-
-
-def _template() -> str:
-    """The file with all fields empty."""
-    return files("mrgs").joinpath("survey/template.yaml").read_text(encoding="utf-8")
-
-
-def _value_of(text: str, hint: Any, source: str) -> Any:
-    """The value of an assignment to a field of this type: as it is for a text or one of several."""
-    if not text.strip():
-        return None
-    kind = next(option for option in get_args(hint) if option is not type(None))
-    is_text = kind is str or get_origin(kind) is Literal
-    return convert(hint, text if is_text else parse_yaml(text, source), source)

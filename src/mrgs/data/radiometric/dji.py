@@ -19,20 +19,18 @@ from mrgs.data.radiometric.units import FLOAT_UNITS
 from mrgs.errors import ToolError
 
 SIZES = ((640, 512), (1280, 1024), (336, 256), (160, 120), (320, 256), (640, 480))
-"""Width and height of the thermal images of DJI's cameras; the bare numbers do not say their
-own."""
-
+"""Width and height of the thermal images of DJI's cameras, which bare numbers do not have."""
 
 TOOL = "dji_irp"
 """The program of DJI's Thermal SDK, or one with the same options, somewhere on PATH."""
 
 TIME_LIMIT_S = 60.0
-"""Of one photo; DJI's tool takes less than a second."""
+"""For one photo; DJI's tool takes less than a second."""
 
 MAX_BYTES = max(width * height for width, height in SIZES) * 4
 
 MESSAGE_LENGTH = 120
-"""Of what the tool said, at most so many characters are shown."""
+"""Number of characters of the tool's message that are shown."""
 
 _OPTIONS = {
     "emissivity": ("--emissivity", 1.0),
@@ -73,15 +71,10 @@ def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPho
         run_tool(tool, path, output, given)
         size = output.stat().st_size if output.is_file() else 0
         data = output.read_bytes() if 0 < size <= MAX_BYTES else b""
-    facts = PhotoFacts(
-        f"DJI R-JPEG, read by {TOOL}",
-        camera=exif.model,
-        taken=exif.taken,
-        gps=exif.gps,
-        given=given,
-    )
-    given_unit = Overrides(unit="celsius")
-    return _bare_numbers(data, path, facts, given_unit, f"{TOOL} wrote {size} bytes")
+    source = f"DJI R-JPEG, read by {TOOL}"
+    facts = PhotoFacts(source, exif.model, taken=exif.taken, gps=exif.gps, given=given)
+    unit = Overrides(unit="celsius")
+    return _bare_numbers(data, path, facts, unit, f"{TOOL} wrote {size} bytes")
 
 
 def run_tool(
@@ -103,13 +96,11 @@ def run_tool(
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise _tool_error(
-            path, f"{tool} did not end within {limit_s:g} s; try it by hand"
-        ) from None
+        problem = f"{tool} did not end within {limit_s:g} s; try it by hand"
+        raise _tool_error(path, problem) from None
     except OSError as error:
-        raise _tool_error(
-            path, f"{tool} cannot be run ({error.strerror}); install it again"
-        ) from error
+        problem = f"{tool} cannot be run ({error.strerror}); install it again"
+        raise _tool_error(path, problem) from error
     if done.returncode != 0:
         lines = done.stdout.decode("utf-8", errors="replace").split("\n")
         said = " ".join(" ".join(line for line in lines if "ERROR" in line).split()) or "no message"

@@ -54,8 +54,6 @@ class CameraFacts(NamedTuple):
     """What a record says of its camera; None where it does not.
 
     Attributes:
-        model: the maker's name of the model.
-        serial: the serial number.
         field_of_view_deg: horizontal, of the lens that was on the camera.
         taken: time by the camera's own clock, without a time zone.
     """
@@ -78,7 +76,6 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
 
     Args:
         exif: of the JPEG file around it; empty for a bare FFF file.
-        overrides: replace the parameters in the file.
 
     Raises:
         SceneError: the record is cut off or damaged, or its constants are missing or absurd.
@@ -101,10 +98,8 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         raise scene_error(path, f"its {name} of {sentence}; give the true one", options=(name,))
     measurement = Measurement(planck, parameters, _transmission(info, parameters, path))
     celsius, valid = object_temperature(raw, measurement)
-    if (
-        not valid.any()
-        or not _MEDIAN_LIMITS_C[0] <= float(np.median(celsius[valid])) <= _MEDIAN_LIMITS_C[1]
-    ):
+    low, high = _MEDIAN_LIMITS_C
+    if not valid.any() or not low <= float(np.median(celsius[valid])) <= high:
         raise scene_error(
             path,
             "its Planck constants are absurd: they give no plausible temperature; copy it again",
@@ -166,11 +161,8 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
         )
     if len(content) < 2 * width * height:
         raise cut_off(path, "raw image", len(content), 2 * width * height)
-    return (
-        np.frombuffer(content, f"{order}u2", width * height)
-        .reshape(height, width)
-        .astype(np.uint16)
-    )
+    counts = np.frombuffer(content, f"{order}u2", width * height)
+    return counts.reshape(height, width).astype(np.uint16)
 
 
 def _planck(info: RecordFields, path: Path) -> Planck:

@@ -54,7 +54,6 @@ class Measurement:
     + (1 − τ_w) S_win.
 
     Attributes:
-        planck: the camera's calibration.
         parameters: checked by ``ObjectParameters.problem``.
         transmission: τ of the air, over 0 to ``MAX_TRANSMISSION``.
     """
@@ -68,12 +67,10 @@ class Measurement:
         p, tau, at = self.parameters, self.transmission, self.planck.signal
         at_lens = signal
         if p.window_transmission < 1:
-            at_lens = (
-                signal - (1 - p.window_transmission) * at(p.window_c)
-            ) / p.window_transmission
-        surroundings = (1 - p.emissivity) * tau * at(p.reflected_c) + (1 - tau) * at(
-            p.atmospheric_c
-        )
+            of_window = (1 - p.window_transmission) * at(p.window_c)
+            at_lens = (signal - of_window) / p.window_transmission
+        reflected = (1 - p.emissivity) * tau * at(p.reflected_c)
+        surroundings = reflected + (1 - tau) * at(p.atmospheric_c)
         return (at_lens - surroundings) / (p.emissivity * tau)
 
     def celsius(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:

@@ -66,7 +66,11 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
         raise scene_error(
             path, "holds no table of numbers; export the temperatures of all pixels as CSV"
         )
-    values = _without_indices(np.stack(rows))
+    values = np.stack(rows)  # without indices, as spreadsheets and pandas write them
+    if len(values) > 2 and _counts(values[:, 0]):
+        values = values[:, 1:]
+    if values.shape[1] > 2 and _counts(values[0]):
+        values = values[1:]
     candidates = _units_named(beside) or FLOAT_UNITS
     return finished(values, candidates, path, PhotoFacts("table of temperatures"), overrides)
 
@@ -102,8 +106,12 @@ def _largest_block(
     firsts = [each[0] for each, count in zip(cells, counts, strict=True) if count == width]
     labels = sum(_NUMBER.fullmatch(first) is None for first in firsts)
     rows = [_row(each, width, 2 * labels > len(firsts)) for each in cells]
-    first, last = _longest_run([row is not None for row in rows])
-    block = [row for row in rows[first:last] if row is not None]
+    runs_of_rows = [
+        [*run] for known, run in groupby(enumerate(rows), lambda each: each[1] is not None) if known
+    ]
+    longest = max(runs_of_rows, key=len)
+    first, last = longest[0][0], longest[-1][0] + 1
+    block = [row for _, row in longest if row is not None]
     return block, [*lines[:first], *lines[last:]]
 
 
@@ -119,16 +127,6 @@ def _row(cells: list[str], width: int, is_labelled: bool) -> Float64[np.ndarray,
     return np.array(values, dtype=np.float64)
 
 
-def _longest_run(found: list[bool]) -> tuple[int, int]:
-    """Begin and end of the longest run of True."""
-    runs, end = [], 0
-    for value, run in groupby(found):
-        begin, end = end, end + len(list(run))
-        if value:
-            runs.append((begin, end))
-    return max(runs, key=lambda run: run[1] - run[0])
-
-
 def _units_named(lines: list[str]) -> tuple[str, ...]:
     """The units that texts name: those that they say are of the numbers, else all that they
     mention."""
@@ -142,16 +140,6 @@ def _units_named(lines: list[str]) -> tuple[str, ...]:
         if named:
             return tuple(sorted({_QUANTITIES.get(name, name) for name in named}))
     return ()
-
-
-def _without_indices(values: Float64[np.ndarray, "h w"]) -> Float64[np.ndarray, "y x"]:
-    """Without a first column and a first row that only count, as spreadsheets and pandas write
-    them."""
-    if len(values) > 2 and _counts(values[:, 0]):
-        values = values[:, 1:]
-    if values.shape[1] > 2 and _counts(values[0]):
-        values = values[1:]
-    return values
 
 
 def _counts(numbers: Float64[np.ndarray, " n"]) -> bool:

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from mrgs.data.images import DRAFT_MARGIN, decode, probe, with_channels
-from mrgs.data.posed import decode_rgb
+from mrgs.data.sources import decode_rgb
 from mrgs.data.undistort import reduced, sampled
 from mrgs.errors import SceneError
 from mrgs.pictures.drawing import Scale, scale_bar

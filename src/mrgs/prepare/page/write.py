@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.check.agreement import agreements, jump
+from mrgs.check.photos import agreements, jump
 from mrgs.data import load_scene
 from mrgs.data.lens import Lens
 from mrgs.data.transforms import TRANSFORMS
