@@ -22,8 +22,7 @@ from safetensors.torch import save_file
 
 from mrgs.app import commands, progress, terminal
 from mrgs.app.cli import how_to_read, main
-from mrgs.comparison.results import Cell
-from mrgs.comparison.table import Group, Row, Table
+from mrgs.comparison.table import Cell, Group, Row, Table
 from mrgs.training import StepStatistics
 from tests.helpers.scenes import write_scene
 

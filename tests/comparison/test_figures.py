@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.comparison.figures import (
+from mrgs.comparison.comparison import (
     NARROW_PX,
     WIDE_PX,
     Exhibit,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.comparison.results import Cell
 from mrgs.comparison.table import (
+    Cell,
     Group,
     Row,
     Table,

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mrgs.comparison.results import Outcome, failed
-from mrgs.comparison.table import Table
+from mrgs.comparison.table import Outcome, Table, failed
 from mrgs.comparison.tables import (
     ABLATION,
     NAMES,
@@ -19,7 +18,7 @@ from mrgs.comparison.tables import (
     published_rows,
     scene_title,
 )
-from mrgs.evaluation.figures import Missing
+from mrgs.evaluation.metrics import Missing
 from tests.helpers.comparison import metrics_document, outcome_of
 
 PAPER_SCENES = tuple(published()["scenes"])

@@ -15,7 +15,7 @@ from mrgs.evaluation.contact_sheet import (
     contact_sheet,
 )
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics, evaluate
-from mrgs.evaluation.figures import Missing
+from mrgs.evaluation.metrics import Missing
 from mrgs.evaluation.report import RunFacts
 from mrgs.pictures.sheet import HEADING_PX, MARGIN_PX
 from mrgs.scene import RGB, THERMAL, Rendering, SceneBounds, TemperatureRange, View, evenly_spaced

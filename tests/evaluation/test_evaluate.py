@@ -9,9 +9,8 @@ import torch
 
 from mrgs.errors import SceneError
 from mrgs.evaluation.evaluate import NO_CELSIUS, NO_LPIPS, Truth, evaluate
-from mrgs.evaluation.figures import Missing, figure_names
 from mrgs.evaluation.lpips import Lpips
-from mrgs.evaluation.metrics import Foreground, otsu_threshold
+from mrgs.evaluation.metrics import Foreground, Missing, figure_names, otsu_threshold
 from mrgs.pictures.files import write_float_tiff
 from mrgs.scene import RGB, THERMAL, Camera, Pixels, PosedImage, Rendering, View
 from tests.helpers.gaussians import NEAR_INFRARED

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mrgs.evaluation.figures import Missing, mean_figure, to_json
+from mrgs.evaluation.metrics import Missing, mean_figure, to_json
 
 
 def test_the_mean_leaves_out_what_is_missing() -> None:

@@ -14,8 +14,8 @@ from torchmetrics.functional.image import (
     structural_similarity_index_measure,
 )
 
-from mrgs.evaluation.figures import Missing
 from mrgs.evaluation.metrics import (
+    Missing,
     fill_invalid,
     mean_absolute_error,
     otsu_threshold,

@@ -10,7 +10,7 @@ import torch
 
 from mrgs.errors import RunError
 from mrgs.evaluation.evaluate import NO_LPIPS, TRUTH_FIGURES, Metrics, Truth, evaluate
-from mrgs.evaluation.figures import figure_names
+from mrgs.evaluation.metrics import figure_names
 from mrgs.evaluation.report import RunFacts, format_figure, to_document, to_markdown, write_report
 from mrgs.pictures.files import write_float_tiff
 from mrgs.scene import RGB, THERMAL, Rendering, View

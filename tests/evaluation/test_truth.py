@@ -10,7 +10,7 @@ from PIL import Image
 
 from mrgs.errors import SceneError
 from mrgs.evaluation.evaluate import Truth, read_float_tiff
-from mrgs.evaluation.figures import Figures, Missing
+from mrgs.evaluation.metrics import Figures, Missing
 from mrgs.pictures.files import write_float_tiff
 from mrgs.scene import Pixels, TemperatureRange
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mrgs.comparison.plan import Options
-from mrgs.comparison.results import Outcome, outcome
+from mrgs.comparison.table import Outcome, outcome
 
 TINY: dict[str, Any] = {"preset": "fast", "max_steps": 3, "max_gaussians": 60}
 

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.app.arguments import flag_of
-from mrgs.app.cli import main
+from mrgs.app.cli import flag_of, main
 from mrgs.app.commands import PhotoOptions
 from mrgs.app.progress import PrepareProgress
 from mrgs.check import Problem

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mrgs.app.arguments import EXIT_USER_ERROR, flags_of, parse, read_text
 from mrgs.app.commands import (
     Check,
     CompareMethods,
@@ -30,6 +29,7 @@ from mrgs.app.commands import (
 from mrgs.app.interrupts import BY_CTRL_C, interrupts
 from mrgs.app.progress import PrepareProgress, counter
 from mrgs.app.terminal import (
+    flags_of,
     note_unfinished,
     plain_warnings,
     print_baking_loss,
@@ -38,6 +38,7 @@ from mrgs.app.terminal import (
     print_figures,
     print_metrics,
     print_viewer_address,
+    read_text,
     scene_if_there,
 )
 from mrgs.app.training import train
@@ -48,6 +49,18 @@ if TYPE_CHECKING:
     from mrgs.comparison.table import Table
 
 
+import difflib
+import inspect
+from functools import reduce
+from importlib.metadata import version
+from operator import or_
+from typing import Annotated
+
+import tyro
+
+from mrgs.app.commands import COMMANDS
+from mrgs.app.terminal import styled
+
 EXIT_BAD_SCENE = 1
 
 MAX_SYNTH_SEED = 1_000_000
@@ -55,6 +68,64 @@ MAX_SYNTH_SEED = 1_000_000
 
 NO_MEMORY = ("can't allocate memory", "not enough memory")
 """Texts of torch's RuntimeError when the system has no memory left."""
+
+
+EXIT_USER_ERROR = 2
+
+_CONFIG = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff)
+_COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
+
+
+def parse(argv: Sequence[str]) -> Any:
+    """The command, one of the types in ``COMMANDS``, with its options.
+
+    Raises:
+        SystemExit: with 0 after a help text, a version or a completion script was printed; with 2
+            after an error.
+    """
+    first = argv[0] if argv else "--help"
+    if first in COMMANDS:
+        return tyro.cli(COMMANDS[first], prog=f"mrgs {first}", args=argv[1:], config=_CONFIG)
+    if first.startswith(_COMPLETION):
+        kinds = [
+            Annotated[kind, tyro.conf.subcommand(name, description=_summary(kind))]
+            for name, kind in COMMANDS.items()
+        ]
+        any_of_them: Any = reduce(or_, kinds)
+        return tyro.cli(any_of_them, prog="mrgs", args=argv, config=_CONFIG)
+    if first in ("-h", "--help", "help"):
+        print(_overview())
+        raise SystemExit(0)
+    if first == "--version":
+        print(f"mrgs {version('mrgs')}")
+        raise SystemExit(0)
+    near = difflib.get_close_matches(first, COMMANDS, n=1, cutoff=0.6)
+    hint = f"did you mean {near[0]}?" if near else "`mrgs` lists the commands"
+    is_option = first.startswith("-")
+    print_error(
+        f"{first} must follow a command; `mrgs` lists them"
+        if is_option
+        else f"unknown command {first!r}; {hint}"
+    )
+    raise SystemExit(EXIT_USER_ERROR)
+
+
+def _overview() -> str:
+    """All commands, one line each."""
+    names = "\n".join(
+        f"  {styled(f'{name:9}', 'bold', sys.stdout)}{_summary(command)}"
+        for name, command in COMMANDS.items()
+    )
+    return (
+        f"One 3D model in colour and in °C from RGB and thermal photos.\n\n"
+        f"usage: mrgs COMMAND [OPTIONS]\n\n{names}\n\n"
+        f"mrgs COMMAND --help lists the options of a command, mrgs --version prints the version."
+    )
+
+
+def _summary(command: type) -> str:
+    """The first paragraph of a command's help."""
+    return (inspect.getdoc(command) or "").partition("\n\n")[0].replace("\n", " ")
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -9,11 +9,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from mrgs.app.arguments import flags_of
 from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
 from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
-from mrgs.app.terminal import print_note, print_warning, styled
+from mrgs.app.terminal import flags_of, print_note, print_warning, styled
 from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.prepare import PrepareOptions, StageReport

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -9,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from mrgs.errors import MrgsWarning, SceneError
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning, SceneError
 
 if TYPE_CHECKING:
     import torch
@@ -49,6 +50,32 @@ def print_warning(text: str) -> None:
 def print_error(text: str) -> None:
     """Print an error, on one line."""
     print_note(text, "error", "bold red")
+
+
+def flag_of(parameter: str) -> str:
+    """The flag of a parameter of the Python API, whose name may end with a unit:
+    ``thermal_fov_deg`` is --thermal-fov."""
+    return "--" + re.sub("_(c|m|s|deg)$", "", parameter).replace("_", "-")
+
+
+def flags_of(error: MrgsError) -> str:
+    """The flags of the parameters that an error is about, in brackets; empty if there are none."""
+    flags = [flag_of(option) for option in error.options]
+    return f" ({', '.join(flags)})" if flags else ""
+
+
+def read_text(path: Path) -> str:
+    """The text of a file that an option names.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"{path}: cannot be read as text ({getattr(error, 'strerror', 'not UTF-8')})"
+        ) from error
 
 
 @contextmanager

@@ -11,11 +11,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mrgs.app.arguments import read_text
 from mrgs.app.commands import Train
 from mrgs.app.interrupts import Interrupted
 from mrgs.app.progress import TrainingProgress
-from mrgs.app.terminal import note_gpu, print_viewer_address
+from mrgs.app.terminal import note_gpu, print_viewer_address, read_text
 from mrgs.errors import ConfigError, DeviceError
 
 if TYPE_CHECKING:

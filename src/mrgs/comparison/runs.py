@@ -12,7 +12,7 @@ from typing import Any, TypeAlias, cast
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation import evaluate_run
-from mrgs.evaluation.figures import REPORTED, figure_names
+from mrgs.evaluation.metrics import REPORTED, figure_names
 from mrgs.evaluation.report import ScoredData
 from mrgs.run_files.checkpoint import load_facts
 from mrgs.run_files.facts import CheckpointFacts, differences

@@ -9,9 +9,8 @@ from functools import cache, partial
 from importlib.resources import files
 from typing import Any
 
-from mrgs.comparison.results import Cell, Outcome, kind_of, over_scenes, over_seeds
-from mrgs.comparison.table import Group, Row, Table
-from mrgs.evaluation.figures import REPORTED, Figure, Missing
+from mrgs.comparison.table import Cell, Group, Outcome, Row, Table, kind_of, over_scenes, over_seeds
+from mrgs.evaluation.metrics import REPORTED, Figure, Missing
 from mrgs.pictures.values import capitalised
 from mrgs.scene import THERMAL
 

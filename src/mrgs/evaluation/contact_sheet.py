@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 
 from mrgs.evaluation.evaluate import Metrics, ViewMetrics
-from mrgs.evaluation.figures import Figures, Missing
+from mrgs.evaluation.metrics import Figures, Missing
 from mrgs.evaluation.report import RunFacts, format_figure
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import shown_depth, shown_values, to_rgb8

@@ -17,21 +17,19 @@ from PIL import Image
 from torch import Tensor
 
 from mrgs.errors import SceneError
-from mrgs.evaluation.figures import (
+from mrgs.evaluation.lpips import MIN_SIDE_PX, Lpips
+from mrgs.evaluation.metrics import (
     CELSIUS_FIGURES,
     REPORTED,
     Figure,
     Figures,
+    Foreground,
     Missing,
     all_missing,
     figure_names,
-    mean_figures,
-)
-from mrgs.evaluation.lpips import MIN_SIDE_PX, Lpips
-from mrgs.evaluation.metrics import (
-    Foreground,
     fill_invalid,
     mean_absolute_error,
+    mean_figures,
     psnr,
     psnr_matched,
     ssim,

@@ -11,8 +11,7 @@ import torch
 
 from mrgs.errors import SceneError
 from mrgs.evaluation.evaluate import Truth
-from mrgs.evaluation.figures import Figure, Figures, Missing, mean_figures, to_json
-from mrgs.evaluation.metrics import psnr
+from mrgs.evaluation.metrics import Figure, Figures, Missing, mean_figures, psnr, to_json
 from mrgs.method.parts import PartSpreads, knock_outs, part_spreads
 from mrgs.render import Model, render
 from mrgs.runs.open import Run

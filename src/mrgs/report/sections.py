@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from PIL import Image
 
 from mrgs.errors import RunError
-from mrgs.evaluation.figures import REPORTED
+from mrgs.evaluation.metrics import REPORTED
 from mrgs.evaluation.report import COLUMNS, PART_NAMES, SPREADS
 from mrgs.marks.tables import digits
 from mrgs.pictures.html import InlineImage, inline_image
