@@ -70,13 +70,8 @@ def move(
     m ← β₁ m + (1 − β₁) g,  v ← β₂ v + (1 − β₂) g²,
     θ ← θ − rate · m / (1 − β₁ᵗ) / (√(v / (1 − β₂ᵗ)) + ε)
 
-    Args:
-        parameters, gradients, means, squares: θ, g, m and v, of the same sizes; all but the
-            gradients are changed.
-        counts: t of each parameter, the number of steps with this one.
-        rate: learning rate.
-        epsilon: ε.
-        skip: nothing is moved where it is not 0.
+    θ, g, m and v of each are of one size; t are the numbers of steps with this one. Nothing is
+    moved where ``skip`` is not 0.
     """
     for theta, g, m, v, t in zip(parameters, gradients, means, squares, counts, strict=True):
         new_m = BETA1 * m + (1 - BETA1) * g

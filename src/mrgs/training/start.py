@@ -218,9 +218,8 @@ def scene_to_train(scene: Scene | str | Path, config: RunConfig) -> Scene:
         MrgsWarning: the scene has a problem that ``mrgs.check`` finds.
 
     Raises:
-        SceneError: the scene cannot be used.
-        ConfigError: torch's default type is not float32.
-        MrgsError: this process was forked from one that has computed.
+        MrgsError: the scene cannot be used, torch's default type is not float32, or this process
+            was forked from one that has computed.
     """
     require_own_threads()
     require_scene(scene)

@@ -85,9 +85,8 @@ def encode(
     (Müller et al. 2022, Section 3). The gradient reaches the table, not the points.
 
     Args:
-        points: in [0, 1]³; what lies outside counts as on the border.
-        table: features of all levels, one after the other; of the same type as the points, float32
-            or float64.
+        points: in [0, 1]³; others count as on the border.
+        table: features of all levels, one after the other; of the points' type.
         resolutions: cells along an axis, of each level.
         offsets: first entry of each level, and the number of all entries. A level with an entry for
             each of its (resolution + 1)³ corners is indexed directly, a smaller one by a hash; its

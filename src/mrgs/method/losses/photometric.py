@@ -107,13 +107,8 @@ def photometric_loss(
     in the paper: with a width δ, L1 is a Huber loss, d² / 2δ where a difference d is smaller and
     |d| − δ/2 where it is larger.
 
-    Args:
-        render: the rendered image.
-        target: the photo, in the same units.
-        valid: pixels that count, all if None. The others are 0 in both images, and the mean leaves
-            them out.
-        dssim: λ.
-        huber_width: δ, in the images' units; 0 for L1.
+    Render and photo have the same units, as δ; 0 is L1. Pixels that are not valid are 0 in both
+    images, and the mean leaves them out.
     """
     if valid is not None:
         render, target = (torch.where(valid[:, :, None], image, 0) for image in (render, target))

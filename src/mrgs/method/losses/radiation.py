@@ -83,8 +83,8 @@ def thermal_radiation(
 
     Args:
         target: normalised temperatures of the photo.
-        depth: rendered thermal depth D_t in scene units.
-        extent: the scene's extent in scene units.
+        depth: rendered thermal depth D_t in scene units, as the scene's extent.
+        extent: of the scene.
         temperature: turns the target into kelvin; without it the normalised values stand for t_GT.
     """
     kelvin = target if temperature is None else temperature.to_kelvin(target)
@@ -152,13 +152,9 @@ def boltzmann_loss(
 ) -> Float[Tensor, ""]:
     """L_boltz, the mean over the pixels of (1 − S-SSIM(I_t, E_r)) / exp(u) + u.
 
-    Eq. 16 (L_boltz), Sec. Uncertainty-aware S-SSIM.
-
-    Args:
-        thermal: the rendered thermal image I_t, normalised temperatures.
-        radiation: E_r from ``normalise_radiation``.
-        uncertainty: u(D_t) from ``DepthUncertainty``.
-        valid: pixels that count, all if None; the others are 0 in both maps.
+    Eq. 16 (L_boltz), Sec. Uncertainty-aware S-SSIM, with I_t the rendered normalised temperatures,
+    E_r from ``normalise_radiation`` and u(D_t) from ``DepthUncertainty``. Pixels that are not valid
+    are 0 in both maps, and the mean leaves them out.
     """
     if valid is not None:
         thermal, radiation = torch.where(valid, thermal, 0), torch.where(valid, radiation, 0)

@@ -35,9 +35,9 @@ def smoothness_loss(
 
     Args:
         image: rendered colours or normalised temperatures.
-        depth: rendered depth in scene units.
+        depth: rendered depth in scene units, as the scene's extent.
         valid: pixels that count, all if None.
-        extent: the scene's extent in scene units.
+        extent: of the scene.
         image_weight: of the image's part; the configuration has that of the depth's part.
         config: of the losses.
         similarity: of neighbouring pixels, which weighs the differences of the image.
