@@ -22,7 +22,6 @@ from mrgs.comparison.runs import (
 )
 from mrgs.data import load_scene
 from mrgs.errors import ConfigError
-from mrgs.run_files.checkpoint import read, write_file
 from mrgs.run_files.folder import RunFolder
 from mrgs.scene import RGB
 from mrgs.training import make_config, train
@@ -90,18 +89,6 @@ def data_of(scene: Path) -> SceneData:
     return SceneData(load_scene(scene))
 
 
-def of_an_older_version(folder: Path) -> None:
-    """Take out what older versions did not write."""
-    for path in RunFolder(folder).checkpoints():
-        tensors, _, header = read(path)
-        del header["images"]
-        write_file(path, tensors, header)
-    path = folder / "eval" / "metrics.json"
-    document = json.loads(path.read_text())
-    del document["data"]
-    path.write_text(json.dumps(document))
-
-
 def test_a_copy_of_the_scene_is_the_same(scene, folder):
     data = data_of(scene)
     require_same_data(folder, data, run_scores(folder))
@@ -166,18 +153,6 @@ def test_images_of_another_modality_are_named(scene, folder, near_infrared):
     changed = replace(loaded, train=(more, *others))
     with pytest.raises(ConfigError, match=rf"images .*\({near_infrared.name}\)"):
         require_same_data(folder, SceneData(changed), run_scores(folder))
-
-
-def test_runs_of_an_older_version_count_as_far_as_they_say(scene, folder):
-    of_an_older_version(folder)
-    held_out_photo(scene)
-    train_photo(scene)
-    data = data_of(scene)
-    require_same_data(folder, data, run_scores(folder))
-    assert not data.changed_since(run_scores(folder))
-    temperature_range(scene)
-    with pytest.raises(ConfigError, match="temperature range"):
-        require_same_data(folder, data_of(scene), run_scores(folder))
 
 
 def test_a_checkpoint_that_is_damaged_is_no_reason_to_refuse(scene, folder):

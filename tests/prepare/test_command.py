@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.app.cli import flag_of, main
+from mrgs.app.cli import main
 from mrgs.app.commands import PhotoOptions
 from mrgs.app.progress import PrepareProgress
+from mrgs.app.terminal import flag_of
 from mrgs.check import Problem
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import SceneError

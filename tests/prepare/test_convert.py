@@ -277,10 +277,10 @@ def counts(value: float) -> np.ndarray:
 def test_one_set_has_one_unit(made, photos, scene):
     """The second photo alone could be °C × 100 or K × 10."""
     root = photos({})
-    for name, values in (("a", counts(1500)), ("b", counts(2900))):
+    for name, values in (("a", counts(2000)), ("b", counts(2900))):
         Image.fromarray(values).save(root / f"{name}_t.png")
     found = made({"a_rgb.jpg": "jpg", "b_rgb.jpg": "jpg"})
-    assert [view.range_c for view in found.views] == [(15.0, 18.0), (29.0, 32.0)]
+    assert [view.range_c for view in found.views] == [(20.0, 23.0), (29.0, 32.0)]
     assert all("celsius*100" in note for view in found.views for note in view.facts.notes)
     assert all(view.facts.notes for view in found.views)
 
