@@ -94,19 +94,18 @@ def no_round_trips() -> Iterator[None]:
         yield
 
 
-def flat_raster(
-    means, quats, scales, layers, viewmat, K, width, height, offset, dilation_px2
-) -> Raster:
+def flat_raster(geometry, layers, projection, offset) -> Raster:
     """Stands in for the rasterizer, which may read one number: images that depend on every
     parameter."""
-    ramp = torch.linspace(0.5, 1, height * width, device=means.device).view(height, width)
-    turn = sum(0.01 * tensor.square().mean() for tensor in (means, quats, scales, offset + 1))
+    size, device = (projection.height, projection.width), geometry.means.device
+    ramp = torch.linspace(0.5, 1, size[0] * size[1], device=device).view(size)
+    turn = sum(0.01 * tensor.square().mean() for tensor in (*geometry, offset + 1))
     blends = []
     for layer in layers:
         value = (layer.opacities[:, None] * layer.features).mean(dim=0)
         shade = ramp * (1 + turn)
         blends.append(Blend(shade[..., None] * value, shade * 3, shade * layer.opacities.mean()))
-    return Raster(tuple(blends), torch.ones(len(means), device=means.device))
+    return Raster(tuple(blends), torch.ones(len(geometry.means), device=device))
 
 
 flat_raster.kernel, flat_raster.rejected = lambda inputs: flat_raster, frozenset()
