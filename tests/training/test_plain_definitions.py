@@ -45,8 +45,8 @@ print("numba:", "numba" in sys.modules, "torch._dynamo:", "torch._dynamo" in sys
 EDITS = {
     "temperature_residuals": (
         "field/heat.py",
-        "self.surrounding_weight * surroundings.mean(",
-        "self.surrounding_weight * surroundings.amax(",
+        "mean = surroundings.mean(",
+        "mean = surroundings.amax(",
     ),
     "photometric_loss": (
         "method/losses/photometric.py",
