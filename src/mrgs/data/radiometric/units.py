@@ -90,74 +90,78 @@ def typical(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:
     return np.percentile(known[:: 1 + known.size // _ENOUGH], (1, 50, 99))
 
 
-def _fits(unit: Unit, typical: Float[np.ndarray, "3"]) -> bool:
-    return are_everyday(*unit.celsius(typical).tolist())
+def _is_everyday(unit: Unit, numbers: Float[np.ndarray, "3"]) -> bool:
+    return are_everyday(*unit.celsius(numbers).tolist())
 
 
-def given_unit(text: str, typical: Float[np.ndarray, "3"]) -> Choice:
-    """The unit that the user gives. An addend is taken as it is written; where that gives no
-    everyday temperatures, but the addend in °C or K does (``celsius*40+100`` for
-    ``(celsius+100)*40``), the latter is meant."""
+def _everyday(candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"]) -> list[str]:
+    """The candidates in which typical numbers are everyday temperatures."""
+    return [text for text in candidates if _is_everyday(Unit.parse(text), numbers)]
+
+
+def given_unit(text: str, numbers: Float[np.ndarray, "3"]) -> Choice:
+    """The unit that the user gives, for ``typical`` numbers. An addend is taken as it is written;
+    where that gives no everyday temperatures, but the addend in °C or K does (``celsius*40+100``
+    for ``(celsius+100)*40``), the latter is meant."""
     unit = Unit.parse(text)
-    shifted = unit._replace(addend=unit.addend * unit.factor)
-    if unit.addend and "(" not in text and not _fits(unit, typical) and _fits(shifted, typical):
+    if unit.addend and "(" not in text and not _is_everyday(unit, numbers):
         meant = f"({unit.quantity}{unit.addend:+g})*{unit.factor:g}"
-        return Choice(shifted, meant, (f"The unit {text} is read as {meant}.",))
+        shifted = unit._replace(addend=unit.addend * unit.factor)
+        if _is_everyday(shifted, numbers):
+            return Choice(shifted, meant, (f"The unit {text} is read as {meant}.",))
     return Choice(unit, text)
 
 
-def stated_unit(candidates: tuple[str, ...], typical: Float[np.ndarray, "3"]) -> Choice:
-    """The unit of a known camera: the first candidate, unless only another one gives everyday
-    temperatures; with a doubt wherever another one does."""
-    units = [Unit.parse(text) for text in candidates]
-    fitting = [index for index, unit in enumerate(units) if _fits(unit, typical)]
-    best = 0 if 0 in fitting or len(fitting) != 1 else fitting[0]
-    is_sure = not set(fitting) - {0}
-    doubts = () if is_sure else (_doubt(best, candidates, typical),)
-    return Choice(units[best], candidates[best], doubts)
+def stated_unit(candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"]) -> Choice:
+    """The unit of a known camera, for ``typical`` numbers: the first candidate, unless only another
+    one gives everyday temperatures; with a doubt wherever another one does."""
+    first, everyday = candidates[0], _everyday(candidates, numbers)
+    text = everyday[0] if len(everyday) == 1 else first
+    doubts = () if everyday in ([], [first]) else (_doubt(text, candidates, numbers),)
+    return Choice(Unit.parse(text), text, doubts)
 
 
 def guessed_unit(
-    candidates: tuple[str, ...], typical: Float[np.ndarray, "3"], path: Path
+    candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"], path: Path
 ) -> Choice:
-    """The one unit in which most of the pixels are everyday temperatures, with a doubt unless it is
-    °C as such.
+    """The one unit in which ``typical`` numbers are everyday temperatures, with a doubt unless it
+    is °C as such.
 
     Raises:
         SceneError: there is no number, no candidate fits, or more than one does.
     """
-    if np.isnan(typical).any():
+    if np.isnan(numbers).any():
         raise scene_error(path, "has no number but 0; it is empty, export it again")
-    units = [Unit.parse(text) for text in candidates]
-    fitting = [index for index, unit in enumerate(units) if _fits(unit, typical)]
-    if len(fitting) != 1:
-        may_be = " or ".join(_in(candidates[index], typical) for index in fitting)
-        low, _, high = typical
+    everyday = _everyday(candidates, numbers)
+    if len(everyday) != 1:
+        may_be = " or ".join(_in(text, numbers) for text in everyday)
+        low, _, high = numbers
         raise scene_error(
             path,
             f"its numbers ({low:.5g} to {high:.5g}) "
-            f"{f'may be {may_be}' if fitting else 'fit no usual unit'}; give the unit, such as "
-            f"{candidates[fitting[0] if fitting else 0]}",
+            f"{f'may be {may_be}' if everyday else 'fit no usual unit'}; give the unit, such as "
+            f"{(everyday or candidates)[0]}",
             options=("unit",),
         )
-    best = fitting[0]
-    doubts = () if candidates[best] == "celsius" else (_doubt(best, candidates, typical),)
-    return Choice(units[best], candidates[best], doubts)
+    (text,) = everyday
+    doubts = () if text == "celsius" else (_doubt(text, candidates, numbers),)
+    return Choice(Unit.parse(text), text, doubts)
 
 
-def _doubt(best: int, candidates: tuple[str, ...], typical: Float[np.ndarray, "3"]) -> str:
-    """What a guess gives, and the two nearest others."""
-    middles = [abs(Unit.parse(text).celsius(typical)[1] - 20) for text in candidates]
-    others = [index for index in np.argsort(middles) if index != best][:2]
+def _doubt(text: str, candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"]) -> str:
+    """What the chosen unit gives, and the two others whose middle is nearest to 20 °C."""
+    others = sorted(
+        (other for other in candidates if other != text),
+        key=lambda other: abs(Unit.parse(other).celsius(numbers)[1] - 20),
+    )
     return (
-        f"The unit of the numbers is not certain. They are taken for "
-        f"{_in(candidates[best], typical)}, not for "
-        f"{' or '.join(_in(candidates[index], typical) for index in others)}: give the unit."
+        f"The unit of the numbers is not certain. They are taken for {_in(text, numbers)}, not for "
+        f"{' or '.join(_in(other, numbers) for other in others[:2])}: give the unit."
     )
 
 
-def _in(text: str, typical: Float[np.ndarray, "3"]) -> str:
-    low, _, high = Unit.parse(text).celsius(typical)
+def _in(text: str, numbers: Float[np.ndarray, "3"]) -> str:
+    low, _, high = Unit.parse(text).celsius(numbers)
     return f"{text} ({low:.1f} to {high:.1f} °C)".replace("-", "−")
 
 
