@@ -85,12 +85,23 @@ def test_another_unit_of_the_same_maker_is_a_doubt(tiff):
     ("xmp", "why"),
     [
         ("<Camera:TlinearGain>0.00</Camera:TlinearGain>", "counts"),
+        ("<Camera:TlinearGain>-0.04</Camera:TlinearGain>", "counts"),
+        ("<Camera:TlinearGain>0.0000000001</Camera:TlinearGain>", "counts"),
         (LWIR.replace("LWIR", "Rededge"), "REDEDGE"),
     ],
 )
 def test_tags_of_numbers_that_are_no_temperatures(tiff, xmp, why):
     with pytest.raises(SceneError, match=why):
         read_thermal_photo(tiff(counts("kelvin*25"), {271: "FLIR"}, xmp))
+
+
+@pytest.mark.parametrize("gain", ["e", "", "nan", "K"])
+def test_a_damaged_tag_states_nothing(tiff, gain):
+    photo = read_thermal_photo(
+        tiff(counts("kelvin*25"), {271: "FLIR"}, f"<Camera:TlinearGain>{gain}</Camera:TlinearGain>")
+    )
+    np.testing.assert_allclose(photo.temperature_c, WALL_C, atol=0.03)
+    assert len(photo.facts.warnings) == 1
 
 
 def test_numbers_without_tags_that_two_units_fit_are_asked_for(tiff):

@@ -165,9 +165,11 @@ def _in(text: str, numbers: Float[np.ndarray, "3"]) -> str:
     return f"{text} ({low:.1f} to {high:.1f} °C)".replace("-", "−")
 
 
-_TLINEAR = re.compile(rb"TlinearGain(?:=[\"']|>)\s*([0-9.eE+-]+)")
+_TLINEAR = re.compile(rb"TlinearGain(?:=[\"']|>)\s*([+-]?\d+(?:\.\d*)?)")
 _BAND = re.compile(rb"BandName(?:=[\"']|>.{0,200}?<rdf:li>|>)\s*([^<>\"']+)", re.DOTALL)
 _THERMAL_BAND = "LWIR"
+_TLINEAR_K = (1e-4, 10.0)
+"""Temperatures of one count that can be; cameras have 0.01, 0.04, 0.1 or 0.4 K."""
 
 WIRIS_UNITS = ("(celsius+100)*40", "kelvin*25")
 """Of Workswell's WIRIS cameras; the second is said to be that of others than the WIRIS Pro."""
@@ -197,7 +199,7 @@ def camera_units(
         raise scene_error(path, f"is the band {band} of a multispectral camera, no thermal photo")
     if gain := _TLINEAR.search(xmp):
         kelvin = float(gain[1])
-        if kelvin <= 0:
+        if not _TLINEAR_K[0] <= kelvin <= _TLINEAR_K[1]:
             raise scene_error(
                 path,
                 "has the detector's counts, not temperatures, by its tag TlinearGain; use the "
