@@ -201,6 +201,8 @@ class Train:
     """Views per step; 1 by default (docs/large-scenes.md)."""
     config: Maybe[Path] = None
     """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
+    flat_field: Maybe[Path] = None
+    """Folder of thermal photos of a uniform target, which show how the camera shades its photos."""
     resume: Annotated[bool, tyro.conf.arg(help=RESUME_HELP)] = False
     accept_changes: bool = False
     """With --resume: continue although photos, poses or intrinsics have changed."""

@@ -7,7 +7,7 @@ import shlex
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,6 +99,8 @@ def _require_possible(command: Train, method: Method) -> None:
             raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
         if not 0 < command.minutes < math.inf:
             raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
+    if command.flat_field is not None and command.resume:
+        raise ConfigError("a resumed run keeps its shading: leave --flat-field out")
     if command.accept_changes and not command.resume:
         raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
     if command.device == "cuda" and not method.uses_gpu:
@@ -119,7 +121,7 @@ def _require_possible(command: Train, method: Method) -> None:
 
 
 def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
-    return method.configure(
+    config = method.configure(
         command.preset,
         max_steps=max_steps,
         max_gaussians=command.max_gaussians,
@@ -129,6 +131,15 @@ def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
         changes="" if command.config is None else read_text(command.config),
         source=str(command.config),
     )
+    if command.flat_field is None:
+        return config
+    if not (method.has_gaussians and config.image_model.thermal_shading):
+        raise ConfigError(
+            f"--flat-field needs a method that models the camera's shading, and {method.name} does "
+            f"not: leave it out, or choose mrgs-plus"
+        )
+    folder = str(command.flat_field.absolute())
+    return replace(config, image_model=replace(config.image_model, flat_field=folder))
 
 
 def _within_minutes(command: Train, method: Method, config: Any, device: DeviceName) -> Any:

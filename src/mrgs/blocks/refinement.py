@@ -22,6 +22,7 @@ from mrgs.method.density import DensityStep, DensityUpdate, Strategy, StrategySt
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.method.start.fitted_residuals import leave_the_rest
+from mrgs.method.start.overlap import without_camera
 from mrgs.method.start.start_points import initial_gaussians, start_points
 from mrgs.render import Model, ScreenPoints, rows_in_view
 from mrgs.run_files.folder import RunFolder
@@ -204,7 +205,8 @@ class Refinement:
 
     def _from_points(self, points: PointCloud, scene: Scene, config: TrainConfig) -> Gaussians:
         """New Gaussians at points, as a training of the whole would start with them."""
-        views = tuple(scene.train[number] for number in self.views)
+        shown = without_camera(scene, self.start.image_model)
+        views = tuple(shown.train[number] for number in self.views)
         config = replace(config, distant_points=False)
         generator = torch.Generator().manual_seed(config.seed)
         start = start_points(replace(scene, points=points, train=views), config)

@@ -260,7 +260,11 @@ def _plus(config: TrainConfig) -> TrainConfig:
         radiation=None,
         loss=replace(config.loss, **PLUS_LOSS),
         image_model=ImageModelConfig(
-            point_spread=True, thermal_gain=True, thermal_drift=True, poses=True
+            point_spread=True,
+            thermal_gain=True,
+            thermal_drift=True,
+            thermal_shading=True,
+            poses=True,
         ),
         dilation_px2=PLUS_DILATION_PX2,
         angular_dilation=True,

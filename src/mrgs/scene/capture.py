@@ -13,6 +13,7 @@ import msgspec
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.scene import Scene
+from mrgs.scene.view import View
 from mrgs.system.typed_json import Finite, from_json
 
 Length: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=sys.float_info.max)]
@@ -44,12 +45,17 @@ class Capture:
         has_celsius: whether the values of the thermal photos are temperatures.
         finest_focal_px: median focal length, in pixels, of the modality with the finest photos: one
             zoomed photo makes none finer. None in the checkpoints of older versions.
+        minutes: when each training view's thermal photo was taken, since the first photo of the
+            scene; None where it has none, or that is not known.
+        held_out: viewpoint and time of the held-out thermal photos, where that is known.
     """
 
     thermal_viewpoints: tuple[Viewpoint | None, ...]
     extent: Length
     has_celsius: bool
     finest_focal_px: Length | None = None
+    minutes: tuple[Finite | None, ...] = ()
+    held_out: tuple[tuple[Viewpoint, Finite], ...] = ()
 
     @classmethod
     def of(cls, scene: Scene) -> Capture:
@@ -59,6 +65,15 @@ class Capture:
             [photo.camera.focal_px for photo in scene.train_photos(modality)]
             for modality in scene.modalities
         ]
+        first = min((each.taken for each in scene.records if each.taken), default=None)
+
+        def minutes(view: View) -> float | None:
+            record = view.images[THERMAL].record if THERMAL in view.images else None
+            if first is None or record is None or record.taken is None:
+                return None
+            return (record.taken - first).total_seconds() / 60
+
+        held_out = ((Viewpoint.of(view.camera, extent), minutes(view)) for view in scene.eval)
         return cls(
             tuple(
                 Viewpoint.of(camera, extent) if THERMAL in view.images else None
@@ -67,6 +82,8 @@ class Capture:
             extent,
             scene.temperature is not None,
             max(statistics.median(own) for own in focal_px if own),
+            tuple(map(minutes, scene.train)),
+            tuple((viewpoint, when) for viewpoint, when in held_out if when is not None),
         )
 
     @property

@@ -19,6 +19,7 @@ from mrgs.method.losses.term import Term
 from mrgs.method.losses.terms import configured_terms
 from mrgs.method.optimizer import GaussianOptimizer, are_finite
 from mrgs.method.start.fitted_residuals import fit_residuals
+from mrgs.method.start.overlap import find_from_overlap, without_camera
 from mrgs.method.start.start_points import blended_apart, initial_gaussians, start_points
 from mrgs.render import Model
 from mrgs.scene import THERMAL, Scene
@@ -238,12 +239,15 @@ def initial_state(
     capture = Capture.of(scene)
     strategy = config.densification if strategy is None else strategy
     apart = blended_apart(scene.modalities, config.shares_opacity)
+    cameras = ImageModel(config.image_model, capture)
+    find_from_overlap(scene, cameras, config.image_model.flat_field)
     generator = torch.Generator().manual_seed(config.seed)
     with seeded(config.seed):
         field = RadianceField(config.field)
         all_terms = configured_terms(config, terms, model_modalities(scene.modalities))
         field.set_frame(scene.points.positions)
-        points = start_points(scene, config).at_most(strategy.max_gaussians, generator)
+        shown = without_camera(scene, cameras)
+        points = start_points(shown, config).at_most(strategy.max_gaussians, generator)
         degree = config.temperature_sh_degree_of(capture)
         gaussians = initial_gaussians(points, field, apart, degree)
         steps = config.fitted_residuals
@@ -252,6 +256,7 @@ def initial_state(
         gaussians, field, neighbours=None, sh_degree=0, dilation=config.dilation_of(capture)
     ).to(device)
     state = TrainingState.around(model, all_terms, strategy, config, capture, generator)
+    state.image_model.load_state_dict(cameras.state_dict())
     if state.image_model.poses is not None:
         state.image_model.poses.set_frame(scene.train_cameras, scene.points.positions)
     return state

@@ -117,10 +117,9 @@ def _move(
     statistics = StepStatistics(state.step, loss, terms, error, count, ~finite)
     # Nothing has changed so far, so that a step can be repeated if the memory is full.
     state.move(config, moves)
-    if (drift := state.image_model.thermal_drift) is not None:
-        for number, measures in found:
-            if measures.residual is not None:
-                drift.learn(number, measures.residual, moves)
+    for number, measures in found:
+        if measures.residual is not None:
+            state.image_model.learn(number, measures.residual, moves)
     return StepResult(statistics, observed, finite)
 
 

@@ -62,14 +62,14 @@ class ViewMeasures(NamedTuple):
         terms: of the loss, unweighted, by name.
         thermal_error: mean absolute error of the normalised temperature; NaN if no pixel is valid,
             None without a thermal photo.
-        residual: of the thermal photo, where drift is modelled.
+        residual: of the parts of the thermal photo, where drift or shading is modelled.
         passes: the projected centres, with the gradients of their places.
     """
 
     loss: Float[Tensor, ""]
     terms: Mapping[str, Float[Tensor, ""]]
     thermal_error: Float[Tensor, ""] | None
-    residual: Float[Tensor, "2"] | None
+    residual: Float[Tensor, " n"] | None
     passes: Sequence[ScreenPoints]
 
 
@@ -107,7 +107,7 @@ def forward_backward(state: TrainingState, inputs: ViewInputs, scale: SceneScale
     if THERMAL in inputs.photos:
         photo = inputs.photos[THERMAL]
         thermal_error = _thermal_error(context.observed, photo)
-        residual = state.image_model.thermal_residual(inputs.number, context.observed, photo)
+        residual = state.image_model.thermal_residual(context.observed, photo)
     return ViewMeasures(loss.detach(), terms, thermal_error, residual, passes)
 
 

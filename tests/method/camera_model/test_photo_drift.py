@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
-from mrgs.method.camera_model.photo_drift import PhotoDrift, residual_of
+from mrgs.method.camera_model.photo_drift import PhotoDrift, part_medians
 from mrgs.scene import THERMAL, Blend, Pixels, Rendering
 from mrgs.scene.capture import Capture, Viewpoint
 
@@ -20,11 +20,16 @@ def noise(seed: int, size: float = 0.002) -> torch.Tensor:
     return size * torch.randn(12, 16, generator=torch.Generator().manual_seed(seed))
 
 
+def parts_of(difference: torch.Tensor) -> torch.Tensor:
+    return part_medians(torch.zeros(*difference.shape, 1), Pixels(difference[..., None]))
+
+
 def taught(residuals: list[torch.Tensor], times: int = 20) -> PhotoDrift:
     drift = PhotoDrift(WITH_A_GAP)
     for _ in range(times):
         for row, residual in enumerate(residuals):
-            drift.learn(row + (row >= 3), residual_of(residual), YES)
+            left = parts_of(residual) - drift.offsets()[row]
+            drift.learn(row + (row >= 3), left, YES)
     return drift
 
 
@@ -56,11 +61,11 @@ def test_a_photo_elsewhere_is_expected_at_the_mean():
 def test_masked_parts_and_failed_steps_teach_nothing():
     residual = torch.full((12, 16), torch.nan)
     drift = PhotoDrift(POINTS)
-    drift.learn(0, residual_of(residual), YES)
-    drift.learn(1, residual_of(noise(1)), torch.tensor(False))
+    drift.learn(0, parts_of(residual), YES)
+    drift.learn(1, parts_of(noise(1)), torch.tensor(False))
     assert drift.visits.sum().item() == 0
     residual[:6] = 0.01
-    drift.learn(0, residual_of(residual), YES)
+    drift.learn(0, parts_of(residual), YES)
     assert drift.residuals[0].item() == pytest.approx(0.01)
     assert drift.visits.tolist() == [1, 0, 0, 0, 0, 0]
 
@@ -77,8 +82,8 @@ def test_the_image_model_writes_photos_with_their_drift():
         for view, true in enumerate(TRUE):
             photo = Pixels(image + true + noise(view)[..., None])
             number = torch.tensor([view])
-            residual = model.thermal_residual(number, model(rendering, number), photo)
-            model.thermal_drift.learn(view, residual, YES)
+            residual = model.thermal_residual(model(rendering, number), photo)
+            model.learn(view, residual, YES)
     written = [model(rendering, torch.tensor([i]))[THERMAL].image for i in range(6)]
     found = torch.stack([(each - image).mean() for each in written])
     assert found == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-3)
@@ -95,6 +100,32 @@ def test_what_a_photo_masks_is_not_taken_for_drift():
     photo = Pixels(torch.where(valid[..., None], image + 0.01, 0.0), valid)
     view = torch.tensor([0])
     written = model(Rendering({THERMAL: Blend(image, ones, ones)}), view)
-    middle, variance = model.thermal_residual(view, written, photo).tolist()
-    assert middle == pytest.approx(0.01)
-    assert variance == pytest.approx(0.0, abs=1e-9)
+    parts = model.thermal_residual(written, photo)
+    assert parts.isnan().sum().item() == 8
+    assert parts[~parts.isnan()].tolist() == pytest.approx([0.01] * 8)
+
+
+def test_what_the_overlap_says_counts_by_its_precision():
+    drift = PhotoDrift(POINTS)
+    drift.begin(TRUE, torch.full((6,), 1e8))
+    assert drift.offsets() == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-4)
+    for row in range(6):
+        drift.learn(row, parts_of(noise(row, 0.05)), YES)
+    assert drift.offsets() == pytest.approx((TRUE - TRUE.mean()).numpy(), abs=1e-3)
+    drift = PhotoDrift(POINTS)
+    drift.begin(TRUE, torch.ones(6))
+    for row in range(6):
+        drift.learn(row, parts_of(noise(row)) - drift.offsets()[row], YES)
+    assert drift.offsets().abs().max().item() < 0.01
+
+
+def test_a_held_out_photo_drifts_between_those_before_and_after_it():
+    there = Viewpoint((0.5, 0.0, 0.0), (0.0, 0.0, 1.0))
+    drift = PhotoDrift(POINTS, [0.0, 1.0, 5.0, 6.0, 7.0, 8.0], [(there, 0.25)])
+    drift.begin(TRUE, torch.full((6,), 1e8))
+    offsets = drift.offsets()
+    assert drift.expected(there).item() == pytest.approx(
+        (0.75 * offsets[0] + 0.25 * offsets[1]).item(), abs=1e-6
+    )
+    elsewhere = Viewpoint((0.3, 0.0, 0.0), (0.0, 0.0, 1.0))
+    assert drift.expected(elsewhere).item() == 0.0

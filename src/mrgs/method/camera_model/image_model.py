@@ -1,8 +1,8 @@
 """What cameras do to an image; the loss compares photos with renderings to which it was applied.
 
 None of this is in the paper. Each part undoes one effect, so that the Gaussians need not learn it:
-a thermal lens blurs, automatic gain scales each photo differently, a detector drifts, and poses may
-be off.
+a thermal lens blurs and shades, automatic gain scales each photo differently, a detector drifts,
+and poses may be off.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
 from mrgs.method.adam import ParameterGroup
-from mrgs.method.camera_model.photo_drift import PhotoDrift
+from mrgs.method.camera_model.photo_drift import PhotoDrift, part_medians
 from mrgs.method.camera_model.photo_gain import PhotoGain
+from mrgs.method.camera_model.photo_shading import PhotoShading
 from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.method.camera_model.pose_refinement import PoseRefinement
 from mrgs.scene import NOT_COARSER, THERMAL, Camera, Modality, Pixels, Rendering
@@ -36,6 +37,10 @@ class ImageModelConfig:
         thermal_gain: a learned gain and offset per thermal photo, in scenes without °C, whose
             cameras may have automatic gain.
         thermal_drift: an offset per thermal photo, in scenes with °C, see ``PhotoDrift``.
+        thermal_shading: an addend common to all thermal photos, brighter or darker towards the
+            corners, in scenes with °C, see ``PhotoShading``.
+        flat_field: folder of thermal photos of a uniform target, which fix that shading; None to
+            find it where the photos overlap.
         poses: refine the poses of the training views if they turn out to be wrong, see
             ``PoseRefinement``.
         point_spread_rate: learning rate of the logarithm of the blur's width.
@@ -46,6 +51,8 @@ class ImageModelConfig:
     point_spread: bool = False
     thermal_gain: bool = False
     thermal_drift: bool = False
+    thermal_shading: bool = False
+    flat_field: str | None = None
     poses: bool = False
     point_spread_rate: float = 5e-3
     thermal_gain_rate: float = 1e-3
@@ -66,6 +73,7 @@ class ImageModel(nn.Module):
         point_spread: the blur of the thermal images.
         thermal_gain: gain and offset of each thermal photo.
         thermal_drift: offset of each thermal photo.
+        thermal_shading: what all thermal photos have in common.
         poses: motions of the training views.
     """
 
@@ -76,7 +84,12 @@ class ImageModel(nn.Module):
         has_gain = config.thermal_gain and capture.lacks_celsius
         self.thermal_gain = PhotoGain(capture.thermal_viewpoints) if has_gain else None
         has_drift = config.thermal_drift and capture.may_drift
-        self.thermal_drift = PhotoDrift(capture.thermal_viewpoints) if has_drift else None
+        times = capture.thermal_viewpoints, capture.minutes, capture.held_out
+        self.thermal_drift = PhotoDrift(*times) if has_drift else None
+        has_shading = config.thermal_shading and capture.may_drift
+        photos = sum(point is not None for point in capture.thermal_viewpoints)
+        shading = PhotoShading(photos, fixed=config.flat_field is not None)
+        self.thermal_shading = shading if has_shading else None
         self.poses = PoseRefinement(capture.views) if config.poses else None
         self._extent = capture.extent
 
@@ -125,14 +138,21 @@ class ImageModel(nn.Module):
         viewpoint = Viewpoint.of(camera, self._extent)
         return self._recorded(rendering, lambda effect: effect.expected(viewpoint), pixel_sizes)
 
-    def thermal_residual(
-        self, view: Int64[Tensor, "1"], recorded: Rendering, photo: Pixels
-    ) -> Float[Tensor, "2"] | None:
-        """How far a training view's thermal photo is above the model, for ``PhotoDrift.learn``;
-        None where drift is not modelled. ``recorded`` is what ``forward`` returned for the view."""
-        if self.thermal_drift is None:
+    def thermal_residual(self, recorded: Rendering, photo: Pixels) -> Float[Tensor, " n"] | None:
+        """How far the parts of a training view's thermal photo are above the model, for ``learn``;
+        None where nothing is learned from it. ``recorded`` is what ``forward`` returned for the
+        view."""
+        if self.thermal_drift is None and self.thermal_shading is None:
             return None
-        return self.thermal_drift.residual(view, recorded[THERMAL].image.detach(), photo)
+        return part_medians(recorded[THERMAL].image.detach(), photo)
+
+    def learn(self, view: int, residual: Float[Tensor, " n"], finite: Bool[Tensor, ""]) -> None:
+        """Take in the ``thermal_residual`` of a training view; nothing is learned where ``finite``
+        is False."""
+        if self.thermal_shading is not None:
+            self.thermal_shading.learn(residual - residual.nanmedian(), finite)
+        if self.thermal_drift is not None:
+            self.thermal_drift.learn(view, residual, finite)
 
     def limit(self) -> None:
         """Bring parameters that an optimizer has moved too far back to where they have a
@@ -165,4 +185,6 @@ class ImageModel(nn.Module):
             thermal = value(self.thermal_gain).apply(thermal)
         if self.thermal_drift is not None:
             thermal = thermal + value(self.thermal_drift)
+        if self.thermal_shading is not None:
+            thermal = thermal + self.thermal_shading(*thermal.shape[:2])
         return rendering.with_images({THERMAL: thermal})

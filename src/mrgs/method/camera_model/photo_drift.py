@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
@@ -26,63 +27,94 @@ MEDIAN_LOSS = 1.5708
 """Variance of the median over that of the mean, of many normal variables (π / 2)."""
 
 
+NEARLY_SAME_PLACE = 0.01
+"""Held-out photos this close to a viewpoint are taken for the photo there: their poses may have
+been aligned since."""
+
+
 class PhotoDrift(PhotoEffect):
     """An offset per photo, of sum zero: a random effect, as in the analysis of variance.
 
     A photo's residual is the median over its parts of what it shows above the model. How far the
     parts differ tells how well it is known: a drift shifts all of a photo alike, a surface that is
-    not yet learned does not. Each residual is shrunk by v / (v + τ²), with v its variance and τ²
-    the variance of the drift over the photos, estimated by moments (DerSimonian and Laird, 1986).
-    τ² is 0, and so are all offsets, where the residuals differ no more than their variances
-    explain.
+    not yet learned does not. What the photos' overlap says before the training counts by its
+    precision. Each residual is shrunk by v / (v + τ²), with v its variance and τ² the variance of
+    the drift over the photos, estimated by moments (DerSimonian and Laird, 1986). τ² is 0, and so
+    are all offsets, where the residuals differ no more than their variances explain.
     """
 
     residuals: Float[Tensor, " p"]
     variances: Float[Tensor, " p"]
     visits: Float[Tensor, " p"]
+    priors: Float[Tensor, " p"]
+    precisions: Float[Tensor, " p"]
 
-    def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
+    def __init__(
+        self,
+        viewpoints: Sequence[Viewpoint | None],
+        minutes: Sequence[float | None] = (),
+        held_out: Sequence[tuple[Viewpoint, float]] = (),
+    ) -> None:
         super().__init__(viewpoints)
+        given = [at for point, at in zip(viewpoints, minutes, strict=False) if point is not None]
+        known = given or [None] * len(self._viewpoints)
+        self.minutes = np.array([np.nan if at is None else at for at in known])
+        self._held_out = held_out
         self._rows = self.rows.tolist()
-        for name in ("residuals", "variances", "visits"):
+        for name in ("residuals", "variances", "visits", "priors", "precisions"):
             self.register_buffer(name, torch.zeros(len(self._viewpoints)))
+
+    def begin(self, offsets: Float[Tensor, " p"], precisions: Float[Tensor, " p"]) -> None:
+        """Start from offsets that are known with these precisions (1 / variance), normalised."""
+        self.priors.copy_(offsets)
+        self.precisions.copy_(precisions)
 
     def of(self, view: Int64[Tensor, "1"]) -> Float[Tensor, ""]:
         """The offset of a training view's photo, normalised; the view must have one."""
         return self.offsets().index_select(0, self.row_of(view))[0]
 
     def expected(self, viewpoint: Viewpoint) -> Float[Tensor, ""]:
-        """The offset of the photo taken there; 0, which is the mean, for any other place: a drift
-        depends on the time, not on the place."""
+        """The offset of the photo taken there; of a held-out photo, that between the photos before
+        and after it. 0, which is the mean, for any other place: a drift depends on the time, not on
+        the place."""
         same = only_one_at(viewpoint_distances([viewpoint], self._viewpoints)[0])
-        return torch.zeros_like(self.residuals[0]) if same is None else self.offsets()[same]
+        if same is not None:
+            return self.offsets()[same]
+        timed = np.flatnonzero(np.isfinite(self.minutes))
+        if not self._held_out or len(timed) == 0:
+            return torch.zeros_like(self.residuals[0])
+        places, minutes = zip(*self._held_out, strict=True)
+        distances = viewpoint_distances([viewpoint], places)[0]
+        if distances.min() > NEARLY_SAME_PLACE:
+            return torch.zeros_like(self.residuals[0])
+        order = timed[np.argsort(self.minutes[timed], kind="stable")]
+        between = self.offsets()[order].numpy(force=True)
+        at = minutes[int(distances.argmin())]
+        return self.residuals.new_tensor(np.interp(at, self.minutes[order], between))
 
     def offsets(self) -> Float[Tensor, " p"]:
         """The offsets of all photos, normalised."""
-        seen = (self.visits > 0).to(self.residuals)
+        weight, tiny = self.variances * self.precisions, torch.finfo().tiny
+        learned, known = self.visits > 0, self.precisions > 0
+        residuals = (self.residuals + weight * self.priors) / (1 + weight)
+        residuals = torch.where(learned, residuals, self.priors)
+        variances = torch.where(learned, self.variances, 1 / self.precisions.clamp_min(tiny))
+        variances = torch.where(learned & known, variances / (1 + weight), variances)
+        seen = (learned | known).to(residuals)
+        variances = seen * variances
         count = seen.sum().clamp_min(1)
-        centred = seen * (self.residuals - (seen * self.residuals).sum() / count)
-        spread = (seen * (centred.square() - self.variances)).sum() / count
+        centred = seen * (residuals - (seen * residuals).sum() / count)
+        spread = (seen * (centred.square() - variances)).sum() / count
         drift = spread.clamp_min(0)
-        shrunk = centred * drift / (drift + self.variances).clamp_min(torch.finfo().tiny)
+        shrunk = centred * drift / (drift + variances).clamp_min(tiny)
         return seen * (shrunk - shrunk.sum() / count)
 
-    def residual(
-        self, view: Int64[Tensor, "1"], recorded: Float[Tensor, "h w 1"], photo: Pixels
-    ) -> Float[Tensor, "2"]:
-        """What a training view's photo shows above its rendering, without the photo's offset, which
-        the rendering has; see ``residual_of``."""
-        difference = (photo.values - recorded + self.of(view))[:, :, 0]
-        if photo.valid is not None:
-            difference = torch.where(photo.valid, difference, torch.nan)
-        return residual_of(difference)
-
     @torch.no_grad()
-    def learn(self, view: int, residual: Float[Tensor, "2"], finite: Bool[Tensor, ""]) -> None:
-        """Take in the residual of a training view's photo; nothing is learned where ``finite`` is
-        False."""
+    def learn(self, view: int, parts: Float[Tensor, " n"], finite: Bool[Tensor, ""]) -> None:
+        """Take in what the parts of a training view's photo show above the model with its offset;
+        nothing is learned where ``finite`` is False."""
         row = self._rows[view]
-        middle, variance = residual
+        middle, variance = residual_of(parts + self.offsets()[row])
         usable = finite & middle.isfinite()
         share = (1 / (self.visits[row] + 1)).clamp_min(NEWEST_SHARE) * usable
         for mean, new in ((self.residuals, middle), (self.variances, variance)):
@@ -91,10 +123,9 @@ class PhotoDrift(PhotoEffect):
 
 
 @torch.no_grad()
-def residual_of(difference: Float[Tensor, "h w"]) -> Float[Tensor, "2"]:
-    """The residual of a photo and its variance, from what it shows above the model, normalised; NaN
-    where all of it is masked, which is NaN in the difference."""
-    parts = _part_medians(difference)
+def residual_of(parts: Float[Tensor, " n"]) -> Float[Tensor, "2"]:
+    """The residual of a photo and its variance, from what its parts show above the model,
+    normalised; NaN where all are masked."""
     quartiles = torch.linspace(0.25, 0.75, 3, device=parts.device)
     low, middle, high = parts.nanquantile(quartiles)
     spread = (high - low) / NORMAL_QUARTILES
@@ -102,8 +133,13 @@ def residual_of(difference: Float[Tensor, "h w"]) -> Float[Tensor, "2"]:
     return torch.stack([middle, variance])
 
 
-def _part_medians(residual: Float[Tensor, "h w"]) -> Float[Tensor, " n"]:
-    """The median of each part of an image; NaN where it is masked throughout."""
+@torch.no_grad()
+def part_medians(recorded: Float[Tensor, "h w 1"], photo: Pixels) -> Float[Tensor, " n"]:
+    """What each part of a photo shows above its rendering as recorded, the median, normalised; NaN
+    where a part is masked throughout."""
+    residual = (photo.values - recorded)[:, :, 0]
+    if photo.valid is not None:
+        residual = torch.where(photo.valid, residual, torch.nan)
     height, width = (max(size // PARTS, 1) for size in residual.shape)
     down, across = (min(size, PARTS) for size in residual.shape)
     parts = residual[: down * height, : across * width].reshape(down, height, across, width)

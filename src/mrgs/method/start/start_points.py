@@ -231,7 +231,7 @@ def _shown(
     pixels, depth = photo.camera.project(positions)
     in_frame = photo.camera.contains(pixels)
     pixels = torch.where(in_frame[:, None], pixels, 0)
-    hidden = _hidden(photo.camera, pixels, torch.where(in_frame, depth, torch.inf))
+    hidden = hidden_points(photo.camera, pixels, torch.where(in_frame, depth, torch.inf))
     image = photo.look(LOOKED_AT_PX)
     height, width, _ = image.values.shape
     per_pixel = pixels.new_tensor([width / photo.camera.width, height / photo.camera.height])
@@ -242,7 +242,7 @@ def _shown(
     return values, torch.where(hidden[:, None], torch.nan, values)
 
 
-def _hidden(
+def hidden_points(
     camera: Camera, pixels: Float64[Tensor, "n 2"], depth: Float64[Tensor, " n"]
 ) -> Bool[Tensor, " n"]:
     """Which points are behind others in their cells; points at infinity hide none."""

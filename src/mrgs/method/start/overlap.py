@@ -1,0 +1,225 @@
+"""Offsets and shading of the thermal photos before training, from the points that several photos
+show: as S(point) + offset(photo) + shading(place in the image).
+
+One constant remains undetermined: the offsets sum to zero, and so does the shading over the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import starmap
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import csr_array
+from torch import Tensor
+
+from mrgs.data.images import probe
+from mrgs.data.radiometric import read_thermal_photo
+from mrgs.errors import ConfigError
+from mrgs.method.camera_model.image_model import ImageModel
+from mrgs.method.camera_model.photo_shading import HEIGHT, TERMS, image_places, shading_terms
+from mrgs.method.start.start_points import LOOKED_AT_PX, hidden_points
+from mrgs.scene import THERMAL, Blend, Pixels, PosedImage, Rendering, Scene, View
+
+MOST_POINTS, MOST_SIGHTINGS = 20_000, 300_000
+FEWEST_PHOTOS = 3
+"""A point that fewer photos show says too little about which of them is off."""
+
+SMOOTHED_PX = 2.0
+"""Standard deviation of the Gaussian that photos are smoothed by: points are not more exact."""
+
+OFFSET_C, SHADING_C, NOT_MODELLED_C = 3.0, 1.0, 1e-4
+"""Priors, as standard deviations: of the offsets, of each coefficient of the shading, and of what
+is not modelled."""
+
+DRIFT_C = 0.5
+"""The same, of the difference between two photos a minute apart; it grows with the root of the
+time. A shutter correction may make it larger."""
+
+LEAST_ERROR_C = 0.02
+"""What is found is not trusted to be better than this."""
+
+ALIKE = 25.0
+"""Number of sightings that count as one: errors of neighbouring points are alike."""
+
+ITERATIONS = 30
+
+
+def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | None = None) -> None:
+    """Start the drift and the shading of an image model, as far as it has them, from where the
+    scene's photos overlap; the shading from ``flat_field``, a folder of thermal photos of a uniform
+    target, if that is given.
+
+    Raises:
+        ConfigError: the flat field cannot be used.
+        SceneError: a photo cannot be read.
+    """
+    drift, shading = image_model.thermal_drift, image_model.thermal_shading
+    if (drift is None and shading is None) or scene.temperature is None:
+        return
+    photos, span_c = scene.train_photos(THERMAL), scene.temperature.span_c
+    count, is_learned = len(photos), shading is not None and flat_field is None
+    seen = _sightings(scene, photos)
+    if shading is not None and flat_field is not None:
+        shading.begin(_of_flat_field(Path(flat_field), photos[0]) / span_c)
+        known = shading.coefficients.double().numpy() * span_c
+        seen = replace(seen, value=seen.value - seen.terms @ known)
+    priors = np.concatenate([
+        np.full(count, NOT_MODELLED_C if drift is None else OFFSET_C),
+        np.full(TERMS, SHADING_C if is_learned else NOT_MODELLED_C),
+    ])  # fmt: skip
+    minutes = np.full(count, np.nan) if drift is None else drift.minutes
+    found, covariance = _fitted(seen, priors, minutes)
+    covariance += LEAST_ERROR_C**2 * np.eye(len(covariance))
+    offsets, coefficients = torch.from_numpy(found / span_c).split([count, TERMS])
+    if drift is not None:
+        precisions = span_c**2 / covariance.diagonal()[:count]
+        drift.begin(offsets, torch.from_numpy(precisions))
+    if shading is not None and is_learned:
+        precision = span_c**2 * np.linalg.inv(covariance[count:, count:])
+        shading.begin(coefficients, torch.from_numpy(precision))
+
+
+def without_camera(scene: Scene, image_model: ImageModel) -> Scene:
+    """The scene with thermal training photos without the offsets and the shading of an image
+    model."""
+    if image_model.thermal_drift is None and image_model.thermal_shading is None:
+        return scene
+
+    def corrected(number: int, view: View) -> View:
+        if THERMAL not in view.images:
+            return view
+        image = view.images[THERMAL]
+
+        def look(width: int | None = None) -> Pixels:
+            pixels = image.load() if width is None else image.look(width)
+            nothing = Rendering({THERMAL: Blend.of_image(torch.zeros_like(pixels.values))})
+            added = image_model(nothing, torch.tensor([number]))[THERMAL].image.detach()
+            return replace(pixels, values=pixels.values - added)
+
+        changed = replace(image, load=look, load_at_least=look)
+        return View(view.name, {**view.images, THERMAL: changed})
+
+    return replace(scene, train=tuple(starmap(corrected, enumerate(scene.train))))
+
+
+def _of_flat_field(folder: Path, photo: PosedImage) -> Float[Tensor, "6"]:
+    """The coefficients of the shading in the photos of a folder, °C; ``photo`` is the scene's."""
+
+    def refused(problem: str) -> ConfigError:
+        return ConfigError(problem, options=("flat_field",))
+
+    files = sorted(path for path in folder.glob("[!.]*") if path.is_file())
+    if not files:
+        raise refused(f"{folder} holds no photos: name a folder of photos of a uniform target")
+    own = probe(photo.files[0]) if photo.files else photo.camera
+    frames = []
+    for path in files:
+        celsius = read_thermal_photo(path).temperature_c
+        if celsius is None:
+            raise refused(f"{path} has no °C: take radiometric photos of the target")
+        height, width = celsius.shape
+        if (width, height) != (own.width, own.height):
+            raise refused(
+                f"{path} is {width}×{height} px, but the scene's thermal photos are "
+                f"{own.width}×{own.height} px: take the flat field with the same camera"
+            )
+        frames.append(celsius - np.nanmedian(celsius))
+    mean = torch.from_numpy(np.nanmean(frames, axis=0)).double()
+    known = mean.isfinite()
+    x, y = image_places(own.height, own.width, mean)
+    terms = torch.nn.functional.pad(shading_terms(x, y), (0, 1), value=1.0)
+    return torch.linalg.lstsq(terms[known], mean[known]).solution[:-1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Sightings:
+    """Points in photos: numbers of both from 0, the value there in °C, and the terms of the
+    shading."""
+
+    photo: Int[np.ndarray, " n"]
+    point: Int[np.ndarray, " n"]
+    value: Float[np.ndarray, " n"]
+    terms: Float[np.ndarray, "n 6"]
+
+
+def _sightings(scene: Scene, photos: list[PosedImage]) -> _Sightings:
+    """What the photos show of the scene's points; nothing of points that were drawn."""
+    positions = scene.points.positions.double()[: 0 if scene.points.random else None]
+    positions = positions[:: max(1, -(-len(positions) // MOST_POINTS))]
+    found = [_seen(photo, positions) for photo in photos]
+    photo = np.concatenate([np.full(len(rows), n) for n, (rows, _, _) in enumerate(found)])
+    point, value, terms = (np.concatenate(each) for each in zip(*found, strict=True))
+    kept = np.bincount(point, minlength=1)[point] >= FEWEST_PHOTOS
+    kept &= point % max(1, -(-kept.sum() // MOST_SIGHTINGS)) == 0
+    _, point = np.unique(point[kept], return_inverse=True)
+    assert scene.temperature is not None
+    return _Sightings(photo[kept], point, value[kept] * scene.temperature.span_c, terms[kept])
+
+
+def _seen(
+    photo: PosedImage, positions: Float[Tensor, "n 3"]
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, "k 6"]]:
+    """Which points a photo shows, its values there, and the terms of the shading."""
+    camera = photo.camera
+    pixels, depth = camera.project(positions)
+    shown = camera.contains(pixels)
+    pixels = torch.where(shown[:, None], pixels, 0)
+    shown &= ~hidden_points(camera, pixels, torch.where(shown, depth, torch.inf))
+    image = photo.look(LOOKED_AT_PX)
+    values = image.values[..., 0].double().numpy()
+    valid = np.ones_like(values) if image.valid is None else image.valid.double().numpy()
+    sigma = SMOOTHED_PX * values.shape[1] / camera.width
+    smooth = gaussian_filter(values * valid, sigma) / gaussian_filter(valid, sigma).clip(1e-3)
+    place = pixels / pixels.new_tensor([camera.width, camera.height])
+    column, row = (place * place.new_tensor(smooth.shape[::-1])).long().numpy().T
+    rows = np.flatnonzero(shown.numpy() & (valid[row, column] > 0))
+    x, y = (2 * place[rows] - 1).T
+    return rows, smooth[row, column][rows], shading_terms(x, HEIGHT * y).numpy()
+
+
+def _fitted(
+    seen: _Sightings, priors: Float[np.ndarray, " c"], minutes: Float[np.ndarray, " p"]
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c c"]]:
+    """Offsets of P photos and the coefficients of the shading, °C, with their covariance, by least
+    squares with Cauchy weights; each point's own temperature is eliminated as its weighted mean."""
+    photos, n, p = len(minutes), len(seen.value), 1 + seen.point.max(initial=-1)
+    order = np.argsort(minutes)[: np.isfinite(minutes).sum()]
+    one, next_one = order[:-1], order[1:]
+    usual_c = DRIFT_C * np.sqrt(np.diff(minutes[order]).clip(1 / 60))
+    columns = np.column_stack([seen.terms, seen.value])
+    weights, steps = np.ones(n), np.ones(len(one))
+    residuals = seen.value - np.median(seen.value) if n else np.ones(1)
+    for _ in range(ITERATIONS):
+        noise_c = max(1.4826 * float(np.median(np.abs(residuals))), 1e-3)
+        by_point = csr_array((weights, (seen.point, np.arange(n))), (p, n))
+        by_photo = csr_array((weights, (seen.photo, np.arange(n))), (photos, n))
+        shared = csr_array((weights, (seen.photo, seen.point)), (photos, p))
+        total = by_point.sum(axis=1)
+        # Terms and values less their means over the photos that show the same point.
+        off = columns - ((by_point @ columns) / total[:, None])[seen.point]
+        own, cross = (shared / total[None]) @ shared.T, by_photo @ off
+        inner = (columns * weights[:, None]).T @ off
+        normal = np.block([
+            [np.diag(by_photo.sum(axis=1)) - own.toarray(), cross[:, :-1]],
+            [cross[:, :-1].T, inner[:-1, :-1]],
+        ])  # fmt: skip
+        variance = ALIKE * noise_c**2
+        precision = normal / variance + np.diag(priors**-2.0)
+        for rows, others, sign in ((one, one, 1), (next_one, next_one, 1), (one, next_one, -1)):
+            np.add.at(precision, (rows, others), sign * steps / usual_c**2)
+        np.add.at(precision, (next_one, one), -steps / usual_c**2)
+        right = np.concatenate([cross[:, -1], inner[:-1, -1]]) / variance
+        found = np.linalg.solve(precision, right)
+        left = seen.value - found[seen.photo] - seen.terms @ found[photos:]
+        if n:
+            residuals = left - ((by_point @ left) / total)[seen.point]
+            weights = 1 / (1 + (residuals / (2 * noise_c)) ** 2)
+        steps = 1 / (1 + ((found[next_one] - found[one]) / (2 * usual_c)) ** 2)
+    gauge = np.eye(len(priors))
+    gauge[:photos, :photos] -= 1 / photos
+    return gauge @ found, gauge @ np.linalg.inv(precision) @ gauge
