@@ -12,14 +12,13 @@ from torch import Tensor
 from mrgs.baselines.thermonerf.kernels import hash_grid, perceptron
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.appearance import ColorHead
-from mrgs.kernels import color_head, convolution
+from mrgs.kernels import color_head, convolution, variation
 from mrgs.kernels.blur import cpu as blur
 from mrgs.kernels.harmonics import cpu as harmonics
 from mrgs.kernels.heat import residuals as heat
 from mrgs.kernels.heat.residuals import exchange, with_neighbours
 from mrgs.kernels.rasterize.cpu.rasterize import median_depth, rasterize
 from mrgs.kernels.ssim import cpu as ssim
-from mrgs.kernels.variation import cpu as variation
 from mrgs.rasterizer import Geometry, Layer, Projection
 from tests.helpers.gaussians import random_gaussians
 

@@ -18,7 +18,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from mrgs import render as render_module
 from mrgs.data import load_scene
-from mrgs.field import field as field_module
 from mrgs.field import nearest_neighbours
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.method.config import TrainConfig
@@ -128,16 +127,14 @@ def stop_kernels(gpu_device: str, monkeypatch: pytest.MonkeyPatch) -> Callable[[
 
 @pytest.fixture(autouse=True)
 def as_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There indices are not looked at, and all Gaussians count as seen.
+    """There all Gaussians count as seen: CPU tensors that stand for those of a GPU must not tell
+    themselves."""
+    on_cpu = render_module.rows_in_view
 
-    CPU tensors that stand for those of a GPU must not tell themselves.
-    """
+    def rows_in_view(*args: Any) -> Any:
+        return None if gpu.runs_triton(torch.empty(0)) else on_cpu(*args)
 
-    def unless_on_a_gpu(on_cpu: Callable[..., Any]) -> Callable[..., Any]:
-        return lambda *args: None if gpu.runs_triton(torch.empty(0)) else on_cpu(*args)
-
-    for module, name in ((field_module, "_check_indices"), (render_module, "rows_in_view")):
-        monkeypatch.setattr(module, name, unless_on_a_gpu(getattr(module, name)))
+    monkeypatch.setattr(render_module, "rows_in_view", rows_in_view)
 
 
 def harmonic(config: TrainConfig) -> TrainConfig:

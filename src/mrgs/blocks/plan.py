@@ -7,7 +7,9 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
 
 from mrgs.blocks.coverage import Surveyor, counted_places, views_of
 from mrgs.blocks.region import (
@@ -25,6 +27,7 @@ from mrgs.render import Model
 from mrgs.scene import Scene
 from mrgs.system.atomic import write_text
 from mrgs.system.strict_yaml import flat
+from mrgs.system.typed_json import Count, NotNegative, from_json
 from mrgs.system.wording import counted
 
 FORMAT = 1
@@ -54,7 +57,7 @@ class PlannedBlock(NamedTuple):
     that show it or its margin."""
 
     region: Region
-    views: tuple[int, ...]
+    views: Annotated[tuple[Count, ...], msgspec.Meta(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -74,8 +77,8 @@ class BlockPlan:
     config: Mapping[str, Any]
     options: BlockOptions
     plane: ScenePlane
-    overlap: float
-    cells: tuple[PlannedBlock, ...]
+    overlap: NotNegative
+    cells: Annotated[tuple[PlannedBlock, ...], msgspec.Meta(min_length=1)]
 
     def write(self, path: Path) -> None:
         """Write the plan.
@@ -195,20 +198,11 @@ def config_values(config: TrainConfig) -> Mapping[str, Any]:
 
 
 def _from_json(content: Any) -> BlockPlan:
-    plane = content["plane"]
-    first, second = (tuple(map(float, axis)) for axis in plane["axes"])
-    low, high = (tuple(map(float, plane[end])) for end in ("low", "high"))
-    if [len(each) for each in (first, second, low, high)] != [3, 3, 2, 2]:
-        raise ValueError("not a plane")
-    cells = tuple(
-        PlannedBlock(Region.from_json(each["region"]), tuple(map(int, each["views"])))
-        for each in content["cells"]
-    )
-    overlap = float(content["overlap"])
-    first_views = [min(cell.views, default=-1) for cell in cells]
-    if not cells or not 0 <= overlap < math.inf or min(first_views) < 0:
-        raise ValueError("no blocks")
-    return BlockPlan(
-        str(content["scene"]), dict(content["config"]), BlockOptions(**content["options"]),
-        ScenePlane((first, second), low, high), overlap, cells,  # type: ignore[arg-type]
-    )  # fmt: skip
+    plane, cells = content["plane"], content["cells"]
+    found = {
+        **content,
+        "options": BlockOptions(**content["options"]),
+        "plane": [plane[name] for name in ScenePlane._fields],
+        "cells": [(Region.from_json(each["region"]), each["views"]) for each in cells],
+    }
+    return from_json(BlockPlan, found)

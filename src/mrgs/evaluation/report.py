@@ -94,11 +94,9 @@ class ScoredData:
     def from_json(cls, value: Any) -> ScoredData | None:
         """The data from their JSON form; None where it is none, as in older files."""
         try:
-            data = from_json(cls, value)
+            return from_json(cls, value)
         except ValueError:
             return None
-        images = data.held_out
-        return data if all(len(i.pose) == 12 and len(i.intrinsics) == 6 for i in images) else None
 
     def changes(self, now: ScoredData, scene: Scene) -> str:
         """What has changed since the scores were computed, for the user; empty if nothing has."""

@@ -174,15 +174,14 @@ class RadianceField(nn.Module):
         """
         if not self.config.residuals:
             return self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows)
-        if gaussians.depends_on_view(THERMAL):
-            t = self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows, -math.inf)
-        else:
-            _check_indices("rows", rows, len(gaussians))
-            t = C0 * take(gaussians.sh_dc[THERMAL], rows)[:, 0] + 0.5
         if residuals is None:
             t_hat = self.temperature_residuals(gaussians, neighbours, rows, color_degree)
         else:
             t_hat = take(residuals, rows)
+        if gaussians.depends_on_view(THERMAL):
+            t = self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows, -math.inf)
+        else:
+            t = C0 * take(gaussians.sh_dc[THERMAL], rows)[:, 0] + 0.5
         return t + t_hat
 
     def intensities(
@@ -208,7 +207,6 @@ class RadianceField(nn.Module):
         Raises:
             IndexError: rows on the CPU that do not exist.
         """
-        _check_indices("rows", rows, len(gaussians))
         dc, rest = gaussians.sh_dc[modality], gaussians.sh_rest[modality]
         position = camera_position.to(gaussians.means)
         return shade(gaussians.means, dc, rest, position, sh_degree, rows, floor)
@@ -258,7 +256,6 @@ class RadianceField(nn.Module):
 
         Raises:
             ValueError: neighbours are needed, but are None or of another shape.
-            IndexError: neighbours on the CPU that do not exist.
         """
         k = self.config.neighbours_k
         if k == 0:
@@ -268,21 +265,8 @@ class RadianceField(nn.Module):
         if neighbours.shape != (count, k):
             shape = tuple(neighbours.shape)
             raise ValueError(f"neighbours of {count} Gaussians are needed, not of shape {shape}")
-        _check_indices("neighbours", neighbours, count)
         return neighbours
 
     def normalised(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Positions as PE_p takes them, most of them inside [-1, 1]."""
         return (means - self.center) / self.scale
-
-
-def _check_indices(name: str, indices: Int64[Tensor, "..."] | None, count: int) -> None:
-    """Kernels do not check indices; those on a GPU are trusted, because the host would have to wait
-    for them."""
-    if indices is None or not indices.is_cpu or indices.numel() == 0:
-        return
-    lowest, highest = indices.aminmax()
-    if lowest < 0 or highest >= count:
-        raise IndexError(
-            f"{name} must lie in 0 to {count - 1}, but reach from {lowest} to {highest}"
-        )

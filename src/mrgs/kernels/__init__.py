@@ -50,7 +50,7 @@ TABLE = (
     Kernel(_BOLTZMANN, "mrgs.kernels.ssim.gpu.boltzmann_loss", "gpu"),
     Kernel(_CONVOLVE, "mrgs.kernels.convolution.convolve", "cpu", _ANY_FLOAT),
     Kernel(_CONVOLVE, "mrgs.kernels.convolution.convolve_on_gpu", "gpu"),
-    Kernel(_VARIATION, "mrgs.kernels.variation.cpu.total_variation", "cpu", _ANY_FLOAT),
-    Kernel(_VARIATION, "mrgs.kernels.variation.gpu.total_variation", "gpu"),
+    Kernel(_VARIATION, "mrgs.kernels.variation.total_variation", "cpu", _ANY_FLOAT),
+    Kernel(_VARIATION, "mrgs.kernels.variation.total_variation", "gpu"),
 )
 """The kernels of the method, and the operations that they compute."""

@@ -9,14 +9,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from mrgs.data.kept import digest
 from mrgs.errors import RunError, SceneError, warn_user
 from mrgs.scene import RGB, THERMAL, Modality, PosedImage, Scene, TemperatureRange
 from mrgs.scene.capture import Capture, model_modalities
+from mrgs.system.typed_json import Count, NotNegative, from_json
 from mrgs.system.wording import listed
 
 SAME = 1e-6
@@ -39,20 +41,8 @@ class ImageFingerprint(NamedTuple):
     """
 
     photo: str
-    pose: tuple[float, ...]
-    intrinsics: tuple[float, ...]
-
-    @classmethod
-    def from_json(cls, value: Any) -> ImageFingerprint:
-        """A fingerprint from its JSON form.
-
-        Raises:
-            TypeError, ValueError: the value is not a fingerprint.
-        """
-        photo, pose, intrinsics = value
-        if not isinstance(photo, str) or len(pose) != 12 or len(intrinsics) != 6:
-            raise ValueError("not a fingerprint of an image")
-        return cls(photo, tuple(map(float, pose)), tuple(map(float, intrinsics)))
+    pose: Annotated[tuple[float, ...], msgspec.Meta(min_length=12, max_length=12)]
+    intrinsics: Annotated[tuple[float, ...], msgspec.Meta(min_length=6, max_length=6)]
 
 
 def fingerprints(scene: Scene) -> tuple[ImageFingerprint, ...]:
@@ -131,13 +121,13 @@ class CheckpointFacts(NamedTuple):
         images: fingerprint of each training image, by view and modality.
     """
 
-    step: int
+    step: Count
     scene: str
     capture: Capture
     temperature: TemperatureRange | None
-    train_seconds: float
-    peak_memory_bytes: int
-    skipped_steps: int
+    train_seconds: NotNegative
+    peak_memory_bytes: Count
+    skipped_steps: Count
     device: str = "cpu"
     modalities: tuple[Modality, ...] = (RGB, THERMAL)
     images: tuple[ImageFingerprint, ...] = ()
@@ -176,20 +166,9 @@ class CheckpointFacts(NamedTuple):
             KeyError, TypeError, ValueError: one is missing, or is not what it should be.
         """
         values = {name: header[name] for name in cls._fields}
-        for name in ("step", "peak_memory_bytes", "skipped_steps"):
-            if type(values[name]) is not int or values[name] < 0:
-                raise ValueError(f"{name} is a number of at least 0")
-        seconds = values["train_seconds"] = float(values["train_seconds"])
-        if not 0 <= seconds < math.inf:
-            raise ValueError("train_seconds is a time")
-        if not isinstance(values["scene"], str) or not isinstance(values["device"], str):
-            raise TypeError("the scene is a path, the device a name")
-        bounds = values["temperature"]
-        values["temperature"] = None if bounds is None else TemperatureRange(*bounds)
-        values["capture"] = Capture.from_json(values["capture"])
-        values["modalities"] = tuple(map(Modality.from_json, values["modalities"]))
-        values["images"] = tuple(map(ImageFingerprint.from_json, values["images"]))
-        return cls(**values)
+        if (bounds := values["temperature"]) is not None:
+            values["temperature"] = dict(zip(("min_c", "max_c"), bounds, strict=True))
+        return from_json(cls, [*values.values()])
 
 
 def require_scene(scene: object) -> None:

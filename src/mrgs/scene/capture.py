@@ -6,7 +6,7 @@ import statistics
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 import msgspec
 
@@ -14,7 +14,7 @@ from mrgs.scene.camera import Camera
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.scene import Scene
 from mrgs.scene.view import View
-from mrgs.system.typed_json import Finite, from_json
+from mrgs.system.typed_json import Finite
 
 Length: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=sys.float_info.max)]
 
@@ -100,15 +100,6 @@ class Capture:
     def views(self) -> int:
         """Number of training views."""
         return len(self.thermal_viewpoints)
-
-    @classmethod
-    def from_json(cls, values: Any) -> Capture:
-        """A capture from the JSON form of ``asdict``.
-
-        Raises:
-            ValueError: the values are no capture.
-        """
-        return from_json(cls, values)
 
 
 def model_modalities(captured: Iterable[Modality]) -> tuple[Modality, ...]:

@@ -12,6 +12,11 @@ Record = TypeVar("Record")
 Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
 """A number that is neither NaN nor infinite."""
 
+NotNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=sys.float_info.max)]
+"""The same, and at least 0."""
+
+Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
+
 
 def from_json(kind: type[Record], value: object) -> Record:
     """A dataclass or a named tuple from parsed JSON; entries that it has no field for are ignored.

@@ -12,6 +12,7 @@ from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering
 from mrgs.scene.capture import Capture, Viewpoint
+from mrgs.system.typed_json import from_json
 
 
 def along_a_line(count: int) -> tuple[Viewpoint, ...]:
@@ -144,13 +145,13 @@ def test_a_rate_that_is_no_rate_is_named():
 )
 def test_what_is_no_capture_is_refused(values):
     with pytest.raises((KeyError, TypeError, ValueError)):
-        Capture.from_json(values)
+        from_json(Capture, values)
 
 
 def test_a_capture_comes_back_from_json():
-    assert Capture.from_json(JSON) == CAPTURE
+    assert from_json(Capture, JSON) == CAPTURE
 
 
 def test_a_capture_of_an_older_version_knows_no_focal_length():
     del (older := dict(JSON))["finest_focal_px"]
-    assert Capture.from_json(older) == replace(CAPTURE, finest_focal_px=None)
+    assert from_json(Capture, older) == replace(CAPTURE, finest_focal_px=None)

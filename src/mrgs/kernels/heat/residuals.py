@@ -29,11 +29,7 @@ from mrgs.field.heat import FourierHeatTransformation
 from mrgs.field.spherical_harmonics import MAX_DEGREE, up_to_degree
 from mrgs.kernels.dense import SHARES, product
 from mrgs.kernels.heat.thermal_head import project_features
-from mrgs.kernels.jit import (
-    reordering_inner_function,
-    reordering_kernel,
-    reordering_parallel_kernel,
-)
+from mrgs.kernels.jit import reordering_inner_function, reordering_parallel_kernel
 from mrgs.kernels.require import listed, require, require_indices
 from mrgs.scene import RGB, THERMAL, Gaussians
 
@@ -239,17 +235,10 @@ def with_neighbours(
     count = len(neighbours)
     require_indices("rows", rows, (None,), count)
     require_indices("neighbours", neighbours, (count, None), count)
-    return torch.from_numpy(_with_neighbours(rows.numpy(), neighbours.contiguous().numpy()))
-
-
-@reordering_kernel
-def _with_neighbours(rows, neighbours):
-    is_needed = np.zeros(neighbours.shape[0], np.bool_)
-    for row in rows:
-        is_needed[row] = True
-        for tap in range(neighbours.shape[1]):
-            is_needed[neighbours[row, tap]] = True
-    return np.flatnonzero(is_needed)
+    is_needed, chosen = np.zeros(count, np.bool_), rows.numpy()
+    is_needed[chosen] = True
+    is_needed[neighbours.numpy().take(chosen, axis=0).ravel()] = True
+    return torch.from_numpy(np.flatnonzero(is_needed))
 
 
 class _Places(NamedTuple):

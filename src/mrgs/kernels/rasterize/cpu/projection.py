@@ -1,10 +1,5 @@
-"""EWA projection of the Gaussians and its backward, one Gaussian per loop turn, in double
-precision.
-
-With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
-rotation and scales: Σ' = N Nᵀ + d I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance
-is ever formed.
-"""
+"""EWA projection of the Gaussians and its backward (``ewa``), one Gaussian per loop turn, in double
+precision."""
 
 from __future__ import annotations
 
@@ -15,6 +10,7 @@ import numpy as np
 from numba import prange
 
 from mrgs.kernels.jit import address, strict_inner_function, strict_parallel_kernel
+from mrgs.kernels.rasterize import ewa
 from mrgs.kernels.simd import prefetch
 from mrgs.rasterizer import contract, splat
 
@@ -48,17 +44,25 @@ class GaussianArrays(NamedTuple):
     features: np.ndarray
 
 
+(
+    dot, scaled, row_times_matrix, rotation_of, jacobian_row, covariance, screen_gradients,
+    rotation_gradient, quaternion_gradient,
+) = ewa.functions(strict_inner_function)  # fmt: skip
+
+
 @strict_inner_function()
-def _rotation(quats, i):
-    """Rotation matrix (three rows) of the normalised quaternion i, that quaternion, and one over
-    the length that it had."""
+def _row(matrix, i):
+    """The first three entries of a row of a matrix."""
+    return matrix[i, 0], matrix[i, 1], matrix[i, 2]
+
+
+@strict_inner_function()
+def _unit_quaternion(quats, i):
+    """The normalised quaternion i, and one over the length that it had."""
     w, x, y, z = float(quats[i, 0]), float(quats[i, 1]), float(quats[i, 2]), float(quats[i, 3])
     inverse_length = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w * inverse_length, x * inverse_length, y * inverse_length, z * inverse_length
-    row0 = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y))
-    row1 = (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x))
-    row2 = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
-    return (row0, row1, row2), (w, x, y, z), inverse_length
+    unit = (w * inverse_length, x * inverse_length, y * inverse_length, z * inverse_length)
+    return unit, inverse_length
 
 
 @strict_inner_function()
@@ -88,59 +92,11 @@ def _clamped(slope, limits):
 @strict_inner_function()
 def _jacobian_times_rotation(inverse_z, u, v, viewmat, fx, fy):
     """The 2×3 matrix M = J R_w, with the clamped slopes u, v in J."""
-    row0 = (
-        fx * inverse_z * (viewmat[0, 0] - u * viewmat[2, 0]),
-        fx * inverse_z * (viewmat[0, 1] - u * viewmat[2, 1]),
-        fx * inverse_z * (viewmat[0, 2] - u * viewmat[2, 2]),
-    )
-    row1 = (
-        fy * inverse_z * (viewmat[1, 0] - v * viewmat[2, 0]),
-        fy * inverse_z * (viewmat[1, 1] - v * viewmat[2, 1]),
-        fy * inverse_z * (viewmat[1, 2] - v * viewmat[2, 2]),
-    )
-    return row0, row1
-
-
-@strict_inner_function()
-def _row_times_matrix(row, rows):
-    """A row vector times a 3×3 matrix that is given by its rows."""
+    forward = _row(viewmat, 2)
     return (
-        row[0] * rows[0][0] + row[1] * rows[1][0] + row[2] * rows[2][0],
-        row[0] * rows[0][1] + row[1] * rows[1][1] + row[2] * rows[2][1],
-        row[0] * rows[0][2] + row[1] * rows[1][2] + row[2] * rows[2][2],
+        jacobian_row(fx * inverse_z, u, _row(viewmat, 0), forward),
+        jacobian_row(fy * inverse_z, v, _row(viewmat, 1), forward),
     )
-
-
-@strict_inner_function()
-def _scaled(row, scales, i):
-    """A row vector with its entries multiplied by the scales of Gaussian i."""
-    return (row[0] * scales[i, 0], row[1] * scales[i, 1], row[2] * scales[i, 2])
-
-
-@strict_inner_function()
-def _combination(a, x, b, y):
-    """a x + b y of two vectors."""
-    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
-
-
-@strict_inner_function()
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@strict_inner_function()
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@strict_inner_function()
-def _covariance(n0, n1, dilation):
-    """Σ' = N Nᵀ + d I: its entries xx, xy, yy, and det Σ' = |n0 × n1|² + d (|n0|² + |n1|²) + d², a
-    sum of what is never negative: xx yy − xy² would cancel for needles."""
-    xx, yy = _dot(n0, n0), _dot(n1, n1)
-    area = _cross(n0, n1)
-    determinant = _dot(area, area) + (xx + yy + dilation) * dilation
-    return xx + dilation, _dot(n0, n1), yy + dilation, determinant
 
 
 @strict_inner_function()
@@ -150,17 +106,17 @@ def _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits
     u = _clamped(point[0] * inverse_z, limits_u)
     v = _clamped(point[1] * inverse_z, limits_v)
     m0, m1 = _jacobian_times_rotation(inverse_z, u, v, viewmat, fx, fy)
+    scale = _row(scales, i)
     return (
-        _scaled(_row_times_matrix(m0, rotation), scales, i),
-        _scaled(_row_times_matrix(m1, rotation), scales, i),
+        scaled(row_times_matrix(m0, rotation), scale),
+        scaled(row_times_matrix(m1, rotation), scale),
     )
 
 
 @strict_inner_function()
 def _axes_along_view(rotation, scales, i, viewmat):
     """r R S, with r the last row of R_w: the depths of the scaled axes of Gaussian i."""
-    axis = (viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
-    return _scaled(_row_times_matrix(axis, rotation), scales, i)
+    return scaled(row_times_matrix(_row(viewmat, 2), rotation), _row(scales, i))
 
 
 @strict_parallel_kernel()
@@ -182,12 +138,12 @@ def project(gaussians, projection, means2d_offset, splats, radii):
         point = _to_camera(means, viewmat, i)
         if point[2] < NEAR_PLANE or opacity < ALPHA_MIN:
             continue
-        rotation, _, _ = _rotation(quats, i)
+        rotation = rotation_of(_unit_quaternion(quats, i)[0])
         along_axis = _axes_along_view(rotation, scales, i, viewmat)
-        if _dot(along_axis, along_axis) > point[2] * point[2]:
+        if dot(along_axis, along_axis) > point[2] * point[2]:
             continue
         n0, n1 = _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v)
-        xx, xy, yy, determinant = _covariance(n0, n1, dilation)
+        xx, xy, yy, determinant = covariance(n0, n1, dilation)
         mean_x = fx * point[0] / point[2] + cx + means2d_offset[i, 0]
         mean_y = fy * point[1] / point[2] + cy + means2d_offset[i, 1]
         reach = 2.0 * math.log(opacity / ALPHA_MIN)  # dᵀ Σ'⁻¹ d where α = 1/255
@@ -231,68 +187,13 @@ def depth_slopes(gaussians, projection):
         point = _to_camera(means, viewmat, i)
         if point[2] < NEAR_PLANE:
             continue
-        rotation, _, _ = _rotation(quats, i)
+        rotation = rotation_of(_unit_quaternion(quats, i)[0])
         n0, n1 = _axes_in_image(point, rotation, scales, i, viewmat, fx, fy, limits_u, limits_v)
-        xx, xy, yy, determinant = _covariance(n0, n1, dilation)
+        xx, xy, yy, determinant = covariance(n0, n1, dilation)
         along_view = _axes_along_view(rotation, scales, i, viewmat)
-        xz, yz = _dot(n0, along_view), _dot(n1, along_view)
+        xz, yz = dot(n0, along_view), dot(n1, along_view)
         scale = 1.0 / (determinant * point[2])
         slopes[i, 0], slopes[i, 1] = (yy * xz - xy * yz) * scale, (xx * yz - xy * xz) * scale
-
-
-@strict_inner_function()
-def _screen_gradients(n0, n1, dilation, g):
-    """∂L/∂μ' and the rows of ∂L/∂N from the moments ``g`` of v = α ∂L/∂α = ∂L/∂(ln G').
-
-    In the record's coordinates, across = dx − shear·dy and dy, Σ' is diagonal, with var(across) and
-    yy, so that nothing cancels for thin slanting Gaussians: ln G' = −½ (across² / var(across) +
-    dy² / yy), ∂L/∂μ' = Σ v Σ'⁻¹ d and ∂L/∂N = (Σ'⁻¹ (Σ v d dᵀ) Σ'⁻¹) N, the rows of N being
-    n_across = n0 − shear·n1 = (n1 × (n0 × n1) + d n0) / yy and n1.
-    """
-    _, xy, yy, determinant = _covariance(n0, n1, dilation)
-    shear = xy / yy
-    per_across, per_dy = yy / determinant, 1.0 / yy
-    grad_across, grad_dy = g[splat.GRAD_ACROSS] * per_across, g[splat.GRAD_DY] * per_dy
-    across_across = g[splat.GRAD_ACROSS_ACROSS] * per_across * per_across
-    across_dy = g[splat.GRAD_ACROSS_DY] * per_across * per_dy
-    dy_dy = g[splat.GRAD_DY_DY] * per_dy * per_dy
-    n_across = _combination(per_dy, _cross(n1, _cross(n0, n1)), dilation * per_dy, n0)
-    grad_n_across = _combination(across_across, n_across, across_dy, n1)
-    grad_n_dy = _combination(across_dy, n_across, dy_dy, n1)
-    grad_mean = (grad_across, grad_dy - shear * grad_across)
-    return grad_mean, grad_n_across, _combination(1.0, grad_n_dy, -shear, grad_n_across)
-
-
-@strict_inner_function()
-def _quaternion_gradient(unit, inverse_length, g):
-    """∂L/∂quaternion from ∂L/∂R (three rows ``g``), through the normalisation to ``unit``."""
-    w, x, y, z = unit
-    gw = 2 * (x * (g[2][1] - g[1][2]) + y * (g[0][2] - g[2][0]) + z * (g[1][0] - g[0][1]))
-    gx = 2 * (
-        y * (g[0][1] + g[1][0])
-        + z * (g[0][2] + g[2][0])
-        + w * (g[2][1] - g[1][2])
-        - 2 * x * (g[1][1] + g[2][2])
-    )
-    gy = 2 * (
-        x * (g[0][1] + g[1][0])
-        + z * (g[1][2] + g[2][1])
-        + w * (g[0][2] - g[2][0])
-        - 2 * y * (g[0][0] + g[2][2])
-    )
-    gz = 2 * (
-        x * (g[0][2] + g[2][0])
-        + y * (g[1][2] + g[2][1])
-        + w * (g[1][0] - g[0][1])
-        - 2 * z * (g[0][0] + g[1][1])
-    )
-    along = gw * w + gx * x + gy * y + gz * z
-    return (
-        (gw - along * w) * inverse_length,
-        (gx - along * x) * inverse_length,
-        (gy - along * y) * inverse_length,
-        (gz - along * z) * inverse_length,
-    )
 
 
 @strict_inner_function()
@@ -301,11 +202,9 @@ def _camera_point_gradient(
 ):
     """∂L/∂(centre in camera coordinates) from those of M = J R_w, of μ' and of the depth."""
     slope_u, slope_v = point[0] * inverse_z, point[1] * inverse_z
-    view0 = (viewmat[0, 0], viewmat[0, 1], viewmat[0, 2])
-    view1 = (viewmat[1, 0], viewmat[1, 1], viewmat[1, 2])
-    view2 = (viewmat[2, 0], viewmat[2, 1], viewmat[2, 2])
-    grad_j00, grad_j02 = _dot(grad_m0, view0), _dot(grad_m0, view2)
-    grad_j11, grad_j12 = _dot(grad_m1, view1), _dot(grad_m1, view2)
+    view0, view1, view2 = _row(viewmat, 0), _row(viewmat, 1), _row(viewmat, 2)
+    grad_j00, grad_j02 = dot(grad_m0, view0), dot(grad_m0, view2)
+    grad_j11, grad_j12 = dot(grad_m1, view1), dot(grad_m1, view2)
     per_x, per_y = fx * inverse_z, fy * inverse_z
     gx, gy = per_x * grad_mean[0], per_y * grad_mean[1]
     gz = grad_depth - slope_u * gx - slope_v * gy
@@ -332,23 +231,20 @@ def _geometry_gradient(
     inverse_z = 1.0 / point[2]
     u, v = _clamped(point[0] * inverse_z, limits_u), _clamped(point[1] * inverse_z, limits_v)
     m0, m1 = _jacobian_times_rotation(inverse_z, u, v, viewmat, fx, fy)
-    rotation, unit, inverse_length = _rotation(quats, i)
-    p0, p1 = _row_times_matrix(m0, rotation), _row_times_matrix(m1, rotation)
-    n0, n1 = _scaled(p0, scales, i), _scaled(p1, scales, i)
-    grad_mean, gn0, gn1 = _screen_gradients(n0, n1, dilation, g)
+    unit, inverse_length = _unit_quaternion(quats, i)
+    rotation, scale = rotation_of(unit), _row(scales, i)
+    p0, p1 = row_times_matrix(m0, rotation), row_times_matrix(m1, rotation)
+    n0, n1 = scaled(p0, scale), scaled(p1, scale)
+    grad_mean, gn0, gn1 = screen_gradients(n0, n1, dilation, g)
     grad_means2d[i, 0], grad_means2d[i, 1] = grad_mean
     for k in range(3):
         grad_scales[i, k] = gn0[k] * p0[k] + gn1[k] * p1[k]
-    gp0, gp1 = _scaled(gn0, scales, i), _scaled(gn1, scales, i)
-    grad_rotation = (
-        _combination(m0[0], gp0, m1[0], gp1),
-        _combination(m0[1], gp0, m1[1], gp1),
-        _combination(m0[2], gp0, m1[2], gp1),
-    )
-    gw, gx, gy, gz = _quaternion_gradient(unit, inverse_length, grad_rotation)
+    gp0, gp1 = scaled(gn0, scale), scaled(gn1, scale)
+    grad_rotation = rotation_gradient(m0, m1, gp0, gp1)
+    gw, gx, gy, gz = quaternion_gradient(unit, inverse_length, grad_rotation)
     grad_quats[i, 0], grad_quats[i, 1], grad_quats[i, 2], grad_quats[i, 3] = gw, gx, gy, gz
-    grad_m0 = (_dot(gp0, rotation[0]), _dot(gp0, rotation[1]), _dot(gp0, rotation[2]))
-    grad_m1 = (_dot(gp1, rotation[0]), _dot(gp1, rotation[1]), _dot(gp1, rotation[2]))
+    grad_m0 = (dot(gp0, rotation[0]), dot(gp0, rotation[1]), dot(gp0, rotation[2]))
+    grad_m1 = (dot(gp1, rotation[0]), dot(gp1, rotation[1]), dot(gp1, rotation[2]))
     px, py, pz = _camera_point_gradient(
         point, inverse_z, u, v, viewmat, fx, fy, grad_m0, grad_m1, grad_mean, g[splat.GRAD_DEPTH]
     )

@@ -1,11 +1,5 @@
-"""EWA projection of the Gaussians and its backward, one thread per Gaussian, in single precision.
-
-With J the Jacobian of the perspective projection, R_w the camera's rotation, R and S the Gaussian's
-rotation and scales: Σ' = N Nᵀ + d I for the 2×3 matrix N = (J R_w) R S, so that no 3×3 covariance
-is ever formed. With n_0 and n_1 the rows of N, det(N Nᵀ) = |n_0 × n_1|² and det Σ' = |n_0 × n_1|² +
-d (|n_0|² + |n_1|²) + d²: sums of what is never negative, so that nothing cancels even for Gaussians
-that are thin and long.
-"""
+"""EWA projection of the Gaussians and its backward (``ewa``), one thread per Gaussian, in single
+precision."""
 
 from __future__ import annotations
 
@@ -13,6 +7,7 @@ import triton
 import triton.language as tl
 
 from mrgs.kernels.gpu_spec import device_function
+from mrgs.kernels.rasterize import ewa
 from mrgs.kernels.rasterize.gpu.constants import (
     ACROSS,
     ALONG,
@@ -42,6 +37,11 @@ from mrgs.kernels.rasterize.gpu.constants import (
 )
 from mrgs.kernels.rasterize.gpu.tiles import count_pairs
 
+(
+    dot, scaled, row_times_matrix, rotation_of, jacobian_row, covariance, screen_gradients,
+    rotation_gradient, quaternion_gradient,
+) = ewa.functions(device_function)  # fmt: skip
+
 
 @device_function
 def _load_three(tensor, i, mask):
@@ -62,13 +62,11 @@ def store_three(tensor, i, mask, values):
 
 
 @device_function
-def _load_rotation(viewmat, row: tl.constexpr):
-    """A row of the camera's rotation."""
-    return (
-        tl.load(viewmat + 4 * row),
-        tl.load(viewmat + 4 * row + 1),
-        tl.load(viewmat + 4 * row + 2),
-    )
+def _load_axes(viewmat):
+    """The rows of the camera's rotation: right, down and forward."""
+    right = (tl.load(viewmat), tl.load(viewmat + 1), tl.load(viewmat + 2))
+    down = (tl.load(viewmat + 4), tl.load(viewmat + 5), tl.load(viewmat + 6))
+    return right, down, (tl.load(viewmat + 8), tl.load(viewmat + 9), tl.load(viewmat + 10))
 
 
 @device_function
@@ -78,60 +76,23 @@ def _load_intrinsics(K):
 
 
 @device_function
-def _dot(a, b):
-    """Scalar product of two vectors of three."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@device_function
-def _cross(a, b):
-    """Vector product of two vectors of three."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@device_function
-def _scaled(row, scales):
-    """A row vector with its entries multiplied by the scales."""
-    return row[0] * scales[0], row[1] * scales[1], row[2] * scales[2]
-
-
-@device_function
-def _row_times_matrix(row, row0, row1, row2):
-    """A row vector times a 3×3 matrix that is given by its rows."""
-    return (
-        row[0] * row0[0] + row[1] * row1[0] + row[2] * row2[0],
-        row[0] * row0[1] + row[1] * row1[1] + row[2] * row2[1],
-        row[0] * row0[2] + row[1] * row1[2] + row[2] * row2[2],
-    )
-
-
-@device_function
 def _load_quaternion(quats, i, mask):
-    """Quaternion i, normalised, and its length; the identity where masked."""
+    """Quaternion i, normalised, and one over the length that it had; the identity where masked."""
     w = tl.load(quats + 4 * i, mask=mask, other=1.0)
     x = tl.load(quats + 4 * i + 1, mask=mask, other=0.0)
     y = tl.load(quats + 4 * i + 2, mask=mask, other=0.0)
     z = tl.load(quats + 4 * i + 3, mask=mask, other=0.0)
     length = tl.sqrt(w * w + x * x + y * y + z * z)
-    return (w / length, x / length, y / length, z / length), length
-
-
-@device_function
-def _rotation(quaternion):
-    """The rows of the rotation matrix of a normalised quaternion."""
-    w, x, y, z = quaternion
-    row0 = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y))
-    row1 = (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x))
-    row2 = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
-    return row0, row1, row2
+    return (w / length, x / length, y / length, z / length), 1.0 / length
 
 
 @device_function
 def _to_camera(point, viewmat):
     """Centres in camera coordinates, and whether they lie before the camera; where not, z is 1."""
-    x = _dot(_load_rotation(viewmat, 0), point) + tl.load(viewmat + 3)
-    y = _dot(_load_rotation(viewmat, 1), point) + tl.load(viewmat + 7)
-    z = _dot(_load_rotation(viewmat, 2), point) + tl.load(viewmat + 11)
+    right, down, forward = _load_axes(viewmat)
+    x = dot(right, point) + tl.load(viewmat + 3)
+    y = dot(down, point) + tl.load(viewmat + 7)
+    z = dot(forward, point) + tl.load(viewmat + 11)
     in_front = z >= NEAR_PLANE
     return x, y, tl.where(in_front, z, 1.0), in_front
 
@@ -141,26 +102,6 @@ def _clamped_slope(slope, focal, centre, size):
     """x/z (or y/z), clamped to the widened image: outside it the linearisation J would explode."""
     margin = size / focal * (0.5 * MARGIN)
     return tl.minimum(tl.maximum(slope, -centre / focal - margin), (size - centre) / focal + margin)
-
-
-@device_function
-def _jacobian_row(viewmat, row: tl.constexpr, focal_over_z, slope):
-    """Row 0 or 1 of M = J R_w."""
-    own, forward = _load_rotation(viewmat, row), _load_rotation(viewmat, 2)
-    return (
-        focal_over_z * (own[0] - slope * forward[0]),
-        focal_over_z * (own[1] - slope * forward[1]),
-        focal_over_z * (own[2] - slope * forward[2]),
-    )
-
-
-@device_function
-def _covariance(n0, n1, dilation):
-    """Entries xx, xy, yy of Σ', then det Σ'."""
-    xx, yy = _dot(n0, n0), _dot(n1, n1)
-    area = _cross(n0, n1)
-    determinant = _dot(area, area) + (xx + yy) * dilation + dilation * dilation
-    return xx + dilation, _dot(n0, n1), yy + dilation, determinant
 
 
 @device_function
@@ -208,16 +149,16 @@ def project(
         opacity = tl.maximum(opacity, tl.load(opacities_scalar + i, mask=inside, other=0.0))
     x, y, z, visible = _to_camera(_load_three(means, i, inside), viewmat)
     fx, fy, cx, cy = _load_intrinsics(K)
-    m0 = _jacobian_row(viewmat, 0, fx / z, _clamped_slope(x / z, fx, cx, width))
-    m1 = _jacobian_row(viewmat, 1, fy / z, _clamped_slope(y / z, fy, cy, height))
+    right, down, forward = _load_axes(viewmat)
+    m0 = jacobian_row(fx / z, _clamped_slope(x / z, fx, cx, width), right, forward)
+    m1 = jacobian_row(fy / z, _clamped_slope(y / z, fy, cy, height), down, forward)
     quaternion, _ = _load_quaternion(quats, i, inside)
-    row0, row1, row2 = _rotation(quaternion)
-    scale = _load_three(scales, i, inside)
-    n0 = _scaled(_row_times_matrix(m0, row0, row1, row2), scale)
-    n1 = _scaled(_row_times_matrix(m1, row0, row1, row2), scale)
-    along_axis = _scaled(_row_times_matrix(_load_rotation(viewmat, 2), row0, row1, row2), scale)
-    xx, xy, yy, determinant = _covariance(n0, n1, dilation)
-    visible &= inside & (opacity >= ALPHA_MIN) & (_dot(along_axis, along_axis) <= z * z)
+    rotation, scale = rotation_of(quaternion), _load_three(scales, i, inside)
+    n0 = scaled(row_times_matrix(m0, rotation), scale)
+    n1 = scaled(row_times_matrix(m1, rotation), scale)
+    along_axis = scaled(row_times_matrix(forward, rotation), scale)
+    xx, xy, yy, determinant = covariance(n0, n1, dilation)
+    visible &= inside & (opacity >= ALPHA_MIN) & (dot(along_axis, along_axis) <= z * z)
     # dᵀ Σ'⁻¹ d where α = 1/255; not quite 0, so that the ellipse keeps its shape.
     reach = tl.maximum(2.0 * tl.log(tl.maximum(opacity, ALPHA_MIN) / ALPHA_MIN), 1e-12)
     mean_x = fx * x / z + cx + tl.load(means2d_offset + 2 * i, mask=inside, other=0.0)
@@ -255,66 +196,22 @@ def project(
 
 
 @device_function
-def _combination(a, x, b, y):
-    """a x + b y of two vectors of three."""
-    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
-
-
-@device_function
-def _screen_gradients(n0, n1, dilation, moments, mask):
-    """∂L/∂μ' and the rows of ∂L/∂N from the moments of v = α ∂L/∂α = ∂L/∂(ln G').
-
-    In the record's coordinates, across = dx − shear·dy and dy, Σ' is diagonal, with var(across) and
-    yy, so that nothing cancels for thin slanting Gaussians: ln G' = −½ (across² / var(across) +
-    dy² / yy), ∂L/∂μ' = Σ v Σ'⁻¹ d and ∂L/∂N = (Σ'⁻¹ (Σ v d dᵀ) Σ'⁻¹) N, the rows of N being
-    n_across = n0 − shear·n1 = (n1 × (n0 × n1) + d n0) / yy and n1.
-    """
-    _, xy, yy, determinant = _covariance(n0, n1, dilation)
-    shear = xy / yy
-    per_across, per_dy = yy / determinant, 1.0 / yy
-    grad_across = tl.load(moments + GRAD_ACROSS, mask=mask, other=0.0) * per_across
-    grad_dy = tl.load(moments + GRAD_DY, mask=mask, other=0.0) * per_dy
-    across_across = (
-        tl.load(moments + GRAD_ACROSS_ACROSS, mask=mask, other=0.0) * per_across * per_across
-    )
-    across_dy = tl.load(moments + GRAD_ACROSS_DY, mask=mask, other=0.0) * per_across * per_dy
-    dy_dy = tl.load(moments + GRAD_DY_DY, mask=mask, other=0.0) * per_dy * per_dy
-    n_across = _combination(1.0 / yy, _cross(n1, _cross(n0, n1)), dilation / yy, n0)
-    grad_n_across = _combination(across_across, n_across, across_dy, n1)
-    grad_n_dy = _combination(across_dy, n_across, dy_dy, n1)
-    grad_mean = (grad_across, grad_dy - shear * grad_across)
-    return grad_mean, grad_n_across, _combination(1.0, grad_n_dy, -shear, grad_n_across)
-
-
-@device_function
-def _quaternion_gradient(quaternion, length, g0, g1, g2):
-    """∂L/∂quaternion from ∂L/∂R (its rows), through the normalisation."""
-    w, x, y, z = quaternion
-    gw = 2 * (x * (g2[1] - g1[2]) + y * (g0[2] - g2[0]) + z * (g1[0] - g0[1]))
-    gx = 2 * (
-        y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g2[1] - g1[2]) - 2 * x * (g1[1] + g2[2])
-    )
-    gy = 2 * (
-        x * (g0[1] + g1[0]) + z * (g1[2] + g2[1]) + w * (g0[2] - g2[0]) - 2 * y * (g0[0] + g2[2])
-    )
-    gz = 2 * (
-        x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) + w * (g1[0] - g0[1]) - 2 * z * (g0[0] + g1[1])
-    )
-    along = gw * w + gx * x + gy * y + gz * z
+def _load_moments(moments, mask):
+    """Those of ``ewa.screen_gradients``."""
     return (
-        (gw - along * w) / length,
-        (gx - along * x) / length,
-        (gy - along * y) / length,
-        (gz - along * z) / length,
+        tl.load(moments + GRAD_ACROSS, mask=mask, other=0.0),
+        tl.load(moments + GRAD_DY, mask=mask, other=0.0),
+        tl.load(moments + GRAD_ACROSS_ACROSS, mask=mask, other=0.0),
+        tl.load(moments + GRAD_ACROSS_DY, mask=mask, other=0.0),
+        tl.load(moments + GRAD_DY_DY, mask=mask, other=0.0),
     )
 
 
 @device_function
-def _axis_gradient(grad_row, viewmat, row: tl.constexpr, focal, across, z, slope, grad_mean):
+def _axis_gradient(grad_row, own, forward, focal, across, z, slope, grad_mean):
     """What one image axis adds to ∂L/∂(centre in camera coordinates), along that axis and along
     z."""
-    grad_own = _dot(grad_row, _load_rotation(viewmat, row))
-    grad_forward = _dot(grad_row, _load_rotation(viewmat, 2))
+    grad_own, grad_forward = dot(grad_row, own), dot(grad_row, forward)
     focal_over_z = focal / z
     is_free = slope == across / z  # not clamped
     grad_slope = tl.where(is_free, focal_over_z * grad_forward, 0.0)
@@ -375,13 +272,13 @@ def project_backward(
     x, y, z, _ = _to_camera(_load_three(means, i, drawn), viewmat)
     fx, fy, cx, cy = _load_intrinsics(K)
     u, v = _clamped_slope(x / z, fx, cx, width), _clamped_slope(y / z, fy, cy, height)
-    m0, m1 = _jacobian_row(viewmat, 0, fx / z, u), _jacobian_row(viewmat, 1, fy / z, v)
-    quaternion, length = _load_quaternion(quats, i, drawn)
-    row0, row1, row2 = _rotation(quaternion)
-    scale = _load_three(scales, i, drawn)
-    p0, p1 = _row_times_matrix(m0, row0, row1, row2), _row_times_matrix(m1, row0, row1, row2)
-    n0, n1 = _scaled(p0, scale), _scaled(p1, scale)
-    grad_mean, gn0, gn1 = _screen_gradients(n0, n1, dilation, moments, drawn)
+    right, down, forward = _load_axes(viewmat)
+    m0, m1 = jacobian_row(fx / z, u, right, forward), jacobian_row(fy / z, v, down, forward)
+    quaternion, inverse_length = _load_quaternion(quats, i, drawn)
+    rotation, scale = rotation_of(quaternion), _load_three(scales, i, drawn)
+    p0, p1 = row_times_matrix(m0, rotation), row_times_matrix(m1, rotation)
+    n0, n1 = scaled(p0, scale), scaled(p1, scale)
+    grad_mean, gn0, gn1 = screen_gradients(n0, n1, dilation, _load_moments(moments, drawn))
     tl.store(grad_means2d_offset + 2 * i, grad_mean[0], mask=inside)
     tl.store(grad_means2d_offset + 2 * i + 1, grad_mean[1], mask=inside)
     grad_scale = (
@@ -390,25 +287,17 @@ def project_backward(
         gn0[2] * p0[2] + gn1[2] * p1[2],
     )
     store_three(grad_scales, i, inside, grad_scale)
-    gp0, gp1 = _scaled(gn0, scale), _scaled(gn1, scale)
-    gr0 = _combination(m0[0], gp0, m1[0], gp1)
-    gr1 = _combination(m0[1], gp0, m1[1], gp1)
-    gr2 = _combination(m0[2], gp0, m1[2], gp1)
-    gw, gx, gy, gz = _quaternion_gradient(quaternion, length, gr0, gr1, gr2)
+    gp0, gp1 = scaled(gn0, scale), scaled(gn1, scale)
+    grad_rotation = rotation_gradient(m0, m1, gp0, gp1)
+    gw, gx, gy, gz = quaternion_gradient(quaternion, inverse_length, grad_rotation)
     tl.store(grad_quats + 4 * i, gw, mask=inside)
     tl.store(grad_quats + 4 * i + 1, gx, mask=inside)
     tl.store(grad_quats + 4 * i + 2, gy, mask=inside)
     tl.store(grad_quats + 4 * i + 3, gz, mask=inside)
-    gm0 = (_dot(gp0, row0), _dot(gp0, row1), _dot(gp0, row2))
-    gm1 = (_dot(gp1, row0), _dot(gp1, row1), _dot(gp1, row2))
-    gx, gz0 = _axis_gradient(gm0, viewmat, 0, fx, x, z, u, grad_mean[0])
-    gy, gz1 = _axis_gradient(gm1, viewmat, 1, fy, y, z, v, grad_mean[1])
+    gm0 = (dot(gp0, rotation[0]), dot(gp0, rotation[1]), dot(gp0, rotation[2]))
+    gm1 = (dot(gp1, rotation[0]), dot(gp1, rotation[1]), dot(gp1, rotation[2]))
+    gx, gz0 = _axis_gradient(gm0, right, forward, fx, x, z, u, grad_mean[0])
+    gy, gz1 = _axis_gradient(gm1, down, forward, fy, y, z, v, grad_mean[1])
     gz = gz0 + gz1 + tl.load(moments + GRAD_DEPTH, mask=drawn, other=0.0)
-    right, down = _load_rotation(viewmat, 0), _load_rotation(viewmat, 1)
-    forward = _load_rotation(viewmat, 2)
-    grad_point = (
-        right[0] * gx + down[0] * gy + forward[0] * gz,
-        right[1] * gx + down[1] * gy + forward[1] * gz,
-        right[2] * gx + down[2] * gy + forward[2] * gz,
-    )
+    grad_point = row_times_matrix((gx, gy, gz), (right, down, forward))
     store_three(grad_means, i, inside, grad_point)
