@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pytest
 
 from mrgs import open_marks
 from mrgs.app.cli import main
+from mrgs.marks.mark import Mark
 from mrgs.runs.open import load_run
+from mrgs.scene import THERMAL
 from mrgs.training import make_config
 from tests.helpers.runs import trained_run
 
@@ -142,3 +145,36 @@ def test_what_cannot_be_done_is_one_line(run, options, message, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
     assert not (run / "marks.json").exists()
+
+
+def test_a_reference_temperature_shifts_the_whole_run(run, tmp_path, capsys):
+    run = shutil.copytree(run, tmp_path / "run")
+    assert main(["measure", str(run), "--spot", f"{VIEW}:20,15"]) == 0
+    before = load_run(run)
+    (reading,) = open_marks(before).measure()
+    view = next(view for view in before.load_scene().train if view.name == VIEW)
+    recorded = before.camera_response(before.render_view(view), view.camera)[THERMAL].image
+    true = reading.mean + 5.0
+    assert main(["measure", str(run), "--reference", f"S1={true:.3f}"]) == 0
+    after = load_run(run)
+    assert open_marks(after).measure()[0].mean == pytest.approx(true, abs=0.3)
+    assert open_marks(after).marks.reference == "S1"
+    shift = after.render_view(view)[THERMAL].image - before.render_view(view)[THERMAL].image
+    span_c, row, column = before.temperature.span_c, 15, 20
+    assert shift[row, column].item() * span_c == pytest.approx(5.0, abs=0.3)
+    again = after.camera_response(after.render_view(view), view.camera)[THERMAL].image
+    difference_c = (again - recorded)[row, column].item() * span_c
+    assert abs(difference_c) < 0.75, "all but what shows through a model of 60 steps"
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [("S1=warm", "MARK=°C"), ("S9=12.4", "S9"), ("Far=12.4", "cannot be a reference")],
+)
+def test_a_reference_temperature_that_cannot_be_is_refused(run, capsys, reference, words):
+    marks = open_marks(load_run(run))
+    far = Mark("Far", "spot", ((50.0, 50.0, 50.0),), (51.0, 50.0, 50.0), 0.1)
+    marks.store.edit(lambda known: known.adding(far))
+    assert main(["measure", str(run), "--reference", reference]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line

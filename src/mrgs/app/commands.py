@@ -355,7 +355,7 @@ class Measure:
     reflected: Maybe[float] = None
     """Reflected apparent temperature there, °C."""
     reference: Maybe[str] = None
-    """Mark that all temperature differences refer to; '' for none."""
+    """Mark that all differences refer to, '' for none; S1=12.4 shifts the run to its true °C."""
     accept: Annotated[Several[str], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
     """Anomalies proposed by mrgs report that become marks, such as H1 C2."""
     drop: Annotated[Several[str], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()

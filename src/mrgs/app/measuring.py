@@ -52,7 +52,15 @@ def measure(command: Measure) -> None:
     if command.mark is not None:
         marks.change(command.mark, **changes)
     if command.reference is not None:
-        marks.refer_to(command.reference)
+        name, given, celsius = command.reference.rpartition("=")
+        if not given:
+            marks.refer_to(command.reference)
+        elif not re.fullmatch(f"-?{_NUMBER}", celsius.strip()):
+            raise ConfigError(f"--reference {command.reference}: write MARK=°C, such as S1=12.4")
+        else:
+            for _ in range(2):  # once more for the share of the mark that is not quite opaque
+                marks.calibrate(name.strip(), float(celsius))
+                marks = open_marks(load_run(command.run, command.scene, command.device))
     _show(command, marks)
 
 

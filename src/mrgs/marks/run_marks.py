@@ -21,6 +21,7 @@ from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Scene, WorldFrame
 from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.training.checkpoint import shift_temperatures
 
 SPOT_PHOTO_PX = 3.0
 """Diameter of a spot in pixels of the nearest thermal photo, as on a camera's spot meter."""
@@ -146,6 +147,29 @@ class RunMarks:
     def refer_to(self, name: str) -> None:
         """Let ΔT of all marks refer to one of them, to none if empty; errors as for ``change``."""
         self.store.edit(lambda marks: replace(marks, reference=name))
+
+    def calibrate(self, name: str, celsius: float) -> None:
+        """Let ΔT refer to a mark whose true mean is known, °C, and shift all temperatures of the
+        run by the constant that the photos leave open; open the run again to see them.
+
+        Raises:
+            ConfigError: there is no such mark, no photo sees it, or the scene has no °C.
+            RunError: the run is being trained, or a file cannot be written.
+        """
+        marks = self.marks
+        reading = self.meter.read(marks.named(name), self.meter.regions(marks))
+        if reading.problem or self.run.temperature is None:
+            problem = reading.problem or "the scene has no °C"
+            raise ConfigError(
+                f"{name} cannot be a reference temperature: {problem}; choose a mark that photos "
+                f"in °C see",
+                options=("reference",),
+            )
+        both = np.array([celsius, reading.mean])
+        if reading.surface is not None:
+            both = self.meter.capture.as_photos(both, reading.surface)
+        shift_temperatures(self.run.folder, float(both[0] - both[1]))
+        self.refer_to(name)
 
     def undo(self) -> None:
         """Undo the last change; errors as for ``change``, also if there is nothing to undo."""

@@ -25,7 +25,7 @@ from mrgs.run_files.facts import CheckpointFacts
 from mrgs.run_files.folder import step_named
 from mrgs.system.atomic import replacing
 
-FORMAT = 6
+FORMAT = 7
 
 _HEADER = "mrgs"
 _HEADER_DIGEST = "sha256"

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mrgs.errors import RunError
 from mrgs.field import RadianceField
-from mrgs.field.spherical_harmonics import MAX_DEGREE
+from mrgs.field.spherical_harmonics import C0, MAX_DEGREE
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
 from mrgs.method.density import Strategy
@@ -28,6 +28,7 @@ from mrgs.run_files.checkpoint import (
     write_file,
 )
 from mrgs.run_files.facts import CheckpointFacts
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene import THERMAL, Gaussians
 from mrgs.scene.capture import model_modalities
 from mrgs.system.gpu import HOST
@@ -129,6 +130,22 @@ def load_state(
         state.step = facts.step
         require_like(tensors, tensors_of(state))
     return state
+
+
+def shift_temperatures(folder: RunFolder, celsius: float) -> None:
+    """Add a constant to all temperatures of a run's newest checkpoint; what its cameras are
+    expected to record stays the same.
+
+    Raises:
+        RunError: the run is being trained, or the checkpoint cannot be read or written.
+    """
+    with folder.locked():
+        path, (tensors, facts, header) = folder.load_newest(lambda path: (path, read(path)))
+        assert facts.temperature is not None
+        constant = celsius / facts.temperature.span_c
+        tensors[f"gaussians.sh_dc.{THERMAL}"] += constant / C0
+        tensors["image_model.constant"] += constant
+        write_file(path, tensors, header)
 
 
 def _load_module(module: torch.nn.Module, tensors: Mapping[str, Tensor]) -> None:

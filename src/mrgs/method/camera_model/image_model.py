@@ -75,7 +75,11 @@ class ImageModel(nn.Module):
         thermal_drift: offset of each thermal photo.
         thermal_shading: what all thermal photos have in common.
         poses: motions of the training views.
+        constant: what the thermal photos show too little, all of them, by a reference temperature;
+            normalised.
     """
+
+    constant: Float[Tensor, ""]
 
     def __init__(self, config: ImageModelConfig, capture: Capture) -> None:
         super().__init__()
@@ -91,6 +95,7 @@ class ImageModel(nn.Module):
         shading = PhotoShading(photos, fixed=config.flat_field is not None)
         self.thermal_shading = shading if has_shading else None
         self.poses = PoseRefinement(capture.views) if config.poses else None
+        self.register_buffer("constant", torch.zeros(()))
         self._extent = capture.extent
 
     @property
@@ -187,4 +192,5 @@ class ImageModel(nn.Module):
             thermal = thermal + value(self.thermal_drift)
         if self.thermal_shading is not None:
             thermal = thermal + self.thermal_shading(*thermal.shape[:2])
+        thermal = thermal - self.constant
         return rendering.with_images({THERMAL: thermal})

@@ -46,7 +46,7 @@ LEAST_ERROR_C = 0.02
 ALIKE = 25.0
 """Number of sightings that count as one: errors of neighbouring points are alike."""
 
-ITERATIONS = 30
+ITERATIONS, CONVERGED_C = 30, 1e-3
 
 
 def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | None = None) -> None:
@@ -194,6 +194,7 @@ def _fitted(
     columns = np.column_stack([seen.terms, seen.value])
     weights, steps = np.ones(n), np.ones(len(one))
     residuals = seen.value - np.median(seen.value) if n else np.ones(1)
+    found = np.full(len(priors), np.inf)
     for _ in range(ITERATIONS):
         noise_c = max(1.4826 * float(np.median(np.abs(residuals))), 1e-3)
         by_point = csr_array((weights, (seen.point, np.arange(n))), (p, n))
@@ -214,7 +215,9 @@ def _fitted(
             np.add.at(precision, (rows, others), sign * steps / usual_c**2)
         np.add.at(precision, (next_one, one), -steps / usual_c**2)
         right = np.concatenate([cross[:, -1], inner[:-1, -1]]) / variance
-        found = np.linalg.solve(precision, right)
+        before, found = found, np.linalg.solve(precision, right)
+        if np.abs(found - before).max() < CONVERGED_C:
+            break
         left = seen.value - found[seen.photo] - seen.terms @ found[photos:]
         if n:
             residuals = left - ((by_point @ left) / total)[seen.point]
