@@ -20,8 +20,8 @@ demo: $(VENV)/.installed
 # arrays (docs/testing.md).
 SELECT = -m "not slow"
 
-# The types are checked while the tests run; what is said of them comes at the end. Those of NumPy 2.2,
-# the last for Python 3.10, are others: there they are not checked.
+# The types are checked while the kernels are compiled and the tests run; what is said of them comes at
+# the end. Those of NumPy 2.2, the last for Python 3.10, are others: there they are not checked.
 test: $(VENV)/.dev-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -31,6 +31,7 @@ test: $(VENV)/.dev-installed
 	wait $$types; types=$$?; cat $(VENV)/types.log; exit $$((tests | types))
 
 tests: $(VENV)/.dev-installed
+	@$(MAKE) --no-print-directory $(VENV)/.kernels-compiled
 	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 40 $(SELECT)
 
 test-all: SELECT =
@@ -67,6 +68,12 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 
 $(VENV)/.%-installed: $(VENV)/.installed
 	$(PIP) --no-build-isolation --editable ".[$*]"
+	@touch $@
+
+# Else each of the tests' processes would compile the same kernels, for a minute or more.
+KERNELS := $(shell find src/mrgs -path '*kernels*' -name '*.py')
+$(VENV)/.kernels-compiled: $(VENV)/.installed $(KERNELS)
+	$(BIN)/python tools/compile_kernels.py
 	@touch $@
 
 # Pins every package that `make` can install, the indirect ones too, for every supported Python.

@@ -42,6 +42,13 @@ SLOW_FOLDERS = ("benchmarks", "synth")
 """Tests of what is not shipped: they run with `make test-all`."""
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Without the slow tests, does not even import what is only slow."""
+    in_tests = collection_path.parent == Path(__file__).parent
+    slow = in_tests and collection_path.name in SLOW_FOLDERS
+    return True if slow and config.option.markexpr == "not slow" else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Without a GPU, leaves out what needs one, and counts interpreted kernels as slow."""

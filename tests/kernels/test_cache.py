@@ -83,6 +83,15 @@ def test_a_kernel_is_compiled_once_and_again_when_it_was_edited(kernel):
     assert result(kernel) == (6.0, "loaded")
 
 
+def test_another_checkout_of_the_same_sources_loads_what_is_compiled(kernel, tmp_path):
+    assert result(kernel) == (6.0, "compiled")
+    copy = tmp_path / "elsewhere" / tmp_path.name / kernel.name
+    copy.parent.mkdir(parents=True)
+    copy.write_text(KERNEL)
+    os.utime(copy, (0, 0))
+    assert result(copy) == (6.0, "loaded")
+
+
 def test_any_source_and_any_constant_is_in_the_digest(kernel, tmp_path, monkeypatch):
     package = tmp_path / "package" / "kernels"
     package.mkdir(parents=True)

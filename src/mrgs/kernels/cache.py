@@ -55,18 +55,49 @@ _PROCESS = secrets.token_hex(4)
 
 def keep_on_disk(dispatcher: Any) -> None:
     """Make a jitted function load its compiled versions from disk, and save new ones there."""
-    folder = version_folder(Path(dispatcher.py_func.__code__.co_filename).parent)
-    if folder is None:
+    if version_folder(Path(dispatcher.py_func.__code__.co_filename).parent) is None:
         return
-    chosen, config.CACHE_DIR = config.CACHE_DIR, str(folder)
-    try:
-        dispatcher._cache = KernelCache(dispatcher.py_func)
-    finally:
-        config.CACHE_DIR = chosen
+    dispatcher._cache = KernelCache(dispatcher.py_func)
+
+
+class _KernelPlace:
+    """Where Numba keeps a function: in the folder of its version, whose name already says
+    everything that the compiled code depends on. Numba's own places also go by the path and the
+    date of the source file, and compile again in each new checkout or environment."""
+
+    def __init__(self, folder: Path, first_line: int) -> None:
+        self._folder, self._first_line = folder, first_line
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> _KernelPlace | None:
+        sources = Path(py_file).parent
+        folder = version_folder(sources)
+        if folder is None:
+            return None
+        own = sources.relative_to(FOLDER) if sources.is_relative_to(FOLDER) else sources.name
+        return cls(folder / own, py_func.__code__.co_firstlineno)
+
+    def ensure_cache_path(self) -> None:
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> int:
+        return 0
+
+    def get_disambiguator(self) -> str:
+        return str(self._first_line)
+
+
+class _KernelFiles(FunctionCache._impl_class):
+    _locator_classes = (_KernelPlace,)
 
 
 class KernelCache(FunctionCache):
     """Numba's cache of one function; a file that cannot be read or written costs time only."""
+
+    _impl_class = _KernelFiles
 
     def __init__(self, py_func: Any) -> None:
         super().__init__(py_func)
