@@ -13,6 +13,8 @@ import torch
 from PIL import Image
 
 from mrgs.marks import Mark, MarkReading
+from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
+from mrgs.method.start.overlap import find_from_overlap
 from mrgs.pictures.drawing import COLDEST, HOTTEST
 from mrgs.pictures.html import InlineImage
 from mrgs.report.findings import (
@@ -20,11 +22,15 @@ from mrgs.report.findings import (
     MARK_SHARE,
     WIDTH_PX,
     _about,
+    camera_effects,
     mark_pictures,
     nearest_view,
 )
+from mrgs.report.texts import Texts
 from mrgs.scene import RGB, THERMAL, Camera, Rendering, Scene
+from mrgs.scene.capture import Capture
 from mrgs.scene.rendering import Blend
+from tests.helpers.drifting import drifting_scene
 
 THERMAL_CAMERA = Camera.from_fov(80, 60, 50)
 PHOTO_CAMERA = Camera.from_fov(200, 150, 70)
@@ -147,3 +153,28 @@ def test_a_view_without_a_photo_has_the_thermal_picture_alone():
     view = replace(made.train[1], images={THERMAL: made.train[1].images[THERMAL]})
     reading = MarkReading(line((-0.2, -0.1), (0.3, 0.1)))
     assert len(mark_pictures(reading, view, SimpleNamespace(render=Even().render), made)) == 1
+
+
+def test_offsets_over_time_and_the_shading_are_shown():
+    scene = drifting_scene()
+    model = ImageModel(
+        ImageModelConfig(thermal_drift=True, thermal_shading=True), Capture.of(scene)
+    )
+    find_from_overlap(scene, model)
+    run = SimpleNamespace(image_model=model, temperature=scene.temperature)
+    shown = camera_effects(run, Texts())
+    assert shown.offsets.path.count("M") == 2, "a line before the pause, one after it"
+    assert shown.offsets.path.count("L") == len(scene.train) - 2
+    assert shown.offsets.low.startswith("−4")
+    assert shown.offsets.end == "13 min"
+    picture = Image.open(io.BytesIO(base64.b64decode(shown.shading.source.partition(",")[2])))
+    corner, middle = picture.getpixel((3, 3)), picture.getpixel((160, 120))
+    assert corner[2] > corner[0], "colder: blue"
+    assert middle[0] > middle[2], "warmer: red"
+    assert shown.shift == ""
+    model.constant += 0.1
+    assert camera_effects(run, Texts()).shift.startswith("+")
+    nothing = SimpleNamespace(
+        image_model=ImageModel(ImageModelConfig(), Capture.of(scene)), temperature=run.temperature
+    )
+    assert camera_effects(nothing, Texts()) is None

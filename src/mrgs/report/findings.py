@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from PIL import Image
 
 from mrgs.marks import MarkReading, RunMarks
@@ -169,6 +170,12 @@ def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
 CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 64
 
 
+PAUSE_MIN = 2.0
+"""Photos farther apart are not joined by a line, minutes."""
+
+SHADING_PX = 320
+
+
 class ProfileChart(NamedTuple):
     """The values along a line as an SVG path of ``CHART_WIDTH`` × ``CHART_HEIGHT``, with the texts
     of its lowest and highest value and its length."""
@@ -299,18 +306,67 @@ def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:
     profile = reading.profile
     if profile is None or math.isnan(reading.low):
         return None
-    known = np.isfinite(profile.values)
-    span = max(reading.high - reading.low, 1e-6)
-    x = CHART_LEFT + (CHART_WIDTH - CHART_LEFT - 4) * profile.distances / profile.distances[-1]
-    y = 10 + (CHART_HEIGHT - 34) * (reading.high - profile.values) / span
-    path = "".join(
+    ends = reading.low, reading.high
+    low, high = (value_text(each, scene.temperature, unit=True) for each in ends)
+    path = _curve(profile.distances / profile.distances[-1], profile.values, *ends)
+    return ProfileChart(path, low, high, size_text(reading, scene.world))
+
+
+def _curve(
+    along: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], low: float, high: float
+) -> str:
+    """The path of a chart: values between two limits over places from 0 to 1; NaN interrupts it."""
+    known = np.isfinite(values)
+    x = CHART_LEFT + (CHART_WIDTH - CHART_LEFT - 4) * along
+    y = 10 + (CHART_HEIGHT - 34) * (high - values) / max(high - low, 1e-6)
+    return "".join(
         f"{'L' if number and known[number - 1] else 'M'}{x[number]:.1f} {y[number]:.1f}"
         for number in np.flatnonzero(known)
     )
-    low, high = (
-        value_text(each, scene.temperature, unit=True) for each in (reading.low, reading.high)
-    )
-    return ProfileChart(path, low, high, size_text(reading, scene.world))
+
+
+class CameraEffects(NamedTuple):
+    """What was learned of a drifting and shading thermal camera: the photos' offsets over time, the
+    shading as a picture, each None where it is not modelled, and by how much a reference
+    temperature has shifted the run, empty where there is none."""
+
+    offsets: ProfileChart | None
+    shading: InlineImage | None
+    shift: str
+
+
+def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
+    """The effects that the report shows; None where none is modelled."""
+    drift, shading = run.image_model.thermal_drift, run.image_model.thermal_shading
+    if run.temperature is None or (drift is None and shading is None):
+        return None
+    span_c, chart, picture = run.temperature.span_c, None, None
+
+    def kelvin(value: float) -> str:
+        return f"{number_text(value, 2, sign=True)} K"
+
+    if drift is not None:
+        offsets = span_c * drift.offsets().double().numpy()
+        timed = bool(np.isfinite(drift.minutes).all())
+        at = drift.minutes if timed else np.arange(float(len(offsets)))
+        order = np.argsort(at, kind="stable")
+        at, offsets = at[order] - at.min(), offsets[order]
+        pauses = np.flatnonzero(np.diff(at) > PAUSE_MIN) + 1 if timed else ()
+        low, high = float(offsets.min()), float(offsets.max())
+        path = _curve(
+            np.insert(at, pauses, np.nan) / max(at[-1], 1e-6), np.insert(offsets, pauses, np.nan),
+            low, high,
+        )  # fmt: skip
+        end = f"{at[-1]:.0f} min" if timed else t("{count} photos", count=len(at))
+        chart = ProfileChart(path, kelvin(low), kelvin(high), end)
+    if shading is not None:
+        values = span_c * shading(SHADING_PX * 3 // 4, SHADING_PX)[..., 0].double().numpy()
+        most = max(float(np.abs(values).max()), 0.05)
+        scale = Scale("error", -most, most, "K", t.decimal)
+        drawn = above_scale(Image.fromarray(scale.colorize(values)), scale, 13, SCALE_GAP_PX)
+        picture = inline_image(drawn, "shading", png=True)
+    constant = span_c * float(run.image_model.constant)
+    return CameraEffects(chart, picture, kelvin(constant) if constant else "")
 
 
 class ShownProposal(NamedTuple):

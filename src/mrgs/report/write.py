@@ -20,7 +20,14 @@ from mrgs.report.conditions import (
     given_rows,
     stated_rows,
 )
-from mrgs.report.findings import CHART_HEIGHT, CHART_LEFT, CHART_WIDTH, known_parts, show_findings
+from mrgs.report.findings import (
+    CHART_HEIGHT,
+    CHART_LEFT,
+    CHART_WIDTH,
+    camera_effects,
+    known_parts,
+    show_findings,
+)
 from mrgs.report.pdf import require_weasyprint, write_pdf
 from mrgs.report.sections import (
     capture_rows,
@@ -135,6 +142,7 @@ def write_report(
         compared_with=compared_with.pop() if len(compared_with) == 1 else "",
         has_factor=any(mark.factor != DASH for mark in every),
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
+        camera=camera_effects(run, t),
         has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
         capture=[*capture_rows(scene, survey, t), *given_rows(settings, t)],
