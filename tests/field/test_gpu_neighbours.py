@@ -82,6 +82,8 @@ def test_more_neighbours_than_the_kernel_takes_are_found_on_the_host(gpu_device)
 class NoKernel:
     """Stands for a kernel where there is nothing to compute."""
 
+    arg_names = ()
+
     def __getitem__(self, grid: tuple[int, ...]) -> Callable[..., None]:
         return lambda *args, **kwargs: None
 

@@ -20,8 +20,9 @@ from mrgs.rasterizer.contract import (
     Layer,
     Projection,
     Raster,
-    Rasterizer,
 )
+
+Rasterizer = Callable[..., Raster]
 
 MODALITIES = ("rgb", "thermal")
 LAYER_TENSORS = Layer._fields

@@ -36,7 +36,7 @@ SCENES = range(100)
 
 @pytest.fixture(scope="module")
 def rasterize():
-    from mrgs.kernels.rasterize.cpu import rasterize
+    from mrgs.kernels.rasterize.cpu.rasterize import rasterize
 
     return rasterize
 
@@ -349,7 +349,7 @@ def test_an_image_changed_in_place_before_the_backward_is_noticed(rasterize) -> 
 
 
 if __name__ == "__main__":
-    from mrgs.kernels.rasterize.cpu import rasterize as kernel
+    from mrgs.kernels.rasterize.cpu.rasterize import rasterize as kernel
 
     for error_name, largest in worst_errors(kernel).items():
         print(f"{error_name:26s} {largest:.1e}")

@@ -39,7 +39,7 @@ from tests.helpers.rasterizers import (
 def rasterize(gpu_device: str) -> Callable:
     """The kernels; tensors go to their device and images come back from it, as the comparison
     expects."""
-    from mrgs.kernels.rasterize import gpu
+    from mrgs.kernels.rasterize.gpu import rasterize as gpu
 
     def on_device(geometry, layers, projection, means2d_offset=None):
         layers = [Layer(*(tensor.to(gpu_device) for tensor in layer)) for layer in layers]
@@ -230,7 +230,7 @@ def test_no_offset_is_an_offset_of_zero_and_the_camera_may_be_of_float64(rasteri
 
 
 def test_many_tiles_are_numbered_by_wider_integers(rasterize, monkeypatch):
-    from mrgs.kernels.rasterize.gpu import rasterize as function
+    from mrgs.kernels.rasterize.gpu.rasterize import rasterize as function
 
     scene = random_scene(7, 10, 20, 12, torch.float32)
     expected = render_and_differentiate(rasterize, scene)
@@ -239,7 +239,7 @@ def test_many_tiles_are_numbered_by_wider_integers(rasterize, monkeypatch):
 
 
 def test_too_many_pairs_are_refused(gpu_device):
-    from mrgs.kernels.rasterize.gpu import rasterize as function
+    from mrgs.kernels.rasterize.gpu.rasterize import rasterize as function
 
     each = torch.full((2,), 2**31 - 1, dtype=torch.int32, device=gpu_device)
     listed = {"depths": torch.ones(2, device=gpu_device), "tiles": 4, "pair_counts": each}
@@ -248,7 +248,7 @@ def test_too_many_pairs_are_refused(gpu_device):
 
 
 def test_too_many_gaussians_are_refused(gpu_device):
-    from mrgs.kernels.rasterize.gpu import rasterize as function
+    from mrgs.kernels.rasterize.gpu.rasterize import rasterize as function
 
     def many(*columns: int) -> torch.Tensor:  # which take no memory
         return torch.zeros(1, device=gpu_device).expand(2**28, *columns)
@@ -275,7 +275,7 @@ def test_layers_of_any_number_of_channels(rasterize, channels) -> None:
 
 
 def test_an_image_changed_in_place_before_the_backward_is_noticed(gpu_device) -> None:
-    from mrgs.kernels.rasterize.gpu import rasterize
+    from mrgs.kernels.rasterize.gpu.rasterize import rasterize
 
     means = torch.tensor([[0.0, 0.0, 1.0]], device=gpu_device, requires_grad=True)
     quats, scales = torch.ones(1, 4, device=gpu_device), torch.full((1, 3), 0.1, device=gpu_device)
@@ -300,7 +300,7 @@ def test_what_the_kernels_take_is_handed_to_them(gpu_device, monkeypatch) -> Non
         called.append(arguments)
         return "raster"
 
-    name = "mrgs.kernels.rasterize.gpu.rasterize"
+    name = "mrgs.kernels.rasterize.gpu.rasterize.rasterize"
     monkeypatch.setattr(
         operation, "_imported", lambda each: noting if each == name else imported(each)
     )

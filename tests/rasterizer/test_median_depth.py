@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from mrgs.kernels.rasterize import cpu
+from mrgs.kernels.rasterize.cpu import rasterize as cpu
 from mrgs.rasterizer import Geometry, Projection, reference
 from tests.helpers.rasterizers import random_scene
 

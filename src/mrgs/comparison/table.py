@@ -176,31 +176,30 @@ def _why_no_mean(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> st
     return f"no mean, because the figure is missing for {', '.join(gaps)}"
 
 
+_SCALED = {
+    "gaussians_k": ("gaussians", 1e-3),
+    "minutes": ("train_seconds", 1 / 60),
+    "truth.depth_percent": ("truth.depth_median_relative_error", 100.0),
+}
+"""Figures that tables give in another unit than ``metrics.json``: their place there, a factor."""
+
+
 def _figure(document: dict[str, Any], name: str) -> Figure:
-    if name == "gaussians_k":
-        return _scaled(_number(document, "gaussians"), 1e-3)
-    if name == "minutes":
-        return _scaled(_number(document, "train_seconds"), 1 / 60)
-    group, _, key = name.partition(".")
-    if group == "poses":
-        poses = document.get("poses")
-        if name.startswith("poses.aligned") and isinstance(poses, dict) and "aligned" not in poses:
-            right = "the poses of the held-out photos are right, as far as this model tells"
-            error_px = _number(document, "poses.error_px")
-            return error_px if isinstance(error_px, Missing) else Missing(right)
-        return _number(document, name)
-    if group != "truth":
-        return _number(document, f"mean.{group}.{key}")
-    if "truth" not in document:
+    if name.startswith("truth.") and "truth" not in document:
         return Missing("the scene has no exact truth")
-    if key == "depth_percent":
-        return _scaled(_number(document, "truth.depth_median_relative_error"), 100.0)
-    if key == "ratio":
+    if name == "truth.ratio":
         error, camera = _number(document, "truth.mae_c"), _number(document, "truth.camera_mae_c")
         if isinstance(error, Missing) or isinstance(camera, Missing):
             return error if isinstance(error, Missing) else camera
         return error / camera if camera > 0 else Missing("the camera makes no error")
-    return _number(document, f"truth.{key}")
+    poses = document.get("poses")
+    if name.startswith("poses.aligned") and isinstance(poses, dict) and "aligned" not in poses:
+        right = "the poses of the held-out photos are right, as far as this model tells"
+        error_px = _number(document, "poses.error_px")
+        return error_px if isinstance(error_px, Missing) else Missing(right)
+    path, factor = _SCALED.get(name, (name if name in RUN_KINDS else f"mean.{name}", 1.0))
+    figure = _number(document, path)
+    return figure if isinstance(figure, Missing) else figure * factor
 
 
 def _number(document: dict[str, Any], path: str) -> Figure:
@@ -213,10 +212,6 @@ def _number(document: dict[str, Any], path: str) -> Figure:
     reasons = document.get("reasons")
     reason = reasons.get(path) if isinstance(reasons, dict) else None
     return Missing(str(reason) if reason else "metrics.json does not hold it")
-
-
-def _scaled(figure: Figure, factor: float) -> Figure:
-    return figure if isinstance(figure, Missing) else figure * factor
 
 
 MARKDOWN_GROUPS = 3

@@ -18,7 +18,6 @@ from mrgs.kernels.dense import (
     SHARES,
     TILE_COLUMNS,
     TILE_ROWS,
-    Activations,
     Network,
     NetworkSums,
     blocks_of,
@@ -84,11 +83,11 @@ class _ColorResidual(torch.autograd.Function):
         *tensors, frequencies, rows, keep = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
         units = rounded_up(len(tensors[4]), TILE_COLUMNS)
-        hidden = Activations(slots(len(rows), keep), 2, BLOCK_ROWS, units)
+        hidden = np.empty((slots(len(rows), keep), 2, BLOCK_ROWS, units), np.float32)
         residual = np.empty((len(rows), 3), np.float32)
         gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
         network = Network(*(pack(*tensors[place : place + 2]) for place in (3, 5, 7)))
-        _forward(gaussians, rows.numpy(), frequencies, *network, hidden.array, keep, residual)
+        _forward(gaussians, rows.numpy(), frequencies, *network, hidden, keep, residual)
         if keep:
             ctx.save_for_backward(*tensors, rows)
             ctx.frequencies, ctx.network, ctx.hidden = frequencies, network, hidden
@@ -103,7 +102,7 @@ class _ColorResidual(torch.autograd.Function):
         gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
         gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
         _backward(
-            gaussians, rows.numpy(), ctx.frequencies, *ctx.network, ctx.hidden.array,
+            gaussians, rows.numpy(), ctx.frequencies, *ctx.network, ctx.hidden,
             grads[0].contiguous().numpy(), *sums, gradients,
         )  # fmt: skip
         if ctx.needs_input_grad[2]:

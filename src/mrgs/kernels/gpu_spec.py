@@ -8,7 +8,7 @@ machine without a GPU.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
 import triton
@@ -54,6 +54,21 @@ class KernelSpec(NamedTuple):
         self.kernel[grid](
             **given, **self.constexprs, num_warps=self.num_warps, num_stages=self.num_stages
         )
+
+
+def specialised(
+    kernel: Any,
+    constants: dict[str, Any],
+    types: Mapping[str, str],
+    num_warps: int = 4,
+    num_stages: int = 3,
+    variant: str = "",
+) -> KernelSpec:
+    """An entry from the kernel's constants and the types of its other arguments; those without one
+    are tensors of float32."""
+    names = (name for name in kernel.arg_names if name not in constants)
+    signature = {name: types.get(name, "*fp32") for name in names}
+    return KernelSpec(kernel, signature, constants, num_warps, num_stages, variant)
 
 
 def device_function(function: Callable) -> Any:

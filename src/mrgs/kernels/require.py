@@ -58,19 +58,6 @@ def require_indices(name: str, indices: Tensor, shape: Sequence[int | None], cou
         )
 
 
-def require_camera(viewmat: Tensor, K: Tensor, width: int, height: int) -> None:
-    """A camera must have a viewmat [4, 4], intrinsics [3, 3], and pixels.
-
-    Raises:
-        ValueError: it does not.
-    """
-    if viewmat.shape != (4, 4) or K.shape != (3, 3) or min(width, height) < 1:
-        raise ValueError(
-            f"a camera has a viewmat [4, 4], a K [3, 3] and pixels, not {list(viewmat.shape)}, "
-            f"{list(K.shape)} and {width}×{height}"
-        )
-
-
 def require_layers(name: str, layers: Sequence[Tensor], widths: Sequence[int | None]) -> None:
     """Weights and biases of linear layers must pass on what the layer before them gives.
 

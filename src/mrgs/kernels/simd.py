@@ -27,31 +27,22 @@ _MASK = ir.VectorType(ir.IntType(1), LANES)
 FUSE = ("contract",)
 
 
-class _Float32x16(types.Type):
-    def __init__(self) -> None:
-        super().__init__(name="Float32x16")
+class _Lanes(types.Type):
+    """Sixteen values in one LLVM vector."""
+
+    def __init__(self, name: str, vector: ir.VectorType) -> None:
+        super().__init__(name=name)
+        self.vector = vector
 
 
-class _Mask16(types.Type):
-    def __init__(self) -> None:
-        super().__init__(name="Mask16")
+@register_model(_Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, fe_type.vector)
 
 
-Float32x16 = _Float32x16()
-Mask16 = _Mask16()
+Float32x16, Mask16 = _Lanes("Float32x16", VECTOR), _Lanes("Mask16", _MASK)
 FloatPointer = types.CPointer(types.float32)
-
-
-@register_model(_Float32x16)
-class _Float32x16Model(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, VECTOR)
-
-
-@register_model(_Mask16)
-class _Mask16Model(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, _MASK)
 
 
 def _define_operator(

@@ -10,7 +10,7 @@ from mrgs.system.operation import operation
 __all__ = ["Blend", "Geometry", "Layer", "Projection", "Raster", "median_depth", "rasterize"]
 
 rasterize = operation(reference.rasterize)
-"""``contract.Rasterizer``: by a kernel for float32 on the CPU or a GPU, else ``reference``."""
+"""``reference.rasterize``: by a kernel for float32 on the CPU or a GPU."""
 
 median_depth = operation(measure=reference.depth_quantiles)(reference.median_depth)
 """``reference.median_depth``: of the surface that a layer shows; by a kernel for float32."""

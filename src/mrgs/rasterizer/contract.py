@@ -18,9 +18,8 @@ depth z is left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -120,31 +119,6 @@ class Raster(NamedTuple):
 
     blends: tuple[Blend, ...]
     radii: Float[Tensor, " n"]
-
-
-class Rasterizer(Protocol):
-    """The signature shared by the oracle and the kernels.
-
-    Differentiable in the geometry, means2d_offset and every tensor of every layer.
-    """
-
-    def __call__(
-        self,
-        geometry: Geometry,
-        layers: Sequence[Layer],
-        projection: Projection,
-        means2d_offset: Float[Tensor, "n 2"] | None = None,
-    ) -> Raster:
-        """Render the layers from one camera.
-
-        Args:
-            geometry: of the Gaussians.
-            layers: one layer, or two that share the walk over the Gaussians.
-            projection: of the camera; no gradient flows to it.
-            means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the
-                screen-space gradient that densification reads.
-        """
-        ...
 
 
 LEAST_DILATION_PX2 = 0.01

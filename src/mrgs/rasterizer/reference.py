@@ -62,9 +62,15 @@ def rasterize(
     projection: Projection,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
-    """Render the layers from one camera; arguments and result as in ``contract.Rasterizer``.
+    """Render the layers from one camera; differentiable in the geometry, ``means2d_offset`` and
+    every tensor of every layer.
 
-    Differentiable by autograd. The camera is converted to the dtype and the device of the means.
+    Args:
+        geometry: of the Gaussians.
+        layers: one layer, or two that share the walk over the Gaussians.
+        projection: of the camera, of any dtype and on any device; no gradient flows to it.
+        means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the
+            screen-space gradient that densification reads.
 
     Raises:
         ValueError: a shape does not fit, there is not one or two layers, or the image has no

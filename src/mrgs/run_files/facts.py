@@ -191,10 +191,10 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
     Raises:
         RunError: it has others.
     """
-    _raise_first(scene, _other_views(facts, scene))
+    problems = [*_mismatches(facts, scene)]
     if not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
-        _raise_first(scene, [("has other cameras than the run's scene", _AS_IT_WAS)])
-    _raise_first(scene, _other_temperatures(facts, scene))
+        problems.append(("has other cameras than the run's scene", _AS_IT_WAS))
+    _raise_first(scene, problems)
 
 
 def facts_to_resume(
@@ -251,16 +251,16 @@ def _raise_first(scene: Scene, problems: Iterable[tuple[str, str]]) -> None:
 
 def _incompatible(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
     """Why a run cannot go on with a scene, each with a remedy."""
-    yield from _other_views(facts, scene)
-    yield from _other_temperatures(facts, scene)
+    yield from _mismatches(facts, scene)
     untrained = set(scene.modalities) - set(model_modalities(facts.modalities))
     if untrained:
         names = ", ".join(sorted(each.name for each in untrained))
         yield f"has images that the run began without ({names})", "retrain"
 
 
-def _other_views(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
-    """How the numbers of a scene's images differ from the run's, or its thermal views."""
+def _mismatches(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
+    """How the numbers of a scene's images differ from the run's, its thermal views, or its
+    temperatures."""
     trained = model_modalities(facts.modalities)
     count = sum(modality in trained for view in scene.train for modality in view.images)
     thermal = [THERMAL in view.images for view in scene.train]
@@ -272,9 +272,6 @@ def _other_views(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, st
         )
     elif thermal != [point is not None for point in facts.capture.thermal_viewpoints]:
         yield "has thermal photos in other views than the run was trained with", _AS_IT_WAS
-
-
-def _other_temperatures(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
     if facts.temperature != scene.temperature:
         yield (
             "has another temperature range than the run was trained with",

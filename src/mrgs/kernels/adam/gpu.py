@@ -13,7 +13,7 @@ import triton.language as tl
 from torch import Tensor
 
 from mrgs.kernels import adam
-from mrgs.kernels.gpu_spec import KernelSpec
+from mrgs.kernels.gpu_spec import specialised
 from mrgs.kernels.require import require
 from mrgs.method.adam import BETA1, BETA2
 
@@ -94,11 +94,7 @@ def move(
     _SPEC.launch((triton.cdiv(size, BLOCK),), {**arguments, **numbers})
 
 
-_SPEC = KernelSpec(
-    adam_kernel,
-    dict.fromkeys(TENSORS, "*fp32") | {"size": "i32", "rate": "fp32", "epsilon": "fp32"},
-    {"BLOCK": BLOCK},
-    NUM_WARPS,
-)
+_TYPES = {"size": "i32", "rate": "fp32", "epsilon": "fp32"}
+_SPEC = specialised(adam_kernel, {"BLOCK": BLOCK}, _TYPES, NUM_WARPS)
 
 KERNELS = (_SPEC,)

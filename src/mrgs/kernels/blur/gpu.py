@@ -10,7 +10,6 @@ bits on every run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -19,7 +18,7 @@ import triton.language as tl
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.gpu_spec import Arguments, KernelSpec
+from mrgs.kernels.gpu_spec import Arguments, KernelSpec, specialised
 from mrgs.kernels.require import require
 from mrgs.method.camera_model.point_spread import REACH
 
@@ -28,9 +27,7 @@ BLOCK = 256
 
 NUM_WARPS = 4
 SIZES = ("height", "width")
-FORWARD = ("plane", "sigma", "result", "weight_sums")
-BACKWARD = ("plane", "sigma", "gradient", "weight_sums", "result", "by_sigma")
-"""Tensors of the two kernels."""
+TYPES = dict.fromkeys(SIZES, "i32") | {"reach": "fp32"}
 
 
 @triton.jit(do_not_specialize=SIZES)
@@ -119,68 +116,60 @@ def blur(plane: Tensor, sigma_px: Tensor) -> Tensor:
     """
     require("plane", plane, (None, None), device=plane.device)
     require("sigma_px", sigma_px, (), device=plane.device)
-    result: Tensor = _Blur.apply(plane, sigma_px, REACH)
+    result: Tensor = _Blur.apply(plane, sigma_px)
     return result
 
 
 class _Blur(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, plane: Tensor, sigma_px: Tensor, reach: float) -> Tensor:
+    def forward(ctx: Any, plane: Tensor, sigma_px: Tensor) -> Tensor:
         plane, sigma_px = plane.contiguous(), sigma_px.detach()
-        ctx.reach = reach
-        along, column_sums = _forward(plane, sigma_px, reach, 1)
-        blurred, row_sums = _forward(along, sigma_px, reach, 0)
+        along, column_sums = _forward(plane, sigma_px, 1)
+        blurred, row_sums = _forward(along, sigma_px, 0)
         ctx.save_for_backward(plane, along, sigma_px, column_sums, row_sums)
         return blurred
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
         plane, along, sigma_px, column_sums, row_sums = ctx.saved_tensors
-        by_along, change_down = _backward(
-            along, sigma_px, gradient.contiguous(), row_sums, ctx.reach, 0
-        )
-        by_plane, change_along = _backward(plane, sigma_px, by_along, column_sums, ctx.reach, 1)
-        return by_plane, (change_down + change_along).to(sigma_px.dtype), None
+        by_along, change_down = _backward(along, sigma_px, gradient.contiguous(), row_sums, 0)
+        by_plane, change_along = _backward(plane, sigma_px, by_along, column_sums, 1)
+        return by_plane, (change_down + change_along).to(sigma_px.dtype)
 
 
-def _forward(plane: Tensor, sigma_px: Tensor, reach: float, axis: int) -> tuple[Tensor, Tensor]:
+def _forward(plane: Tensor, sigma_px: Tensor, axis: int) -> tuple[Tensor, Tensor]:
     result, weight_sums = torch.empty_like(plane), plane.new_empty(plane.shape[axis])
-    _launch(blur_kernel, FORWARD, (plane, sigma_px, result, weight_sums), reach, axis)
+    _launch(blur_kernel, axis, plane, sigma=sigma_px, result=result, weight_sums=weight_sums)
     return result, weight_sums
 
 
 def _backward(
-    plane: Tensor, sigma_px: Tensor, gradient: Tensor, weight_sums: Tensor, reach: float, axis: int
+    plane: Tensor, sigma_px: Tensor, gradient: Tensor, weight_sums: Tensor, axis: int
 ) -> tuple[Tensor, Tensor]:
     """The gradients by the plane and by σ of the blur along one axis."""
     result = torch.empty_like(plane)
     by_sigma = plane.new_empty(triton.cdiv(plane.numel(), BLOCK))
-    tensors = (plane, sigma_px, gradient, weight_sums, result, by_sigma)
-    _launch(blur_backward_kernel, BACKWARD, tensors, reach, axis)
+    _launch(
+        blur_backward_kernel, axis, plane, sigma=sigma_px, gradient=gradient,
+        weight_sums=weight_sums, result=result, by_sigma=by_sigma,
+    )  # fmt: skip
     return result, by_sigma.sum(dtype=torch.float64)
 
 
-def _launch(
-    kernel: Any, names: Sequence[str], tensors: Sequence[Tensor], reach: float, axis: int
-) -> None:
-    """Start a kernel along an axis of the first of its tensors."""
-    plane = tensors[0]
-    given: Arguments = dict(zip(names, tensors, strict=True)) | {"reach": reach}
-    given |= dict(zip(SIZES, plane.shape, strict=True))
-    _spec(kernel, names, axis).launch((triton.cdiv(plane.numel(), BLOCK),), given)
+def _launch(kernel: Any, axis: int, plane: Tensor, **others: Tensor) -> None:
+    """Start a kernel along an axis of the plane, with its other tensors by name."""
+    sizes = dict(zip(SIZES, plane.shape, strict=True))
+    given: Arguments = {"plane": plane, **others, **sizes, "reach": REACH}
+    _spec(kernel, axis).launch((triton.cdiv(plane.numel(), BLOCK),), given)
 
 
-def _spec(kernel: Any, tensors: Sequence[str], axis: int) -> KernelSpec:
+def _spec(kernel: Any, axis: int) -> KernelSpec:
     """One of the kernels along an axis."""
-    signature = dict.fromkeys(tensors, "*fp32") | dict.fromkeys(SIZES, "i32") | {"reach": "fp32"}
-    return KernelSpec(
-        kernel, signature, {"AXIS": axis, "BLOCK": BLOCK}, NUM_WARPS, variant=f"axis {axis}"
-    )
+    constants = {"AXIS": axis, "BLOCK": BLOCK}
+    return specialised(kernel, constants, TYPES, NUM_WARPS, variant=f"axis {axis}")
 
 
 KERNELS = tuple(
-    _spec(kernel, tensors, axis)
-    for kernel, tensors in ((blur_kernel, FORWARD), (blur_backward_kernel, BACKWARD))
-    for axis in (0, 1)
+    _spec(kernel, axis) for kernel in (blur_kernel, blur_backward_kernel) for axis in (0, 1)
 )

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.field import spherical_harmonics as sh
-from mrgs.kernels.gpu_spec import Arguments, KernelSpec, device_function
+from mrgs.kernels.gpu_spec import Arguments, KernelSpec, device_function, specialised
 from mrgs.kernels.require import require
 
 BLOCK = 128
@@ -28,9 +28,7 @@ past the last Gaussian."""
 
 NUM_WARPS = 4
 SIZES = ("count", "bands", "held")
-FORWARD = ("means", "camera", "dc", "rest", "values")
-BACKWARD = (*FORWARD, "gradient", "grad_means", "grad_dc", "grad_rest")
-"""Tensors of the two kernels."""
+TYPES = dict.fromkeys(SIZES, "i32") | {"floor": "fp32"}
 
 VARIANTS = {3: "color", 1: "scalar"}
 """By the number of channels."""
@@ -205,44 +203,44 @@ class _Shade(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> Tensor:
         means, dc, rest, camera, bands, floor = inputs
-        tensors = [tensor.detach().contiguous() for tensor in (means, camera, dc, rest)]
+        tensors = {"means": means, "camera": camera, "dc": dc, "rest": rest}
+        tensors = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}
         values = means.new_empty(len(means), dc.shape[2])
         ctx.numbers = {
             "count": len(means), "bands": bands, "held": rest.shape[1], "floor": floor
         }  # fmt: skip
-        _launch(shade_kernel, FORWARD, [*tensors, values], ctx.numbers)
-        ctx.save_for_backward(*tensors, values)
+        _launch(shade_kernel, tensors | ctx.numbers, values=values)
+        ctx.save_for_backward(*tensors.values(), values)
         return values
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        saved = ctx.saved_tensors
-        means, _, dc, rest, _ = saved
+        means, camera, dc, rest, values = ctx.saved_tensors
         grads = [torch.empty_like(each) for each in (means, dc, rest)]
-        tensors = [*saved, gradient.contiguous(), *grads]
-        _launch(shade_backward_kernel, BACKWARD, tensors, ctx.numbers)
-        camera = -grads[0].sum(dim=0) if ctx.needs_input_grad[3] else None
-        return (*grads, camera, None, None)
+        _launch(
+            shade_backward_kernel, ctx.numbers, means=means, camera=camera, dc=dc, rest=rest,
+            values=values, gradient=gradient.contiguous(),
+            grad_means=grads[0], grad_dc=grads[1], grad_rest=grads[2],
+        )  # fmt: skip
+        camera_gradient = -grads[0].sum(dim=0) if ctx.needs_input_grad[3] else None
+        return (*grads, camera_gradient, None, None)
 
 
-def _launch(
-    kernel: Any, names: tuple[str, ...], tensors: list[Tensor], numbers: dict[str, float]
-) -> None:
-    given: Arguments = dict(zip(names, tensors, strict=True)) | numbers
+def _launch(kernel: Any, given: Arguments, **tensors: Tensor) -> None:
+    given = given | tensors
     programs = triton.cdiv(given["count"], BLOCK)
-    _spec(kernel, names, given["dc"].shape[2]).launch((programs,), given)
+    _spec(kernel, given["dc"].shape[2]).launch((programs,), given)
 
 
-def _spec(kernel: Any, names: tuple[str, ...], channels: int) -> KernelSpec:
+def _spec(kernel: Any, channels: int) -> KernelSpec:
     """A kernel for a number of channels."""
-    signature = dict.fromkeys(names, "*fp32") | dict.fromkeys(SIZES, "i32") | {"floor": "fp32"}
     constants = {"CHANNELS": channels, "BLOCK": BLOCK}
-    return KernelSpec(kernel, signature, constants, NUM_WARPS, variant=VARIANTS[channels])
+    return specialised(kernel, constants, TYPES, NUM_WARPS, variant=VARIANTS[channels])
 
 
 KERNELS = tuple(
-    _spec(kernel, names, channels)
-    for kernel, names in ((shade_kernel, FORWARD), (shade_backward_kernel, BACKWARD))
+    _spec(kernel, channels)
+    for kernel in (shade_kernel, shade_backward_kernel)
     for channels in VARIANTS
 )

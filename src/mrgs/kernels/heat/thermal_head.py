@@ -20,7 +20,6 @@ from mrgs.kernels.dense import (
     BLOCK_ROWS,
     SHARES,
     TILE_COLUMNS,
-    Activations,
     Network,
     NetworkSums,
     blocks_of,
@@ -103,12 +102,13 @@ class _Projection(torch.autograd.Function):
         *tensors, positions, frequencies, rows, keep = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
         network = _packed(tensors[3:])
-        hidden = Activations(slots(len(rows), keep), BLOCK_ROWS, network.second.bias.size)
+        units = network.second.bias.size
+        hidden = np.empty((slots(len(rows), keep), BLOCK_ROWS, units), np.float32)
         projected = np.zeros((len(positions), len(tensors[-1])), np.float32)
         positions = positions.contiguous()
         gaussians = _flattened(tensors[:3])
         _forward(
-            gaussians, positions.numpy(), rows.numpy(), frequencies, *network, hidden.array, keep,
+            gaussians, positions.numpy(), rows.numpy(), frequencies, *network, hidden, keep,
             projected,
         )  # fmt: skip
         if keep:
@@ -126,7 +126,7 @@ class _Projection(torch.autograd.Function):
         gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
         _backward(
             gaussians, positions.numpy(), rows.numpy(), ctx.frequencies, *ctx.network,
-            ctx.hidden.array, grads[0].contiguous().numpy(), *sums, gradients,
+            ctx.hidden, grads[0].contiguous().numpy(), *sums, gradients,
         )  # fmt: skip
         of_gaussians = [
             torch.from_numpy(array.reshape(tensor.shape))  # no view, so autograd adds in place

@@ -17,7 +17,7 @@ import triton
 import triton.language as tl
 from torch import Tensor, nn
 
-from mrgs.kernels.gpu_spec import Arguments, KernelSpec
+from mrgs.kernels.gpu_spec import Arguments, KernelSpec, specialised
 from mrgs.kernels.neighbours import nearest_neighbours as nearest_neighbours_on_cpu
 from mrgs.kernels.require import require
 
@@ -193,12 +193,9 @@ def _boxes(points: Tensor) -> Tensor:
 
 def _spec(k: int) -> KernelSpec:
     """The kernel for a number of neighbours."""
-    signature = {"points": "*fp32", "originals": "*i32", "boxes": "*fp32", "result": "*i64"}
+    types = {"originals": "*i32", "result": "*i64", "count": "i32", "blocks": "i32"}
     constants = {"K": k, "SLOTS": triton.next_power_of_2(k), "BLOCK": BLOCK, "CHUNK": CHUNK}
-    numbers = {"count": "i32", "blocks": "i32"}
-    return KernelSpec(
-        neighbours_kernel, signature | numbers, constants, NUM_WARPS, variant=f"k={k}"
-    )
+    return specialised(neighbours_kernel, constants, types, NUM_WARPS, variant=f"k={k}")
 
 
 KERNELS = tuple(_spec(k) for k in (3, 8, 15))

@@ -8,7 +8,7 @@ from itertools import zip_longest
 import torch
 from torch import Tensor
 
-from mrgs.kernels.require import require, require_camera
+from mrgs.kernels.require import require
 from mrgs.rasterizer.contract import Geometry, Layer, Projection, Raster
 from mrgs.scene import Blend
 
@@ -29,7 +29,12 @@ def require_pass(
         require("opacities", opacities, (count,), device=device)
         require("features", features, (count, None), device=device)
         require("background", background, features.shape[1:], device=device)
-    require_camera(*projection[:4])
+    viewmat, K, width, height, _ = projection
+    if viewmat.shape != (4, 4) or K.shape != (3, 3) or min(width, height) < 1:
+        raise ValueError(
+            f"a camera has a viewmat [4, 4], a K [3, 3] and pixels, not {list(viewmat.shape)}, "
+            f"{list(K.shape)} and {width}×{height}"
+        )
 
 
 GROUP = 3

@@ -16,8 +16,8 @@ STRUCTURE_C1 = 1e20
 """Next to this C1 the means do not count: SSIM's luminance term is 1, which leaves the structure
 term, S-SSIM."""
 
-_STRUCTURE = (1.0, 0.0, STRUCTURE_C1, STRUCTURE_C2, 1.0, 0.0)
-"""SSIM's structure term alone, without L1."""
+STRUCTURE = (1.0, 0.0, STRUCTURE_C1, STRUCTURE_C2, 1.0, 0.0)
+"""The ``Scalars`` of S-SSIM: SSIM's structure term alone, without L1."""
 
 LEAST_WIDTH = 1e-30
 """A Huber loss of this width has the gradient of |x − y|, also in float32."""
@@ -62,14 +62,6 @@ def l1_dssim(
     return compare(x, y, weights, scalars, False)
 
 
-def structural_dissimilarity(
-    compare: Compare, x: Tensor, y: Tensor, weights: Tensor
-) -> Dissimilarity:
-    """Σ weights (1 − S-SSIM) with ``ssim.structural_similarity``, and 1 − S-SSIM of each value; see
-    ``Compare``."""
-    return compare(x, y, weights, _STRUCTURE, True)
-
-
 def photometric_loss(
     compare: Compare,
     render: Float[Tensor, "h w c"],
@@ -94,7 +86,7 @@ def boltzmann_loss(
     """``mrgs.method.losses.radiation.boltzmann_loss`` by a fused kernel."""
     mean, u = _mean_weights(thermal, valid), uncertainty.detach()
     trust = mean / u.exp()
-    compared = structural_dissimilarity(compare, thermal[:, :, None], radiation[:, :, None], trust)
+    compared = compare(thermal[:, :, None], radiation[:, :, None], trust, STRUCTURE, True)
     assert compared.errors is not None
     untrusted = (mean * u).sum(dtype=torch.float64)
     value = compared.total + (untrusted if isinstance(compared.total, Tensor) else untrusted.item())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import torch
 import triton
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mrgs.kernels import ssim as ssim_losses
-from mrgs.kernels.gpu_spec import Arguments, KernelSpec
+from mrgs.kernels.gpu_spec import Arguments, KernelSpec, specialised
 from mrgs.kernels.require import require
 from mrgs.kernels.ssim import Dissimilarity, Scalars
 from mrgs.method.losses.ssim import RADIUS_PX, WEIGHTS
@@ -34,6 +33,7 @@ SIZES = ("height", "width", "channels", "weights_pitch")
 """Arguments that do not trigger a recompilation in Triton."""
 
 SCALARS = ("dssim", "l1", "c1", "c2", "steepness", "half_width")
+TYPES = dict.fromkeys(SIZES, "i32") | dict.fromkeys(SCALARS, "fp32")
 
 
 @triton.jit
@@ -211,28 +211,16 @@ def gradients_kernel(
 
 
 def _specs(by_y: bool, wants_errors: bool) -> tuple[KernelSpec, KernelSpec]:
-    """Both kernels, with or without what only S-SSIM asks for."""
-    images = dict.fromkeys(("x", "y", "weights", "derivatives"), "*fp32")
-    images |= dict.fromkeys(SIZES, "i32")
-    compared = images | {"errors": "*fp32", "totals": "*fp32"} | dict.fromkeys(SCALARS, "fp32")
-    differentiated = images | dict.fromkeys(("gradient_x", "gradient_y"), "*fp32")
-    differentiated |= {"l1": "fp32", "steepness": "fp32"}
+    """Both kernels, with or without what only S-SSIM asks for: tensors that are not wanted are
+    None."""
     blocks = {"WINDOW": WINDOW, "STRIP_ROWS": STRIP_ROWS, "BLOCK": BLOCK}
+    compared = {**blocks, "BY_Y": by_y} | ({} if wants_errors else {"errors": None})
+    differentiated = blocks | ({} if by_y else {"gradient_y": None})
     variant = "structure" if by_y else "l1_dssim"
     return (
-        _spec(compare_kernel, compared, blocks | {"BY_Y": by_y}, variant, errors=wants_errors),
-        _spec(gradients_kernel, differentiated, blocks, variant, gradient_y=by_y),
+        specialised(compare_kernel, compared, TYPES, NUM_WARPS, variant=variant),
+        specialised(gradients_kernel, differentiated, TYPES, NUM_WARPS, variant=variant),
     )
-
-
-def _spec(
-    kernel: Any, signature: dict[str, str], constants: dict[str, Any], variant: str, **wanted: bool
-) -> KernelSpec:
-    """An entry; tensors that are not wanted are None."""
-    left_out = [name for name, is_wanted in wanted.items() if not is_wanted]
-    signature = {name: kind for name, kind in signature.items() if name not in left_out}
-    constants = constants | dict.fromkeys(left_out)
-    return KernelSpec(kernel, signature, constants, NUM_WARPS, variant=variant)
 
 
 KERNELS = (*_specs(False, False), *_specs(True, True))

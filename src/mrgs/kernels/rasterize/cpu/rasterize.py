@@ -168,7 +168,7 @@ def rasterize(
     projection: Projection,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
-    """``contract.Rasterizer`` for float32 tensors on the CPU.
+    """``reference.rasterize`` for float32 tensors on the CPU.
 
     Raises:
         ValueError: no layer, or tensors of other types or sizes.

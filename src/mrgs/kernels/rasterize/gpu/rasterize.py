@@ -16,8 +16,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from mrgs.errors import MrgsError
-from mrgs.kernels.gpu_spec import Arguments, KernelSpec
-from mrgs.kernels.rasterize import cpu, in_passes, require_pass
+from mrgs.kernels.gpu_spec import Arguments, KernelSpec, specialised
+from mrgs.kernels.rasterize import in_passes, require_pass
+from mrgs.kernels.rasterize.cpu import rasterize as cpu
 from mrgs.kernels.rasterize.gpu.blend import blend, blend_backward, sum_pairs
 from mrgs.kernels.rasterize.gpu.constants import GRAD_FLOATS, SPLAT_FLOATS, TILE_HEIGHT, TILE_WIDTH
 from mrgs.kernels.rasterize.gpu.projection import project, project_backward
@@ -65,16 +66,10 @@ _TYPES = {
 """Types of the arguments, by name; all others are tensors of float32."""
 
 
-def _spec(
-    kernel: Any, variant: str, num_warps: int, constants: dict[str, Any], **types: str
-) -> KernelSpec:
+def _spec(kernel: Any, variant: str, num_warps: int, constants: dict[str, Any]) -> KernelSpec:
     """An entry; of one stage, for there are no loads that Triton could fetch ahead: the walks do
     that themselves."""
-    types = _TYPES | types
-    signature = {
-        name: types.get(name, "*fp32") for name in kernel.arg_names if name not in constants
-    }
-    return KernelSpec(kernel, signature, constants, num_warps, 1, variant)
+    return specialised(kernel, constants, _TYPES, num_warps, 1, variant)
 
 
 def _layer_constants(kernel: Any, layers: str) -> dict[str, Any]:
@@ -105,7 +100,9 @@ def _projections(kernel: Any) -> dict[str, KernelSpec]:
 
 PROJECT = _projections(project)
 LIST_PAIRS = {
-    dtype: _spec(list_pairs, name, BLOCK // 32, {"BLOCK": BLOCK}, tile_of_pair=f"*{name}")
+    dtype: specialised(
+        list_pairs, {"BLOCK": BLOCK}, _TYPES | {"tile_of_pair": f"*{name}"}, BLOCK // 32, 1, name
+    )
     for dtype, name in ((torch.int16, "i16"), (torch.int32, "i32"))
 }
 BLEND = _blends(blend)
@@ -291,7 +288,7 @@ def rasterize(
     projection: Projection,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
-    """``contract.Rasterizer`` for float32 tensors on a GPU.
+    """``reference.rasterize`` for float32 tensors on a GPU.
 
     The camera may be on any device; where it is not on that of the means it is copied there.
 
