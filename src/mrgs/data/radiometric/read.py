@@ -57,6 +57,45 @@ def _read_flir_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPho
     return read_flir(record, path, read_exif(data), overrides)
 
 
+class _ClosedFormat(NamedTuple):
+    """A format whose temperatures only the maker's program reads: the file's suffix, if it is one
+    of its own, byte strings that it contains (the first at its beginning, unless it is a JPEG),
+    its name, and what to do."""
+
+    suffix: str | None
+    signs: tuple[bytes, ...]
+    name: str
+    remedy: str
+
+    def recognises(self, data: bytes, path: Path) -> bool:
+        if self.suffix not in (None, path.suffix.lower()):
+            return False
+        if data.startswith(JPEG_SIGNATURE):
+            return self.suffix is None and all(sign in data for sign in self.signs)
+        return data.startswith(self.signs[0])
+
+
+_CLOSED_FORMATS = (
+    _ClosedFormat(None, (b"\xffIRB\0",), "InfraTec's IRB", "export CSV from IRBIS"),
+    _ClosedFormat(None, (b"HDRI", b"HIPT"), "Hikmicro's", "export CSV from HIKMICRO Analyzer"),
+    _ClosedFormat(None, (b"IJPEG\0",), "InfiRay's IJPEG", "export TIFF or CSV from its app"),
+    _ClosedFormat(".bmt", (b"BM",), "Testo's BMT", "export the table from IRSoft as CSV"),
+    _ClosedFormat(".is2", (b"",), "Fluke's IS2", "export CSV from Fluke Connect or SmartView"),
+)
+
+
+def _closed_format(data: bytes, path: Path) -> _ClosedFormat | None:
+    return next((each for each in _CLOSED_FORMATS if each.recognises(data, path)), None)
+
+
+def _refuse(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+    known = _closed_format(data, path)
+    assert known is not None
+    raise scene_error(
+        path, f"has its temperatures in {known.name} format, which is not read: {known.remedy}"
+    )
+
+
 READERS = [
     Reader(
         lambda data, path: data.startswith(JPEG_SIGNATURE) and flir_record(data, path) is not None,
@@ -76,6 +115,7 @@ READERS = [
         lambda data, path, overrides: read_flir(data, path, ExifFacts(), overrides),
         "signal",
     ),
+    Reader(lambda data, path: _closed_format(data, path) is not None, _refuse, "signal"),
     Reader(
         lambda data, _: data.startswith(_RASTERS),
         lambda data, path, overrides: read_raster(data, path, read_exif(data), overrides),
