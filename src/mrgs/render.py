@@ -205,11 +205,9 @@ def _layer(
     gaussians = model.gaussians
     position = camera.tensors(gaussians.means.device, gaussians.means.dtype).position
     values = model.values(modality, position, rows, sh_degree=sh_degree)
-    return Layer(
-        gaussians.opacity(modality),
-        _scatter(values, rows, len(gaussians)),
-        values.new_zeros(modality.channels),
-    )
+    if rows is not None:  # zeros for the others
+        values = values.new_zeros(len(gaussians), modality.channels).index_copy(0, rows, values)
+    return Layer(gaussians.opacity(modality), values, values.new_zeros(modality.channels))
 
 
 @torch.no_grad()
@@ -245,15 +243,6 @@ def rows_in_view(model: Model, camera: Camera) -> Int64[Tensor, " v"] | None:
         in_view &= (place + extent >= 0) & (place - extent <= size)
     rows = torch.from_numpy(np.flatnonzero(in_view.numpy()))
     return None if len(rows) > ALL_ROWS_FROM * len(means) else rows
-
-
-def _scatter(
-    values: Float[Tensor, "v c"], rows: Int64[Tensor, " v"] | None, count: int
-) -> Float[Tensor, "n c"]:
-    """Values of some rows among zeros for the others."""
-    if rows is None:
-        return values
-    return values.new_zeros(count, values.shape[1]).index_copy(0, rows, values)
 
 
 def _pass(model: Model, layers: list[Layer], camera: Camera) -> tuple[Raster, ScreenPoints]:

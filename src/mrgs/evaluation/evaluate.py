@@ -264,7 +264,8 @@ def evaluate(
             "val_filenames; for a scene from arrays, give eval_every="
         )
     measure = _Measure(temperature, Foreground.find(views), lpips)
-    modalities = scored_modalities(views)
+    found = in_order(modality for view in views for modality in view.images)
+    modalities = tuple(dict.fromkeys((*REPORTED, *found)))
     scored = []
     for view in views:
         rendering = render(view)
@@ -288,13 +289,6 @@ def evaluate(
     }
     truths = [metrics.truth for metrics in scored if metrics.truth is not None]
     return Metrics(mean, mean_figures(truths, TRUTH_FIGURES) if truths else None, tuple(scored))
-
-
-def scored_modalities(views: Sequence[View]) -> tuple[Modality, ...]:
-    """The modalities to score: those of ``REPORTED``, which every report lists, then all others of
-    the views."""
-    found = in_order(modality for view in views for modality in view.images)
-    return tuple(dict.fromkeys((*REPORTED, *found)))
 
 
 def _photos(view: View, rendering: Rendering) -> dict[Modality, Pixels]:

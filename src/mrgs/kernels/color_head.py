@@ -13,27 +13,8 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from mrgs.field.appearance import ColorHead
-from mrgs.kernels.dense import (
-    BLOCK_ROWS,
-    SHARES,
-    TILE_COLUMNS,
-    TILE_ROWS,
-    Network,
-    NetworkSums,
-    blocks_of,
-    encode,
-    encode_backward,
-    linear,
-    linear_backward,
-    no_sums,
-    pack,
-    read_in_order,
-    rectify,
-    rectify_backward,
-    rounded_up,
-    slots,
-    totals,
-)
+from mrgs.kernels import dense
+from mrgs.kernels.dense import Network, NetworkSums
 from mrgs.kernels.harmonics.cpu import add_direction_gradient, direction
 from mrgs.kernels.jit import reordering_inlined_function, reordering_parallel_kernel
 from mrgs.kernels.require import listed, require, require_layers
@@ -82,11 +63,11 @@ class _ColorResidual(torch.autograd.Function):
     def forward(ctx: Any, *inputs: Any) -> Tensor:
         *tensors, frequencies, rows, keep = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
-        units = rounded_up(len(tensors[4]), TILE_COLUMNS)
-        hidden = np.empty((slots(len(rows), keep), 2, BLOCK_ROWS, units), np.float32)
+        units = dense.rounded_up(len(tensors[4]), dense.TILE_COLUMNS)
+        hidden = np.empty((dense.slots(len(rows), keep), 2, dense.BLOCK_ROWS, units), np.float32)
         residual = np.empty((len(rows), 3), np.float32)
         gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
-        network = Network(*(pack(*tensors[place : place + 2]) for place in (3, 5, 7)))
+        network = Network(*(dense.pack(*tensors[place : place + 2]) for place in (3, 5, 7)))
         _forward(gaussians, rows.numpy(), frequencies, *network, hidden, keep, residual)
         if keep:
             ctx.save_for_backward(*tensors, rows)
@@ -98,7 +79,7 @@ class _ColorResidual(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         *tensors, rows = ctx.saved_tensors
         weights = tensors[3::2]
-        sums = no_sums(weights)
+        sums = dense.no_sums(weights)
         gaussians = _Inputs(*(tensor.detach().numpy() for tensor in tensors[:3]))
         gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
         _backward(
@@ -108,12 +89,12 @@ class _ColorResidual(torch.autograd.Function):
         if ctx.needs_input_grad[2]:
             gradients.camera[:] = -gradients.means.sum(axis=0)
         of_inputs = (torch.from_numpy(array) for array in gradients)
-        return (*of_inputs, *totals(sums, weights), None, None, None)
+        return (*of_inputs, *dense.totals(sums, weights), None, None, None)
 
 
 @reordering_parallel_kernel
 def _forward(gaussians, rows, frequencies, first, second, output, hidden, keep, residual):
-    for share in prange(SHARES):
+    for share in prange(dense.SHARES):
         network = Network(first, second, output)  # here, because prange takes no tuples of tuples
         _forward_share(
             np.int64(share), gaussians, rows, frequencies, network, hidden, keep, residual
@@ -122,20 +103,20 @@ def _forward(gaussians, rows, frequencies, first, second, output, hidden, keep, 
 
 @reordering_inlined_function
 def _forward_share(share, gaussians, rows, frequencies, network, hidden, keep, residual):
-    inputs = np.zeros((BLOCK_ROWS, network.first.no_bias.size), np.float32)
-    outputs = np.empty((BLOCK_ROWS, network.output.bias.size), np.float32)
-    first, end = blocks_of(share, rows.size)
+    inputs = np.zeros((dense.BLOCK_ROWS, network.first.no_bias.size), np.float32)
+    outputs = np.empty((dense.BLOCK_ROWS, network.output.bias.size), np.float32)
+    first, end = dense.blocks_of(share, rows.size)
     for block in range(first, end):
-        start = block * BLOCK_ROWS
-        here = rows[start : start + BLOCK_ROWS]
+        start = block * dense.BLOCK_ROWS
+        here = rows[start : start + dense.BLOCK_ROWS]
         _fill_inputs(gaussians, here, frequencies, inputs)
         slot = block if keep else share
         h1, h2 = hidden[slot, 0], hidden[slot, 1]
-        linear(inputs, network.first, h1)
-        rectify(h1)
-        linear(h1, network.second, h2)
-        rectify(h2)
-        linear(h2, network.output, outputs)
+        dense.linear(inputs, network.first, h1)
+        dense.rectify(h1)
+        dense.linear(h1, network.second, h2)
+        dense.rectify(h2)
+        dense.linear(h2, network.output, outputs)
         for place in range(here.size):
             for channel in range(3):
                 residual[start + place, channel] = outputs[place, channel]
@@ -152,7 +133,7 @@ def _fill_inputs(gaussians, rows, frequencies, inputs):
             inputs[place, column] = gaussians.embedding[row, column]
         x, y, z, _ = direction(gaussians.means, gaussians.camera, row)
         directions[place, 0], directions[place, 1], directions[place, 2] = x, y, z
-    encode(directions, frequencies, inputs[:, width:])
+    dense.encode(directions, frequencies, inputs[:, width:])
 
 
 @reordering_parallel_kernel
@@ -160,7 +141,7 @@ def _backward(
     gaussians, rows, frequencies, first, second, output, hidden, grad,
     first_sums, second_sums, output_sums, gradients,
 ):  # fmt: skip
-    for share in prange(SHARES):
+    for share in prange(dense.SHARES):
         network = Network(first, second, output)
         sums = NetworkSums(first_sums, second_sums, output_sums)
         _backward_share(
@@ -171,26 +152,27 @@ def _backward(
 @reordering_inlined_function
 def _backward_share(share, gaussians, rows, frequencies, network, hidden, grad, sums, gradients):
     units = hidden.shape[3]
-    inputs = np.zeros((BLOCK_ROWS, network.first.no_bias.size), np.float32)
-    g_inputs, g_outputs = np.empty_like(inputs), np.zeros((BLOCK_ROWS, TILE_ROWS), np.float32)
-    h1, h2 = np.empty((BLOCK_ROWS, units), np.float32), np.empty((BLOCK_ROWS, units), np.float32)
-    g1, g2 = np.empty((BLOCK_ROWS, units), np.float32), np.empty((BLOCK_ROWS, units), np.float32)
-    first, end = blocks_of(share, rows.size)
+    inputs = np.zeros((dense.BLOCK_ROWS, network.first.no_bias.size), np.float32)
+    g_outputs = np.zeros((dense.BLOCK_ROWS, dense.TILE_ROWS), np.float32)
+    h1 = np.empty((dense.BLOCK_ROWS, units), np.float32)
+    h2, g1, g2 = np.empty_like(h1), np.empty_like(h1), np.empty_like(h1)
+    g_inputs = np.empty_like(inputs)
+    first, end = dense.blocks_of(share, rows.size)
     for block in range(first, end):
-        start = block * BLOCK_ROWS
-        here = rows[start : start + BLOCK_ROWS]
+        start = block * dense.BLOCK_ROWS
+        here = rows[start : start + dense.BLOCK_ROWS]
         _fill_inputs(gaussians, here, frequencies, inputs)
         g_outputs[here.size :] = 0
         for place in range(here.size):
             for channel in range(3):
                 g_outputs[place, channel] = grad[start + place, channel]
-        read_in_order(hidden[block, 0], h1)
-        read_in_order(hidden[block, 1], h2)
-        linear_backward(g_outputs, h2, network.output, sums.output, share, g2)
-        rectify_backward(g2, h2)
-        linear_backward(g2, h1, network.second, sums.second, share, g1)
-        rectify_backward(g1, h1)
-        linear_backward(g1, inputs, network.first, sums.first, share, g_inputs)
+        dense.read_in_order(hidden[block, 0], h1)
+        dense.read_in_order(hidden[block, 1], h2)
+        dense.linear_backward(g_outputs, h2, network.output, sums.output, share, g2)
+        dense.rectify_backward(g2, h2)
+        dense.linear_backward(g2, h1, network.second, sums.second, share, g1)
+        dense.rectify_backward(g1, h1)
+        dense.linear_backward(g1, inputs, network.first, sums.first, share, g_inputs)
         _spread_inputs(gaussians, here, frequencies, inputs, g_inputs, gradients)
 
 
@@ -205,5 +187,5 @@ def _spread_inputs(gaussians, rows, frequencies, inputs, g_inputs, gradients):
             gradients.embedding[row, column] = g_inputs[place, column]
         x, y, z, inverse = direction(gaussians.means, gaussians.camera, row)
         toward[:] = 0
-        encode_backward(inputs, g_inputs, place, width, frequencies, toward)
+        dense.encode_backward(inputs, g_inputs, place, width, frequencies, toward)
         add_direction_gradient(x, y, z, inverse, toward, gradients.means, row)

@@ -16,25 +16,8 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.dense import (
-    BLOCK_ROWS,
-    SHARES,
-    TILE_COLUMNS,
-    Network,
-    NetworkSums,
-    blocks_of,
-    encode,
-    linear,
-    linear_backward,
-    no_sums,
-    pack,
-    read_in_order,
-    rectify,
-    rectify_backward,
-    rounded_up,
-    slots,
-    totals,
-)
+from mrgs.kernels import dense
+from mrgs.kernels.dense import Network, NetworkSums
 from mrgs.kernels.jit import (
     reordering_inlined_function,
     reordering_inner_function,
@@ -103,7 +86,7 @@ class _Projection(torch.autograd.Function):
         tensors = [tensor.contiguous() for tensor in tensors]
         network = _packed(tensors[3:])
         units = network.second.bias.size
-        hidden = np.empty((slots(len(rows), keep), BLOCK_ROWS, units), np.float32)
+        hidden = np.empty((dense.slots(len(rows), keep), dense.BLOCK_ROWS, units), np.float32)
         projected = np.zeros((len(positions), len(tensors[-1])), np.float32)
         positions = positions.contiguous()
         gaussians = _flattened(tensors[:3])
@@ -121,7 +104,7 @@ class _Projection(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         *tensors, positions, rows = ctx.saved_tensors
         weights = tensors[3::2]
-        sums = no_sums(weights)
+        sums = dense.no_sums(weights)
         gaussians = _flattened(tensors[:3])
         gradients = _Inputs(*(np.zeros(array.shape, np.float32) for array in gaussians))
         _backward(
@@ -132,7 +115,7 @@ class _Projection(torch.autograd.Function):
             torch.from_numpy(array.reshape(tensor.shape))  # no view, so autograd adds in place
             for array, tensor in zip(gradients, tensors[:3], strict=True)
         ]
-        return (*of_gaussians, *totals(sums, weights), None, None, None, None)
+        return (*of_gaussians, *dense.totals(sums, weights), None, None, None, None)
 
 
 def _flattened(tensors: Sequence[Tensor]) -> _Inputs:
@@ -142,15 +125,15 @@ def _flattened(tensors: Sequence[Tensor]) -> _Inputs:
 def _packed(parameters: Sequence[Tensor]) -> Network:
     """φ_SH and the two layers; only e_orth among the inputs of the second gets a gradient."""
     phi_sh, phi_sh_bias, second, second_bias, output, output_bias = parameters
-    back = pack(second, second_bias, len(phi_sh))
-    return Network(pack(phi_sh, phi_sh_bias), back, pack(output, output_bias))
+    back = dense.pack(second, second_bias, len(phi_sh))
+    return Network(dense.pack(phi_sh, phi_sh_bias), back, dense.pack(output, output_bias))
 
 
 @reordering_parallel_kernel
 def _forward(
     gaussians, positions, rows, frequencies, phi_sh, second, output, hidden, keep, projected
 ):
-    for share in prange(SHARES):
+    for share in prange(dense.SHARES):
         network = Network(phi_sh, second, output)  # here, because prange takes no tuples of tuples
         _forward_share(
             np.int64(share), gaussians, positions, rows, frequencies, network, hidden, keep,
@@ -163,15 +146,15 @@ def _forward_share(
     share, gaussians, positions, rows, frequencies, network, hidden, keep, projected
 ):
     sh, directions, inputs = _scratch(network)
-    outputs = np.empty((BLOCK_ROWS, network.output.bias.size), np.float32)
-    first, end = blocks_of(share, rows.size)
+    outputs = np.empty((dense.BLOCK_ROWS, network.output.bias.size), np.float32)
+    first, end = dense.blocks_of(share, rows.size)
     for block in range(first, end):
-        here = rows[block * BLOCK_ROWS : (block + 1) * BLOCK_ROWS]
+        here = rows[block * dense.BLOCK_ROWS : (block + 1) * dense.BLOCK_ROWS]
         _fill_inputs(gaussians, positions, here, frequencies, network, sh, directions, inputs)
         h = hidden[block if keep else share]
-        linear(inputs, network.second, h)
-        rectify(h)
-        linear(h, network.output, outputs)
+        dense.linear(inputs, network.second, h)
+        dense.rectify(h)
+        dense.linear(h, network.output, outputs)
         for place in range(here.size):
             for channel in range(projected.shape[1]):
                 projected[here[place], channel] = outputs[place, channel]
@@ -180,11 +163,11 @@ def _forward_share(
 @reordering_inner_function
 def _scratch(network):
     """SH, SH' and e_orth ⊕ PE_p of a block."""
-    inputs = rounded_up(network.second.forward.shape[1], TILE_COLUMNS)
+    inputs = dense.rounded_up(network.second.forward.shape[1], dense.TILE_COLUMNS)
     return (
-        np.zeros((BLOCK_ROWS, _SH), np.float32),
-        np.zeros((BLOCK_ROWS, network.first.bias.size), np.float32),
-        np.zeros((BLOCK_ROWS, inputs), np.float32),
+        np.zeros((dense.BLOCK_ROWS, _SH), np.float32),
+        np.zeros((dense.BLOCK_ROWS, network.first.bias.size), np.float32),
+        np.zeros((dense.BLOCK_ROWS, inputs), np.float32),
     )
 
 
@@ -200,7 +183,7 @@ def _fill_inputs(gaussians, positions, rows, frequencies, network, sh, direction
             sh[place, channel] = gaussians.sh_dc[row, channel]
         for coefficient in range(_SH - 3):
             sh[place, 3 + coefficient] = gaussians.sh_rest[row, coefficient]
-    linear(sh, network.first, directions)
+    dense.linear(sh, network.first, directions)
     for place in range(rows.size):
         row = rows[place]
         share, _ = _share_along(gaussians.embedding, row, directions, place)
@@ -208,7 +191,7 @@ def _fill_inputs(gaussians, positions, rows, frequencies, network, sh, direction
             inputs[place, column] = (
                 gaussians.embedding[row, column] - share * directions[place, column]
             )
-    encode(points, frequencies, inputs[:, width:])
+    dense.encode(points, frequencies, inputs[:, width:])
 
 
 @reordering_inner_function
@@ -227,7 +210,7 @@ def _backward(
     gaussians, positions, rows, frequencies, phi_sh, second, output, hidden, grad,
     phi_sh_sums, second_sums, output_sums, gradients,
 ):  # fmt: skip
-    for share in prange(SHARES):
+    for share in prange(dense.SHARES):
         network = Network(phi_sh, second, output)
         sums = NetworkSums(phi_sh_sums, second_sums, output_sums)
         _backward_share(
@@ -241,24 +224,24 @@ def _backward_share(
     share, gaussians, positions, rows, frequencies, network, hidden, grad, sums, gradients
 ):
     sh, directions, inputs = _scratch(network)
-    g_outputs = np.zeros((BLOCK_ROWS, sums.output.bias.shape[1]), np.float32)
-    h = np.empty((BLOCK_ROWS, hidden.shape[2]), np.float32)
+    g_outputs = np.zeros((dense.BLOCK_ROWS, sums.output.bias.shape[1]), np.float32)
+    h = np.empty((dense.BLOCK_ROWS, hidden.shape[2]), np.float32)
     g_hidden = np.empty_like(h)
     g_directions, g_sh = np.empty_like(directions), np.empty_like(sh)
-    first, end = blocks_of(share, rows.size)
+    first, end = dense.blocks_of(share, rows.size)
     for block in range(first, end):
-        here = rows[block * BLOCK_ROWS : (block + 1) * BLOCK_ROWS]
+        here = rows[block * dense.BLOCK_ROWS : (block + 1) * dense.BLOCK_ROWS]
         _fill_inputs(gaussians, positions, here, frequencies, network, sh, directions, inputs)
         g_outputs[here.size :] = 0
         for place in range(here.size):
             for channel in range(grad.shape[1]):
                 g_outputs[place, channel] = grad[here[place], channel]
-        read_in_order(hidden[block], h)
-        linear_backward(g_outputs, h, network.output, sums.output, share, g_hidden)
-        rectify_backward(g_hidden, h)
-        linear_backward(g_hidden, inputs, network.second, sums.second, share, g_directions)
+        dense.read_in_order(hidden[block], h)
+        dense.linear_backward(g_outputs, h, network.output, sums.output, share, g_hidden)
+        dense.rectify_backward(g_hidden, h)
+        dense.linear_backward(g_hidden, inputs, network.second, sums.second, share, g_directions)
         _reject_backward(gaussians.embedding, here, directions, g_directions, gradients.embedding)
-        linear_backward(g_directions, sh, network.first, sums.first, share, g_sh)
+        dense.linear_backward(g_directions, sh, network.first, sums.first, share, g_sh)
         for place in range(here.size):
             row = here[place]
             for channel in range(3):

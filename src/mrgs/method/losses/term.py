@@ -133,11 +133,6 @@ class LossContext:
     scale: SceneScale
     render: Callable[[Mapping[Modality, Camera]], Rendering]
 
-    @property
-    def shares_pixels(self) -> bool:
-        """Whether a pixel of the thermal image is the same pixel of the RGB image."""
-        return share_camera(self.cameras, RGB, THERMAL)
-
     @cached_property
     def colors_by_thermal_camera(self) -> Blend:
         """The RGB blend in the pixels of the thermal image. Where the RGB photo's camera is another
@@ -146,7 +141,7 @@ class LossContext:
         Raises:
             KeyError: the view has no thermal camera.
         """
-        if self.shares_pixels:
+        if share_camera(self.cameras, RGB, THERMAL):
             return self.rendering[RGB]
         with torch.no_grad():
             return self.render({RGB: self.cameras[THERMAL]})[RGB]

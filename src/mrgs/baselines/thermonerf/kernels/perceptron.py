@@ -12,18 +12,7 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.kernels.dense import (
-    BLOCK_ROWS,
-    SHARES,
-    blocks_of,
-    linear,
-    linear_backward,
-    no_sums,
-    pack,
-    rectify,
-    rectify_backward,
-    totals,
-)
+from mrgs.kernels import dense
 from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.require import require, require_layers
 
@@ -57,8 +46,8 @@ class _Perceptron(torch.autograd.Function):
         outputs = inputs.new_empty(len(inputs), len(weights[3]))
         _forward(
             inputs.numpy(),
-            pack(weights[0], weights[1]),
-            pack(weights[2], weights[3]),
+            dense.pack(weights[0], weights[1]),
+            dense.pack(weights[2], weights[3]),
             outputs.numpy(),
         )
         return outputs
@@ -67,19 +56,19 @@ class _Perceptron(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, ...]:
         inputs, *weights = ctx.saved_tensors
-        sums = no_sums(weights[::2])
+        sums = dense.no_sums(weights[::2])
         grad_inputs = torch.empty_like(inputs)
         _backward(
-            inputs.numpy(), pack(weights[0], weights[1]), pack(weights[2], weights[3]),
+            inputs.numpy(), dense.pack(weights[0], weights[1]), dense.pack(weights[2], weights[3]),
             grads[0].contiguous().numpy(), *sums, grad_inputs.numpy(),
         )  # fmt: skip
-        return grad_inputs, *totals(sums, weights[::2])
+        return grad_inputs, *dense.totals(sums, weights[::2])
 
 
 @inner_function
 def _copy_rows(source, start, block):
     """A block of rows into the columns of a wider array; rows behind the last are zero."""
-    rows = min(BLOCK_ROWS, source.shape[0] - start)
+    rows = min(dense.BLOCK_ROWS, source.shape[0] - start)
     for row in range(rows):
         for column in range(source.shape[1]):
             block[row, column] = source[start + row, column]
@@ -97,28 +86,28 @@ def _write_rows(block, rows, start, out):
 
 @parallel_kernel
 def _forward(inputs, hidden_layer, output_layer, outputs):
-    for share in prange(SHARES):
+    for share in prange(dense.SHARES):
         _forward_share(np.int64(share), inputs, hidden_layer, output_layer, outputs)
 
 
 @inner_function
 def _forward_share(share, inputs, hidden_layer, output_layer, outputs):
-    x = np.zeros((BLOCK_ROWS, inputs.shape[1]), np.float32)
-    h = np.empty((BLOCK_ROWS, hidden_layer.bias.size), np.float32)
-    y = np.empty((BLOCK_ROWS, output_layer.bias.size), np.float32)
-    first, end = blocks_of(share, len(inputs))
+    x = np.zeros((dense.BLOCK_ROWS, inputs.shape[1]), np.float32)
+    h = np.empty((dense.BLOCK_ROWS, hidden_layer.bias.size), np.float32)
+    y = np.empty((dense.BLOCK_ROWS, output_layer.bias.size), np.float32)
+    first, end = dense.blocks_of(share, len(inputs))
     for block in range(first, end):
-        start = block * BLOCK_ROWS
+        start = block * dense.BLOCK_ROWS
         rows = _copy_rows(inputs, start, x)
-        linear(x, hidden_layer, h)
-        rectify(h)
-        linear(h, output_layer, y)
+        dense.linear(x, hidden_layer, h)
+        dense.rectify(h)
+        dense.linear(h, output_layer, y)
         _write_rows(y, rows, start, outputs)
 
 
 @parallel_kernel
 def _backward(inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums, grad_inputs):
-    for share in prange(SHARES):
+    for share in prange(dense.SHARES):
         _backward_share(
             np.int64(share),
             inputs,
@@ -137,17 +126,18 @@ def _backward_share(
 ):
     """The hidden values are recomputed, which costs less than keeping them."""
     units = hidden_layer.bias.size
-    x = np.zeros((BLOCK_ROWS, hidden_layer.no_bias.size), np.float32)
-    h, g_h = np.empty((BLOCK_ROWS, units), np.float32), np.empty((BLOCK_ROWS, units), np.float32)
-    g_x, g_y = np.empty_like(x), np.zeros((BLOCK_ROWS, output_sums.bias.shape[1]), np.float32)
-    first, end = blocks_of(share, len(inputs))
+    x = np.zeros((dense.BLOCK_ROWS, hidden_layer.no_bias.size), np.float32)
+    h = np.empty((dense.BLOCK_ROWS, units), np.float32)
+    g_x, g_h = np.empty_like(x), np.empty_like(h)
+    g_y = np.zeros((dense.BLOCK_ROWS, output_sums.bias.shape[1]), np.float32)
+    first, end = dense.blocks_of(share, len(inputs))
     for block in range(first, end):
-        start = block * BLOCK_ROWS
+        start = block * dense.BLOCK_ROWS
         rows = _copy_rows(inputs, start, x)
-        linear(x, hidden_layer, h)
-        rectify(h)
+        dense.linear(x, hidden_layer, h)
+        dense.rectify(h)
         _copy_rows(grad, start, g_y)
-        linear_backward(g_y, h, output_layer, output_sums, share, g_h)
-        rectify_backward(g_h, h)
-        linear_backward(g_h, x, hidden_layer, hidden_sums, share, g_x)
+        dense.linear_backward(g_y, h, output_layer, output_sums, share, g_h)
+        dense.rectify_backward(g_h, h)
+        dense.linear_backward(g_h, x, hidden_layer, hidden_sums, share, g_x)
         _write_rows(g_x, rows, start, grad_inputs)
