@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from msgspec import inspect
 
 from mrgs.runs.open import load_run
-from mrgs.viewer.browser import Browser
-from mrgs.viewer.messages import AnyMessage
+from mrgs.viewer.browser import AnyMessage, Browser
 from mrgs.viewer.server import start_at, start_camera
 from mrgs.viewer.source import Worker
 from tests.faults.fuzz import JSON, fuzz

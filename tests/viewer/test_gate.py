@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from mrgs.viewer.gate import Gate, cookie_name
+from mrgs.viewer.web import Gate
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_the_token_is_the_servers_own(gate):
 def test_the_token_is_found_in_address_and_cookie(gate):
     assert gate.token_in(f"/?a=1&token={gate.token}") == gate.token
     assert gate.token_in("/?tok=1") is None
-    name = cookie_name(8080)
+    name = gate.cookie(8080).partition("=")[0]
     assert gate.has_cookie(["other=1", f"{name}={gate.token}"], 8080)
     assert not gate.has_cookie([f"{name}={gate.token}"], 8081)
     for other in ('prefs={"theme":"dark","n":1}', "x[y]=1", "abc", 'q="a', "=;;"):

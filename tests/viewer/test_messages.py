@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrgs.system.wording import Message
-from mrgs.viewer.messages import Look, decode, encode
+from mrgs.viewer.browser import Look, decode
+from mrgs.viewer.facts import encode
 
 LOOK = {
     "type": "look",

@@ -23,9 +23,9 @@ from mrgs.training import StepStatistics, make_config, train
 from mrgs.training.start import Hooks
 from mrgs.viewer import LiveView, view
 from mrgs.viewer.browser import Browser
-from mrgs.viewer.gate import require_free
 from mrgs.viewer.server import open_viewer
 from mrgs.viewer.source import LiveSource
+from mrgs.viewer.web import require_free
 
 
 def test_a_run_is_served_until_it_is_stopped(small_run, balls, capsys):
@@ -100,10 +100,10 @@ class FakeBrowser(Browser):
         self.notes: list[str] = []
         self.raises = raises
 
-    def set_note(self, note: str) -> None:
+    def send(self, kind: str, **facts: str) -> None:
         if self.raises:
             raise RuntimeError("the browser burst")
-        self.notes.append(note)
+        self.notes.append(facts["text"])
 
     def close(self) -> None:
         pass

@@ -1,4 +1,4 @@
-"""One browser: does what its messages ask for, and sends it pictures and texts."""
+"""One browser: what it may send, and what is done and sent back for it."""
 
 from __future__ import annotations
 
@@ -7,16 +7,27 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, ClassVar, TypeAlias
+
+import msgspec
+import numpy as np
+import torch
+from msgspec import UNSET, UnsetType
 
 from mrgs.errors import ConfigError, MrgsError
-from mrgs.marks.mark import Marks
+from mrgs.marks.mark import MarkKind, Marks
+from mrgs.pictures.palette import PaletteName
+from mrgs.scene import Camera
+from mrgs.scene.rotations import rigid_transform
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.facts import (
     EMPTY_HINT,
+    LONGEST_SIDE_PX,
+    VIDEO_SECONDS,
+    encode,
     hello_facts,
     keyframes_text,
     marks_facts,
@@ -24,37 +35,19 @@ from mrgs.viewer.facts import (
     point_text,
 )
 from mrgs.viewer.inspection import Inspection
-from mrgs.viewer.messages import (
-    AddKeyframe,
-    AddMark,
-    ChangeMark,
-    Choose,
-    ClearPath,
-    DeleteMark,
-    FitScales,
-    GoToPhoto,
-    Hover,
-    Judge,
-    Look,
-    ReadPoint,
-    ReferTo,
-    RenderVideo,
-    SavePath,
-    TakeScreenshot,
-    Undo,
-    decode,
-    encode,
-)
 from mrgs.viewer.panes import fitted_size
 from mrgs.viewer.saving import VideoProgress, render_video, save_keyframes, save_screenshot
 from mrgs.viewer.settings import Settings, Start, Subject
-from mrgs.viewer.source import Worker
+from mrgs.viewer.source import Effort, Worker
 
 MOVING_S = 0.05
 """Processor time of a picture while the camera moves; the picture has as many pixels as fit."""
 
 FEWEST_PIXELS = 240
 """Longest side of the coarsest picture."""
+
+LARGEST_MESSAGE = 65_536
+"""Bytes."""
 
 CHANGE = "change of marks"
 """Name of jobs that change marks: none replaces another, and they outlive their browser."""
@@ -73,7 +66,7 @@ class Browser:
         self, subject: Subject, start: Start, note: str, worker: Worker, send: Send
     ) -> None:
         self.inspection = Inspection(subject)
-        self._subject = subject
+        self.subject = subject
         self._worker = worker
         self._send_data = send
         self._lock = threading.Lock()
@@ -81,104 +74,95 @@ class Browser:
         self._sending = False
         self._changes = itertools.count()
         self._moving_side_px = float(subject.source.most_pixels["moving"])
-        self._send("hello", **hello_facts(self.inspection, start), note=note)
+        self.send("hello", **hello_facts(self.inspection, start), note=note)
         if subject.board is not None:
             subject.board.subscribe(self._send_marks)
-            self._enqueue("marks", self._measure_marks)
+            self.enqueue("marks", self._measure_marks)
 
     def receive(self, data: str | bytes) -> None:
         """Do what a message asks for, at once or as a job of the worker; what is not understood is
         answered, and has no effect."""
         try:
             message = decode(data)
-            handler = HANDLERS[type(message)]
-            if handler.job:
+            if message.job:
                 # A mark that a change is about has its refusal beside it in the list.
                 mark = getattr(message, "mark", None)
                 number = mark if isinstance(mark, int) else None
-                self._enqueue(handler.job, lambda: handler.handle(self, message), number)
+                self.enqueue(message.job, lambda: message._act(self), number)
             else:
-                handler.handle(self, message)
+                message._act(self)
         except (ValueError, RecursionError, MrgsError) as error:
-            self._status(str(error) or repr(error), failed=True)
-        self._subject.source.charge()
-
-    def set_note(self, note: str) -> None:
-        """Replace the note, and report that the model has changed."""
-        self._send("note", text=note)
+            self.report(str(error) or repr(error), failed=True)
+        self.subject.source.charge()
 
     def close(self) -> None:
         """Drop the browser's waiting jobs, but not its changes of marks."""
         self._worker.drop(
             lambda key: isinstance(key, tuple) and key[0] == id(self) and key[1] != CHANGE
         )
-        if self._subject.board is not None:
-            self._subject.board.unsubscribe(self._send_marks)
+        if self.subject.board is not None:
+            self.subject.board.unsubscribe(self._send_marks)
 
-    def _enqueue(self, name: str, job: Callable[[], None], mark: int | None = None) -> None:
+    def enqueue(self, name: str, job: Callable[[], None], mark: int | None = None) -> None:
         """Let the worker run a job in place of a waiting one of this name, but for changes of
         marks. Errors are sent to the page: of a change with the number of its mark."""
-
-        def report(error: Exception) -> None:
-            text = str(error) or repr(error)
-            if name == CHANGE:
-                self._send("refused", mark=mark, text=text)
-            else:
-                self._status(text, failed=True)
 
         def contained() -> None:
             try:
                 job()
-            except (MrgsError, ValueError) as error:
-                report(error)
             except Exception as error:
-                report(error)
-                raise
+                text = str(error) or repr(error)
+                if name == CHANGE:
+                    self.send("refused", mark=mark, text=text)
+                else:
+                    self.report(text, failed=True)
+                if not isinstance(error, MrgsError | ValueError):
+                    raise
 
         number = next(self._changes) if name == CHANGE else 0
         self._worker.put((id(self), name, number), contained)
 
-    def _send(self, kind: str, **facts: Any) -> None:
+    def send(self, kind: str, **facts: Any) -> None:
+        """Send facts, under the name that the page knows them by."""
         self._send_data(encode({"type": kind, **facts}))
 
-    def _status(self, text: str, failed: bool = False) -> None:
-        self._send("status", text=text, failed=failed)
+    def report(self, text: str, failed: bool = False) -> None:
+        """Show a text below the picture, perhaps as an error."""
+        self.send("status", text=text, failed=failed)
 
-    def _redraw(self) -> None:
+    def redraw(self) -> None:
         """Make the browser ask for a picture: it knows where its camera is."""
-        self._send("changed")
+        self.send("changed")
 
-    # --- pictures ---
-
-    def look(self, message: Look) -> None:
-        """Draw the picture unless one is being sent; then it follows, or a newer one."""
-        message.camera()  # raises for a wrong one
+    def show(self, look: Look) -> None:
+        """Draw a picture unless one is being sent; then it follows, or a newer one."""
         with self._lock:
-            self._look = message
+            self._look = look
         self._draw_if_idle()
 
     def _draw_if_idle(self) -> None:
         with self._lock:
             if self._look is None or self._sending:
                 return
-        self._enqueue("picture", self._draw)
+        self.enqueue("picture", self._draw)
 
     def _draw(self) -> None:
         with self._lock:
             look, self._look = self._look, None
         if look is None:
             return
-        source, moving = self._subject.source, look.effort == "moving"
-        longest = self._moving_side_px if moving else source.most_pixels[look.effort]
+        source, moving = self.subject.source, look.effort == "moving"
+        side = self._moving_side_px if moving else source.most_pixels[look.effort]
         camera = look.camera()
-        camera = camera.resized(*fitted_size(camera.width, camera.height, round(longest)))
+        camera = camera.resized(*fitted_size(camera.width, camera.height, round(side)))
         started_s = time.thread_time()
         if moving:
             with source.small_work():
                 drawn = self.inspection.picture(camera, moving=True)
         else:
             drawn = self.inspection.picture(camera)
-        message = picture_message(self.inspection, drawn, look)
+        longest = max(look.width, look.height)
+        message = picture_message(self.inspection, drawn, look.number, look.effort, longest)
         if moving:
             # More or fewer pixels for the next picture, as this one took less or more time.
             factor = math.sqrt(MOVING_S / max(time.thread_time() - started_s, 1e-3))
@@ -193,19 +177,12 @@ class Browser:
 
         self._send_data(message).add_done_callback(sent)
 
-    # --- marks ---
-
     @property
     def board(self) -> MarkBoard:
         """The marks of the run. ConfigError if there are none without the scene."""
-        if self._subject.board is None:
+        if self.subject.board is None:
             raise ConfigError("marks need the scene: open the run with it")
-        return self._subject.board
-
-    def add_mark(self, message: AddMark) -> None:
-        """Add a mark; the board tells all browsers."""
-        self.inspection.add_mark(message.kind, message.points)
-        self._send_point()
+        return self.subject.board
 
     def _measure_marks(self) -> None:
         """Measure what the files contain, for a browser that has just connected."""
@@ -215,74 +192,22 @@ class Browser:
             self._send_marks()
 
     def _send_marks(self) -> None:
-        self._send("marks", **marks_facts(self.board, self._subject))
-        self._redraw()
+        self.send("marks", **marks_facts(self.board, self.subject))
+        self.redraw()
 
-    # --- choices and readings ---
-
-    def hover(self, message: Hover) -> None:
-        """Send the value under the cursor."""
-        self._send("hover", text=self.inspection.hover(message.x, message.y))
-
-    def read(self, message: ReadPoint) -> None:
-        """Read a point of the model, and send it."""
-        if self.inspection.click(message.x, message.y) is None:
-            self._status(EMPTY_HINT)
-        self._send_point()
-        self._redraw()
-
-    def _send_point(self) -> None:
+    def send_point(self) -> None:
+        """Send the point that was read last; it is gone where there is none."""
         point = self.inspection.point
-        self._send("point", of=None if point is None else point_text(point, self._subject))
+        self.send("point", of=None if point is None else point_text(point, self.subject))
 
-    def choose(self, message: Choose) -> None:
-        """Take over the choices of the panel."""
-        subject, old = self._subject, self.inspection.settings
-        if message.mode >= len(subject.modes):
-            raise ConfigError(f"there is no picture number {message.mode}")
-        scaled = next((each for each in subject.modalities if each.name == message.scaled), None)
-        limits = dict(old.limits)
-        if scaled is not None:
-            limits.pop(scaled, None)
-            if message.limits is not None:
-                limits[scaled] = message.limits
-                if not message.limits[0] < message.limits[1]:
-                    raise ConfigError("the upper end of the scale must be above the lower")
-        self.inspection.settings = Settings(
-            subject.modes[message.mode], message.palette, limits, message.isotherm, message.share,
-            scaled or old.scaled, message.marks,
-        )  # fmt: skip
-        self._redraw()
+    def send_keyframes(self) -> None:
+        """Send how many keyframes the path has."""
+        self.send("keyframes", text=keyframes_text(len(self.inspection.keyframes)))
 
-    def go_to_photo(self, message: GoToPhoto) -> None:
-        """Choose the captured view that the modes with photos show."""
-        if message.index >= len(self._subject.views):
-            raise ConfigError(f"there is no photo number {message.index}")
-        self.inspection.view_index = message.index
-
-    def fit_scales(self, _: FitScales) -> None:
-        """Lock the scales at the limits of what the picture shows."""
-        self.inspection.fit()
-        limits = self.inspection.settings.limits
-        self._send("limits", of={modality.name: ends for modality, ends in limits.items()})
-        self._redraw()
-
-    # --- path and files ---
-
-    def add_keyframe(self, _: AddKeyframe) -> None:
-        """Add the picture's camera to the path."""
-        self.inspection.add_keyframe()
-        self._send("keyframes", text=keyframes_text(len(self.inspection.keyframes)))
-
-    def clear_path(self, _: ClearPath) -> None:
-        """Remove all keyframes."""
-        self.inspection.keyframes = ()
-        self._send("keyframes", text=keyframes_text(0))
-
-    def saved(self, path: Path) -> None:
+    def report_saved(self, path: Path) -> None:
         """Name a file that has been written."""
-        place = path.relative_to(self._subject.folder).as_posix()
-        self._status(f"Saved in the run's folder: {place}")
+        place = path.relative_to(self.subject.folder).as_posix()
+        self.report(f"Saved in the run's folder: {place}")
 
     def render_next(self, video: Iterator[VideoProgress]) -> None:
         """Render the next frame; other jobs have their turn before the one after it."""
@@ -290,44 +215,279 @@ class Browser:
         if progress is None:
             return
         if progress.path is not None:
-            self.saved(progress.path)
+            self.report_saved(progress.path)
         else:
-            self._status(f"Rendering frame {progress.done} of {progress.total}…")
-        self._enqueue("video", lambda: self.render_next(video))
+            self.report(f"Rendering frame {progress.done} of {progress.total}…")
+        self.enqueue("video", lambda: self.render_next(video))
 
 
-class Handler(NamedTuple):
-    """Handles messages of a class, at once, or as the worker's job of a name, which replaces a
-    waiting one of that name (but see ``CHANGE``); for all that uses the model."""
+FARTHEST = 1e9
+"""Scene units, also pixels: numbers beyond have no meaning in a picture."""
 
-    handle: Callable[[Browser, Any], None]
-    job: str = ""
+Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-FARTHEST, le=FARTHEST)]
+Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=1e-3, le=FARTHEST)]
+Share: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Side: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=LONGEST_SIDE_PX)]
+Index: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
+Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=VIDEO_SECONDS[0], le=VIDEO_SECONDS[1])]
+Limits: TypeAlias = tuple[Number, Number]
+Corners: TypeAlias = Annotated[
+    tuple[tuple[Share, Share], ...], msgspec.Meta(min_length=1, max_length=200)
+]
+Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=10_000)]
+"""Longer than any field of a mark may be: ``Mark`` itself refuses with a sentence."""
 
 
-HANDLERS: Mapping[type, Handler] = {
-    Look: Handler(Browser.look),
-    Hover: Handler(Browser.hover),
-    Choose: Handler(Browser.choose),
-    GoToPhoto: Handler(Browser.go_to_photo),
-    AddKeyframe: Handler(Browser.add_keyframe),
-    ClearPath: Handler(Browser.clear_path),
-    ReadPoint: Handler(Browser.read, "read"),
-    FitScales: Handler(Browser.fit_scales, "fit"),
-    TakeScreenshot: Handler(lambda b, m: b.saved(save_screenshot(b.inspection)), "screenshot"),
-    SavePath: Handler(lambda b, m: b.saved(save_keyframes(b.inspection, m.seconds)), "save"),
-    RenderVideo: Handler(
-        lambda b, m: b.render_next(render_video(b.inspection, m.seconds)), "video"
-    ),
-    AddMark: Handler(Browser.add_mark, CHANGE),
-    ChangeMark: Handler(lambda b, m: b.board.change(m.mark, m.fields), CHANGE),
-    DeleteMark: Handler(lambda b, m: b.board.delete(m.mark), CHANGE),
-    ReferTo: Handler(lambda b, m: b.board.refer_to(m.mark), CHANGE),
-    Judge: Handler(
-        lambda b, m: b.board.edit(
-            lambda marks: (Marks.accepting if m.accept else Marks.dropping)(marks, m.mark)
-        ),
-        CHANGE,
-    ),
-    Undo: Handler(lambda b, m: b.board.undo(), CHANGE),
-}
-"""Every message that a browser may send."""
+class BrowserMessage(msgspec.Struct, forbid_unknown_fields=True):
+    """Anything that a browser sends; ``type`` names its class. It acts at once or, if it uses the
+    model, as the worker's ``job`` of that name, in place of a waiting one (but see ``CHANGE``)."""
+
+    job: ClassVar[str] = ""
+
+    def _act(self, browser: Browser) -> None:
+        """Do what the message asks for. MrgsError or ValueError if that is not possible."""
+        raise NotImplementedError
+
+
+class Look(BrowserMessage, tag="look"):
+    """Draw a picture from a camera whose axes in the world (right, down, forward) are the rows of
+    ``rotation``, for a window of the screen's pixels; ``number`` is returned with it."""
+
+    number: Index
+    rotation: Annotated[tuple[Number, ...], msgspec.Meta(min_length=9, max_length=9)]
+    position: tuple[Number, Number, Number]
+    focal: tuple[Positive, Positive]
+    centre: tuple[Number, Number]
+    width: Side
+    height: Side
+    effort: Effort
+
+    def camera(self) -> Camera:
+        """The camera to draw from; ValueError if the rotation is not one."""
+        rotation = np.array(self.rotation).reshape(3, 3)
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+            raise ValueError("the camera's axes must be of unit length and perpendicular")
+        (fx, fy), (cx, cy) = self.focal, self.centre
+        K = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+        viewmat = rigid_transform(rotation, -rotation @ np.array(self.position))
+        return Camera(K, viewmat, self.width, self.height)
+
+    def _act(self, browser: Browser) -> None:
+        self.camera()  # raises for a wrong one
+        browser.show(self)
+
+
+class Choose(BrowserMessage, tag="choose"):
+    """The choices of the panel, see ``Settings``; ``limits`` and ``isotherm`` are those of the
+    modality named ``scaled``."""
+
+    mode: Index
+    palette: PaletteName
+    scaled: str | None
+    limits: Limits | None
+    isotherm: Limits | None
+    share: Share
+    marks: bool
+
+    def _act(self, browser: Browser) -> None:
+        subject, old = browser.subject, browser.inspection.settings
+        if self.mode >= len(subject.modes):
+            raise ConfigError(f"there is no picture number {self.mode}")
+        scaled = next((each for each in subject.modalities if each.name == self.scaled), None)
+        limits = dict(old.limits)
+        if scaled is not None:
+            limits.pop(scaled, None)
+            if self.limits is not None:
+                limits[scaled] = self.limits
+                if not self.limits[0] < self.limits[1]:
+                    raise ConfigError("the upper end of the scale must be above the lower")
+        browser.inspection.settings = Settings(
+            subject.modes[self.mode], self.palette, limits, self.isotherm, self.share,
+            scaled or old.scaled, self.marks,
+        )  # fmt: skip
+        browser.redraw()
+
+
+class Hover(BrowserMessage, tag="hover"):
+    """Send the value under the cursor; x and y from 0 to 1 over the picture."""
+
+    x: Share
+    y: Share
+
+    def _act(self, browser: Browser) -> None:
+        browser.send("hover", text=browser.inspection.hover(self.x, self.y))
+
+
+class ReadPoint(BrowserMessage, tag="read"):
+    """Read the point under a place of the picture, and send it; x and y from 0 to 1."""
+
+    job = "read"
+    x: Share
+    y: Share
+
+    def _act(self, browser: Browser) -> None:
+        if browser.inspection.click(self.x, self.y) is None:
+            browser.report(EMPTY_HINT)
+        browser.send_point()
+        browser.redraw()
+
+
+class AddMark(BrowserMessage, tag="add_mark"):
+    """Add a mark through places of the picture, x and y from 0 to 1; a box has two corners."""
+
+    job = CHANGE
+    kind: MarkKind
+    points: Corners
+
+    def _act(self, browser: Browser) -> None:
+        browser.inspection.add_mark(self.kind, self.points)
+        browser.send_point()
+
+
+class ChangeMark(BrowserMessage, tag="change_mark"):
+    """Give the mark of a number (see ``MarkNumbers``) other fields; those left out stay."""
+
+    job = CHANGE
+    mark: Index
+    name: Text | UnsetType = UNSET
+    note: Text | UnsetType = UNSET
+    severity: Text | UnsetType = UNSET
+    emissivity: Number | UnsetType | None = UNSET
+    reflected_c: Number | UnsetType | None = UNSET
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """The fields that change, by name."""
+        names = [name for name in self.__struct_fields__ if name != "mark"]
+        return {name: found for name in names if (found := getattr(self, name)) is not UNSET}
+
+    def _act(self, browser: Browser) -> None:
+        browser.board.change(self.mark, self.fields)
+
+
+class DeleteMark(BrowserMessage, tag="delete_mark"):
+    """Delete the mark of a number."""
+
+    job = CHANGE
+    mark: Index
+
+    def _act(self, browser: Browser) -> None:
+        browser.board.delete(self.mark)
+
+
+class Judge(BrowserMessage, tag="judge"):
+    """Make the report's proposal of a name a mark, or drop it."""
+
+    job = CHANGE
+    mark: Text
+    accept: bool
+
+    def _act(self, browser: Browser) -> None:
+        judged = Marks.accepting if self.accept else Marks.dropping
+        browser.board.edit(lambda marks: judged(marks, self.mark))
+
+
+class ReferTo(BrowserMessage, tag="refer_to"):
+    """Let all differences refer to the mark of a number; None for none."""
+
+    job = CHANGE
+    mark: Index | None
+
+    def _act(self, browser: Browser) -> None:
+        browser.board.refer_to(self.mark)
+
+
+class Undo(BrowserMessage, tag="undo"):
+    """Undo the last change of the marks."""
+
+    job = CHANGE
+
+    def _act(self, browser: Browser) -> None:
+        browser.board.undo()
+
+
+class GoToPhoto(BrowserMessage, tag="photo"):
+    """Choose the captured view that the modes with photos show, by its index."""
+
+    index: Index
+
+    def _act(self, browser: Browser) -> None:
+        if self.index >= len(browser.subject.views):
+            raise ConfigError(f"there is no photo number {self.index}")
+        browser.inspection.view_index = self.index
+
+
+class FitScales(BrowserMessage, tag="fit"):
+    """Lock the scales at the limits of what the picture shows."""
+
+    job = "fit"
+
+    def _act(self, browser: Browser) -> None:
+        browser.inspection.fit()
+        limits = browser.inspection.settings.limits
+        browser.send("limits", of={modality.name: ends for modality, ends in limits.items()})
+        browser.redraw()
+
+
+class TakeScreenshot(BrowserMessage, tag="screenshot"):
+    """Write the picture into a file."""
+
+    job = "screenshot"
+
+    def _act(self, browser: Browser) -> None:
+        browser.report_saved(save_screenshot(browser.inspection))
+
+
+class AddKeyframe(BrowserMessage, tag="add_keyframe"):
+    """Add the picture's camera to the path."""
+
+    def _act(self, browser: Browser) -> None:
+        browser.inspection.add_keyframe()
+        browser.send_keyframes()
+
+
+class ClearPath(BrowserMessage, tag="clear_path"):
+    """Remove all keyframes."""
+
+    def _act(self, browser: Browser) -> None:
+        browser.inspection.keyframes = ()
+        browser.send_keyframes()
+
+
+class SavePath(BrowserMessage, tag="save_path"):
+    """Write the keyframes into a file."""
+
+    job = "save"
+    seconds: Seconds
+
+    def _act(self, browser: Browser) -> None:
+        browser.report_saved(save_keyframes(browser.inspection, self.seconds))
+
+
+class RenderVideo(BrowserMessage, tag="video"):
+    """Render the path through the keyframes."""
+
+    job = "video"
+    seconds: Seconds
+
+    def _act(self, browser: Browser) -> None:
+        browser.render_next(render_video(browser.inspection, self.seconds))
+
+
+AnyMessage: TypeAlias = (
+    Look | Choose | Hover | ReadPoint | GoToPhoto | FitScales
+    | AddMark | ChangeMark | DeleteMark | Judge | ReferTo | Undo
+    | TakeScreenshot | AddKeyframe | ClearPath | SavePath | RenderVideo
+)  # fmt: skip
+
+_decoder = msgspec.json.Decoder(AnyMessage)
+
+
+def decode(data: str | bytes) -> AnyMessage:
+    """A message from a browser; ValueError if it is not JSON, unknown, or out of its range."""
+    try:
+        return _decoder.decode(data)
+    except ValueError as error:
+        raise ValueError(
+            f"the viewer does not understand what the page sent: reload the page ({error})"
+        ) from error

@@ -7,6 +7,7 @@ import io
 import struct
 from typing import Any, TypedDict
 
+import msgspec
 from PIL import Image
 
 from mrgs.marks.mark import EMISSIVITY, LONGEST_NAME, LONGEST_NOTE, LONGEST_SEVERITY, REFLECTED_C
@@ -24,10 +25,13 @@ from mrgs.pictures.values import range_of
 from mrgs.scene import THERMAL, Modality, WorldFrame
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.inspection import Inspection, PointReading
-from mrgs.viewer.messages import LONGEST_SIDE_PX, VIDEO_SECONDS, Look, encode
 from mrgs.viewer.painting import DrawnPicture, MarkLabel, pane_scale, seen_labels
 from mrgs.viewer.panes import ValueReading
 from mrgs.viewer.settings import Start, Subject
+from mrgs.viewer.source import Effort
+
+LONGEST_SIDE_PX = 4096
+VIDEO_SECONDS = 0.5, 600.0
 
 MOVING_JPEG: dict[str, Any] = {"quality": 80}
 SHARP_JPEG: dict[str, Any] = {"quality": 93, "subsampling": 0}
@@ -74,16 +78,23 @@ def hello_facts(inspection: Inspection, start: Start) -> dict[str, Any]:
     }
 
 
-def picture_message(inspection: Inspection, drawn: DrawnPicture, look: Look) -> bytes:
-    """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG."""
+def picture_message(
+    inspection: Inspection, drawn: DrawnPicture, number: int, effort: Effort, longest_px: int
+) -> bytes:
+    """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG.
+
+    Args:
+        number: of the browser's request.
+        longest_px: longer side of the browser's window, in pixels of the screen.
+    """
     buffer = io.BytesIO()
-    options = MOVING_JPEG if look.effort == "moving" else SHARP_JPEG
+    options = MOVING_JPEG if effort == "moving" else SHARP_JPEG
     Image.fromarray(drawn.pixels).save(buffer, "JPEG", **options)
-    wanted = min(max(look.width, look.height), inspection.subject.source.most_pixels["still"])
+    wanted = min(longest_px, inspection.subject.source.most_pixels["still"])
     labels = [*inspection.labels(), *inspection.proposals()]
     facts = {
-        "number": look.number,
-        "effort": look.effort,
+        "number": number,
+        "effort": effort,
         "full": max(drawn.size) >= wanted,
         "panes": [_pane(drawn, index, labels) for index in range(len(drawn.panes))],
         "photo": inspection.view_index,
@@ -186,3 +197,30 @@ def _value_texts(value: ValueReading, modality: Modality, subject: Subject) -> t
         subject.format_value(modality, value.value),
         f"± {subject.format_difference(modality, value.deviation)} std. dev.",
     )
+
+
+def encode(value: object) -> str:
+    """A message to a browser as JSON; ? stands for what is not UTF-8 in the name of a file."""
+    try:
+        return msgspec.json.encode(value, enc_hook=_plain_text).decode()
+    except UnicodeEncodeError:
+        return msgspec.json.encode(_with_valid_texts(value)).decode()
+
+
+def _with_valid_texts(value: Any) -> Any:
+    """Plain values, with ? for what is not UTF-8 in their texts."""
+    match value:
+        case str():
+            return value.encode("utf-8", "replace").decode()
+        case list() | tuple():
+            return [_with_valid_texts(each) for each in value]
+        case dict():
+            return {name: _with_valid_texts(each) for name, each in value.items()}
+    return value
+
+
+def _plain_text(value: object) -> str:
+    """A Message, or another kind of text, as JSON knows it."""
+    if isinstance(value, str):
+        return str(value)
+    raise TypeError(f"{type(value)} cannot be sent to a browser")

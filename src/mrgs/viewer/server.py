@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -31,13 +30,10 @@ from mrgs.scene.preview import best_view
 from mrgs.survey import Survey
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.board import Appraiser, CachedMeter, MarkBoard
-from mrgs.viewer.gate import require_free
 from mrgs.viewer.panes import PaneImages, UncertaintyPictures, render_surface
 from mrgs.viewer.settings import Start, Subject, shown_modalities
 from mrgs.viewer.source import LiveSource, TrainedSource
-
-if TYPE_CHECKING:
-    from mrgs.viewer.web import Viewer
+from mrgs.viewer.web import Viewer, require_free
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8080
@@ -125,8 +121,6 @@ class LiveView:
         ``train(on_model=...)``."""
         self._model = model
         try:
-            from mrgs.viewer.web import Viewer
-
             scene = self._scene
             temperature = None if scene is None else scene.temperature
             subject = Subject(
@@ -182,8 +176,6 @@ class LiveView:
 
 def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
     """Start to serve a run, and return at once; arguments and errors as for ``view``."""
-    from mrgs.viewer.web import Viewer
-
     if len(run.model.gaussians) == 0:
         raise RunError(
             f"{run.folder.path}: the model has no Gaussians, so there is nothing to see; retrain it"

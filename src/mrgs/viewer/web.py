@@ -1,16 +1,19 @@
-"""The web server: one page, one model, any number of browsers. Needs websockets and msgspec;
-``server.py`` checks that they are installed."""
+"""The web server: one page, one model, any number of browsers, and who may talk to it: whoever has
+the token, from the server's own page, under a name of this computer."""
 
 from __future__ import annotations
 
 import asyncio
 import ipaddress
 import logging
+import secrets
+import socket
 import threading
+from collections.abc import Sequence
 from concurrent import futures
 from contextlib import suppress
 from http import HTTPStatus
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
@@ -21,10 +24,8 @@ from mrgs.errors import ConfigError
 from mrgs.pictures.html import Page, make_page
 from mrgs.pictures.page_data import MARKS_STYLE, STAGE_SCRIPTS, STAGE_STYLE
 from mrgs.scene import Camera
-from mrgs.viewer.browser import Browser
-from mrgs.viewer.gate import Gate, require_port
+from mrgs.viewer.browser import LARGEST_MESSAGE, Browser
 from mrgs.viewer.inspection import Inspection
-from mrgs.viewer.messages import LARGEST_MESSAGE
 from mrgs.viewer.panes import fitted_size
 from mrgs.viewer.settings import Start, Subject
 from mrgs.viewer.source import Worker
@@ -37,11 +38,80 @@ WATCH_S = 1.0
 MOST_WAITING = 64
 """Messages that a browser has not taken; one that lets more wait is cut off."""
 
+LOCAL_NAME = "localhost"
+
 POLICY = ["connect-src 'self'", "form-action 'self'"]
 """What the page may do beyond what a page from a file may."""
 
 _log = logging.getLogger("mrgs.viewer.web")
 _log.setLevel(logging.CRITICAL)  # a broken request is its sender's mistake
+
+
+class Gate:
+    """Checks the requests that reach a server.
+
+    Another web page that is open in the user's browser can send requests to any address, also to
+    this computer's own. Its requests carry its own origin; or, where it has pointed its own name at
+    this address (DNS rebinding), that name as the host. Both are refused. Other users of the
+    computer, and of the network, do not have the token.
+
+    Attributes:
+        token: what the address to open contains.
+    """
+
+    def __init__(self, host: str) -> None:
+        self.token = secrets.token_urlsafe(24)
+        self._host = host.lower()
+
+    def is_own_host(self, hosts: Sequence[str]) -> bool:
+        """Whether a request's ``Host`` headers, of which there must be one, name this computer: by
+        an address, or by a name that nobody else can point here."""
+        if len(hosts) != 1:
+            return False
+        name = _host_name(hosts[0])
+        if name is None:
+            return False
+        if name in (self._host, LOCAL_NAME):
+            return True
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return not _is_loopback(self._host) and name == socket.gethostname().lower()
+        return address.is_loopback or not _is_loopback(self._host)
+
+    def is_own_origin(self, origins: Sequence[str], hosts: Sequence[str]) -> bool:
+        """Whether a request comes from the server's own page, or from a program, which sends no
+        ``Origin``."""
+        if not origins:
+            return True
+        own = {f"{scheme}://{host}".lower() for scheme in ("http", "https") for host in hosts}
+        return len(origins) == 1 and origins[0].lower() in own
+
+    def knows(self, token: str | None) -> bool:
+        """Whether a token is the server's."""
+        return token is not None and secrets.compare_digest(token.encode(), self.token.encode())
+
+    def token_in(self, path: str) -> str | None:
+        """The token in the query of a request's path; None without one."""
+        return parse_qs(urlsplit(path).query).get("token", [None])[0]
+
+    def has_cookie(self, cookies: Sequence[str], port: int) -> bool:
+        """Whether a request's ``Cookie`` headers have the token. Other servers of this computer may
+        have set others, in whatever form."""
+        pairs = [pair.partition("=") for each in cookies for pair in each.split(";")]
+        return any(
+            key.strip() == self._cookie_name(port) and self.knows(value.strip())
+            for key, _, value in pairs
+        )
+
+    def cookie(self, port: int) -> str:
+        """The ``Set-Cookie`` header with which the page's browser keeps the token: scripts cannot
+        read it, and requests from other pages do not carry it."""
+        return f"{self._cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def _cookie_name(self, port: int) -> str:
+        """Name of the cookie; each port has its own, since browsers share cookies between ports."""
+        return f"mrgs-viewer-{port}"
 
 
 class Viewer:
@@ -107,7 +177,7 @@ class Viewer:
         then ask for a picture."""
         self.note = note
         for browser in self.browsers:
-            browser.set_note(note)
+            browser.send("note", text=note)
 
     @property
     def browsers(self) -> list[Browser]:
@@ -256,3 +326,48 @@ def _in_url(host: str) -> str:
     if address.is_unspecified:
         return "127.0.0.1" if address.version == 4 else "[::1]"
     return f"[{host}]" if address.version == 6 else host
+
+
+def _host_name(header: str) -> str | None:
+    """The name in a ``Host`` header, without port and brackets, lower case; None for nonsense."""
+    try:
+        parts = urlsplit(f"//{header}")
+        parts.port  # noqa: B018 - raises for a port that is no number
+    except ValueError:
+        return None
+    return parts.hostname if parts.netloc == header and "@" not in header else None
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == LOCAL_NAME
+
+
+def require_port(port: int) -> None:
+    """Check that a port number is possible; ConfigError if not."""
+    if not 0 <= port <= 65535:
+        raise ConfigError(
+            f"the port must be from 1 to 65535, or 0 for any that is free, not {port}",
+            options=("port",),
+        )
+
+
+def require_free(host: str, port: int) -> None:
+    """Check that the port can be used, before a training begins that is to be watched there.
+    ConfigError if it cannot."""
+    require_port(port)
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM
+        )[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise ConfigError(
+            f"cannot listen on {host}:{port} ({error.strerror or error}): choose another port, "
+            f"or end what uses it",
+            options=("port",),
+        ) from error
