@@ -54,12 +54,12 @@ def test_marks_survive_json(mark):
     [
         (3, "is no mark"),
         ({**SPOT.to_json(), "colour": "red"}, "'colour'"),
-        ({**SPOT.to_json(), "points": "here"}, "points are 'here'"),
-        ({**SPOT.to_json(), "points": [[1, 2]]}, r"\[1, 2\]"),
+        ({**SPOT.to_json(), "points": "here"}, "points"),
+        ({**SPOT.to_json(), "points": [[1, 2]]}, r"points\[0\]"),
         ({**SPOT.to_json(), "eye": [0, 0, 1e400]}, "finite"),
-        ({**SPOT.to_json(), "eye": [0, 0, True]}, "finite"),
-        ({**SPOT.to_json(), "name": 7}, "name is 7"),
-        ({**BOX.to_json(), "emissivity": "high"}, "emissivity is 'high'"),
+        ({**SPOT.to_json(), "eye": [0, 0, True]}, "eye"),
+        ({**SPOT.to_json(), "name": 7}, "name: "),
+        ({**BOX.to_json(), "emissivity": "high"}, "emissivity: "),
         ({**SPOT.to_json(), "kind": "circle"}, "circle"),
     ],
 )

@@ -90,8 +90,8 @@ def test_a_change_that_was_cut_off_is_no_step_of_its_own(store):
         (b"{", "not JSON"),
         (b"\xff\xfe\x00", "not JSON"),
         (b"[" * 100_000, "not JSON"),
-        (b"[1]", "no version"),
-        (b'{"version": 1}', "cameras are None"),
+        (b"[1]", "object"),
+        (b'{"version": 1}', "cameras"),
         (b'{"version": 1, "cameras": {"images": 40, "centre": [1], "extent": 2}}', "cameras"),
         (b'{"version": 1, "cameras": {"images": 1e999, "centre": [], "extent": 2}}', "cameras"),
     ],
@@ -126,7 +126,7 @@ def test_a_damaged_mark_is_named(store):
     document = json.loads(store.file.read_text())
     document["marks"][0]["radius"] = "wide"
     store.file.write_text(json.dumps(document))
-    with pytest.warns(MrgsWarning, match="radius is 'wide'"):
+    with pytest.warns(MrgsWarning, match="radius"):
         store.read()
 
 

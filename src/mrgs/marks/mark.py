@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, TypeAlias, get_args
 
 from mrgs.errors import ConfigError
+from mrgs.system.typed_json import from_json
 from mrgs.system.wording import shown
 
 MarkKind = Literal["spot", "line", "box", "polygon"]
@@ -95,21 +96,13 @@ class Mark:
     @classmethod
     def from_json(cls, value: Any) -> Mark:
         """A mark from its JSON form; ConfigError if the value is not one."""
-        known = {field.name for field in fields(cls)}
-        if not isinstance(value, dict) or not {"name", "kind", "points", "eye"} <= set(value):
-            raise ConfigError(f"{shown(value)} is no mark: it needs name, kind, points and eye")
-        if unknown := sorted(set(value) - known):
-            raise ConfigError(f"a mark has no field {shown(unknown[0])}")
-        if value["kind"] not in KINDS:
-            raise ConfigError(f"a kind is one of {', '.join(KINDS)}, not {shown(value['kind'])}")
-        if not isinstance(value["points"], list | tuple):
-            raise ConfigError(f"points are {shown(value['points'])}, not a list")
-        for name in value.keys() - {"kind", "points", "eye"}:
-            kind, word = (str, "text") if name in _TEXTS else ((int, float), "number")
-            if not isinstance(value[name], kind):
-                raise ConfigError(f"{name} is {shown(value[name])}, not a {word}")
-        places = {"points": tuple(map(_place, value["points"])), "eye": _place(value["eye"])}
-        return cls(**{**value, **places})
+        try:
+            mark = from_json(cls, value)
+        except ValueError as error:
+            raise ConfigError(f"{shown(value)} is no mark: {error}") from None
+        if unknown := value.keys() - {field.name for field in fields(cls)}:
+            raise ConfigError(f"a mark has no field {shown(min(unknown))}")
+        return mark
 
     def to_json(self) -> dict[str, Any]:
         """The mark as plain values; what is not set is left out."""
@@ -131,6 +124,9 @@ class Mark:
         if not fewest <= len(self.points) <= most:
             wanted = f"{fewest}" if fewest == most else f"{fewest} to {most}"
             return f"a {self.kind} has {wanted} points, not {len(self.points)}"
+        for place in (*self.points, self.eye):
+            if not all(_is_number(each, -FARTHEST, FARTHEST) for each in place):
+                return f"x, y and z must be finite numbers, not {shown(place)}"
         if self.kind == "spot" and not _is_number(self.radius, 1e-9, FARTHEST):
             return f"the radius of a spot must be above 0, not {shown(self.radius)}"
         if self.has_settings and not self.is_area:
@@ -252,18 +248,9 @@ def _named(marks: Sequence[Mark], name: str, what: str, none: str) -> Mark:
     raise ConfigError(f"there is no {what} {shown(name)}: the {what}s are {known}")
 
 
-def _place(value: Any) -> Place:
-    if not isinstance(value, list | tuple) or len(value) != 3:
-        raise ConfigError(f"{shown(value)} is no place: it needs x, y and z")
-    if not all(_is_number(each, -FARTHEST, FARTHEST) for each in value):
-        raise ConfigError(f"{shown(value)} is no place: x, y and z must be finite numbers")
-    x, y, z = map(float, value)
-    return x, y, z
-
-
 def places_of(points: Sequence[Sequence[float]]) -> tuple[Place, ...]:
     """Rows of an array [N, 3] as places."""
-    return tuple(_place([float(each) for each in point]) for point in points)
+    return tuple((float(x), float(y), float(z)) for x, y, z in points)
 
 
 def _is_number(value: Any, low: float, high: float) -> bool:

@@ -6,12 +6,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import msgspec
 import numpy as np
 from filelock import FileLock, Timeout
 from jaxtyping import Float
@@ -21,7 +20,7 @@ from mrgs.marks.mark import Mark, Marks
 from mrgs.runs.open import TrainedRun
 from mrgs.scene import Scene
 from mrgs.system.atomic import require_folder, write_error, write_text
-from mrgs.system.wording import shown
+from mrgs.system.typed_json import from_json
 
 FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
 VERSION = 2
@@ -34,7 +33,6 @@ SAME = 1e-3
 """Share of the extent by which the cameras of one scene may seem to differ."""
 
 Change = Callable[[Marks], Marks]
-Content = TypeVar("Content")
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,8 @@ class MarkStore:
                 the program, or its marks are those of another model.
         """
         require_folder(self.folder)
-        return self._read(self.file, _marks_of, Marks())
+        states = self._states(self.file)
+        return states[0] if states else Marks()
 
     def edit(self, change: Change) -> Marks:
         """Change the marks as they are on the disk now, and save them; returns them. ConfigError if
@@ -112,7 +111,8 @@ class MarkStore:
             before = self.read()
             after = change(before)
             if after != before:
-                self._write_undo([*self._undo_states(), before][-STEPS_KEPT:])
+                states = [*self._states(self.folder / UNDO_FILE), before]
+                self._write_undo(states[-STEPS_KEPT:])
                 self._write(self.file, _content(after))
         return after
 
@@ -120,7 +120,7 @@ class MarkStore:
         """Undo the last change, and save; returns the marks. Errors as for ``edit``; also
         ConfigError if there is nothing to undo."""
         with self._locked():
-            now, states = self.read(), self._undo_states()
+            now, states = self.read(), self._states(self.folder / UNDO_FILE)
             while states and states[-1] == now:  # a change that was cut off before its second file
                 states.pop()
             if not states:
@@ -130,9 +130,6 @@ class MarkStore:
             self._write_undo(states)
         return before
 
-    def _undo_states(self) -> list[Marks]:
-        return self._read(self.folder / UNDO_FILE, _states_of, [])
-
     def _write_undo(self, states: Sequence[Marks]) -> None:
         self._write(self.folder / UNDO_FILE, {"states": [_content(state) for state in states]})
 
@@ -141,18 +138,22 @@ class MarkStore:
         whole = {**head, "cameras": asdict(self._spread), **content}
         write_text(path, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
-    def _read(self, path: Path, parse: Callable[[Any], Content], empty: Content) -> Content:
-        """The content of a file; the empty one without a file, or where it is damaged."""
+    def _states(self, path: Path) -> list[Marks]:
+        """The states of the marks in a file, the oldest first: only one in ``marks.json``. None
+        without a file, or where it is damaged."""
         try:
             document = self._document(path)
-            return empty if document is None else parse(document)
-        except ConfigError as error:
+            if document is None:
+                return []
+            states = from_json(list[dict[str, Any]], document.get("states", [document]))
+            return [_marks_of(from_json(_State, state)) for state in states]
+        except (ConfigError, ValueError) as error:
             self._set_aside(path, str(error))
-            return empty
+            return []
 
     def _document(self, path: Path) -> Any:
-        """The JSON object in a file; None without one. ConfigError if it is damaged, RunError if it
-        cannot be read, or is not for this program or this model."""
+        """The JSON object in a file; None without one. ConfigError or ValueError if it is damaged,
+        RunError if it cannot be read, or is not for this program or this model."""
         try:
             if not path.exists():
                 return None
@@ -165,15 +166,10 @@ class MarkStore:
             ) from error
         except (ValueError, RecursionError) as error:
             raise ConfigError(f"it is not JSON, {error}") from None
-        if not isinstance(document, dict) or not isinstance(document.get("version"), int):
-            raise ConfigError("it has no version")
-        if document["version"] > VERSION:
+        head = from_json(_Head, document)
+        if head.version > VERSION:
             raise RunError(f"{path} was written by a newer version of mrgs: update mrgs")
-        try:
-            spread = msgspec.convert(document.get("cameras"), CameraSpread)
-        except msgspec.ValidationError:
-            raise ConfigError(f"its cameras are {shown(document.get('cameras'))}") from None
-        if not spread.is_world_of(self._spread):
+        if not head.cameras.is_world_of(self._spread):
             raise RunError(
                 f"{path} holds the marks of another model, whose places mean nothing here: move "
                 f"the file away, or put it back into its own run"
@@ -235,35 +231,35 @@ def judged_content(folder: Path) -> str:
         return text
 
 
-_LISTS = ("marks", "proposals", "dropped")
-"""Fields of ``Marks`` that are lists of marks."""
+@dataclass(frozen=True)
+class _Head:
+    """What every file begins with."""
+
+    version: int
+    cameras: CameraSpread
+
+
+@dataclass(frozen=True)
+class _State:
+    """The marks in ``marks.json``, or in a state of the file for undoing."""
+
+    marks: list[dict[str, Any]]
+    reference: str = ""
+    proposals: list[dict[str, Any]] = field(default_factory=list)
+    dropped: list[dict[str, Any]] = field(default_factory=list)
 
 
 def _content(marks: Marks) -> dict[str, Any]:
+    lists = ("marks", "proposals", "dropped")
     return {
         "reference": marks.reference,
-        **{name: [mark.to_json() for mark in getattr(marks, name)] for name in _LISTS},
+        **{name: [mark.to_json() for mark in getattr(marks, name)] for name in lists},
     }
 
 
-def _marks_of(document: Any) -> Marks:
-    """The marks in a document, or in a state of the file for undoing; ConfigError if they are not
-    what ``_content`` writes."""
-    if not isinstance(document, dict) or not isinstance(document.get("marks"), list):
-        raise ConfigError("it has no list of marks")
-    lists = {name: document.get(name, []) for name in _LISTS}
-    for name, values in lists.items():
-        if not isinstance(values, list):
-            raise ConfigError(f"its {name} are {shown(values)}, not a list")
-    reference = document.get("reference", "")
-    if not isinstance(reference, str):
-        raise ConfigError(f"the reference is {shown(reference)}, not a name")
-    found = {name: tuple(map(Mark.from_json, values)) for name, values in lists.items()}
-    return Marks(reference=reference, **found)
-
-
-def _states_of(document: Any) -> list[Marks]:
-    """The states in a file for undoing, the oldest first."""
-    if not isinstance(document.get("states"), list):
-        raise ConfigError("it has no list of states")
-    return [_marks_of(state) for state in document["states"]]
+def _marks_of(state: _State) -> Marks:
+    """The marks that ``_content`` wrote; ConfigError if one cannot be."""
+    marks, proposals, dropped = (
+        tuple(map(Mark.from_json, each)) for each in (state.marks, state.proposals, state.dropped)
+    )
+    return Marks(marks, state.reference, proposals, dropped)
