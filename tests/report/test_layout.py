@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from mrgs import open_marks
-from mrgs.report import write_report
+from mrgs.report import report_run
 from mrgs.report.pdf import require_weasyprint
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run
@@ -43,7 +43,7 @@ def long_report(opened: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     marks.spot(camera, (22, 15), name="S2", note=LONG_WORD)
     marks.box(camera, (16, 12), (24, 18), name="B1", emissivity=0.8, reflected_c=-5.0)
     marks.refer_to("S2")
-    return write_report(run, run.load_scene(), folder / "report.html", language="de")
+    return report_run(run, folder / "report.html", language="de")
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
-from mrgs.report import write_report
+from mrgs.report import report_run
 from mrgs.report.anomalies import Proposals, find_spots, propose
 from mrgs.report.sections import read_scores
 from mrgs.report.texts import Texts
@@ -82,7 +82,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def plain(opened: Run, sharp: Scene, tmp_path_factory: pytest.TempPathFactory) -> Page:
     """The report of a run without marks, survey and scores."""
-    return Page(write_report(opened, sharp, tmp_path_factory.mktemp("plain") / "report.html"))
+    return Page(report_run(opened, tmp_path_factory.mktemp("plain") / "report.html", scene=sharp))
 
 
 def test_the_report_tells_spots_capture_training_and_limits(plain):
@@ -112,7 +112,7 @@ def test_commands_in_the_report_can_be_pasted_whatever_the_folder_is_called(run,
     folder = tmp_path / "my $(run)"
     shutil.copytree(run.folder.path, folder)
     moved = replace(run, folder=RunFolder(folder))
-    text = Page(write_report(moved, run.load_scene(), tmp_path / "report.html")).text
+    text = Page(report_run(moved, tmp_path / "report.html")).text
     assert text.count(f"mrgs eval '{folder}'") == 2
 
 
@@ -120,7 +120,7 @@ def test_commands_in_the_report_can_be_pasted_whatever_the_folder_is_called(run,
 def test_scores_and_contact_sheet_are_shown(run, tmp_path):
     (run.folder.path / "eval" / "metrics.json").write_text(json.dumps(METRICS), encoding="utf-8")
     Image.new("RGB", (64, 32), (200, 10, 10)).save(run.folder.path / "eval" / "contact_sheet.png")
-    page = Page(write_report(run, run.load_scene(), tmp_path / "report.html"))
+    page = Page(report_run(run, tmp_path / "report.html"))
     assert "PSNR, dB 41.24" in page.text
     assert "RGB, SSIM 0.8400" in page.text
     assert "LPIPS" not in page.text
@@ -144,7 +144,7 @@ def test_scores_with_aligned_poses_and_what_the_parts_of_the_model_add_are_shown
     (run.folder.path / "eval" / "metrics.json").write_text(
         json.dumps(METRICS | {"poses": poses, "parts": parts}), encoding="utf-8"
     )
-    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
+    text = Page(report_run(run, tmp_path / "report.html", language="de")).text
     assert "PSNR, dB 49,88" in text
     assert "41,24" not in text
     assert "1,7 Pixel" in text
@@ -159,7 +159,7 @@ def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
     (run.folder.path / "eval" / "metrics.json").write_text(
         json.dumps(METRICS | {"steps": 30}), encoding="utf-8"
     )
-    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    text = Page(report_run(run, tmp_path / "report.html")).text
     assert re.search(r"step 30\b.* step 60\b", text)
 
 
@@ -178,7 +178,7 @@ def test_foreign_metrics_are_named(run, tmp_path):
         with pytest.raises(RunError, match=r"metrics\.json .*`mrgs eval`"):
             read_scores(run, Texts())
     with pytest.raises(RunError, match=r"metrics\.json"):
-        write_report(run, run.load_scene(), tmp_path / "report.html")
+        report_run(run, tmp_path / "report.html")
     assert not list(tmp_path.iterdir())
 
 
@@ -186,7 +186,7 @@ def test_foreign_metrics_are_named(run, tmp_path):
 def test_a_broken_contact_sheet_is_named(run, tmp_path):
     (run.folder.path / "eval" / "contact_sheet.png").write_bytes(b"not a picture")
     with pytest.raises(RunError, match=r"contact_sheet\.png .*`mrgs eval`"):
-        write_report(run, run.load_scene(), tmp_path / "report.html")
+        report_run(run, tmp_path / "report.html")
 
 
 def test_names_from_files_are_escaped(run, tmp_path):
@@ -198,7 +198,7 @@ def test_names_from_files_are_escaped(run, tmp_path):
         notes=(evil,),
         train=tuple(replace(view, name=evil + view.name) for view in scene.train),
     )
-    page = Page(write_report(run, scene, tmp_path / "report.html"))
+    page = Page(report_run(run, tmp_path / "report.html", scene=scene))
     assert "script" not in page.tags
     assert page.text.count("alert(1)") >= 3
 
@@ -218,7 +218,7 @@ def test_the_inspectors_words_are_escaped(run, tmp_path):
     marks.line(camera, [(15, 15), (25, 15)], name=name, note=evil, severity="<img onerror=x>")
     marks.spot(camera, (20, 15))
     marks.refer_to(name)
-    path = write_report(run, run.load_scene(), tmp_path / "report.html")
+    path = report_run(run, tmp_path / "report.html")
     page, html = Page(path), path.read_text(encoding="utf-8")
     assert "script" not in page.tags
     assert all(source.startswith("data:image/") for source in page.images)
@@ -231,7 +231,7 @@ def test_the_inspectors_words_are_escaped(run, tmp_path):
 def test_a_scene_without_celsius_has_relative_values(run, sharp, tmp_path):
     unknown = replace(run, facts=run.facts._replace(temperature=None))
     scene = replace(sharp, temperature=None)
-    text = Page(write_report(unknown, scene, tmp_path / "report.html")).text
+    text = Page(report_run(unknown, tmp_path / "report.html", scene=scene)).text
     assert "no °C" in text
     assert "were computed" not in text
     assert "Without °C" in text
@@ -268,7 +268,7 @@ def test_the_limits_say_what_the_temperatures_were_computed_with(
         for views in (scene.train, scene.eval)
     )  # fmt: skip
     noted = replace(scene, train=train, eval=held_out)
-    text = Page(write_report(run, noted, tmp_path / "report.html")).text
+    text = Page(report_run(run, tmp_path / "report.html", scene=noted)).text
     assert said in text
     assert row in text
     assert ("by the user" in text) == bool(given)
@@ -284,7 +284,7 @@ def test_photos_that_were_scaled_by_themselves_are_spoken_of(run, plain, tmp_pat
         facts=run.facts._replace(temperature=None, capture=capture),
         image_model=ImageModel(ImageModelConfig(thermal_gain=True), capture),
     )
-    assert "mean scale" in Page(write_report(unknown, scene, tmp_path / "report.html")).text
+    assert "mean scale" in Page(report_run(unknown, tmp_path / "report.html", scene=scene)).text
     assert "mean scale" not in plain.text
 
 
@@ -294,7 +294,7 @@ def test_temperatures_that_depend_on_the_view_are_spoken_of(run, plain, tmp_path
     rest = torch.zeros(len(gaussians), 15, 1)
     gaussians = replace(gaussians, sh_rest=gaussians.sh_rest | {THERMAL: rest})
     changing = replace(run, model=replace(run.model, gaussians=gaussians))
-    text = Page(write_report(changing, run.load_scene(), tmp_path / "report.html")).text
+    text = Page(report_run(changing, tmp_path / "report.html")).text
     assert "Viewpoint" in text
     assert "Viewpoint" not in plain.text
 
@@ -306,7 +306,7 @@ def test_a_model_without_surfaces_has_no_spots(run, plain, tmp_path):
         opacity_logits=dict.fromkeys((RGB, THERMAL), -4 + 0 * gaussians.opacity_logits[THERMAL]),
     )
     empty = replace(run, model=replace(run.model, gaussians=mist))
-    text = Page(write_report(empty, run.load_scene(), tmp_path / "report.html")).text
+    text = Page(report_run(empty, tmp_path / "report.html")).text
     assert "Nothing stands out" in text
     assert "Nothing stands out" not in plain.text
 
@@ -318,10 +318,7 @@ def test_a_scene_without_thermal_photos_has_no_spots(tmp_path):
         make_config("mrgs", max_steps=2, max_gaussians=60),
     )
     run = load_run(folder.path)
-    assert (
-        "no thermal photos"
-        in Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
-    )
+    assert "no thermal photos" in Page(report_run(run, tmp_path / "report.html")).text
 
 
 @pytest.mark.usefixtures("without_spots")
@@ -332,7 +329,7 @@ def test_the_report_lists_the_marks_with_pictures_and_profile(run: Run, tmp_path
     marks.box(camera, (16, 12), (24, 18), emissivity=0.8, reflected_c=-5.0)
     marks.refer_to("S1")
     readings = marks.measure()
-    path = write_report(run, run.load_scene(), tmp_path / "report.html")
+    path = report_run(run, tmp_path / "report.html")
     page = Page(path)
     text = " ".join(page.words)
     assert "Measurements" in text
@@ -354,7 +351,7 @@ def test_proposals_are_kept_until_they_are_judged(run: Run, sharp: Scene, tmp_pa
     marks = open_marks(run, sharp)
 
     def report() -> str:
-        return Page(write_report(run, sharp, tmp_path / "report.html")).text
+        return Page(report_run(run, tmp_path / "report.html", scene=sharp)).text
 
     text, proposed = report(), marks.marks.proposals
     names = [mark.name for mark in proposed]
@@ -453,7 +450,7 @@ def test_a_large_area_says_nothing_of_the_places_in_it(run: Run, sharp: Scene):
 
 def test_the_report_says_how_many_are_held_back(run: Run, tmp_path: Path):
     """The photos of the run's own scene show something else than the globe."""
-    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
+    text = Page(report_run(run, tmp_path / "report.html", language="de")).text
     assert re.search(r"Zurückgehalten\b[^:]*: [1-9]", text)
     assert "H1" not in text
 
@@ -471,7 +468,7 @@ def test_the_report_promises_no_more_than_is_known_of_the_camera(
     marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
     marks.spot(camera, (20, 15))
     (run.folder.path / "survey.yaml").write_text(accuracy, encoding="utf-8")
-    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    text = Page(report_run(run, tmp_path / "report.html")).text
     uncertainty = text[text.index("Uncertainty") :]
     assert said in uncertainty
     assert not_said not in uncertainty
@@ -481,7 +478,7 @@ def test_the_inspectors_words_are_printed_as_they_are(run: Run, tmp_path: Path):
     words = "dry since 12.03.2026"
     survey = run.folder.path / "survey.yaml"
     survey.write_text(f"standard: EN 13187\nprecipitation: {words}\nwind_m_s: 2.25\n", "utf-8")
-    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html", language="de")).text
+    text = Page(report_run(run, tmp_path / "report.html", language="de")).text
     assert text.count(words) == 2
     assert text.count("2,25 m/s") == 2
 
@@ -491,9 +488,9 @@ def test_what_was_not_searched_for_is_not_said_to_be_missing(run: Run, tmp_path:
     marks.spot(camera, (20, 15))
     survey = run.folder.path / "survey.yaml"
     survey.write_text("hot_places: 0\ncold_places: 0\n", encoding="utf-8")
-    text = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    text = Page(report_run(run, tmp_path / "report.html")).text
     survey.write_text("hot_places: 0\n", encoding="utf-8")
-    half = Page(write_report(run, run.load_scene(), tmp_path / "report.html")).text
+    half = Page(report_run(run, tmp_path / "report.html")).text
     not_searched_for = re.compile(r"(Hot|Cold) places were not")
     assert not_searched_for.findall(text) == ["Hot", "Cold"]
     assert not_searched_for.findall(half) == ["Hot"]
@@ -504,7 +501,7 @@ def test_what_was_not_searched_for_is_not_said_to_be_missing(run: Run, tmp_path:
 def test_a_mark_without_temperature_keeps_its_note(run: Run, tmp_path: Path):
     marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
     marks.box(camera, (16, 12), (24, 18), emissivity=0.8, note="brass")
-    page = write_report(run, run.load_scene(), tmp_path / "report.html")
+    page = report_run(run, tmp_path / "report.html")
     html = page.read_text(encoding="utf-8")
     assert re.search(r"reflected temperature;[^<]*\nbrass</td>", html)
     assert "Corrected for" not in html

@@ -326,8 +326,8 @@ def _export(command: Export) -> None:
 
 def _report(command: Report) -> None:
     from mrgs.pipeline.forecast import expect_report
-    from mrgs.report import write_report
-    from mrgs.report.pdf import require_weasyprint, write_pdf
+    from mrgs.report import report_run
+    from mrgs.report.pdf import require_weasyprint
     from mrgs.runs.open import load_run
 
     if command.pdf:
@@ -335,13 +335,14 @@ def _report(command: Report) -> None:
     run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
     _state_survey(command)
-    target = command.output or command.run / "report.html"
     scene = run.load_scene()
     with counter("report", expect_report(run, scene)) as progress:
-        path = write_report(run, scene, target, progress, command.language)
+        path = report_run(
+            run, command.output, command.language, command.pdf, scene=scene, progress=progress
+        )
     print(f"report: {path}")
     if command.pdf:
-        print(f"pdf: {write_pdf(path, path.with_suffix('.pdf'))}")
+        print(f"pdf: {path.with_suffix('.pdf')}")
 
 
 def _state_survey(command: Report) -> None:

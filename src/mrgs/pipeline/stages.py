@@ -23,7 +23,7 @@ from mrgs.pipeline.plan import QUALITIES, Monitor, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
 from mrgs.prepare.contract import CACHE_FOLDER
 from mrgs.prepare.page.check import check_scene
-from mrgs.report import write_report
+from mrgs.report import report_run
 from mrgs.run_files.folder import RunFolder
 from mrgs.run_files.record import StepStatistics
 from mrgs.runs.open import Run, load_run
@@ -267,8 +267,7 @@ class Job:
         return [path for path in folder.rglob("*") if path.is_file()]
 
     def _report(self, report: Report) -> list[Path]:
-        path = self.model / "report.html"
-        return [write_report(self._run, self._loaded, path, _named_parts(report))]
+        return [report_run(self._run, scene=self._loaded, progress=_named_parts(report))]
 
     def _page(self, report: Report) -> list[Path]:
         return self._exported([PAGE_FORMAT], report)

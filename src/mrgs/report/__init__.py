@@ -1,6 +1,6 @@
 """One page about a run for a thermographer."""
 
 from mrgs.report.anomalies import Spot, find_spots
-from mrgs.report.write import report_run, write_report
+from mrgs.report.write import report_run
 
-__all__ = ["Spot", "find_spots", "report_run", "write_report"]
+__all__ = ["Spot", "find_spots", "report_run"]

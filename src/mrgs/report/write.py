@@ -48,34 +48,15 @@ PARTS = ("anomalies", "measurements and pictures", "scores and page")
 
 
 def report_run(
-    run: Run, path: str | Path | None = None, language: Language = "en", pdf: bool = False
+    run: Run,
+    path: str | Path | None = None,
+    language: Language = "en",
+    pdf: bool = False,
+    *,
+    scene: Scene | None = None,
+    progress: Progress | None = None,
 ) -> Path:
-    """Write a page about a run for a thermographer; returns its path. See ``write_report``.
-
-    Args:
-        run: what ``load_run`` or ``train`` returns.
-        path: ends with .html; ``report.html`` in the run's folder if None.
-        language: of the page.
-        pdf: also write a PDF beside it; needs mrgs[report].
-
-    Raises:
-        ConfigError: the survey holds a value that cannot be, or weasyprint is not installed.
-        SceneError: the scene cannot be read.
-        RunError: the scores or the contact sheet cannot be read, or the file cannot be written.
-    """
-    target = run.folder.path / "report.html" if path is None else Path(path)
-    if pdf:
-        require_weasyprint()
-    page = write_report(run, run.load_scene(), target, language=language)
-    if pdf:
-        write_pdf(page, page.with_suffix(".pdf"))
-    return page
-
-
-def write_report(
-    run: Run, scene: Scene, path: Path, progress: Progress | None = None, language: Language = "en"
-) -> Path:
-    """Write a page about the run for a thermographer; returns its path.
+    """Write a page about a run for a thermographer; returns its path.
 
     It has the contents of ``survey.yaml`` in the run's folder, the marks of the run with their
     uncertainties, pictures and places on a plan, the proposed anomalies, the data of the capture,
@@ -87,12 +68,16 @@ def write_report(
     they are accepted (``RunMarks.accept``), which makes them marks, or dropped.
 
     Args:
-        scene: that the run was trained on.
+        run: what ``load_run`` or ``train`` returns.
+        path: ends with .html; ``report.html`` in the run's folder if None.
+        language: of the page.
+        pdf: also write a PDF beside it; needs mrgs[report].
+        scene: that the run was trained on, where it has been read before.
         progress: called before each of ``PARTS``.
 
     Raises:
-        ConfigError: the survey has a value that cannot be.
-        SceneError: a photo that is to be shown cannot be read.
+        ConfigError: the survey has a value that cannot be, or weasyprint is not installed.
+        SceneError: the scene, or a photo that is to be shown, cannot be read.
         RunError: scores or contact sheet cannot be read, or the file cannot be written.
     """
 
@@ -100,7 +85,9 @@ def write_report(
         if progress is not None:
             progress(part + 1, len(PARTS), PARTS[part])
 
-    t = Texts(language)
+    if pdf:
+        require_weasyprint()
+    scene, t = scene or run.load_scene(), Texts(language)
     survey = read_survey(run.folder.path / SURVEY_FILE)
     has_thermal = THERMAL in scene.modalities
     settings = settings_of(scene.records)
@@ -115,8 +102,8 @@ def write_report(
     parts = known_parts(every)
     who = [each for each in (survey.inspector, survey.company) if each]
     compared_with = {mark.compared_with for mark in findings.marks} - {""}
-    return write_html(
-        path,
+    page = write_html(
+        run.folder.path / "report.html" if path is None else Path(path),
         "report/report.html",
         title=survey.title or t("Thermal report: {name}", name=scene.name),
         subtitle=" · ".join([*([", ".join(who)] if who else []), t.date(date.today())]),
@@ -153,3 +140,6 @@ def write_report(
         contact_sheet=read_contact_sheet(run),
         training=training_rows(run, t),
     )
+    if pdf:
+        write_pdf(page, page.with_suffix(".pdf"))
+    return page
