@@ -13,7 +13,6 @@ from mrgs.data.poses import (
     nearest_rotation,
     viewmat_from_colmap,
     viewmat_from_opengl,
-    viewmats_from_opengl,
 )
 from mrgs.errors import SceneError
 
@@ -64,17 +63,3 @@ def test_rounding_is_removed(rotation, noise):
 def test_what_is_no_rotation_is_refused(matrix):
     with pytest.raises(SceneError, match=r"transforms\.json: pose 3"):
         nearest_rotation(matrix, "pose 3", FILE)
-
-
-def test_many_poses_at_once_are_what_each_is_and_the_wrong_are_left_out():
-    right = np.eye(4)
-    right[:3, :3] = Rotation.from_rotvec([0.3, -0.2, 0.1]).as_matrix()
-    mirrored, moved = np.diag([1.0, 1, -1, 1]), np.eye(4)
-    moved[3, 0] = 1.0
-    found = viewmats_from_opengl([right, mirrored, right[:3], moved])
-    assert [viewmat is not None for viewmat in found] == [True, False, True, False]
-    alone = viewmat_from_opengl(right, "pose", FILE)
-    for viewmat in (found[0], found[2]):
-        assert viewmat is not None
-        assert viewmat.equal(alone)
-    assert viewmats_from_opengl([]) == []

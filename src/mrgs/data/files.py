@@ -7,9 +7,12 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeAlias
+
+import msgspec
 
 from mrgs.errors import SceneError
+from mrgs.system.typed_json import from_json
 from mrgs.system.wording import shown
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
@@ -124,17 +127,19 @@ def read_json_object(path: Path) -> dict[str, Any]:
     return content
 
 
-def finite_number(value: object, name: str, file: Path | str) -> float:
-    """A number from a JSON file as a float.
+Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
+"""A finite number, no larger in magnitude than any real capture needs."""
 
-    Raises:
-        SceneError: not a number, not finite, or larger in magnitude than any real capture needs.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise scene_error(file, f"{name} is {shown(value)}, not a number; correct it")
-    if not abs(value) <= MAX_MAGNITUDE:  # false for NaN too; an integer need not fit into a float
-        raise scene_error(file, f"{name} is {shown(value)}, not a plausible number; correct it")
-    return float(value)
+
+def json_value(
+    kind: Any, value: object, name: str, file: Path | str, remedy: str = "correct it"
+) -> Any:
+    """A value of a JSON file as a type, see ``from_json``. SceneError with its name if it is of
+    another type."""
+    try:
+        return from_json(kind, value)
+    except ValueError as error:
+        raise scene_error(file, f"{name} is {shown(value)} ({error}); {remedy}") from None
 
 
 def without_image_suffix(name: str) -> str:

@@ -18,8 +18,9 @@ from torch import Tensor
 from mrgs.data.colmap import MODEL_FOLDERS, find_model, read_colmap
 from mrgs.data.files import (
     MAX_MAGNITUDE,
+    Number,
     contained,
-    finite_number,
+    json_value,
     read_json_object,
     scene_error,
 )
@@ -281,10 +282,8 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         return None
     content = read_json_object(path)
     low, high = (
-        finite_number(
-            content.get(f"absolute_{end}_temperature"), f"absolute_{end}_temperature", path
-        )
-        for end in ("min", "max")
+        json_value(Number, content.get(name), name, path)
+        for name in ("absolute_min_temperature", "absolute_max_temperature")
     )
     if low > high:
         low, high = high, low

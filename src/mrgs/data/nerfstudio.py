@@ -11,24 +11,22 @@ those that Python has registered.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, TypeAlias
 
 import msgspec
 import numpy as np
-from jaxtyping import Float64
-from torch import Tensor
 
 from mrgs.data.colmap import find_model, read_points3d
 from mrgs.data.files import (
     MAX_MAGNITUDE,
     ImageFinder,
+    Number,
     contained,
-    finite_number,
     is_file,
+    json_value,
     read_json_object,
     scene_error,
     without_image_suffix,
@@ -36,7 +34,7 @@ from mrgs.data.files import (
 from mrgs.data.images import probe
 from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.ply import read_ply
-from mrgs.data.poses import matrix_from_json, viewmat_from_opengl, viewmats_from_opengl
+from mrgs.data.poses import matrix_from_json, viewmat_from_opengl
 from mrgs.data.sources import (
     FilenameLists,
     ImageSource,
@@ -46,7 +44,6 @@ from mrgs.data.sources import (
     point_cloud,
 )
 from mrgs.data.transforms import RECORD
-from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.system.typed_json import from_json
@@ -65,9 +62,9 @@ _FISHEYE = "OPENCV_FISHEYE"
 _MODELS = {
     "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE", _FISHEYE
 }  # fmt: skip
-_LENS_KEYS = frozenset(
-    ["camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"]
-)
+_LENS_KEYS = (
+    "camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"
+)  # fmt: skip
 _LEGACY_APPLIED_TRANSFORM = np.array(
     [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 )
@@ -115,9 +112,7 @@ def find_points(root: Path, file: Path) -> Path | None:
 def _find_ply(root: Path, file: Path, top: Mapping[str, Any]) -> Path | None:
     """The PLY with the start points: the one that the file names, else ``sparse_pc.ply`` if it is
     there."""
-    named = top.get("ply_file_path")
-    if named is not None and not isinstance(named, str):
-        raise scene_error(file, f"ply_file_path is {shown(named)}, not a path; correct it")
+    named = json_value(str | None, top.get("ply_file_path"), "ply_file_path", file)
     ply = contained(root, named or "sparse_pc.ply", file)
     return ply if named or is_file(ply) else None
 
@@ -138,9 +133,10 @@ def lens_from_json(
 
     def number(name: str, default: float | None = None) -> float:
         value = values.get(name)
-        if value is None and default is not None:
-            return default
-        return finite_number(value, f"{name} of {what}", file)
+        found: float = json_value(
+            Number, default if value is None else value, f"{name} of {what}", file
+        )
+        return found
 
     model = values.get("camera_model", "OPENCV")
     if not isinstance(model, str) or model not in _MODELS:
@@ -200,18 +196,12 @@ class _TransformsReader:
         self.images = ImageFinder(root)
         self.notes = ReadingNotes()
         self.modalities = self._modalities()
-        self._lenses: dict[int, Lens] = {}
-        self._viewmats: dict[int, Float64[Tensor, "4 4"]] = {}
+        self._lenses: dict[str, Lens] = {}
 
     def _modalities(self) -> tuple[Modality, ...]:
         """Modalities of the frames: the known ones, and those that the file lists."""
-        listed = self.top.get("modalities", [])
-        if not isinstance(listed, list) or len(listed) > MOST_MODALITIES:
-            raise scene_error(
-                self.file,
-                f"modalities is {shown(listed)}, not a list of up to {MOST_MODALITIES} objects; "
-                f"correct it",
-            )
+        some = Annotated[list[Any], msgspec.Meta(max_length=MOST_MODALITIES)]
+        listed = json_value(some, self.top.get("modalities", []), "modalities", self.file)
         by_name = {modality.name: modality for modality in known_modalities()}
         for value in listed:
             try:
@@ -237,13 +227,9 @@ class _TransformsReader:
         return tuple(by_name.values())
 
     def capture(self) -> SceneSource:
-        frames = self.top.get("frames")
-        if not isinstance(frames, list) or not frames:
-            raise scene_error(
-                self.file,
-                f'"frames" is {shown(frames)}, not a list of frames; export the file again',
-            )
-        self._read_poses(frames)
+        some = Annotated[list[Any], msgspec.Meta(min_length=1)]
+        remedy = "export the file again"
+        frames = json_value(some, self.top.get("frames"), '"frames"', self.file, remedy)
         views = [self._view(frame, f"frame {index}") for index, frame in enumerate(frames)]
         for modality in self.modalities:
             missing = sum(modality not in view.images for view in views)
@@ -254,10 +240,7 @@ class _TransformsReader:
         )
 
     def _view(self, frame: object, what: str) -> ViewSource:
-        if not isinstance(frame, dict):
-            raise scene_error(
-                self.file, f"{what} is {shown(frame)}, not an object; export the file again"
-            )
+        frame = json_value(dict[str, Any], frame, what, self.file, "export the file again")
         paths = self._image_paths(frame, what)
         if not paths:
             raise scene_error(self.file, f"{what} has no file_path; add it or remove the frame")
@@ -276,16 +259,13 @@ class _TransformsReader:
         prefix = "" if modality == RGB else f"{modality}_"
         camera = f"{prefix}camera"
         own = frame.get(camera, self.top.get(camera)) if prefix else None
-        if own is not None and not isinstance(own, dict):
-            raise scene_error(self.file, f"{camera} is {shown(own)}, not an object; correct it")
+        own = json_value(dict[str, Any] | None, own, camera, self.file)
         lens = self._lens(frame if own is None else own, path, what, shared=own is None)
         pose = f"{prefix}transform_matrix"
         name = pose if pose in frame else "transform_matrix"
-        value, label = frame.get(name), f"{name} of {what}"
-        viewmat = self._viewmats.get(id(value))
-        if viewmat is None:
-            matrix = matrix_from_json(value, (3, 4), label, self.file)
-            viewmat = viewmat_from_opengl(matrix, label, self.file)
+        label = f"{name} of {what}"
+        matrix = matrix_from_json(frame.get(name), label, self.file)
+        viewmat = viewmat_from_opengl(matrix, label, self.file)
         mask = self._path(frame, f"{prefix}mask_path", what) or self.images.find_mask(
             f"{prefix}masks", path.name, self.file
         )
@@ -326,13 +306,9 @@ class _TransformsReader:
         return {modality: found[modality] for modality in self.modalities if modality in found}
 
     def _path(self, frame: Mapping[str, Any], name: str, what: str) -> Path | None:
-        value = frame.get(name)
+        value = json_value(str | None, frame.get(name), f"{name} of {what}", self.file)
         if value is None:
             return None
-        if not isinstance(value, str) or not value:
-            raise scene_error(
-                self.file, f"{name} of {what} is {shown(value)}, not a path; correct it"
-            )
         path = self.images.find(value, self.file)
         if path is None:
             raise scene_error(
@@ -341,42 +317,23 @@ class _TransformsReader:
             )
         return path
 
-    def _read_poses(self, frames: Sequence[object]) -> None:
-        """Read the matrices of all frames at once. Those that cannot be used are left to
-        ``_source``, which knows what to call them."""
-        names = [f"{modality}_transform_matrix" for modality in self.modalities if modality != RGB]
-        values, matrices = [], []
-        for frame in frames:
-            for name in ("transform_matrix", *names):
-                if isinstance(frame, dict) and name in frame:
-                    with suppress(SceneError):
-                        matrices.append(matrix_from_json(frame[name], (3, 4), name, self.file))
-                        values.append(frame[name])
-        for value, viewmat in zip(values, viewmats_from_opengl(matrices), strict=True):
-            if viewmat is not None:
-                self._viewmats[id(value)] = viewmat  # ``top`` keeps the value alive
-
     def _lens(self, own: Mapping[str, Any], image: Path, what: str, shared: bool = True) -> Lens:
         """The lens of an image; ``own`` wins, and what it lacks comes from the top level if the
         lens is shared. What many images share is read once."""
-        if shared and not own.keys().isdisjoint(_LENS_KEYS):
-            return lens_from_json({**self.top, **own}, what, self.file, image)
-        values = self.top if shared else own
+        whole = {**self.top, **own} if shared else own
+        values = {name: whole[name] for name in _LENS_KEYS if name in whole}
         if values.get("w") is None or values.get("h") is None:  # each image has a size of its own
             return lens_from_json(values, what, self.file, image)
-        if id(values) not in self._lenses:  # ``top`` keeps it alive
-            self._lenses[id(values)] = lens_from_json(values, what, self.file)
-        return self._lenses[id(values)]
+        key = repr(values)
+        if key not in self._lenses:
+            self._lenses[key] = lens_from_json(values, what, self.file)
+        return self._lenses[key]
 
     def _lists(self) -> FilenameLists:
         def keys(name: str) -> frozenset[str] | None:
-            names = self.top.get(name)
+            names = json_value(list[str] | None, self.top.get(name), name, self.file)
             if names is None:
                 return None
-            if not isinstance(names, list) or not all(isinstance(item, str) for item in names):
-                raise scene_error(
-                    self.file, f"{name} is {shown(names)}, not a list of paths; correct it"
-                )
             return frozenset(without_image_suffix(PurePosixPath(item).as_posix()) for item in names)
 
         held_out = [keys("val_filenames"), keys("test_filenames")]
@@ -387,7 +344,7 @@ class _TransformsReader:
         """Start points. Like nerfstudio: a PLY is in the frames' world but for ``applied_scale``,
         COLMAP's points are moved by ``applied_transform`` first.
         """
-        scale = finite_number(self.top.get("applied_scale", 1.0), "applied_scale", self.file)
+        scale = json_value(Number, self.top.get("applied_scale", 1.0), "applied_scale", self.file)
         if scale <= 0:
             raise scene_error(
                 self.file, f"applied_scale is {scale:g}; it must be positive: correct it"
@@ -405,7 +362,7 @@ class _TransformsReader:
                 "There is no applied_transform: COLMAP's points are turned as nerfstudio used to."
             )
         else:
-            transform = matrix_from_json(value, (3, 4), "applied_transform", self.file)[:3]
+            transform = matrix_from_json(value, "applied_transform", self.file)[:3]
         return point_cloud(*read_points3d(model), self.notes, scale * transform)
 
     def _world(self) -> WorldFrame:

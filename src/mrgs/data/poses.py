@@ -3,15 +3,16 @@ matrices."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, TypeAlias
 
+import msgspec
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrgs.data.files import MAX_MAGNITUDE, scene_error
+from mrgs.data.files import MAX_MAGNITUDE, Number, json_value, scene_error
 from mrgs.scene.rotations import (
     OPENGL_FROM_OPENCV,
     ORTHONORMAL_TOLERANCE,
@@ -20,45 +21,22 @@ from mrgs.scene.rotations import (
     nearest_rotations,
     rigid_transform,
 )
-from mrgs.system.wording import shown
+
+_Matrix: TypeAlias = Annotated[
+    list[tuple[Number, Number, Number, Number]], msgspec.Meta(min_length=3, max_length=4)
+]
 
 
-def matrix_from_json(
-    value: object, rows: tuple[int, ...], what: str, file: Path
-) -> NDArray[np.float64]:
-    """A matrix of four columns from a JSON value.
-
-    Raises:
-        SceneError: another shape, entries that are not numbers, or numbers that are not finite or
-            too large.
-    """
-    shape_is_right = (
-        isinstance(value, list)
-        and len(value) in rows
-        and all(isinstance(row, list) and len(row) == 4 for row in value)
-    )
-    if not shape_is_right:
-        expected = " or ".join(f"{count}×4" for count in rows)
-        raise scene_error(file, f"{what} is {shown(value)}, not a {expected} matrix; correct it")
-    assert isinstance(value, list)
-    entries = [entry for row in value for entry in row]
-    if not {type(entry) for entry in entries} <= {int, float}:
-        raise scene_error(file, f"{what} holds something that is not a number; correct it")
-    # A comparison, not a conversion: an integer in a JSON file may be too large for a float. NaN
-    # fails it too.
-    if not all(-MAX_MAGNITUDE <= entry <= MAX_MAGNITUDE for entry in entries):
-        raise scene_error(
-            file, f"{what} holds NaN, infinity or a huge number; correct it or remove the frame"
-        )
-    return np.array(entries, dtype=np.float64).reshape(-1, 4)
+def matrix_from_json(value: object, what: str, file: Path) -> NDArray[np.float64]:
+    """A 3×4 or 4×4 matrix from a JSON value; SceneError for another shape, entries that are not
+    numbers, or numbers that are not finite or too large."""
+    remedy = "it must be 3×4 or 4×4 finite numbers"
+    return np.array(json_value(_Matrix, value, what, file, remedy))
 
 
 def nearest_rotation(matrix: NDArray[np.float64], what: str, file: Path) -> NDArray[np.float64]:
-    """The rotation nearest to a 3×3 matrix (by SVD).
-
-    Raises:
-        SceneError: the matrix is not a rotation within ``ORTHONORMAL_TOLERANCE``.
-    """
+    """The rotation nearest to a 3×3 matrix (by SVD); SceneError if that is not one within
+    ``ORTHONORMAL_TOLERANCE``."""
     rotations, is_rotation = nearest_rotations(matrix[None])
     if not is_rotation[0]:
         raise scene_error(
@@ -72,47 +50,20 @@ def nearest_rotation(matrix: NDArray[np.float64], what: str, file: Path) -> NDAr
 def viewmat_from_opengl(
     camera_to_world: NDArray[np.float64], what: str, file: Path
 ) -> Float64[Tensor, "4 4"]:
-    """World to camera with OpenCV axes, from nerfstudio's camera to world with OpenGL axes ([3 or
-    4, 4]).
-
-    Raises:
-        SceneError: not a rigid motion.
-    """
-    (viewmat,) = viewmats_from_opengl([camera_to_world])
-    if viewmat is None:
-        nearest_rotation(camera_to_world[:3, :3], what, file)
+    """World to camera with OpenCV axes, from nerfstudio's camera to world with OpenGL axes, [3 or
+    4, 4]. SceneError if it is no rigid motion."""
+    rotation = nearest_rotation(camera_to_world[:3, :3], what, file)
+    if not ends_in_last_row(camera_to_world):
         raise scene_error(file, f"the last row of {what} is not 0 0 0 1; correct it")
-    return viewmat
-
-
-def viewmats_from_opengl(
-    cameras_to_world: Sequence[NDArray[np.float64]],
-) -> list[Float64[Tensor, "4 4"] | None]:
-    """``viewmat_from_opengl`` of many matrices at once, which is much faster; None for those that
-    it would refuse."""
-    if not cameras_to_world:
-        return []
-    given = np.stack([matrix[:3] for matrix in cameras_to_world])
-    rotations, is_rotation = nearest_rotations(given[:, :, :3])
-    from_world = OPENGL_FROM_OPENCV[:3, :3] @ rotations.transpose(0, 2, 1)
-    translations = -(from_world @ given[:, :, 3:])[:, :, 0]
-    # Each in memory of its own: one camera that is kept must not keep all the others.
-    return [
-        rigid_transform(rotation, translation) if rigid and ends_in_last_row(matrix) else None
-        for rotation, translation, rigid, matrix in zip(
-            from_world, translations, is_rotation, cameras_to_world, strict=True
-        )
-    ]
+    from_world = OPENGL_FROM_OPENCV[:3, :3] @ rotation.T
+    return rigid_transform(from_world, -(from_world @ camera_to_world[:3, 3]))
 
 
 def viewmat_from_colmap(
     qvec: NDArray[np.float64], tvec: NDArray[np.float64], what: str, file: Path
 ) -> Float64[Tensor, "4 4"]:
-    """World to camera from COLMAP's unit quaternion (w, x, y, z) and translation.
-
-    Raises:
-        SceneError: not finite, huge, or the quaternion's length is not 1 within the tolerance.
-    """
+    """World to camera from COLMAP's unit quaternion (w, x, y, z) and translation. SceneError for
+    numbers that are not finite or huge, and for a quaternion whose length is not 1."""
     if not (np.abs(tvec) <= MAX_MAGNITUDE).all() or not (np.abs(qvec) <= 2).all():
         raise scene_error(
             file, f"the pose of {what} holds NaN, infinity or a huge number; run COLMAP again"

@@ -13,7 +13,6 @@ import numpy as np
 from mrgs.errors import ConfigError
 from mrgs.export.job import ExportJob, described
 from mrgs.export.sidecar import comment_lines
-from mrgs.maps.above import map_from_above
 from mrgs.maps.crs import (
     CoordinateSystem,
     coordinate_system,
@@ -21,7 +20,7 @@ from mrgs.maps.crs import (
     require_metres,
     require_pyproj,
 )
-from mrgs.maps.draw import BANDS, OrthographicMap
+from mrgs.maps.draw import BANDS, OrthographicMap, map_from_above
 from mrgs.maps.facade import facade_map
 from mrgs.maps.picture import Caption, map_picture, map_scale
 from mrgs.pictures.drawing import Scale

@@ -70,7 +70,7 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
                 "thermal_camera is distorted by more than k1 and k2; calibrate it with these alone",
             )
     if motion is not None:
-        given = matrix_from_json(motion, (3, 4), EXTRINSICS, path)
+        given = matrix_from_json(motion, EXTRINSICS, path)
         rotation = nearest_rotation(given[:3, :3], EXTRINSICS, path)
         matrix = rigid_transform(rotation, given[:3, 3])
     return ThermalCamera(lens, matrix)

@@ -13,9 +13,8 @@ from jaxtyping import Float32, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.maps.above import map_from_above
 from mrgs.maps.crs import coordinate_system
-from mrgs.maps.draw import OrthographicMap
+from mrgs.maps.draw import OrthographicMap, map_from_above
 from mrgs.maps.facade import facade_map
 from mrgs.maps.options import MapOptions
 from mrgs.maps.picture import frame_map, map_body, map_scale
