@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mrgs.errors import ConfigError
-from mrgs.report.pdf import require_weasyprint
+from mrgs.report.write import require_weasyprint
 
 
 def _missing() -> str:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mrgs.report.conditions import conditions_of, stated_rows
+from mrgs.report.sections import conditions_of, stated_rows
 from mrgs.report.texts import Texts
 from mrgs.survey import Survey
 

@@ -28,7 +28,7 @@ def dlopen(self, name, *flags):
 cffi.FFI.dlopen = dlopen
 
 from mrgs.errors import ConfigError
-from mrgs.report.pdf import write_pdf
+from mrgs.report.write import write_pdf
 
 try:
     write_pdf(Path(page), Path(page).with_suffix(".pdf"))

@@ -6,7 +6,7 @@ import pytest
 from PIL import Image, ImageFile
 
 from mrgs.errors import ConfigError
-from mrgs.report.pdf import write_pdf
+from mrgs.report.write import write_pdf
 from tests.helpers.pdf import needs_pango
 
 

@@ -327,7 +327,7 @@ def _export(command: Export) -> None:
 def _report(command: Report) -> None:
     from mrgs.pipeline.forecast import expect_report
     from mrgs.report import report_run
-    from mrgs.report.pdf import require_weasyprint
+    from mrgs.report.write import require_weasyprint
     from mrgs.runs.open import load_run
 
     if command.pdf:

@@ -121,11 +121,8 @@ class PhotoOptions:
     """Hold out every Nth view for evaluation; 0 holds out none."""
 
     def options(self) -> PrepareOptions:
-        """The options of ``prepare``.
-
-        Raises:
-            ConfigError: an invalid value, or two options that exclude each other.
-        """
+        """The options of ``prepare``. ConfigError for an invalid value, or two options that exclude
+        each other."""
         from mrgs.data.radiometric import Overrides
         from mrgs.prepare import PrepareOptions, parse_known_distance, parse_target
 

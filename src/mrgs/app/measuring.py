@@ -22,11 +22,8 @@ _CORNER = f"{_NUMBER},{_NUMBER}"
 
 
 def measure(command: Measure) -> None:
-    """Change the marks of a run as the options say, then list and export them.
-
-    Raises:
-        MrgsError: see ``RunMarks``; an option cannot be understood, or two exclude each other.
-    """
+    """Change the marks of a run as the options say, then list and export them. Errors as for
+    ``RunMarks``; also ConfigError if an option cannot be understood, or two exclude each other."""
     added = [kind for kind in KINDS if getattr(command, kind)]
     _check(command, added)
     run = load_run(command.run, command.scene, command.device)

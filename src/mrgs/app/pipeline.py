@@ -28,11 +28,8 @@ GIGABYTE = 1e9
 def follow_pipeline(
     source: Path, command: RunAll | Demo, options: PrepareOptions, yes: bool
 ) -> None:
-    """Run a pipeline, show how far it is, and print what to open.
-
-    Raises:
-        MrgsError: as ``run_pipeline``.
-    """
+    """Run a pipeline, show how far it is, and print what to open. Errors as for
+    ``run_pipeline``."""
     terminal, started = PipelineTerminal(yes), time.perf_counter()
     try:
         results = run_pipeline(

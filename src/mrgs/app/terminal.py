@@ -65,11 +65,7 @@ def flags_of(error: MrgsError) -> str:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file that an option names.
-
-    Raises:
-        ConfigError: it cannot be read.
-    """
+    """The text of a file that an option names. ConfigError if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -64,10 +64,7 @@ _EXPECTED: dict[Modality, tuple[Severity, str]] = {
 
 def measure_few(scene: Scene) -> dict[Modality, dict[str, ImageStatistics]]:
     """Statistics of the photos of ``FEW_VIEWS`` training views, from as few pixels as suffice.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    SceneError if a photo cannot be read."""
     found: dict[Modality, dict[str, ImageStatistics]] = {each: {} for each in scene.modalities}
     for place in evenly_spaced(len(scene.train), FEW_VIEWS):
         view = scene.train[place]

@@ -56,11 +56,8 @@ def find_problems(evidence: Evidence, fast: bool = False) -> list[Problem]:
 
 
 def fast_problems(scene: Scene) -> list[Problem]:
-    """Problems of the poses, and of the photos of ``photos.FEW_VIEWS`` views.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    """Problems of the poses, and of the photos of ``photos.FEW_VIEWS`` views. SceneError if a photo
+    cannot be read."""
     return find_problems(Evidence(scene, photos.measure_few(scene)), fast=True)
 
 

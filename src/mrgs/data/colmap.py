@@ -87,11 +87,8 @@ def find_model(root: Path) -> ColmapModel | None:
 
 
 def read_images(model: ColmapModel) -> list[RegisteredImage]:
-    """The registered images with their lenses, sorted by name.
-
-    Raises:
-        SceneError: a file is damaged, cut off, or uses a camera model that is not supported.
-    """
+    """The registered images with their lenses, sorted by name. SceneError if a file is damaged, cut
+    off, or uses a camera model that is not supported."""
     binary = model.suffix == ".bin"
     file = model.file("cameras")
     rows = _binary_cameras(file) if binary else _text_rows(file, _text_camera)
@@ -114,11 +111,7 @@ def read_images(model: ColmapModel) -> list[RegisteredImage]:
 
 def read_points3d(model: ColmapModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions [N, 3] in COLMAP's world and colours [N, 3] in [0, 1]; empty without a points3D
-    file.
-
-    Raises:
-        SceneError: the file is damaged or cut off.
-    """
+    file. SceneError if the file is damaged or cut off."""
     file = model.file("points3D")
     if not is_file(file):
         return np.empty((0, 3)), np.empty((0, 3))
@@ -288,11 +281,9 @@ class _Images:
 def read_colmap(root: Path, model: ColmapModel) -> SceneSource:
     """Read a COLMAP scene; images are looked up, not decoded.
 
-    A folder ``images/`` (or ``rgb/``) without a ``thermal/`` beside it holds thermal images
-    if a ``temperature_bounds.json`` is there, or if none of its images has colour channels.
-
-    Raises:
-        SceneError: the reconstruction is damaged, names no image, or names one that is missing.
+    A folder ``images/`` (or ``rgb/``) without a ``thermal/`` beside it holds thermal images if a
+    ``temperature_bounds.json`` is there, or if none of its images has colour channels. SceneError
+    if the reconstruction is damaged, names no image, or names one that is missing.
     """
     notes = ReadingNotes()
     finder = ImageFinder(root)

@@ -29,11 +29,8 @@ def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()
 
 
 def contained(root: Path, relative: str, named_in: Path | str) -> Path:
-    """The path ``relative`` below ``root`` (already resolved), which need not exist.
-
-    Raises:
-        SceneError: the path is absolute or leaves the folder, by ``..`` or by a symbolic link.
-    """
+    """The path ``relative`` below ``root`` (already resolved), which need not exist. SceneError if
+    it is absolute or leaves the folder, by ``..`` or by a symbolic link."""
     try:
         path = root / relative.replace("\\", "/")
         outside = not path.resolve().is_relative_to(root) or Path(relative).is_absolute()
@@ -58,11 +55,8 @@ def is_file(path: Path | os.DirEntry[str]) -> bool:
 
 def visible_files(folder: Path) -> Iterator[Path]:
     """All files below a folder, and links to folders, which are not followed. Hidden files and
-    folders, such as those that macOS leaves on memory cards, are skipped.
-
-    Raises:
-        SceneError: a folder cannot be listed.
-    """
+    folders, such as those that macOS leaves on memory cards, are skipped. SceneError if a folder
+    cannot be listed."""
 
     def refuse(error: OSError) -> None:
         raise scene_error(
@@ -78,12 +72,8 @@ def visible_files(folder: Path) -> Iterator[Path]:
 
 
 def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
-    """The file's content.
-
-    Raises:
-        SceneError: the file cannot be read, is not a regular file, or is larger than ``limit``
-            bytes.
-    """
+    """The file's content. SceneError if it cannot be read, is not a regular file, or is larger than
+    ``limit`` bytes."""
     try:
         if path.exists() and not path.is_file():  # reading a pipe would wait forever
             raise scene_error(path, "is not a file; check that the path is right")
@@ -111,11 +101,8 @@ def decoded_text(data: bytes) -> str:
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
-    """The JSON object in a file.
-
-    Raises:
-        SceneError: the file cannot be read, is not JSON, or holds something other than an object.
-    """
+    """The JSON object in a file. SceneError if the file cannot be read, is not JSON, or its JSON is
+    no object."""
     try:
         content = json.loads(read_bytes(path, MAX_JSON_BYTES))
     except (ValueError, RecursionError) as error:
@@ -172,11 +159,7 @@ class ImageFinder:
 
     def find(self, relative: str, named_in: Path | str) -> Path | None:
         """The image ``relative``, or the one in the same folder that differs in the extension only;
-        None if absent.
-
-        Raises:
-            SceneError: the path leaves the scene's folder.
-        """
+        None if absent. SceneError if the path leaves the scene's folder."""
         folder, _, name = relative.replace("\\", "/").rpartition("/")
         if not name or "\0" in name or relative[0] in "/\\":
             contained(self._root, relative, named_in)
@@ -199,11 +182,8 @@ class ImageFinder:
 
     def tree(self, folder: Path) -> dict[str, Path]:
         """Images in ``folder`` and its direct subfolders: path below ``folder`` without extension
-        -> file, sorted.
-
-        Raises:
-            SceneError: a folder cannot be listed, or an image leads out of the scene's folder.
-        """
+        -> file, sorted. SceneError if a folder cannot be listed, or an image leads out of the
+        scene's folder."""
         found: dict[str, Path] = {}
         inside = [folder / entry.name for entry in _entries(folder)]
         for directory in [folder, *(path for path in inside if path.is_dir())]:

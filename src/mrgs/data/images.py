@@ -56,11 +56,8 @@ class ImageInfo:
 
 
 def probe(path: Path) -> ImageInfo:
-    """Size and kind of an image, from its header alone.
-
-    Raises:
-        SceneError: not an image, too large, or pixels of a type that is not supported.
-    """
+    """Size and kind of an image, from its header alone. SceneError if it is not an image, too
+    large, or has pixels of a type that is not supported."""
     with opened(path) as image:
         return ImageInfo(image.width, image.height, _kind(image, path))
 
@@ -119,12 +116,9 @@ def decode(path: Path, least_width: int | None = None) -> Decoded:
 
 
 def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Tensor, "h w d"]:
-    """Intensities with a number of channels: a grey image gets equal ones; of a colour image,
-    where one is wanted, the luminance is taken.
-
-    Raises:
-        ValueError: there is no such rule for these numbers of channels.
-    """
+    """Intensities with a number of channels: a grey image gets equal ones; of a colour image, where
+    one is wanted, the luminance is taken. ValueError if there is no such rule for these numbers of
+    channels."""
     if values.shape[2] == 3 and channels == 1:
         return values @ LUMINANCE[:, None]
     if values.shape[2] not in (1, channels):
@@ -153,11 +147,7 @@ def of_eight_bit_levels(levels: UInt8[Tensor, "*shape"]) -> Float32[Tensor, "*sh
 
 def decode_mask(path: Path) -> Bool[Tensor, "h w"]:
     """A mask image: False where it is black; in a JPEG where it is darker than half, because its
-    compression leaves greys on both sides of an edge.
-
-    Raises:
-        SceneError: see ``decode``.
-    """
+    compression leaves greys on both sides of an edge. Errors as for ``decode``."""
     with opened(path) as image:
         black = 0.5 if image.format == "JPEG" else 0.0
     return (decode(path).values > black).any(dim=-1)

@@ -101,11 +101,8 @@ def fingerprint(*values: Any) -> str:
 
 
 def save(path: Path, value: Any, made_from: str) -> None:
-    """Write a result; ``made_from`` is the fingerprint of everything that it depends on.
-
-    Raises:
-        RunError: the file cannot be written (permissions, a full disk).
-    """
+    """Write a result; ``made_from`` is the fingerprint of everything that it depends on. RunError
+    if the file cannot be written."""
     tensors: list[Tensor] = []
     metadata = {"value": json.dumps(_encode(value, tensors)), "made_from": made_from}
     named = {
@@ -195,11 +192,8 @@ def _decode(hint: Any, value: Any, tensors: Mapping[str, Tensor]) -> Any:
 
 
 def stamp_of(path: Path, *, follow: bool = True) -> Stamp:
-    """The stamp of a file, or of a link itself if that is not followed.
-
-    Raises:
-        OSError: there is no such file, or its folder cannot be read.
-    """
+    """The stamp of a file, or of a link itself if that is not followed. OSError if there is no such
+    file, or its folder cannot be read."""
     status = path.stat(follow_symlinks=follow)
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
@@ -207,10 +201,8 @@ def stamp_of(path: Path, *, follow: bool = True) -> Stamp:
 def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
     """Path and ``Stamp`` of every file below a folder, sorted.
 
-    Links to files are followed. Hidden files and folders are skipped.
-
-    Raises:
-        SceneError: the folder cannot be listed.
+    Links to files are followed. Hidden files and folders are skipped. SceneError if the folder
+    cannot be listed.
     """
     return tuple(
         sorted(

@@ -143,12 +143,8 @@ class Lens:
 
 
 def checked_lens(lens: Lens, what: str, file: Path) -> Lens:
-    """The lens itself, if its numbers can be those of a camera.
-
-    Raises:
-        SceneError: sizes or focal lengths that are not positive, or numbers that are not finite or
-            huge.
-    """
+    """The lens itself, if its numbers can be those of a camera. SceneError for sizes or focal
+    lengths that are not positive, and numbers that are not finite or huge."""
     numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.radial, *lens.tangential)
     if not all(abs(number) <= MAX_MAGNITUDE for number in numbers):
         raise scene_error(

@@ -271,11 +271,7 @@ def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) ->
 
 def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
     """The scale from ``temperature_bounds.json`` in the scene's folder or in its ``thermal/``; None
-    without a file.
-
-    Raises:
-        SceneError: the file is there, but does not hold two different temperatures in °C.
-    """
+    without a file. SceneError if the file does not have two different temperatures in °C."""
     paths = [contained(root, name, root) for name in BOUNDS_FILES]
     path = next((path for path in paths if os.path.lexists(path)), None)
     if path is None:
@@ -296,11 +292,8 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
 
 
 def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
-    """The range of float images in °C, rounded outwards to whole degrees.
-
-    Raises:
-        SceneError: an image cannot be decoded, or holds no temperature in °C.
-    """
+    """The range of float images in °C, rounded outwards to whole degrees. SceneError if an image
+    cannot be decoded, or has no temperature in °C."""
     low, high = math.inf, -math.inf
     for path in paths:
         values, valid, _ = decode(path)
@@ -317,12 +310,8 @@ def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
 
 
 def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: ReadingNotes) -> Kind:
-    """The common kind of all thermal images; notes what follows from it.
-
-    Raises:
-        SceneError: some images hold °C and others do not, and there are no bounds to bring them
-            together.
-    """
+    """The common kind of all thermal images; notes what follows from it. SceneError if some images
+    have °C and others do not, and there are no bounds to bring them together."""
     celsius = [path for path, kind in kinds if kind == "float"]
     if celsius and len(celsius) < len(kinds) and not has_bounds:
         raise scene_error(
@@ -352,10 +341,8 @@ def decode_thermal(
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
 
     Integers span the range already; °C in a float image are mapped by ``temperature`` and not
-    clamped. Temperatures are measured, and so decoded whole whatever ``least_width`` is.
-
-    Raises:
-        SceneError: the file cannot be decoded, or holds °C where no range is known.
+    clamped. Temperatures are measured, and so decoded whole whatever ``least_width`` is. SceneError
+    if the file cannot be decoded, or has °C where no range is known.
     """
     values, valid, kind = decode(path)
     if kind == "colour":

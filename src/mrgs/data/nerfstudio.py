@@ -100,10 +100,7 @@ def read_transforms(root: Path, file: Path) -> SceneSource:
 
 def find_points(root: Path, file: Path) -> Path | None:
     """The file that ``read_transforms`` reads the start points from; None if there are none.
-
-    Raises:
-        SceneError: the transforms file is damaged, or names no path below the scene's folder.
-    """
+    SceneError if the transforms file is damaged, or names no path below the scene's folder."""
     ply = _find_ply(root, file, read_json_object(file))
     model = find_model(root) if ply is None else None
     return ply if model is None else model.file("points3D")

@@ -90,11 +90,8 @@ def write_ply(
 def write_points(
     path: Path, positions: Float[np.ndarray, "n 3"], colors: UInt8[np.ndarray, "n 3"]
 ) -> Path:
-    """Write coloured points as a binary PLY file, positions as float32; returns the path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write coloured points as a binary PLY file, positions as float32; returns the path. RunError
+    if the file cannot be written."""
     columns = {axis: positions[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
     columns |= {name: colors[:, i] for i, name in enumerate(_COLOR_NAMES[0])}
     return write_ply(path, {"vertex": columns})
@@ -104,10 +101,8 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | Non
     """Positions [N, 3] as they stand in the file, and colours [N, 3] in [0, 1] (None if it has
     none).
 
-    No more memory is used than the file's own size warrants, whatever its header claims.
-
-    Raises:
-        SceneError: not a PLY file with vertices x, y, z, or shorter than its header says.
+    No more memory is used than the file's own size warrants, whatever its header claims. SceneError
+    if it is not a PLY file with vertices x, y, z, or shorter than its header says.
     """
     data = read_bytes(path)
     end = data.find(b"end_header", 0, MAX_HEADER_BYTES)

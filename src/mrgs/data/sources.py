@@ -223,10 +223,8 @@ def decode_intensities(
     """Values in [0, 1] and the mask of usable pixels (None if all are).
 
     A grey image gets ``channels`` equal channels; of a colour image, where one channel is wanted,
-    the luminance is taken. ``least_width`` as for ``decode``.
-
-    Raises:
-        SceneError: the file cannot be decoded, holds floats, or has another number of channels.
+    the luminance is taken. ``least_width`` as for ``decode``. SceneError if the file cannot be
+    decoded, has floats, or another number of channels.
     """
     values, valid, kind = decode(path, least_width)
     if kind == "float":

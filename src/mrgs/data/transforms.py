@@ -113,11 +113,8 @@ def world_json(world: WorldFrame) -> dict[str, Any]:
 
 
 def write_bounds(path: Path, min_c: float, max_c: float) -> Path:
-    """Write ``temperature_bounds.json``: the °C of black and white; returns the path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write ``temperature_bounds.json``: the °C of black and white; returns the path. RunError if
+    the file cannot be written."""
     bounds = {"absolute_min_temperature": min_c, "absolute_max_temperature": max_c}
     return _write_json(path, bounds)
 

@@ -30,11 +30,8 @@ def pinhole_of(lens: Lens) -> Lens:
     The rectangle touches the undistorted image's four edges from inside, so that every pixel is
     valid, except near corners that the lens cannot see. The four intrinsics follow from it; fx, fy
     and the principal point differ a little from the lens's own. A lens without distortion is
-    returned unchanged.
-
-    Raises:
-        ValueError: the distortion is too strong to be true: hardly anything of the image would be
-            left.
+    returned unchanged. ValueError if the distortion is too strong to be true: hardly anything of
+    the image would be left.
     """
     if lens.is_pinhole:
         return lens

@@ -8,6 +8,7 @@ was trained on; so those images are written beside them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -111,26 +112,18 @@ def _image_path(view: View, modality: Modality, has_celsius: bool) -> str:
     return f"{'images' if modality == RGB else modality}/{view.name}.{suffix}"
 
 
-def _intrinsics(camera: Camera) -> tuple[int, int, float, float, float, float]:
-    """Width and height, then fx, fy, cx, cy in pixels."""
-    fx, fy, cx, cy = (float(camera.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return camera.width, camera.height, fx, fy, cx, cy
-
-
 def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
     """COLMAP's text model; points have no tracks, images no observations."""
     registered = _registered(scene)
-    lenses = {
-        intrinsics: i + 1
-        for i, intrinsics in enumerate(dict.fromkeys(_intrinsics(c) for _, c in registered))
-    }
-    cameras = [f"{number} PINHOLE {_row(intrinsics)}" for intrinsics, number in lenses.items()]
+    used = dict.fromkeys(pinhole_lens(camera) for _, camera in registered)
+    lenses = {lens: number for number, lens in enumerate(used, start=1)}
+    cameras = [f"{number} PINHOLE {_row(astuple(lens)[:6])}" for lens, number in lenses.items()]
     images = []
     for number, (name, camera) in enumerate(registered, start=1):
         quaternion = quaternion_from_matrix(camera.viewmat[:3, :3].numpy()).tolist()
         pose = _row([*quaternion, *camera.viewmat[:3, 3].tolist()])
         images.append(
-            f"{number} {pose} {lenses[_intrinsics(camera)]} {name}\n"
+            f"{number} {pose} {lenses[pinhole_lens(camera)]} {name}\n"
         )  # and an empty line: no observations
     positions = scene.points.positions.double().tolist()
     colors = to_bytes(scene.points.colors.numpy()).tolist()

@@ -15,7 +15,6 @@ from mrgs.export.loss import BakingLoss, correction_note
 from mrgs.export.sidecar import color_facts, write_sidecar
 from mrgs.export.splats import (
     SplatArrays,
-    ThermalScale,
     shaded_splats,
     temperature_name,
     thermal_splats,
@@ -25,6 +24,7 @@ from mrgs.maps.options import MapOptions
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel
 from mrgs.runs.open import Run
@@ -52,7 +52,7 @@ class ExportJob:
     baked: BakedModel
     scene: Scene
     folder: Path
-    scale: ThermalScale
+    scale: Scale
     up: Float64[np.ndarray, "3"] | None
     facts: dict[str, Any]
     marks: RunMarks | None

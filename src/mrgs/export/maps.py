@@ -122,11 +122,8 @@ def require_elevation(scene: Scene, crs: str | None = None) -> None:
 
 
 def require_ortho(scene: Scene, crs: str | None = None) -> None:
-    """Check that the map from above can be written in a CRS.
-
-    Raises:
-        ConfigError: see ``require_elevation`` and ``coordinate_system``.
-    """
+    """Check that the map from above can be written in a CRS. Errors as for ``require_elevation``
+    and ``coordinate_system``."""
     require_elevation(scene)
     coordinate_system(scene, crs)
 

@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from mrgs.export.loss import BakingLoss
-from mrgs.export.splats import ThermalScale, temperature_name, value_names
+from mrgs.export.splats import temperature_name, value_names
 from mrgs.maps.crs import place_facts
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.values import unit_of
 from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
 from mrgs.runs.baked import BakedModel
@@ -74,7 +75,7 @@ def loss_facts(loss: BakingLoss) -> dict[str, float | None]:
     return {modality.name: value for modality, value in loss.items()}
 
 
-def color_facts(modality: Modality, scale: ThermalScale, baked: BakedModel) -> dict[str, Any]:
+def color_facts(modality: Modality, scale: Scale, baked: BakedModel) -> dict[str, Any]:
     """The meaning of the colours in a file of one modality: palette, values of its first and last
     colour, unit.
 
@@ -82,11 +83,10 @@ def color_facts(modality: Modality, scale: ThermalScale, baked: BakedModel) -> d
     """
     if modality.channels == 3:
         return {}
-    palette, low, high = ("grey", 0.0, 1.0)
-    if modality == THERMAL:
-        palette, low, high = (scale.palette, scale.low, scale.high)
-    unit = unit_of(modality, baked.temperature)
-    return {"colors": {"palette": palette, "first": low, "last": high, "unit": unit}}
+    if modality != THERMAL:
+        scale = Scale("grey", 0.0, 1.0, unit_of(modality, baked.temperature))
+    shown = {"palette": scale.palette, "first": scale.low, "last": scale.high, "unit": scale.unit}
+    return {"colors": shown}
 
 
 def comment_lines(facts: Mapping[str, Any]) -> list[str]:

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.field.spherical_harmonics import C0
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import to_array
 from mrgs.pictures.palette import PaletteName, palette_table
-from mrgs.pictures.values import in_unit
+from mrgs.pictures.values import full_scale, in_unit
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Modality, evenly_spaced
 from mrgs.system.memory import row_chunks
@@ -52,34 +53,15 @@ class SplatArrays:
         return to_bytes(0.5 + C0 * self.sh[:, 0])
 
 
-@dataclass(frozen=True)
-class ThermalScale:
-    """The palette of temperatures and its range.
-
-    Attributes:
-        low: temperature of the first colour, °C; normalised for a scene without °C.
-        high: temperature of the last colour, in the unit of ``low`` and larger than it.
-    """
-
-    palette: PaletteName
-    low: float
-    high: float
-
-
 def thermal_scale(
     baked: BakedModel, palette: PaletteName = "inferno", limits: tuple[float, float] | None = None
-) -> ThermalScale:
+) -> Scale:
     """The palette over the given temperatures, °C; over the scene's whole range where none are
-    given.
-
-    Raises:
-        ConfigError: limits in °C for a model without °C, or limits that are not ascending.
-    """
-    known = baked.temperature
+    given. ConfigError for limits in °C of a model without °C, or limits that are not ascending."""
+    whole = full_scale(THERMAL, baked.temperature, palette)
     if limits is None:
-        low, high = (0.0, 1.0) if known is None else (known.min_c, known.max_c)
-        return ThermalScale(palette, low, high)
-    if known is None:
+        return whole
+    if baked.temperature is None:
         raise ConfigError(
             "a range in °C was given, but the scene has no temperature range: leave the range out"
         )
@@ -89,7 +71,7 @@ def thermal_scale(
             f"the temperature range {low:g} to {high:g} °C is not ascending: give the lower end "
             f"first"
         )
-    return ThermalScale(palette, float(low), float(high))
+    return whole._replace(low=float(low), high=float(high))
 
 
 def require_exportable(baked: BakedModel) -> None:
@@ -121,7 +103,7 @@ def shaded_splats(baked: BakedModel, modality: Modality) -> SplatArrays:
     return _splats(baked, baked.opacities[modality], to_array(sh))
 
 
-def thermal_splats(baked: BakedModel, scale: ThermalScale) -> SplatArrays:
+def thermal_splats(baked: BakedModel, scale: Scale) -> SplatArrays:
     """The temperatures in the colours of a palette, with the thermal opacity; of degree 0. A viewer
     blends these colours, not the temperatures: at an edge they may not be on the palette."""
     position = (shown_temperatures(baked) - scale.low) / (scale.high - scale.low)

@@ -203,11 +203,8 @@ class Marks:
         return replace(self, marks=kept, reference=reference)
 
     def changing(self, name: str, /, **changes: Any) -> Marks:
-        """These marks with other fields of one; what refers to it follows a new name.
-
-        Raises:
-            ConfigError: there is no such mark, or a value cannot be.
-        """
+        """These marks with other fields of one; what refers to it follows a new name. ConfigError
+        if there is no such mark, or a value cannot be."""
         changed = replace(self.named(name), **changes)
         marks = [changed if mark.name == name else mark for mark in self.marks]
         follow = {name: changed.name}
@@ -221,10 +218,7 @@ class Marks:
 
     def accepting(self, name: str, /, **changes: Any) -> Marks:
         """These marks and a proposal that becomes one, with other fields where they are given.
-
-        Raises:
-            ConfigError: there is no such proposal, or a value cannot be.
-        """
+        ConfigError if there is no such proposal, or a value cannot be."""
         accepted = replace(self._proposed(name), **changes)
         return replace(self, marks=(*self.marks, accepted), proposals=self._proposals_without(name))
 

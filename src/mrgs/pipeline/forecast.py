@@ -296,11 +296,7 @@ def measure_pace(
     clock: Callable[[], float] = time.perf_counter,
 ) -> Pace:
     """Train for a few seconds into a folder that is thrown away, on photos of full resolution; this
-    also compiles the kernels.
-
-    Raises:
-        MrgsError: what the training itself would raise.
-    """
+    also compiles the kernels. Errors are those of the training."""
     found: dict[str, Any] = {}
     called = clock()
     times = [called]

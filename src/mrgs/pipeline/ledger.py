@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -37,55 +37,38 @@ class Ledger:
             self._stages = msgspec.json.decode(self._file.read_bytes(), type=dict[str, _Entry])
 
     def open(self) -> None:
-        """Make the file if there is none: it marks the folder as a pipeline's.
-
-        Raises:
-            RunError: the file cannot be written.
-        """
+        """Make the file if there is none: it marks the folder as a pipeline's. RunError if it
+        cannot be written."""
         if not self._file.is_file():
             self._write()
 
-    def is_done(self, stage: str, made_from: str) -> bool:
+    def is_done(self, stage: str, made_from: Callable[[], str]) -> bool:
         """Whether a stage was finished with these inputs, and its files are as it left them."""
         if not self.is_begun(stage, made_from) or (files := self._stages[stage].files) is None:
             return False
         return all(_size(self._folder / name) == size for name, size in files.items())
 
-    def is_begun(self, stage: str, made_from: str) -> bool:
-        """Whether a stage was begun, or finished, with these inputs."""
-        return self.is_known(stage) and self._stages[stage].made_from == made_from
+    def is_begun(self, stage: str, made_from: Callable[[], str]) -> bool:
+        """Whether a stage was begun, or finished, with the inputs as they are now, of which
+        ``made_from`` gives the digest; they are read only if it was ever begun."""
+        return stage in self._stages and self._stages[stage].made_from == made_from()
 
     def begin(self, stage: str, made_from: str) -> None:
-        """Note that a stage begins.
-
-        Raises:
-            RunError: the file cannot be written.
-        """
+        """Note that a stage begins; RunError if the file cannot be written."""
         self._stages[stage] = _Entry(made_from)
         self._write()
 
     def finish(self, stage: str, made_from: str, files: Sequence[Path]) -> None:
-        """Note that a stage is finished, and the files that it made.
-
-        Raises:
-            RunError: the file cannot be written.
-        """
+        """Note that a stage is finished, and the files that it made; errors as for ``begin``."""
         sizes = {path.relative_to(self._folder).as_posix(): _size(path) for path in files}
         self._stages[stage] = _Entry(made_from, sizes)
         self._write()
 
-    def is_known(self, stage: str) -> bool:
-        """Whether a stage was ever begun here."""
-        return stage in self._stages
-
     def contents_of(self, folder: Path, without: Sequence[str] = ()) -> list[tuple[str, str]]:
         """Names and SHA-256 of all visible files below a folder, sorted. Only those that changed
-        since the last call, also of another process, are read (on Windows: of this process).
-        Files and folders whose names match a pattern of ``without`` do not count.
-
-        Raises:
-            RunError: the digests cannot be written.
-        """
+        since the last call, also of another process, are read (on Windows: of this process). Files
+        and folders whose names match a pattern of ``without`` do not count. RunError if the digests
+        cannot be written."""
         found = []
         try:
             for path in sorted(filter(Path.is_file, visible_files(folder))):

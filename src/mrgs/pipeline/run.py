@@ -157,11 +157,8 @@ def _taken_in(
 
 
 def _require_own(source: Path, output: Path) -> None:
-    """Check that the folder of the results is new, or an earlier pipeline's.
-
-    Raises:
-        RunError: it is the source, or holds something else.
-    """
+    """Check that the folder of the results is new, or an earlier pipeline's; RunError if it is the
+    source, or has something else in it."""
     own, problem = output.resolve(), ""
     try:
         if own.is_relative_to(source.resolve()):
@@ -175,11 +172,8 @@ def _require_own(source: Path, output: Path) -> None:
 
 
 def _require_disk(needed: int, output: Path) -> None:
-    """Check that the results fit on the disk, beside what an earlier call has written.
-
-    Raises:
-        RunError: they do not.
-    """
+    """Check that the results fit on the disk, beside what an earlier call has written; RunError if
+    they do not."""
     written = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     free = free_disk(output)
     if free < needed - written:
@@ -221,8 +215,9 @@ def _planned(job: Job, work: Workload) -> tuple[PlannedStage, ...]:
     stages, done, planned = job.stages, True, []
     expected = stage_parts(work).items()
     for number, (stage, (name, parts)) in enumerate(zip(stages, expected, strict=True), 1):
-        done = done and job.is_done(stage)
-        if not done and number == 1 and job.intake.kind == "photos" and job.is_begun(stage):
+        done = done and job.ledger.is_done(stage.name, stage.made_from)
+        is_first = number == 1 and job.intake.kind == "photos"
+        if not done and is_first and job.ledger.is_begun(stage.name, stage.made_from):
             # An earlier call has prepared these photos, and only stopped at its warnings.
             parts = {part: CACHED_SHARE * seconds for part, seconds in parts.items()}
         planned.append(PlannedStage(name, number, len(stages), parts, done))
@@ -230,11 +225,8 @@ def _planned(job: Job, work: Workload) -> tuple[PlannedStage, ...]:
 
 
 def _require_celsius(job: Job) -> None:
-    """Stop before poses are computed if the photos have no temperatures, unless that is accepted.
-
-    Raises:
-        SceneError: it is not.
-    """
+    """Stop before poses are computed if the photos have no temperatures; SceneError unless that is
+    accepted."""
     if not (why := job.intake.without_celsius):
         return
     text = f"the model would have no °C. {why} Give the camera's radiometric files"
@@ -252,7 +244,7 @@ def _run_stages(job: Job, plan: PipelinePlan, monitor: Monitor) -> None:
     expected = taken = 0.0
     whole = sum(planned.seconds for planned in plan.stages)
     for stage, planned in zip(job.stages, plan.stages, strict=True):
-        if job.is_done(stage):
+        if job.ledger.is_done(stage.name, stage.made_from):
             monitor.reused(planned)
             continue
         pace = pace_so_far(taken, expected, whole)

@@ -112,17 +112,6 @@ class Job:
             Stage(f"{own}/exports", self._made_from_measured, self._exports),
         )
 
-    def is_done(self, stage: Stage) -> bool:
-        """Whether a stage is done; the contents of its inputs are read only where there is a
-        result."""
-        known = self.ledger.is_known(stage.name)
-        return known and self.ledger.is_done(stage.name, stage.made_from())
-
-    def is_begun(self, stage: Stage) -> bool:
-        """Whether a stage was begun with the inputs as they are now."""
-        known = self.ledger.is_known(stage.name)
-        return known and self.ledger.is_begun(stage.name, stage.made_from())
-
     def _made_from_source(self) -> str:
         options = self.options
         if self.intake.kind == "scene":
@@ -193,11 +182,7 @@ class Job:
         return [found.page]
 
     def _require_accepted(self, warnings: Sequence[str], page: Path) -> None:
-        """Stop at warnings about the scene, unless they are accepted.
-
-        Raises:
-            SceneError: they are not.
-        """
+        """Stop at warnings about the scene; SceneError unless they are accepted."""
         known = self.accepted
         is_new = any(not known or known not in text for text in warnings)
         if is_new and not self.monitor.accepts(warnings, page):
@@ -210,7 +195,7 @@ class Job:
     def _train(self, report: Report) -> list[Path]:
         folder, own = RunFolder(self.model), self.stages[1]
         resume = bool(folder.checkpoints())
-        if resume and not self.is_begun(own):
+        if resume and not self.ledger.is_begun(own.name, own.made_from):
             self._set_aside()
             resume = False
         self.ledger.begin(own.name, own.made_from())
@@ -229,11 +214,8 @@ class Job:
         return [folder.config_file, folder.newest_checkpoint()]
 
     def _set_aside(self) -> None:
-        """Keep the results of other photos or settings under another name.
-
-        Raises:
-            RunError: the folder cannot be renamed.
-        """
+        """Keep the results of other photos or settings under another name; RunError if the folder
+        cannot be renamed."""
         names = (self.output / f"{self.quality.name}-{number}" for number in count(1))
         try:
             self.model.rename(next(name for name in names if not name.exists()))

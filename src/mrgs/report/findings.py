@@ -44,8 +44,8 @@ from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit, unit_label
 from mrgs.report.anomalies import Anomaly, photo_value
-from mrgs.report.conditions import pixel_cm_text
 from mrgs.report.overview import STROKE_PX, Plan, TemperatureMap, overviews, temperature_map
+from mrgs.report.sections import pixel_cm_text
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange, View
@@ -187,18 +187,17 @@ class ProfileChart(NamedTuple):
 
 
 class ShownMark(NamedTuple):
-    """A mark as the report shows it; numbers are formatted, ``parts`` of the uncertainty as
-    ``SHOWN_PARTS`` with a dash for those not known. ``around`` is empty if not known, ``factor``
+    """A mark as the report shows it; numbers are formatted, ``parts`` of the uncertainty by their
+    names with a dash for those not known. ``around`` is empty if not known, ``factor``
     (of a surface inside) a dash if the air is not known or it is not from 0 to 1, ``settings`` are
     empty for those of the photos, and ``pictures`` are the thermal rendering, then the photo, of
     ``view``, none without one."""
 
     name: str
-    kind: str
     severity: str
     mean: str
     around: str
-    parts: list[str]
+    parts: dict[str, str]
     factor: str
     low: str
     high: str
@@ -212,21 +211,8 @@ class ShownMark(NamedTuple):
     remarks: list[str]
     view: str
     pictures: list[InlineImage]
-    plan: InlineImage
     chart: ProfileChart | None
-
-
-SHOWN_PARTS = tuple(PART_NAMES.values())
-
-
-def known_parts(marks: Sequence[ShownMark]) -> dict[int, str]:
-    """The parts of the uncertainty that are known of any mark: index and name."""
-    shown = [mark.parts for mark in marks if mark.around]
-    return {
-        index: name
-        for index, name in enumerate(SHOWN_PARTS)
-        if any(parts[index] != DASH for parts in shown)
-    }
+    plan: InlineImage
 
 
 def show_marks(
@@ -253,14 +239,13 @@ def show_marks(
         around = _around(reading.difference_uncertainty, temperature)
         shown = ShownMark(
             mark.name,
-            mark.kind,
             mark.severity,
             value_text(reading.mean, temperature),
             _around(total_uncertainty(reading), temperature),
-            [
-                value_text(part, temperature)
-                for part in asdict(reading.uncertainty or Uncertainty()).values()
-            ],
+            {
+                PART_NAMES[name]: value_text(part, temperature)
+                for name, part in asdict(reading.uncertainty or Uncertainty()).items()
+            },
             _factor(reading.mean, survey),
             value_text(reading.low, temperature),
             value_text(reading.high, temperature),
@@ -274,8 +259,8 @@ def show_marks(
             list(reading.remarks),
             "" if view is None else view.name,
             [] if view is None else mark_pictures(reading, view, regions, scene, decimal),
-            inline_image(place(mark), f"{mark.name}, plan", quality=85),
             _chart(reading, scene),
+            inline_image(place(mark), f"{mark.name}, plan", quality=85),
         )
         found.append(shown)
     return found
@@ -424,14 +409,8 @@ def show_findings(
     def place(mark: Mark) -> Image.Image:
         return plan.small(mark) if drawn is None or not drawn.shows(mark) else drawn.small(mark)
 
-    shown, candidates = (
-        show_marks(each, reference, regions, scene, survey, place, t.decimal)
-        for each, reference in ((readings, known.reference), (proposed, ""))
-    )
     all_on_map = drawn is not None and all(map(drawn.shows, named.values()))
-    return found._replace(
-        marks=shown,
-        proposals=[_shown(anomalies[mark.name], mark, marks.run, scene) for mark in candidates],
+    found = found._replace(
         overviews=[
             {
                 "view": each.view,
@@ -443,6 +422,14 @@ def show_findings(
         ],
         plan=None if all_on_map else inline_image(plan.whole(named), "plan", png=True),
         from_the_front=plan.from_the_front,
+    )
+    shown, candidates = (
+        show_marks(each, reference, regions, scene, survey, place, t.decimal)
+        for each, reference in ((readings, known.reference), (proposed, ""))
+    )
+    return found._replace(
+        marks=shown,
+        proposals=[_shown(anomalies[mark.name], mark, marks.run, scene) for mark in candidates],
     )
 
 

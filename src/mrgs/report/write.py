@@ -1,38 +1,39 @@
-"""Writes the report: one HTML file with everything in it, for a browser or for print."""
+"""Writes the report: one HTML file with everything in it, for a browser or for print; and a PDF."""
 
 from __future__ import annotations
 
+import logging
 import shlex
+import warnings
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
+from PIL import ImageFile
+
+from mrgs.errors import ConfigError
 from mrgs.marks import open_marks
 from mrgs.marks.tables import DASH, PART_NAMES
 from mrgs.pictures.html import PAGE_STYLE, write_html
 from mrgs.pictures.settings import settings_of
 from mrgs.report.anomalies import Proposals, propose
-from mrgs.report.conditions import (
-    air_sentence,
-    conditions_of,
-    emissivity_sentence,
-    given_rows,
-    stated_rows,
-)
 from mrgs.report.findings import (
     CHART_HEIGHT,
     CHART_LEFT,
     CHART_WIDTH,
     camera_effects,
-    known_parts,
     show_findings,
 )
-from mrgs.report.pdf import require_weasyprint, write_pdf
 from mrgs.report.sections import (
+    air_sentence,
     capture_rows,
+    conditions_of,
+    emissivity_sentence,
+    given_rows,
     read_contact_sheet,
     read_scores,
+    stated_rows,
     thermal_pixel_m,
     training_rows,
 )
@@ -40,6 +41,7 @@ from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
 from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.system.atomic import replacing
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
@@ -99,7 +101,8 @@ def report_run(
     findings = show_findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
     every = (*findings.marks, *(proposal.mark for proposal in findings.proposals))
-    parts = known_parts(every)
+    known = [mark.parts for mark in every if mark.around]
+    parts = [name for name in PART_NAMES.values() if any(each[name] != DASH for each in known)]
     who = [each for each in (survey.inspector, survey.company) if each]
     compared_with = {mark.compared_with for mark in findings.marks} - {""}
     page = write_html(
@@ -124,7 +127,7 @@ def report_run(
         assumptions=marks.meter.capture.notes if regions else (),
         doubts=() if marks.meter.uncertainty is None else marks.meter.uncertainty.notes,
         parts_of_uncertainty=parts,
-        camera_is_known=PART_NAMES["camera"] in parts.values(),
+        camera_is_known=PART_NAMES["camera"] in parts,
         every=every,
         compared_with=compared_with.pop() if len(compared_with) == 1 else "",
         has_factor=any(mark.factor != DASH for mark in every),
@@ -143,3 +146,39 @@ def report_run(
     if pdf:
         write_pdf(page, page.with_suffix(".pdf"))
     return page
+
+
+_OR = "or print the page from a browser"
+
+
+def require_weasyprint() -> Any:
+    """Import the package weasyprint, without what it changes in Pillow: photos that are cut off
+    would be read as if they were whole. Without HarfBuzz-Subset it makes larger files, and warns.
+    ConfigError if it is not installed, or the library Pango that it needs."""
+    reads_truncated = ImageFile.LOAD_TRUNCATED_IMAGES
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", category=DeprecationWarning, module="weasyprint")
+            import weasyprint
+    except ImportError:
+        raise ConfigError(f'a PDF needs weasyprint: pip install "mrgs[report]"; {_OR}') from None
+    except OSError as error:
+        raise ConfigError(
+            "a PDF needs the library Pango: apt install libpango-1.0-0 libpangoft2-1.0-0 "
+            f"libharfbuzz-subset0 ({str(error).splitlines()[0]:.80}); {_OR}"
+        ) from None
+    finally:
+        ImageFile.LOAD_TRUNCATED_IMAGES = reads_truncated
+    return weasyprint
+
+
+def write_pdf(page: Path, path: Path) -> Path:
+    """Write a page of one HTML file as PDF; returns the path. Nothing outside the page is fetched.
+    ConfigError if weasyprint is not installed, RunError if the file cannot be written."""
+    weasyprint = require_weasyprint()
+    logging.getLogger("weasyprint").setLevel(logging.CRITICAL)  # style sheets are for browsers too
+    fetcher = weasyprint.urls.URLFetcher(allowed_protocols=["data"])
+    text = page.read_text(encoding="utf-8")
+    with replacing(path) as temporary:
+        weasyprint.HTML(string=text, url_fetcher=fetcher).write_pdf(temporary)
+    return path

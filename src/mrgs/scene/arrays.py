@@ -69,11 +69,8 @@ def as_tensor(
 
 
 def as_finite(array: Array, shape: tuple[int | None, ...], name: str) -> Float64[Tensor, "..."]:
-    """``as_tensor`` in float64, of finite numbers.
-
-    Raises:
-        ValueError: another shape, or not finite numbers.
-    """
+    """``as_tensor`` in float64, of finite numbers. ValueError for another shape, and for numbers
+    that are not finite."""
     values = as_tensor(array, torch.float64, shape, name)
     if not np.isfinite(values.numpy()).all():  # torch takes four times as long for a few numbers
         raise ValueError(f"{name} holds NaN or infinity")
@@ -100,11 +97,8 @@ def as_floats(array: Array | float, name: str, last: int | None = None) -> Tenso
 
 
 def as_whole(value: SupportsIndex, name: str) -> int:
-    """``whole_number`` with the error of an argument that describes a scene.
-
-    Raises:
-        ValueError: anything else, such as 64.0.
-    """
+    """``whole_number`` with the error of an argument that describes a scene. ValueError for
+    anything else, such as 64.0."""
     try:
         return whole_number(value, name)
     except ConfigError as error:

@@ -77,11 +77,7 @@ class Modality:
     @classmethod
     def from_json(cls, value: object) -> Modality:
         """A modality from a JSON object with ``name`` and ``channels``; ``unit`` and ``title`` may
-        be left out.
-
-        Raises:
-            ValueError: the value is none.
-        """
+        be left out. ValueError if the value is none."""
         try:
             return from_json(cls, value)
         except ValueError as error:
@@ -139,11 +135,7 @@ def metric_first(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
 
 
 def modality_named(name: str) -> Modality:
-    """The known modality of a name.
-
-    Raises:
-        ValueError: there is none.
-    """
+    """The known modality of a name. ValueError if there is none."""
     if name not in _known:
         raise ValueError(f"unknown modality {name!r}; known are {', '.join(_known)}")
     return _known[name]

@@ -42,11 +42,7 @@ class TemperatureRange:
     @classmethod
     def around(cls, low: float, high: float) -> TemperatureRange:
         """The range of these temperatures, °C, rounded outwards to whole degrees, and at least one
-        degree wide.
-
-        Raises:
-            ValueError: they are no temperatures in °C.
-        """
+        degree wide. ValueError if they are no temperatures in °C."""
         first = math.floor(low)
         return cls(float(first), float(max(math.ceil(high), first + 1)))
 
@@ -228,11 +224,8 @@ class PhotoRecord:
 
     @classmethod
     def from_json(cls, value: Any) -> PhotoRecord:
-        """A record from its JSON form; entries of newer versions are ignored.
-
-        Raises:
-            ValueError: the value is none; one sentence.
-        """
+        """A record from its JSON form; entries of newer versions are ignored. ValueError, one
+        sentence, if the value is none."""
         record = from_json(cls, value)
         for found in (record.parameters, record.planck):
             if found is not None and (problem := found.problem()):

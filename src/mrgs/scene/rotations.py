@@ -84,11 +84,8 @@ _IDENTITY = np.eye(3)
 
 
 def checked_intrinsics(K: Float64[Tensor, "3 3"]) -> Float64[Tensor, "3 3"]:
-    """A copy of the matrix of a pinhole without skew, of finite numbers.
-
-    Raises:
-        ValueError: a skew, a focal length that is not positive, or a last row that is not 0 0 1.
-    """
+    """A copy of the matrix of a pinhole without skew, of finite numbers. ValueError for a skew, a
+    focal length that is not positive, or a last row that is not 0 0 1."""
     (fx, skew, _), (below, fy, _), last_row = K.tolist()
     if not _is_close(last_row, (0.0, 0.0, 1.0)):
         raise ValueError(
@@ -107,11 +104,8 @@ def checked_intrinsics(K: Float64[Tensor, "3 3"]) -> Float64[Tensor, "3 3"]:
 
 def checked_pose(viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
     """A copy of a rigid motion of finite numbers; a rotation with fewer digits than single
-    precision has is replaced by the nearest one.
-
-    Raises:
-        ValueError: scaled, sheared or mirrored axes, or a last row that is not 0 0 0 1.
-    """
+    precision has is replaced by the nearest one. ValueError for scaled, sheared or mirrored axes,
+    or a last row that is not 0 0 0 1."""
     copy = viewmat.clone()
     entries = copy.numpy()
     if not ends_in_last_row(entries):

@@ -195,11 +195,8 @@ def read_survey(path: Path) -> Survey:
 
 
 def write_survey(path: Path, survey: Survey) -> Path:
-    """Write a survey with a comment for each part; returns the path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    """Write a survey with a comment for each part; returns the path. RunError if the file cannot be
+    written."""
     lines = []
     stated = asdict(survey)
     template = files("mrgs").joinpath("survey/template.yaml").read_text(encoding="utf-8")

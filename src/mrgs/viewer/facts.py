@@ -56,10 +56,10 @@ def hello_facts(inspection: Inspection, start: Start) -> dict[str, Any]:
         "modes": [
             {  # with the controls that count in it
                 "label": mode.label,
-                "slider": mode.has_slider,
+                "slider": mode.kind in ("blend", "split"),
                 "compares": mode.kind not in ("image", "depth", "uncertainty"),
                 "scaled": None if mode.scaled is None else mode.scaled.name,
-                "palette": mode.has_palette,
+                "palette": mode.scaled is not None or mode.kind == "uncertainty",
             }
             for mode in subject.modes
         ],

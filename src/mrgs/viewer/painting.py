@@ -69,12 +69,6 @@ class DrawnPicture:
         return self.camera.width, self.camera.height
 
 
-def scale_of(pane: Pane, scales: Scales) -> Scale | None:
-    """The scale of a pane's colours; None for a pane of colours alone."""
-    key = pane.kind if pane.kind in OWN_SCALE else pane.scaled
-    return None if key is None else scales.get(key)
-
-
 def measure_scales(
     panes: Sequence[Pane],
     images: Sequence[PaneImages],
@@ -258,8 +252,10 @@ def annotate(drawn: DrawnPicture, labels: Sequence[MarkLabel]) -> Colors:
 
 
 def pane_scale(pane: Pane, scales: Scales) -> Scale | None:
-    """The scale to draw over a pane; that of the model is also that of the photo beside it."""
-    return None if pane.kind == "photo" else scale_of(pane, scales)
+    """The scale to draw over a pane; None for a pane of colours alone, and for a photo, which has
+    that of the model beside it."""
+    key = pane.kind if pane.kind in OWN_SCALE else pane.scaled
+    return None if key is None or pane.kind == "photo" else scales.get(key)
 
 
 def seen_labels(pane: Pane, images: PaneImages, labels: Sequence[MarkLabel]) -> list[SeenLabel]:

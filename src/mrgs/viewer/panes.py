@@ -28,6 +28,7 @@ from mrgs.scene import (
     Rendering,
     TemperatureRange,
     View,
+    in_order,
     metric_first,
 )
 from mrgs.scene.rendering import SOLID_ALPHA
@@ -177,9 +178,7 @@ def render_pane(
 ) -> PaneImages:
     """Render the modalities that the viewer shows; as the camera ``as_photo_of`` of a captured view
     would have recorded them, or the model itself with the temperatures of regions corrected."""
-    with torch.no_grad():
-        cameras = subject.cameras(camera)
-        rendering, _ = render(model, cameras, with_median_depth=bool(regions))
+    rendering = render_surface(model, camera, subject, with_median_depth=bool(regions))
     depth = to_array(rendering.visible_depth())
     if as_photo_of is not None:
         rendering = subject.camera_response(rendering, as_photo_of)
@@ -365,7 +364,10 @@ def read_point(
     return Reading(position, depth, depth_deviation, values)
 
 
-def render_surface(model: Model, camera: Camera, subject: Subject) -> Rendering:
-    """The modalities that are shown, with the depths of their surfaces."""
+def render_surface(
+    model: Model, camera: Camera, subject: Subject, with_median_depth: bool = True
+) -> Rendering:
+    """The modalities that are shown, with the median depths of their surfaces."""
+    cameras = dict.fromkeys(in_order(subject.modalities), camera)
     with torch.no_grad():
-        return render(model, subject.cameras(camera), with_median_depth=True)[0]
+        return render(model, cameras, with_median_depth=with_median_depth)[0]

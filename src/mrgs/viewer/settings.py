@@ -82,16 +82,6 @@ class Mode:
             return None
         return next((each for each in reversed(self.modalities) if each.is_metric), None)
 
-    @property
-    def has_palette(self) -> bool:
-        """Whether the picture is in the chosen palette."""
-        return self.scaled is not None or self.kind == "uncertainty"
-
-    @property
-    def has_slider(self) -> bool:
-        """Whether a slider divides the picture between two modalities."""
-        return self.kind in ("blend", "split")
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -160,10 +150,6 @@ class Subject:
         """The modalities whose values can be read: those of one channel, the first one by
         default."""
         return tuple(modality for modality in self.modalities if modality.channels == 1)
-
-    def cameras(self, camera: Camera) -> dict[Modality, Camera]:
-        """One camera for every modality that is shown."""
-        return dict.fromkeys(in_order(self.modalities), camera)
 
     @property
     def views(self) -> tuple[View, ...]:

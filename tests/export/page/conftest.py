@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from mrgs.export.page.parts import PART
+from mrgs.export.page.packing import PART
 from mrgs.export.page.write import PageContent, PageMark, write_page
 from mrgs.marks.regions import Regions
 from mrgs.rasterizer.contract import Dilation

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.export.page.parts import ROW, PageModel, PagePart
+from mrgs.export.page.packing import ROW, PageModel, PagePart
 from mrgs.scene import RGB, THERMAL
 
 PART = 150

@@ -16,8 +16,7 @@ from markupsafe import Markup
 
 from mrgs.errors import ConfigError
 from mrgs.export.job import ExportJob
-from mrgs.export.page.packing import GZIP_LEVEL
-from mrgs.export.page.parts import PART, PageModel
+from mrgs.export.page.packing import GZIP_LEVEL, PART, PageModel
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.regions import REGION_DEPTH, RegionPlane, Regions, SurfaceRegion
 from mrgs.marks.run_marks import RunMarks
