@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.export.sidecar import comment_lines, facts_of, write_sidecar
+from mrgs.export.job import comment_lines, facts_of, write_sidecar
 from mrgs.maps.surfaces import up_direction
 from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL, Camera, View

@@ -8,7 +8,7 @@ import os
 import pytest
 
 from mrgs.data import kept
-from mrgs.pipeline.ledger import LEDGER, Ledger
+from mrgs.pipeline.stages import LEDGER, Ledger
 
 
 @pytest.fixture

@@ -19,8 +19,8 @@ from mrgs.pipeline import Monitor, PipelinePlan, PlannedStage, run_pipeline
 from mrgs.pipeline import run as run_module
 from mrgs.pipeline import stages as stages_module
 from mrgs.pipeline.intake import take_in
-from mrgs.pipeline.ledger import LEDGER
 from mrgs.pipeline.plan import QUALITIES, Quality
+from mrgs.pipeline.stages import LEDGER
 from mrgs.prepare import Preparation, PrepareOptions, StageReport
 from tests.helpers.photos import photo
 from tests.helpers.scenes import write_scene

@@ -27,9 +27,9 @@ from mrgs.marks.measure import (
 from mrgs.marks.tables import PART_NAMES
 from mrgs.marks.uncertainty import Budget
 from mrgs.pictures.settings import SETTINGS
-from mrgs.report.sections import LABELS, conditions_of
+from mrgs.report.sections import conditions_of
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
-from mrgs.survey import Side, Survey
+from mrgs.survey import LABELS, Side, Survey
 from mrgs.system.wording import Message
 
 TRANSLATED = [language for language in LANGUAGES if language != "en"]

@@ -67,7 +67,7 @@ class ImageStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A scene, and the statistics of those of its photos that were read.
+    """A scene, and the statistics of the photos that were read.
 
     Attributes:
         photos: statistics by modality and view.

@@ -62,13 +62,6 @@ def fast_problems(scene: Scene) -> list[Problem]:
 
 
 def warn_of_problems(scene: Scene) -> None:
-    """Warn of each of ``fast_problems``.
-
-    Warns:
-        MrgsWarning: a problem, and what to do about it.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    """Warn of each of ``fast_problems``, with what to do about it; errors as there."""
     for problem in fast_problems(scene):
         warn_user(f"{scene.name}: {problem.text} {problem.remedy}".rstrip())

@@ -24,7 +24,7 @@ digits for them."""
 
 
 def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()) -> SceneError:
-    """An error of one line that names the file first; ``options`` are those of the error."""
+    """An error of one line that names the file first; for ``options`` see ``MrgsError``."""
     return SceneError(f"{file}: {problem}".replace("\n", " "), options=options)
 
 
@@ -142,7 +142,7 @@ class _Listing:
 
     Attributes:
         links: by name, whether an image is a symbolic link.
-        by_stem: their names by what stands before the extension, sorted.
+        by_stem: their names by what precedes the extension, sorted.
     """
 
     folder: Path

@@ -29,8 +29,7 @@ MAX_PIXELS = 80_000_000
 be touched."""
 
 DRAFT_SHARES = (8, 4, 2)
-"""A JPEG decoder gives one pixel for so many in each direction, by transforming fewer frequencies
-back."""
+"""Reductions that a JPEG decoder offers in each direction, by transforming fewer frequencies."""
 
 DRAFT_MARGIN = 2
 """A photo that is to be made smaller is decoded with at least so many times its pixels across: made
@@ -78,15 +77,12 @@ class Decoded(NamedTuple):
 
 
 def decode(path: Path, least_width: int | None = None) -> Decoded:
-    """The pixels of an image.
+    """The pixels of an image. SceneError if it is damaged, cut off, or refused by ``probe``.
 
     Args:
         least_width: a JPEG file is decoded at a half, a quarter or an eighth of its size, if that
             is still as many pixels wide and its size divides: much faster, and each pixel is about
             the mean of those that it stands for. None decodes every pixel.
-
-    Raises:
-        SceneError: the file cannot be decoded: damaged, cut off, or refused by ``probe``.
     """
     with opened(path) as image:
         kind = _kind(image, path)

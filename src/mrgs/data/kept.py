@@ -14,10 +14,12 @@ import os
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin
 
+import msgspec
 from jaxtyping import AbstractArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
@@ -62,14 +64,11 @@ class Cache:
         make: Callable[[], Result],
         files: Callable[[Result], Iterable[Path]] = lambda result: (),
     ) -> Result:
-        """The stored result, or a new one.
+        """The stored result, or a new one. RunError if the result cannot be written.
 
         Args:
             kind: type of the result, or that type or None.
             files: other files of the result; it is recomputed if one is missing.
-
-        Raises:
-            RunError: the result cannot be written (permissions, a full disk).
         """
         file = self._file(name)
         made_from = fingerprint(FORMAT, name, *depends)
@@ -224,6 +223,10 @@ def digest(path: Path) -> str:
         return ""
 
 
+_Digest: TypeAlias = tuple[int, int, int, str]
+"""The stamp of a file, and the SHA-256 of its content."""
+
+
 class Digests:
     """Digests of files, remembered in a JSON file between calls: a file is read again only if its
     stamp has changed. On Windows they are remembered within a call only.
@@ -234,7 +237,10 @@ class Digests:
 
     def __init__(self, file: Path) -> None:
         self._file = file
-        self._saved = _read_digests(file) if _CTIME_SHOWS_CHANGES else {}
+        self._saved: dict[str, _Digest] = {}
+        if _CTIME_SHOWS_CHANGES:
+            with suppress(OSError, msgspec.MsgspecError, RecursionError):
+                self._saved = msgspec.json.decode(file.read_bytes(), type=dict[str, _Digest])
         self._known = dict(self._saved)
         self._asked: set[str] = set()
 
@@ -246,36 +252,21 @@ class Digests:
         except OSError:
             return ""
         known = self._known.get(name)
-        if known is None or known[0] != stamp:
-            known = stamp, digest(path)
-        if known[1]:
+        if known is None or known[:3] != stamp:
+            known = *stamp, digest(path)
+        if known[3]:
             self._known[name] = known
             self._asked.add(name)
-        return known[1]
+        return known[3]
 
     def save(self, forget_others: bool = False) -> None:
-        """Remember the digests.
+        """Remember the digests. RunError if the file cannot be written.
 
         Args:
             forget_others: after a pass over all files: those not asked for are gone.
-
-        Raises:
-            RunError: the file cannot be written.
         """
         if forget_others:
             self._known = {name: self._known[name] for name in self._known if name in self._asked}
         if _CTIME_SHOWS_CHANGES and self._known != self._saved:
             self._saved = dict(self._known)
-            lines = {name: [*stamp, found] for name, (stamp, found) in self._known.items()}
-            write_text(self._file, json.dumps(lines))
-
-
-def _read_digests(file: Path) -> dict[str, tuple[Stamp, str]]:
-    try:
-        lines = json.loads(file.read_text(encoding="utf-8"))
-        return {
-            name: ((int(size), int(mtime), int(ctime)), str(found))
-            for name, (size, mtime, ctime, found) in lines.items()
-        }
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
-        return {}
+            write_text(self._file, json.dumps(self._known))

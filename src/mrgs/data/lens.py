@@ -7,7 +7,7 @@ Normalised coordinates (x, y) are those of the ray (x, y, 1) in the camera; a le
     fisheye:  x' = s x,  y' = s y,  s = θ (1 + Σ k_i θ^(2i)) / r,  θ = atan r
 
 and the pixel is (fx x' + cx, fy y' + cy), as in OpenCV, COLMAP and nerfstudio. The image's corner,
-not the centre of its first pixel, lies at (0, 0), in COLMAP and nerfstudio as here.
+not the centre of its first pixel, is at (0, 0), in COLMAP and nerfstudio as here.
 """
 
 from __future__ import annotations

@@ -87,13 +87,11 @@ def find_transforms(root: Path) -> Path | None:
 
 
 def read_transforms(root: Path, file: Path) -> SceneSource:
-    """Read a nerfstudio scene; images are looked up, not decoded.
+    """Read a nerfstudio scene; images are looked up, not decoded. SceneError if the file is
+    damaged, or an image that it names is missing.
 
     Args:
         root: the scene's folder, resolved; all paths in the file are relative to it.
-
-    Raises:
-        SceneError: the file is damaged, or an image that it names is missing.
     """
     return _TransformsReader(root, file).capture()
 
@@ -118,14 +116,11 @@ def lens_from_json(
     values: Mapping[str, Any], what: str, file: Path, image: Path | None = None
 ) -> Lens:
     """A lens in nerfstudio's keys: ``camera_model``, ``w``, ``h``, ``fl_x``, ``cx``, ``k1`` and so
-    on.
+    on. SceneError if a number is missing or invalid, or the model is not known.
 
     Args:
         what: whose lens it is, for messages.
         image: has the size that ``values`` may leave out.
-
-    Raises:
-        SceneError: a number is missing or invalid, or the model is not known.
     """
 
     def number(name: str, default: float | None = None) -> float:

@@ -58,15 +58,12 @@ Columns: TypeAlias = Mapping[str, np.ndarray]
 def write_ply(
     path: Path, elements: Mapping[str, Columns | np.ndarray], comments: Sequence[str] = ()
 ) -> Path:
-    """Write a binary PLY file; returns the path.
+    """Write a binary PLY file; returns the path. RunError if it cannot be written.
 
     Args:
         elements: by name: columns, or a plain [N, K] array of integers, which is written as lists
             of K ``vertex_indices`` of 32 bits.
         comments: lines for the header; what is not ASCII is written as degrees Celsius or ?.
-
-    Raises:
-        RunError: the file cannot be written.
     """
     header = ["ply", "format binary_little_endian 1.0"]
     for line in comments:
@@ -211,7 +208,7 @@ def _count(element: Columns | np.ndarray) -> int:
 
 
 def _records(element: Columns | np.ndarray, rows: slice) -> np.ndarray:
-    """Some rows of an element as the file holds them."""
+    """Some rows of an element as they are in the file."""
     columns: Columns
     if isinstance(element, np.ndarray):
         indices = element[rows].astype(np.int32)

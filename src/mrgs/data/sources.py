@@ -121,8 +121,7 @@ def point_cloud(
     notes: ReadingNotes,
     transform: NDArray[np.float64] | None = None,
 ) -> PointCloud | None:
-    """Points of a file, moved by ``transform`` ([3, 4]; None leaves them), without those that are
-    not finite.
+    """The finite points of a file, moved by ``transform`` ([3, 4]; None leaves them).
 
     Args:
         positions: [N, 3].
@@ -156,12 +155,10 @@ Prober = Callable[[Path], ImageInfo]
 
 def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
     """Compare the headers of the image and its mask with the intrinsics; nothing is decoded.
+    SceneError if a file is missing, unreadable, or of another size than the lens says.
 
     Args:
         probed: ``probe``, which may remember the files that several images share.
-
-    Raises:
-        SceneError: a file is missing, unreadable, or of another size than the lens says.
     """
     info = probed(source.path)
     _check_size((info.width, info.height), source.lens, source.path)
@@ -178,15 +175,12 @@ def posed_image(
     keeps_levels: bool = False,
 ) -> PosedImage:
     """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is
-    called.
+    called. SceneError if the distortion leaves nothing of the image.
 
     Args:
         resolution: largest width in pixels; None keeps the file's.
         keeps_levels: whether an image of 8 bits has no more levels after it was undistorted or made
             smaller, so that it takes as little memory as before.
-
-    Raises:
-        SceneError: the distortion leaves nothing of the image.
     """
     try:
         pinhole = pinhole_of(source.lens)

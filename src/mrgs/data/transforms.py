@@ -69,16 +69,13 @@ def write_transforms(
     modalities: Iterable[Modality] = (),
     facts: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Write ``transforms.json``; returns the path.
+    """Write ``transforms.json``; returns the path. RunError if the file cannot be written.
 
     Args:
         lenses: intrinsics that all images of a modality share, if they differ from ``lens``.
         points: path of the start points, relative to the file.
         split: paths of the training and of the evaluation images; None leaves it to the reader.
         modalities: of the images; all but RGB and thermal are listed in the file.
-
-    Raises:
-        RunError: the file cannot be written.
     """
     content: dict[str, Any] = {**(facts or {}), **({} if lens is None else lens_json(lens))}
     content |= {f"{modality}_camera": lens_json(own) for modality, own in lenses.items()}

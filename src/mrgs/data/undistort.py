@@ -123,7 +123,7 @@ def _spread(low: float, high: float, pixels: int, focal_px: float) -> tuple[floa
 
 @lru_cache(maxsize=2)
 def _sampling_grid(lens: Lens) -> tuple[Float32[Tensor, "h w 2"], Bool[Tensor, "h w"]]:
-    """Where each pixel of the pinhole image lies in the lens's image ([-1, 1] from edge to edge),
+    """Where each pixel of the pinhole image is in the lens's image ([-1, 1] from edge to edge),
     and if it does.
 
     Cached for the two cameras of a rig; a few bytes per pixel each.

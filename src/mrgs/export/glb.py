@@ -59,7 +59,7 @@ def write_glb(
     extras: Mapping[str, Any] | None = None,
     properties: Mapping[str, Float[np.ndarray, " n"]] | None = None,
 ) -> Path:
-    """Write a glb file; returns the path.
+    """Write a glb file; returns the path. RunError if it cannot be written.
 
     Args:
         up: the up direction of the scene's frame, unit length; the node is rotated so that it
@@ -67,9 +67,6 @@ def write_glb(
         extras: facts for the file's ``asset.extras``.
         properties: more numbers per splat by name, float32; glTF keeps them under ``_NAME`` in
             capitals.
-
-    Raises:
-        RunError: the file cannot be written.
     """
     attributes = _attributes(splats)
     attributes |= {

@@ -11,8 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mrgs.errors import ConfigError
-from mrgs.export.job import ExportJob, described
-from mrgs.export.sidecar import comment_lines
+from mrgs.export.job import ExportJob, comment_lines, described
 from mrgs.maps.crs import (
     CoordinateSystem,
     coordinate_system,

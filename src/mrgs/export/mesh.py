@@ -21,8 +21,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64, UInt8
 
 from mrgs.data.ply import write_ply
 from mrgs.errors import RunError
-from mrgs.export.job import ExportJob, described
-from mrgs.export.sidecar import comment_lines
+from mrgs.export.job import ExportJob, comment_lines, described
 from mrgs.export.surface_points import depth_maps, value_columns
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import Scene
@@ -35,8 +34,8 @@ MIN_VIEWS = 2
 """A sample that fewer cameras saw is not known."""
 
 BOUNDS_PERCENTILE = 2.0
-"""The box holds the points between this percentile and its counterpart on each axis: far background
-is left out."""
+"""The box contains the points between this percentile and its counterpart on each axis: far
+background is left out."""
 
 
 @dataclass(frozen=True, eq=False)

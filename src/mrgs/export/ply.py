@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from mrgs.data.ply import write_ply
-from mrgs.export.job import ExportJob, described
-from mrgs.export.sidecar import comment_lines
+from mrgs.export.job import ExportJob, comment_lines, described
 from mrgs.export.splats import SplatArrays, base_values, value_names
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel

@@ -10,8 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from mrgs.data.ply import write_ply
-from mrgs.export.job import ExportJob, described
-from mrgs.export.sidecar import comment_lines
+from mrgs.export.job import ExportJob, comment_lines, described
 from mrgs.export.surface_points import COLORS, SurfacePoints
 from mrgs.maps.crs import CoordinateSystem, coordinate_system
 from mrgs.scene import Scene

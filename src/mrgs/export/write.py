@@ -8,9 +8,8 @@ from typing import TypeAlias
 
 from mrgs.errors import ConfigError, MrgsError, RunError, WriteError, warn_user
 from mrgs.export.formats import FORMATS, Format
-from mrgs.export.job import ExportJob
+from mrgs.export.job import ExportJob, facts_of
 from mrgs.export.loss import BakingLoss, baking_loss_db
-from mrgs.export.sidecar import facts_of
 from mrgs.export.splats import require_exportable, thermal_scale
 from mrgs.maps.crs import coordinate_system
 from mrgs.maps.options import MapOptions
@@ -76,7 +75,7 @@ def export(
     """Write a model in one format, or in all, into a folder; returns the paths. For palette, range
     and maps see ``export_run``.
 
-    Of all formats, those that cannot be written are left out.
+    Formats of ``all`` that cannot be written are left out.
 
     Splat formats write one file for each modality that the scene has photos of: ``rgb.ply``,
     ``thermal.ply`` in the colours of the palette, any other in grey under its own name.

@@ -92,7 +92,7 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
     Raises:
         ConfigError: the scene is not known to be in metres; the wanted CRS does not exist, is not
             in metres, does not cover the scene, or is mirrored or not true to scale there; the
-            scene has no place on Earth, or lies beyond UTM; or pyproj is not installed.
+            scene has no place on Earth, or is beyond UTM; or pyproj is not installed.
     """
     require_metres(scene)
     world = scene.world
@@ -143,7 +143,7 @@ def place_facts(scene: Scene, wanted: str | None = None) -> Mapping[str, Any]:
 def local_wkt(name: str) -> str:
     """A local CRS in metres, as well-known text of 2001.
 
-    GeoTIFF holds names in ASCII: other letters lose their accents, or are left out.
+    GeoTIFF has names in ASCII: other letters lose their accents, or are left out.
     """
     ascii_name = normalize("NFKD", name.replace("ß", "ss")).encode("ascii", "ignore").decode()
     quoted = "".join(char for char in ascii_name if char.isprintable() and char not in '"[]')

@@ -47,7 +47,7 @@ CELLS = 64
 """Cells along the longer side of a façade in which its outline is found."""
 
 RELIEF = 0.2
-"""What stands out from the plane, or lies behind it, by more than this share of the façade's
+"""What is before the plane, or behind it, by more than this share of the façade's
 shorter side is not drawn: trees, cars, the roof."""
 
 _MARGIN = 0.02

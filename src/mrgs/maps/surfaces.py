@@ -1,6 +1,6 @@
 """The pixels of an orthographic map, the camera that draws them, and what photos show there.
 
-The rasterizer knows perspective cameras only. One that stands very far away, with a focal length to
+The rasterizer knows perspective cameras only. One that is very far away, with a focal length to
 match, is an orthographic one but for relief / distance: see ``docs/decisions``.
 """
 

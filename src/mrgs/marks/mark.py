@@ -55,7 +55,7 @@ class Mark:
         kind: a spot is a small disc, a line has a profile, boxes and polygons enclose an area.
         points: on the surface: the middle of the spot, the line's corners in order, or the corners
             of the outline.
-        eye: where it was drawn from. It is measured as seen from there: what lies behind something
+        eye: where it was drawn from. It is measured as seen from there: what is behind something
             does not belong to it.
         radius: of a spot's disc, scene units; 0 for the other kinds.
         note: the user's words.

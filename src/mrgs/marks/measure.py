@@ -50,8 +50,8 @@ ONE_SURFACE = 0.95
 """Share of a mark from which on it counts as lying on one surface."""
 
 STANDING_OUT_C, STANDING_OUT_SHARE = 1.0, 0.03
-"""What a narrow place is at least hotter or colder than what lies beside it, to be remarked: K, or
-without °C a share of the range."""
+"""Smallest difference of a narrow place to what is beside it that is remarked: K, or without °C a
+share of the range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +214,7 @@ class MarkMeter:
 
     def _extremes(self, reading: MarkReading) -> list[tuple[Sequence[float], int]]:
         """The hottest (1) and the coldest place (-1) of a mark. Of a spot its middle, as what is
-        extreme at its edge belongs to what lies beside it, and only by what its surroundings are:
+        extreme at its edge belongs to what is beside it, and only by what its surroundings are:
         a cut in something hot is no cold place."""
         mark = reading.mark
         if mark.kind == "spot":

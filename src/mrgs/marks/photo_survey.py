@@ -1,7 +1,7 @@
 """What the thermal photos see of a model's surfaces, and which hot and cold places they resolve.
 
 A camera measures the temperature of what covers about three of its pixels (the measurement field of
-view of its data sheet); anything narrower is mixed with what lies beside it, so that a hot wire
+view of its data sheet); anything narrower is mixed with what is beside it, so that a hot wire
 looks colder than it is.
 """
 
@@ -69,9 +69,10 @@ class Resolution:
     """Measures how wide places are in the pixels of the thermal photos."""
 
     def __init__(self, render: SurfaceRenderer, survey: PhotoSurvey) -> None:
-        self._render = render
         self._survey = survey
-        self._image = lru_cache(KEPT_IMAGES)(self._render_photo)
+        self._image = lru_cache(KEPT_IMAGES)(
+            lambda photo: thermal_values(render(survey.cameras[photo]))  # normalised
+        )
 
     def width_px(self, place: Sequence[float], sign: int, least: float) -> float:
         """Width of a hot (``sign`` 1) or a cold place (-1) at half its height, across its narrowest
@@ -99,8 +100,8 @@ class Resolution:
         return 1 if image[int(y), int(x)] >= np.median(about) else -1
 
     def _largest(self, place: Sequence[float]) -> tuple[int, float, float] | None:
-        """Number in the survey of the photo with the smallest pixels at a place, of those that show
-        it with its surroundings, and x and y of the place there."""
+        """Number in the survey of the photo with the smallest pixels at a place, of all that show it
+        with its surroundings, and x and y of the place there."""
         point = np.array([place], np.float32)
         found, smallest = None, np.inf
         for number, item in enumerate(self._survey):
@@ -113,10 +114,6 @@ class Resolution:
             if size < smallest and inside and ABOUT_PX <= y < camera.height - ABOUT_PX:
                 found, smallest = (number, x, y), size
         return found
-
-    def _render_photo(self, photo: int) -> Float[np.ndarray, "h w"]:
-        """The model as a photo's camera sees it, normalised."""
-        return thermal_values(self._render(self._survey.cameras[photo]))
 
 
 def square_about(size: tuple[int, int], x: float, y: float) -> tuple[slice, slice]:

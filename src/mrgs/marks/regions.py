@@ -66,8 +66,8 @@ class RegionPlane(NamedTuple):
         return cls(plane @ rotation, float(1 - plane @ shift))
 
     def meets(self, points: Points, eye: Vector) -> Points:
-        """Points moved along their rays from an eye to where these meet the plane; those that would
-        move by more than ``REGION_DEPTH`` of their distance stay."""
+        """Points moved along their rays from an eye onto the plane; points that would move by more
+        than ``REGION_DEPTH`` of their distance stay."""
         rays = points - eye
         with np.errstate(divide="ignore", invalid="ignore"):
             times = (self.offset - eye @ self.normal) / (rays @ self.normal)
@@ -77,7 +77,7 @@ class RegionPlane(NamedTuple):
 
 
 class SettingsShare(NamedTuple):
-    """Settings of a share of a surface, over 0 to 1; None for those of the photos."""
+    """Settings of a share of a surface, over 0 to 1; None for the photos' settings."""
 
     settings: SurfaceSettings | None
     share: float
@@ -110,7 +110,7 @@ class SurfaceRegion:
 
 
 class Regions:
-    """All regions of a model with settings of their own: those of marks with settings; where two
+    """All regions of a model with settings of their own, from marks with settings; where two
     overlap, the later one counts. Without known °C the list is empty.
 
     Attributes:

@@ -67,7 +67,7 @@ class RunMarks:
         """The marks as they are on the disk.
 
         Raises:
-            RunError: the file cannot be read, or holds the marks of another model.
+            RunError: the file cannot be read, or has the marks of another model.
         """
         return self.store.read()
 
@@ -86,7 +86,7 @@ class RunMarks:
 
         Raises:
             ConfigError: no surface is seen there, the name is taken, or a value cannot be.
-            RunError: the file cannot be written, or holds the marks of another model.
+            RunError: the file cannot be written, or has the marks of another model.
         """
         return self.add("spot", camera, [pixel], name, **more)
 

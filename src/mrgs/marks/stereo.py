@@ -71,7 +71,7 @@ class _Photo:
         return np.stack([x, y]) / z - 0.5
 
     def shows(self, place: Vector) -> bool:
-        """Whether a place that its camera sees lies in the image."""
+        """Whether a place that its camera sees is in the image."""
         column, row = self.pixels(place[None])[:, 0]
         height, width, _ = self.image.shape
         return bool(0 <= column <= width - 1 and 0 <= row <= height - 1)

@@ -233,7 +233,7 @@ def has_flat_outline(mark: Mark) -> bool:
 
 
 def _off_plane(corners: Float[np.ndarray, "n 3"], index: int) -> float:
-    """How far a corner lies from the plane that fits the others best; 0 where these lie in a line,
+    """Distance of a corner from the plane that fits the others best; 0 where these are in a line,
     through which there is a plane with any corner."""
     others = np.delete(corners, index, axis=0)
     middle = others.mean(axis=0)

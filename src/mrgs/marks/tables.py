@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -31,34 +31,22 @@ AssumedOf = Callable[[MarkReading], Sequence[str]]
 """What a reading takes for known, one sentence each."""
 
 
-def _nothing(reading: MarkReading) -> Sequence[str]:
-    return ()
-
-
 def size_text(reading: MarkReading, world: WorldFrame) -> str:
     """Length, area or diameter with its unit, in three digits; ± where the scale's is known."""
-    unit = world.length_unit
+    unit, around = world.length_unit, _scale_uncertainty(world)
     if not math.isnan(reading.length):
-        around = length_uncertainty(reading, world)
         return Message(f"{{size}} {unit}", size=_with_around(reading.length, around))
     if not math.isnan(reading.area):
-        around = area_uncertainty(reading, world)
-        return Message(f"{{size}} {unit}²", size=_with_around(reading.area, around))
+        return Message(f"{{size}} {unit}²", size=_with_around(reading.area, 2 * around))
     if reading.mark.kind == "spot":
         return Message(f"{{size}} {unit}", size=f"⌀ {digits(2 * reading.mark.radius)}")
     return DASH
 
 
-def length_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
-    """Uncertainty of a length by the scene's scale, for 95 of 100 cases, in its unit; NaN where it
-    is not known. How well the ends of the line were placed is no part of it."""
-    return math.nan if world.scale_error is None else COVERAGE * world.scale_error * reading.length
-
-
-def area_uncertainty(reading: MarkReading, world: WorldFrame) -> float:
-    """Uncertainty of an area by the scene's scale, which both sides have; as for a length."""
-    error = world.scale_error
-    return math.nan if error is None else COVERAGE * 2 * error * reading.area
+def _scale_uncertainty(world: WorldFrame) -> float:
+    """Relative uncertainty of lengths by the scene's scale, for 95 of 100 cases, half of that of
+    areas; NaN where it is not known. It does not include how well a mark was placed."""
+    return math.nan if world.scale_error is None else COVERAGE * world.scale_error
 
 
 def value_text(
@@ -130,16 +118,20 @@ def text_rows(
             size_text(reading, world),
             DASH if reading.photos is None else str(reading.photos),
             reading.mark.severity or DASH,
-            "; ".join(filter(None, _notes(reading))),
+            "; ".join(
+                filter(
+                    None,
+                    (
+                        reading.problem,
+                        corrected_text(reading),
+                        *reading.remarks,
+                        " ".join(reading.mark.note.split()),
+                    ),
+                )
+            ),
         )
         for reading in readings
     ]
-
-
-def _notes(reading: MarkReading) -> tuple[str, ...]:
-    """Problem, correction, remarks and note of a mark; empty where there is none."""
-    note = " ".join(reading.mark.note.split())
-    return (reading.problem, corrected_text(reading), *reading.remarks, note)
 
 
 def facts_of_reading(
@@ -156,6 +148,7 @@ def facts_of_reading(
     mark = reading.mark
     value_unit = "c" if temperature is not None else "normalised"
     length_unit = "m" if world.metric else "units"
+    around = _scale_uncertainty(world)
     x, y, z = np.mean(mark.points, axis=0).tolist()
     parts = asdict(reading.uncertainty or Uncertainty())
     emissivity, reflected = _settings_of(reading)
@@ -169,9 +162,9 @@ def facts_of_reading(
         f"difference_{value_unit}": reading.difference,
         f"difference_uncertainty_{value_unit}": reading.difference_uncertainty,
         f"length_{length_unit}": reading.length,
-        f"length_scale_uncertainty_{length_unit}": length_uncertainty(reading, world),
+        f"length_scale_uncertainty_{length_unit}": around * reading.length,
         f"area_{length_unit}2": reading.area,
-        f"area_scale_uncertainty_{length_unit}2": area_uncertainty(reading, world),
+        f"area_scale_uncertainty_{length_unit}2": 2 * around * reading.area,
         f"diameter_{length_unit}": 2 * mark.radius if mark.kind == "spot" else np.nan,
         "covered": reading.covered,
     }
@@ -198,17 +191,14 @@ def write_csv(
     readings: Sequence[MarkReading],
     temperature: TemperatureRange | None,
     world: WorldFrame,
-    assumed: AssumedOf = _nothing,
+    assumed: AssumedOf = lambda reading: (),
 ) -> list[Path]:
     """Write a row for each mark, and beside it ``NAME_profiles.csv`` with a row for each sample of
-    the lines; returns the paths.
+    the lines; returns the paths. RunError if a file cannot be written.
 
     Args:
         path: of the table.
         assumed: returns what a reading takes for known.
-
-    Raises:
-        RunError: a file cannot be written.
     """
     rows = [facts_of_reading(each, temperature, world, assumed(each)) for each in readings]
     names = list(facts_of_reading(_NOTHING, temperature, world))
@@ -229,7 +219,7 @@ def write_geojson(
     readings: Sequence[MarkReading],
     temperature: TemperatureRange | None,
     world: WorldFrame,
-    assumed: AssumedOf = _nothing,
+    assumed: AssumedOf = lambda reading: (),
 ) -> Path:
     """Write the marks as points, lines and polygons with their readings; returns the path.
 
@@ -288,9 +278,9 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _with_around(size: float, around: float) -> str:
-    """A size, ± its uncertainty where that is known."""
-    return digits(size) if math.isnan(around) else f"{digits(size)} ± {digits(around, 1)}"
+def _with_around(size: float, share: float) -> str:
+    """A size, ± its uncertainty where the share that this is of it is known."""
+    return digits(size) if math.isnan(share) else f"{digits(size)} ± {digits(share * size, 1)}"
 
 
 def digits(value: float, count: int = 3) -> str:
@@ -317,25 +307,6 @@ MOSTLY_COVERED = 0.98
 """Covered share of a mark below which its text mentions the share."""
 
 
-class MarkText(TypedDict):
-    """A mark as a panel lists it: what it is, what was measured, and what can be changed."""
-
-    name: str
-    kind: str
-    value: str
-    difference: str
-    problem: str
-    lines: list[str]
-    profile: list[tuple[float, float | None]]
-    ends: list[str]
-    note: str
-    severity: str
-    area: bool
-    emissivity: float | None
-    reflected_c: float | None
-    reference: bool
-
-
 def label_text(reading: MarkReading, temperature: TemperatureRange | None) -> str:
     """Label of a mark in a picture: its name, and its mean if there is one."""
     return f"{reading.mark.name}  {value_with_uncertainty(reading, temperature)}".rstrip()
@@ -354,8 +325,8 @@ def value_with_uncertainty(reading: MarkReading, temperature: TemperatureRange |
 
 def mark_text(
     reading: MarkReading, reference: str, temperature: TemperatureRange | None, world: WorldFrame
-) -> MarkText:
-    """A mark that was measured.
+) -> dict[str, Any]:
+    """A mark as a panel lists it: what it is, what was measured, and what can be changed.
 
     Args:
         reference: name of the mark that all differences refer to; empty for none.

@@ -87,7 +87,7 @@ def draw_text(
 
 
 _BEFORE = {"l": 0.0, "m": 0.5, "r": 1.0}
-"""Share of a line that lies to the left of its position, by the first letter of the anchor."""
+"""Share of a line that is to the left of its position, by the first letter of the anchor."""
 
 
 def _draw_minus(

@@ -17,7 +17,7 @@ Chinese and Japanese."""
 
 
 def escape_markdown(text: str) -> str:
-    """Text on one line that shows as it is, wherever it stands: no HTML, link, markup or cell."""
+    """Text on one line that shows as it is, wherever it is put: no HTML, link, markup or cell."""
     line = " ".join(text.split())
     escaped = _ACTIVE.sub(lambda found: f"\\{found[0]}", html.escape(line, quote=False))
     return _AT_START.sub(lambda m: f"{m[1]}\\" if m[1].isdigit() else f"\\{m[1]}", escaped)

@@ -35,7 +35,7 @@ def write_rendering(
     palette with a scale bar over its whole range, and its values are a float32 TIFF:
     ``temperature_c/NAME.tiff`` in °C, or ``MODALITY_normalised/NAME.tiff`` where the scene has no
     °C. The depth of each modality is ``depth_MODALITY/NAME.tiff`` (z-depth, scene units) and
-    ``NAME.png``. What the rendering lacks is left out.
+    ``NAME.png``. What the rendering lacks is left out. RunError if a file cannot be written.
 
     Args:
         folder: of the files; made if need be.
@@ -43,9 +43,6 @@ def write_rendering(
         palette: colours of values with a unit.
         ball: how far the scene reaches; the background beyond it does not count on the scale of the
             depth. None if there is none.
-
-    Raises:
-        RunError: a file cannot be written.
     """
     paths = []
     name = view.name

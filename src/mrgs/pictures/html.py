@@ -54,7 +54,7 @@ def policy_hash(text: str) -> str:
 
 
 def script_json(value: Any) -> Markup:
-    """JSON that cannot end the script element that holds it."""
+    """JSON that cannot end the script element around it."""
     text = json.dumps(value, ensure_ascii=True, allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))
 

@@ -47,7 +47,7 @@ class Setting(NamedTuple):
 
 
 def settings_of(records: Sequence[PhotoRecord]) -> dict[str, Setting]:
-    """The settings by the names of ``SETTINGS``; those of a window only where there is one."""
+    """The settings by the names of ``SETTINGS``; a window's only where there is one."""
     found = {}
     for name, (label, unit, decimals) in SETTINGS.items():
         values = [value for record in records if (value := record.setting(name)) is not None]
@@ -62,7 +62,7 @@ def settings_of(records: Sequence[PhotoRecord]) -> dict[str, Setting]:
 
 
 def settings_text(settings: Mapping[str, Setting], given: str) -> str:
-    """The settings that are known, as part of a sentence; ``given`` stands behind the user's."""
+    """The settings that are known, as part of a sentence; ``given`` is put behind the user's."""
     return ", ".join(
         f"{each.label} {each.value}{f' ({given})' if each.given else ''}"
         for each in settings.values()

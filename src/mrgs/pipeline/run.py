@@ -13,9 +13,8 @@ from mrgs.export.points import require_laspy
 from mrgs.kernels.cache import are_compiled
 from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, reduced, stage_parts
 from mrgs.pipeline.intake import Intake, take_in
-from mrgs.pipeline.ledger import LEDGER
 from mrgs.pipeline.plan import QUALITIES, Monitor, PipelinePlan, PlannedStage, Quality
-from mrgs.pipeline.stages import Job
+from mrgs.pipeline.stages import LEDGER, Job
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.reconstruct import check_version, installed_version
 from mrgs.run_files.folder import RunFolder

@@ -1,24 +1,27 @@
-"""The stages of a pipeline: what each does, what it depends on, and the files that it makes."""
+"""The stages of a pipeline: what each does, what it depends on, its files, and which are done."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import cached_property
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
 
+import msgspec
+
 from mrgs.check import Severity
-from mrgs.data.kept import digest, fingerprint, stamps
+from mrgs.data.files import visible_files
+from mrgs.data.kept import Digests, digest, fingerprint, stamp_of, stamps
 from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.export import FORMATS, export
 from mrgs.marks.store import judged_content
 from mrgs.method.config import DEFAULT_METHOD
 from mrgs.pipeline.intake import Intake
-from mrgs.pipeline.ledger import Ledger, file_stamp
 from mrgs.pipeline.plan import QUALITIES, Monitor, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
 from mrgs.prepare.contract import CACHE_FOLDER
@@ -30,10 +33,15 @@ from mrgs.runs.open import Run, load_run
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
 from mrgs.survey import SURVEY_FILE
+from mrgs.system.atomic import write_text
 from mrgs.system.gpu import DeviceName
 from mrgs.system.strict_yaml import write_yaml
 from mrgs.system.wording import counted
 from mrgs.training.start import Hooks, TrainOptions
+
+LEDGER = "pipeline.json"
+CONTENTS = "contents.json"
+"""File of the digests of the scene's files."""
 
 PAGE_FORMAT, PREPARE = "page", "prepare"
 
@@ -270,3 +278,85 @@ class Job:
 def _named_parts(report: Report) -> Callable[[int, int, str], None]:
     """For work that reports its parts as they begin, by number and name."""
     return lambda number, total, name: report(name, 0, 0)
+
+
+class _Entry(msgspec.Struct, omit_defaults=True):
+    """A stage that was begun, and the sizes of its files if it was finished."""
+
+    made_from: str
+    files: dict[str, int | None] | None = None
+
+
+class Ledger:
+    """The finished stages, in a JSON file; an unreadable entry counts as not done."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._file = folder, folder / LEDGER
+        self._digests = Digests(folder / CONTENTS)
+        self._stages: dict[str, _Entry] = {}
+        with suppress(OSError, msgspec.MsgspecError, RecursionError):
+            self._stages = msgspec.json.decode(self._file.read_bytes(), type=dict[str, _Entry])
+
+    def open(self) -> None:
+        """Make the file if there is none: it marks the folder as a pipeline's. RunError if it
+        cannot be written."""
+        if not self._file.is_file():
+            self._write()
+
+    def is_done(self, stage: str, made_from: Callable[[], str]) -> bool:
+        """Whether a stage was finished with these inputs, and its files are as it left them."""
+        if not self.is_begun(stage, made_from) or (files := self._stages[stage].files) is None:
+            return False
+        return all(_size(self._folder / name) == size for name, size in files.items())
+
+    def is_begun(self, stage: str, made_from: Callable[[], str]) -> bool:
+        """Whether a stage was begun, or finished, with the inputs as they are now, of which
+        ``made_from`` gives the digest; they are read only if it was ever begun."""
+        return stage in self._stages and self._stages[stage].made_from == made_from()
+
+    def begin(self, stage: str, made_from: str) -> None:
+        """Note that a stage begins; RunError if the file cannot be written."""
+        self._stages[stage] = _Entry(made_from)
+        self._write()
+
+    def finish(self, stage: str, made_from: str, files: Sequence[Path]) -> None:
+        """Note that a stage is finished, and the files that it made; errors as for ``begin``."""
+        sizes = {path.relative_to(self._folder).as_posix(): _size(path) for path in files}
+        self._stages[stage] = _Entry(made_from, sizes)
+        self._write()
+
+    def contents_of(self, folder: Path, without: Sequence[str] = ()) -> list[tuple[str, str]]:
+        """Names and SHA-256 of all visible files below a folder, sorted. Only those that changed
+        since the last call, also of another process, are read (on Windows: of this process). Files
+        and folders whose names match a pattern of ``without`` do not count. RunError if the digests
+        cannot be written."""
+        found = []
+        try:
+            for path in sorted(filter(Path.is_file, visible_files(folder))):
+                own = path.relative_to(folder)
+                if not any(fnmatchcase(part, each) for each in without for part in own.parts):
+                    found.append((own.as_posix(), self._digests.of(path)))
+        except BaseException:  # Ctrl-C: the next call reads the others only
+            with suppress(RunError):
+                self._digests.save()
+            raise
+        self._digests.save(forget_others=True)
+        return found
+
+    def _write(self) -> None:
+        content = msgspec.json.format(msgspec.json.encode(self._stages), indent=1)
+        write_text(self._file, content.decode())
+
+
+def _size(path: Path) -> int | None:
+    try:
+        return path.stat().st_size
+    except (OSError, ValueError):
+        return None
+
+
+def file_stamp(path: Path, root: Path) -> tuple[str, int, int]:
+    """Path, size and mtime of a file below a folder, which only this program writes. A copy that
+    keeps its mtime is the same file."""
+    size, mtime, _ = stamp_of(path)
+    return path.relative_to(root).as_posix(), size, mtime

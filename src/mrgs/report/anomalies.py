@@ -293,7 +293,7 @@ def _apart(
         if not free[index]:
             continue
         best = cube.rows[np.argmax(sightings.points[cube.rows])]
-        # Where one view has the value: a place between those of several views may lie beside it,
+        # The place in one view: the mean of the places in several views may be beside it,
         # where the temperature changes by degrees within a pixel.
         position = sightings.positions[best]
         away = np.linalg.norm(places - position, axis=1)
@@ -456,8 +456,7 @@ def _measured(spot: Spot, marks: RunMarks, scene: Scene, regions: Regions) -> An
 
 
 def _named(letter: str, anomalies: Sequence[Anomaly], marks: Marks) -> dict[str, Anomaly]:
-    """Anomalies by their names: those of proposals at the same places, else the next that are
-    free."""
+    """Anomalies by name: the name of a proposal at the same place, else the next free one."""
     free = iter(marks.free_names(letter, len(anomalies)))
     left = [mark for mark in marks.proposals if mark.name.startswith(letter)]
     named = {}

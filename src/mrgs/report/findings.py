@@ -434,7 +434,7 @@ def show_findings(
 
 
 def _map_caption(drawn: TemperatureMap, t: Texts) -> str:
-    width, height = drawn.size_m
+    grid = drawn.drawn.grid
     what = (
         t("Temperatures of the façade from the front, to scale:")
         if drawn.from_the_front
@@ -442,9 +442,9 @@ def _map_caption(drawn: TemperatureMap, t: Texts) -> str:
     )
     rest = t(
         "{width} × {height} m, {pixel} cm per pixel.",
-        width=t.number(f"{width:.1f}"),
-        height=t.number(f"{height:.1f}"),
-        pixel=t.number(pixel_cm_text(drawn.drawn.grid.pixel_m)),
+        width=t.number(f"{grid.width * grid.pixel_m:.1f}"),
+        height=t.number(f"{grid.height * grid.pixel_m:.1f}"),
+        pixel=t.number(pixel_cm_text(grid.pixel_m)),
     )
     white = t("White: no surface, or too few photos look there.")
     return f"{what} {rest} {white}"

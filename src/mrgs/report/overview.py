@@ -294,14 +294,8 @@ class TemperatureMap:
     from_the_front: bool
     north: bool
 
-    @property
-    def size_m(self) -> tuple[float, float]:
-        """Width and height, metres."""
-        grid = self.drawn.grid
-        return grid.width * grid.pixel_m, grid.height * grid.pixel_m
-
     def shows(self, mark: Mark) -> bool:
-        """Whether all of a mark lies on the map."""
+        """Whether all of a mark is on the map."""
         corners, size = self._pixels(mark), self.drawn.celsius.shape[::-1]
         return bool(((corners >= 0) & (corners <= size)).all())
 
@@ -400,14 +394,11 @@ def overviews(
     decimal: str = ".",
 ) -> list[Overview]:
     """The views that together see most marks by their middles, the one that sees most first; at
-    most ``MOST_OVERVIEWS``.
+    most ``MOST_OVERVIEWS``. SceneError if a photo cannot be read.
 
     Args:
         survey: of the scene's thermal training photos.
         decimal: before the decimals of the scale's numbers.
-
-    Raises:
-        SceneError: a photo cannot be read.
     """
     thermal = [view for view in scene.train if THERMAL in view.images]
     names = np.array([*marks])

@@ -26,7 +26,7 @@ from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Modality, Scene, View, WorldFrame, in_order
 from mrgs.scene.radiometry import PhotoRecord
-from mrgs.survey import Survey
+from mrgs.survey import LABELS, Survey
 
 LEAST_DIFFERENCE_K = 10.0
 MOST_PIXEL_CM = 3.0
@@ -152,43 +152,6 @@ def stated_rows(survey: Survey, t: Texts) -> list[tuple[str, str]]:
             text = t(str(value)) if name == "side" else str(value)
         rows.append((t(label), text))
     return rows
-
-
-LABELS: Mapping[str, tuple[str, str]] = {
-    "object": ("Object", ""),
-    "address": ("Address", ""),
-    "client": ("Client", ""),
-    "inspector": ("Inspector", ""),
-    "company": ("Company", ""),
-    "qualification": ("Qualification", ""),
-    "purpose": ("Purpose", ""),
-    "standard": ("Standard", ""),
-    "construction": ("Construction", ""),
-    "parts_observed": ("Parts observed", ""),
-    "orientation": ("Orientation", ""),
-    "side": ("Photographed from", ""),
-    "date": ("Date", ""),
-    "time": ("Time", ""),
-    "weather": ("Weather", ""),
-    "precipitation": ("Precipitation", ""),
-    "sun": ("Sun", ""),
-    "inside_c": ("Air inside", "°C"),
-    "outside_c": ("Air outside", "°C"),
-    "outside_low_c": ("Lowest outside in the 24 hours before", "°C"),
-    "outside_high_c": ("Highest outside in the 24 hours before", "°C"),
-    "humidity_percent": ("Relative humidity inside", "%"),
-    "pressure_pa": ("Pressure inside minus outside", "Pa"),
-    "wind_m_s": ("Wind", "m/s"),
-    "hours_without_sun": ("Without direct sun", "h"),
-    "irradiance_w_m2": ("Irradiance in the plane of the modules", "W/m²"),
-    "cloud_eighths": ("Clouds", "/ 8"),
-    "camera": ("Thermal camera", ""),
-    "camera_serial": ("Serial number", ""),
-    "camera_accuracy_c": ("Limit of error in the data sheet", "K"),
-    "camera_accuracy_percent": ("Limit of error, of the reading", "%"),
-    "remarks": ("Remarks", ""),
-}
-"""Label in the report and unit of each field."""
 
 
 def emissivity_sentence(settings: Mapping[str, Setting], t: Texts) -> str:

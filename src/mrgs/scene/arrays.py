@@ -48,14 +48,12 @@ def as_tensor(
     array: Array, dtype: torch.dtype | None, shape: tuple[int | None, ...], name: str
 ) -> Tensor:
     """An array as a tensor in main memory; the caller's own memory where dtype and place allow.
+    ValueError for another shape, and for anything but real numbers.
 
     Args:
         array: of numbers; an empty list has no rows.
         dtype: of the tensor; None keeps the array's, where torch computes with it.
         shape: expected; None for any length.
-
-    Raises:
-        ValueError: another shape, or not real numbers.
     """
     values = _tensor_of(array, name)
     if values.shape == (0,) and shape[0] is None:
@@ -79,14 +77,11 @@ def as_finite(array: Array, shape: tuple[int | None, ...], name: str) -> Float64
 
 def as_floats(array: Array | float, name: str, last: int | None = None) -> Tensor:
     """An array to compute with: a tensor of floats as it is, on its device and with its gradient;
-    integers as float64.
+    integers as float64. ValueError for another length, and for anything but real numbers.
 
     Args:
         array: of numbers; an empty list has no rows.
         last: expected length of the last axis; None for any shape.
-
-    Raises:
-        ValueError: another length, or not real numbers.
     """
     values = _tensor_of(array, name)
     if last is not None and values.shape == (0,):

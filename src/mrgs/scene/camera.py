@@ -31,7 +31,7 @@ class CameraTensors(NamedTuple):
 class Camera:
     """A pinhole camera with OpenCV axes: x right, y down, z forward.
 
-    The centre of the pixel in column u and row v lies at (u + 0.5, v + 0.5); a world point X
+    The centre of the pixel in column u and row v is at (u + 0.5, v + 0.5); a world point X
     projects to K · (R X + t), with [R | t] the upper rows of ``viewmat``.
 
     ``K`` and ``viewmat`` may be given as arrays or nested lists; float64 copies of them are kept.
@@ -245,7 +245,7 @@ class Camera:
 
 
 def field_of_view(pixels: float, focal_px: float) -> float:
-    """Angle that so many pixels about the optical axis see at a focal length, radians."""
+    """Angle of view of a number of pixels about the optical axis, radians."""
     return 2 * math.atan(0.5 * pixels / focal_px)
 
 

@@ -16,13 +16,13 @@ from mrgs.system.memory import row_chunks
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
-"""Of at most so many cameras, and so many pixels across: memory and time."""
+"""Largest number of cameras, and width of their images: memory and time."""
 
 MIN_ALPHA = 0.5
 """A pixel that lets through more light than this has no depth."""
 
 SURFACE_DEPTH = 0.03
-"""A point lies on a surface that a camera sees if the two depths differ by less than this share."""
+"""A point is on a surface that a camera sees if the two depths differ by less than this share."""
 
 MAX_STEP = 0.05
 """A pixel whose depth differs by more than this share within its neighbours lies on an outline: it

@@ -1,4 +1,4 @@
-"""Fewer Gaussians that look alike from afar: those of a cell of a grid become one."""
+"""Fewer Gaussians that look alike from afar: all in a cell of a grid become one."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Merged(NamedTuple):
 
     Attributes:
         gaussians: M of them.
-        of: which of them each of the N stands in, [N].
+        of: which of them each of the N became a part of, [N].
         weights: of each of the N in it, [N]; they add up to 1.
     """
 
@@ -41,13 +41,13 @@ class Merged(NamedTuple):
     weights: Float[Tensor, " n"]
 
     def averaged(self, values: Float[Tensor, "n *c"]) -> Float[Tensor, "m *c"]:
-        """A value of each Gaussian, averaged over those that one stands for."""
+        """A value of each Gaussian, averaged over the ones that it replaces."""
         return _weighted_sums(values, self.weights, self.of, len(self.gaussians))
 
 
 @torch.no_grad()
 def merged(gaussians: Gaussians, most: int) -> Merged:
-    """At most so many Gaussians with the moments of those that they stand for.
+    """At most a number of Gaussians, with the moments of the ones that they replace.
 
     Mean and covariance are those of the mixture, in which a Gaussian weighs what it covers: its
     largest opacity times the area of its two largest axes. Opacities are such that a modality
@@ -96,7 +96,7 @@ def merged(gaussians: Gaussians, most: int) -> Merged:
 
 
 def _cells(means: Float[Tensor, "n 3"], most: int) -> tuple[Int64[Tensor, " n"], int]:
-    """The cell of each centre in the finest cubic grid with at most so many occupied cells, or
+    """The cell of each centre in the finest cubic grid with at most ``most`` occupied cells, or
     nearly so; numbered from 0, and their number."""
     ordered, out = means.sort(dim=0).values, len(means) // 40  # without the farthest twentieth
     edge = (ordered[-1 - out] - ordered[out]).amax().item() / most ** (1 / 2)

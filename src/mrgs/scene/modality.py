@@ -23,7 +23,7 @@ class Modality:
     channels are equal: unit and title only say how it is shown.
 
     Attributes:
-        name: a lower-case identifier, unique; it stands in files, logs and the names of tensors.
+        name: a lower-case identifier, unique; it is used in files, logs and the names of tensors.
         channels: values per pixel, at least 1.
         unit: of the values once they are no longer normalised ("°C"); None for plain intensities in
             [0, 1].

@@ -172,7 +172,7 @@ class Rendering(Mapping[Modality, Blend]):
 
 
 NOT_COARSER: Mapping[Modality, float] = MappingProxyType({})
-"""Pixel sizes of a rendering whose pixels are those of the photos."""
+"""Pixel sizes of a rendering with the photos' own pixels."""
 
 
 @runtime_checkable

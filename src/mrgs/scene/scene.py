@@ -184,7 +184,7 @@ _ROUNDING = 1e-3
 """Colours this far outside [0, 1] count as rounded."""
 
 _SAMPLED = 1_000
-"""Of each image, about so many temperatures tell whether they are in kelvin."""
+"""Number of temperatures per image, roughly, that are checked for being in kelvin."""
 
 
 def _cameras_from(cameras: Iterable[Camera] | None, name: str) -> list[Camera]:
@@ -283,7 +283,7 @@ def _views_from_arrays(
 
 
 def _cloud_from_arrays(points: Array | None, colors: Array | None) -> PointCloud | None:
-    """Start points without those that are not finite; None if there are none."""
+    """The start points that are finite; None without any."""
     if points is None:
         return None
     positions = as_tensor(points, torch.float32, (None, 3), "points")

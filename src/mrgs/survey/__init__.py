@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -26,40 +26,34 @@ Standard = Literal["EN 13187", "ISO 6781-3", "IEC TS 62446-3"]
 Side = Literal["inside", "outside"]
 
 
+def _stated(label: str = "", unit: str = "", low: float = 0.0, high: float = 0.0) -> Any:
+    """A field of the survey, which may be left out: its label in the report (empty where that does
+    not list it), and for a number its unit, and the smallest and largest value."""
+    return field(default=None, metadata={"label": label, "unit": unit, "limits": (low, high)})
+
+
 @dataclass(frozen=True)
 class Survey:
-    """What the inspector states; None for what is not stated.
+    """What the inspector states; None for what is not stated. Numbers are in the unit, and between
+    the limits, that stand behind their label.
 
     Attributes:
-        object: what was inspected.
         client: who ordered the inspection.
         company: the inspector's.
         qualification: the inspector's, such as "ISO 9712 level 2".
         purpose: the question to answer.
         standard: that the conditions are compared with.
         construction: of the building, or the type of the modules.
-        parts_observed: of the object.
         orientation: that the inspected side faces.
         side: whether the building was photographed from inside or outside.
         time: of the photos, such as "06:30 to 07:10".
         precipitation: in the 12 hours before, and during the photos.
         sun: in the 12 hours before, and during the photos.
-        inside_c: temperature of the air inside, °C.
-        outside_c: temperature of the air outside, °C.
-        outside_low_c: lowest temperature outside in the 24 hours before, °C.
-        outside_high_c: highest temperature outside in the 24 hours before, °C.
-        humidity_percent: relative humidity of the air inside.
-        pressure_pa: pressure inside minus outside, Pa.
         hours_without_sun: since direct sun last fell on the surfaces.
-        irradiance_w_m2: of the sun in the plane of the modules, W/m².
         camera: thermal camera, where the photos do not name it.
-        camera_serial: its serial number, where the photos do not have it.
-        camera_accuracy_c: limit of error in the camera's data sheet, K.
-        camera_accuracy_percent: the same as a share of the reading in °C, per cent; the larger of
-            the two counts. Without the K, 2 K are assumed.
+        camera_accuracy_percent: as ``camera_accuracy_c``, a share of the reading in °C; the larger
+            of the two counts. Without the K, 2 K are assumed.
         emissivity_uncertainty: standard uncertainty of the emissivities.
-        reflected_uncertainty_c: standard uncertainty of the reflected temperatures, K.
-        distance_uncertainty_percent: standard uncertainty of the distances, per cent.
         hot_places: largest number of hottest places that are proposed as anomalies.
         statement: the inspector's conclusion.
 
@@ -67,70 +61,72 @@ class Survey:
         ConfigError: a value that cannot be.
     """
 
-    title: str | None = None
-    object: str | None = None
-    address: str | None = None
-    client: str | None = None
-    inspector: str | None = None
-    company: str | None = None
-    qualification: str | None = None
-    purpose: str | None = None
-    standard: Standard | None = None
-    construction: str | None = None
-    parts_observed: str | None = None
-    orientation: str | None = None
-    side: Side | None = None
-    date: datetime.date | None = None
-    time: str | None = None
-    weather: str | None = None
-    precipitation: str | None = None
-    sun: str | None = None
-    inside_c: float | None = None
-    outside_c: float | None = None
-    outside_low_c: float | None = None
-    outside_high_c: float | None = None
-    humidity_percent: float | None = None
-    pressure_pa: float | None = None
-    wind_m_s: float | None = None
-    hours_without_sun: float | None = None
-    irradiance_w_m2: float | None = None
-    cloud_eighths: float | None = None
-    camera: str | None = None
-    camera_serial: str | None = None
-    camera_accuracy_c: float | None = None
-    camera_accuracy_percent: float | None = None
-    emissivity_uncertainty: float | None = None
-    reflected_uncertainty_c: float | None = None
-    distance_uncertainty_percent: float | None = None
-    hot_places: int | None = None
-    cold_places: int | None = None
-    statement: str | None = None
-    remarks: str | None = None
+    title: str | None = _stated()
+    object: str | None = _stated("Object")
+    address: str | None = _stated("Address")
+    client: str | None = _stated("Client")
+    inspector: str | None = _stated("Inspector")
+    company: str | None = _stated("Company")
+    qualification: str | None = _stated("Qualification")
+    purpose: str | None = _stated("Purpose")
+    standard: Standard | None = _stated("Standard")  # noqa: RUF009 - a field
+    construction: str | None = _stated("Construction")
+    parts_observed: str | None = _stated("Parts observed")
+    orientation: str | None = _stated("Orientation")
+    side: Side | None = _stated("Photographed from")  # noqa: RUF009 - a field
+    date: datetime.date | None = _stated("Date")  # noqa: RUF009 - a field
+    time: str | None = _stated("Time")
+    weather: str | None = _stated("Weather")
+    precipitation: str | None = _stated("Precipitation")
+    sun: str | None = _stated("Sun")
+    inside_c: float | None = _stated("Air inside", "°C", -90, 90)
+    outside_c: float | None = _stated("Air outside", "°C", -90, 90)
+    outside_low_c: float | None = _stated("Lowest outside in the 24 hours before", "°C", -90, 90)
+    outside_high_c: float | None = _stated("Highest outside in the 24 hours before", "°C", -90, 90)
+    humidity_percent: float | None = _stated("Relative humidity inside", "%", 0, 100)
+    pressure_pa: float | None = _stated("Pressure inside minus outside", "Pa", -1000, 1000)
+    wind_m_s: float | None = _stated("Wind", "m/s", 0, 100)
+    hours_without_sun: float | None = _stated("Without direct sun", "h", 0, 1000)
+    irradiance_w_m2: float | None = _stated(
+        "Irradiance in the plane of the modules", "W/m²", 0, 2000
+    )
+    cloud_eighths: float | None = _stated("Clouds", "/ 8", 0, 8)
+    camera: str | None = _stated("Thermal camera")
+    camera_serial: str | None = _stated("Serial number")
+    camera_accuracy_c: float | None = _stated("Limit of error in the data sheet", "K", 0, 50)
+    camera_accuracy_percent: float | None = _stated("Limit of error, of the reading", "%", 0, 50)
+    emissivity_uncertainty: float | None = _stated(high=0.5)
+    reflected_uncertainty_c: float | None = _stated(unit="K", high=500)
+    distance_uncertainty_percent: float | None = _stated(unit="%", high=100)
+    hot_places: int | None = _stated(high=100)
+    cold_places: int | None = _stated(high=100)
+    statement: str | None = _stated()
+    remarks: str | None = _stated("Remarks")
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
+        for each in fields(self):
+            name, value, unit = each.name, getattr(self, each.name), each.metadata["unit"]
             if isinstance(value, str) and (
                 len(value) > LONGEST_TEXT or not value.replace("\n", " ").isprintable()
             ):
                 raise ConfigError(
                     f"{name} must be a text of at most {LONGEST_TEXT:,} printable characters"
                 )
-            low, high, unit = LIMITS.get(name, (0.0, 0.0, ""))
+            low, high = each.metadata["limits"]
             if isinstance(value, (int, float)) and not low <= value <= high:
-                raise ConfigError(f"{name} must be from {low:g} to {high:g}{unit}, not {value:g}")
+                limits = f"{low:g} to {high:g} {unit}".rstrip()
+                raise ConfigError(f"{name} must be from {limits}, not {value:g}")
 
     def __bool__(self) -> bool:
         return any(value is not None for value in asdict(self).values())
 
     def stating(self, assignments: Sequence[str], source: str) -> Survey:
-        """This survey with other values of some fields.
+        """This survey with other values of some fields. ConfigError if an assignment is none, names
+        no field, or has a value that cannot be.
 
         Args:
             assignments: ``NAME=VALUE`` each, the value as in YAML; an empty one takes it back.
             source: of the assignments, for messages.
-
-        Raises:
-            ConfigError: no assignment, no such field, or a value that cannot be.
         """
         hints = get_type_hints(Survey)
         stated: dict[str, Any] = {}
@@ -153,34 +149,17 @@ class Survey:
             raise ConfigError(f"{source}: {error}") from error
 
 
-LIMITS: dict[str, tuple[float, float, str]] = {
-    **dict.fromkeys(
-        ("inside_c", "outside_c", "outside_low_c", "outside_high_c"), (-90.0, 90.0, " °C")
-    ),
-    "humidity_percent": (0.0, 100.0, " %"),
-    "pressure_pa": (-1000.0, 1000.0, " Pa"),
-    "wind_m_s": (0.0, 100.0, " m/s"),
-    "hours_without_sun": (0.0, 1000.0, " h"),
-    "irradiance_w_m2": (0.0, 2000.0, " W/m²"),
-    "cloud_eighths": (0.0, 8.0, ""),
-    "camera_accuracy_c": (0.0, 50.0, " K"),
-    "camera_accuracy_percent": (0.0, 50.0, " %"),
-    "emissivity_uncertainty": (0.0, 0.5, ""),
-    "reflected_uncertainty_c": (0.0, 500.0, " K"),
-    "distance_uncertainty_percent": (0.0, 100.0, " %"),
-    "hot_places": (0, 100, ""),
-    "cold_places": (0, 100, ""),
+LABELS: dict[str, tuple[str, str]] = {
+    each.name: (each.metadata["label"], each.metadata["unit"])
+    for each in fields(Survey)
+    if each.metadata["label"]
 }
-"""Smallest and largest value of each number, and its unit as written behind one."""
+"""Label in the report and unit of each field that it lists."""
 
 
 def read_survey(path: Path) -> Survey:
-    """The survey in a file; an empty one where there is no file.
-
-    Raises:
-        ConfigError: a field that does not exist, or a value that cannot be.
-        RunError: the file cannot be read.
-    """
+    """The survey in a file; an empty one where there is no file. ConfigError for a field that does
+    not exist or a value that cannot be, RunError if the file cannot be read."""
     try:
         if not path.exists():
             return Survey()

@@ -7,7 +7,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeAlias
@@ -37,7 +37,7 @@ from mrgs.viewer.facts import (
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.panes import fitted_size
 from mrgs.viewer.saving import VideoProgress, render_video, save_keyframes, save_screenshot
-from mrgs.viewer.settings import Settings, Start, Subject
+from mrgs.viewer.settings import Settings, Subject
 from mrgs.viewer.source import Effort, Worker
 
 MOVING_S = 0.05
@@ -63,7 +63,7 @@ class Browser:
     a text or bytes, from any thread."""
 
     def __init__(
-        self, subject: Subject, start: Start, note: str, worker: Worker, send: Send
+        self, subject: Subject, start: Mapping[str, Any], note: str, worker: Worker, send: Send
     ) -> None:
         self.inspection = Inspection(subject)
         self.subject = subject

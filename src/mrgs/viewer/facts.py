@@ -5,14 +5,15 @@ from __future__ import annotations
 
 import io
 import struct
-from typing import Any, TypedDict
+from collections.abc import Mapping
+from typing import Any
 
 import msgspec
 from PIL import Image
 
 from mrgs.marks.mark import EMISSIVITY, LONGEST_NAME, LONGEST_NOTE, LONGEST_SEVERITY, REFLECTED_C
 from mrgs.marks.measure import MarkReading
-from mrgs.marks.tables import MarkText, mark_text
+from mrgs.marks.tables import mark_text
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.page_data import (
     PALETTE_CHOICES,
@@ -27,7 +28,7 @@ from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.inspection import Inspection, PointReading
 from mrgs.viewer.painting import DrawnPicture, MarkLabel, pane_scale, seen_labels
 from mrgs.viewer.panes import ValueReading
-from mrgs.viewer.settings import Start, Subject
+from mrgs.viewer.settings import Subject
 from mrgs.viewer.source import Effort
 
 LONGEST_SIDE_PX = 4096
@@ -46,13 +47,14 @@ MARK_LIMITS = {
 """Greatest lengths of a mark's texts, and the limits of its numbers."""
 
 
-def hello_facts(inspection: Inspection, start: Start) -> dict[str, Any]:
-    """All that the page must know of the model before it asks for a picture."""
+def hello_facts(inspection: Inspection, start: Mapping[str, Any]) -> dict[str, Any]:
+    """All that the page must know of the model before it asks for a picture; ``start`` is where it
+    begins, see ``start_at``."""
     subject, scale = inspection.subject, inspection.subject.temperature
     return {
         "name": subject.name,
         "known": header_text(subject),
-        "start": start._asdict(),
+        "start": start,
         "modes": [
             {  # with the controls that count in it
                 "label": mode.label,
@@ -125,7 +127,7 @@ def _pane(drawn: DrawnPicture, index: int, labels: list[MarkLabel]) -> dict[str,
 def marks_facts(board: MarkBoard, subject: Subject) -> dict[str, Any]:
     """The marks and the proposals for the panel, as they were measured."""
 
-    def text(reading: MarkReading) -> MarkText:
+    def text(reading: MarkReading) -> dict[str, Any]:
         return mark_text(reading, board.marks.reference, subject.temperature, world)
 
     world = WorldFrame() if subject.scene is None else subject.scene.world
@@ -143,14 +145,6 @@ def marks_facts(board: MarkBoard, subject: Subject) -> dict[str, Any]:
 EMPTY_HINT = "Nothing there: the model is empty at this point."
 
 
-class ReadingText(TypedDict):
-    """A point that was read: the value in large type, its deviation, and further lines."""
-
-    value: str
-    deviation: str
-    lines: list[str]
-
-
 def header_text(subject: Subject) -> str:
     """The temperature range, or why there is none."""
     scale = subject.temperature
@@ -162,8 +156,9 @@ def header_text(subject: Subject) -> str:
     return f"Recorded range {number_text(scale.min_c, 1)} to {number_text(scale.max_c, 1)} °C."
 
 
-def point_text(shown: PointReading, subject: Subject) -> ReadingText:
-    """A point: value, photo, other modalities, depth and position."""
+def point_text(shown: PointReading, subject: Subject) -> dict[str, Any]:
+    """A point that was read: the value in large type, its deviation, and further lines with photo,
+    other modalities, depth and position."""
     reading, first = shown.reading, shown.modality
     value = deviation = ""
     lines = []

@@ -207,7 +207,7 @@ SCALE_FROM_PX = 180
 """Panes lower than this have no room for a scale bar."""
 
 HIDDEN_BEHIND = 1.05
-"""A mark whose point lies this much deeper than what is seen there is hidden by it."""
+"""A mark whose point is this much deeper than what is seen there is hidden by it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +259,7 @@ def pane_scale(pane: Pane, scales: Scales) -> Scale | None:
 
 
 def seen_labels(pane: Pane, images: PaneImages, labels: Sequence[MarkLabel]) -> list[SeenLabel]:
-    """Where a pane shows marks; without those of which no corner is seen, or that reach behind the
+    """Where a pane shows marks; without marks that have no visible corner, or reach behind the
     camera."""
     found = []
     for each in labels:
@@ -310,7 +310,7 @@ def _draw_label(image: Image.Image, seen: SeenLabel) -> None:
 
 
 def _draw_card(image: Image.Image, corner: tuple[float, float], text: str) -> None:
-    """A line of text on a white card, moved so that it lies within the image."""
+    """A line of text on a white card, moved into the image."""
     width, height = round(text_width(text, TEXT_PX)) + 12, TEXT_PX + 8
     x = max(0, min(round(corner[0]), image.width - width))
     y = max(0, min(round(corner[1]), image.height - height))

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -31,7 +32,7 @@ from mrgs.survey import Survey
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.board import Appraiser, CachedMeter, MarkBoard
 from mrgs.viewer.panes import PaneImages, UncertaintyPictures, render_surface
-from mrgs.viewer.settings import Start, Subject, shown_modalities
+from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import LiveSource, TrainedSource
 from mrgs.viewer.web import Viewer, require_free
 
@@ -246,7 +247,7 @@ def uncertainty_of(subject: Subject, board: MarkBoard) -> Callable[[Camera], Pan
 
 
 def is_training(folder: Path) -> bool:
-    """Whether a process holds the run's lock."""
+    """Whether a process has locked the run."""
     lock_file = folder / ".lock"
     if not lock_file.exists():
         return False
@@ -271,11 +272,10 @@ def start_camera(scene: Scene | None, model: Model) -> Camera:
     return scene.train_cameras[best_view(scene.train_cameras, near if len(near) else points)]
 
 
-def start_at(camera: Camera, scene: Scene | None) -> Start:
-    """Begin at a camera, and turn about what all cameras look at."""
-    return Start(
-        camera_facts(camera), world_facts([camera] if scene is None else scene.train_cameras)
-    )
+def start_at(camera: Camera, scene: Scene | None) -> dict[str, Any]:
+    """Where a page begins: at a camera, which turns about what all cameras look at."""
+    cameras = [camera] if scene is None else scene.train_cameras
+    return {"camera": camera_facts(camera), "world": world_facts(cameras)}
 
 
 def camera_around(means: Float[np.ndarray, "n 3"]) -> Camera:

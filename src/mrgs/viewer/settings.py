@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from mrgs.pictures.page_data import starting_limits
 from mrgs.pictures.palette import PaletteName
@@ -30,14 +30,6 @@ from mrgs.viewer.source import Source
 Kind = Literal[
     "image", "depth", "side_by_side", "blend", "split", "photos", "difference", "uncertainty"
 ]
-
-
-class Start(NamedTuple):
-    """Where a browser begins: a ``camera_facts``, and what the camera turns about,
-    ``world_facts``."""
-
-    camera: dict[str, Any]
-    world: dict[str, list[float]]
 
 
 @dataclass(frozen=True)
@@ -147,8 +139,7 @@ class Subject:
 
     @property
     def readable(self) -> tuple[Modality, ...]:
-        """The modalities whose values can be read: those of one channel, the first one by
-        default."""
+        """The modalities whose values can be read, those with one channel; the first by default."""
         return tuple(modality for modality in self.modalities if modality.channels == 1)
 
     @property
@@ -184,7 +175,7 @@ class Subject:
 
 
 def shown_modalities(model: Model, scene: Scene | None) -> tuple[Modality, ...]:
-    """The modalities to show: those of the model with training photos, the ones with a unit first;
+    """The modalities to show: all with training photos, the ones with a unit first;
     all of the model's if the scene is not available."""
     modalities = model.gaussians.modalities
     if scene is not None:

@@ -53,7 +53,7 @@ class Worker:
             return self._working or bool(self._jobs)
 
     def put(self, key: Hashable, job: Job) -> None:
-        """Do a job after those that wait already, in place of the waiting one with its key."""
+        """Do a job after the waiting ones, in place of a waiting one with the same key."""
         with self._changed:
             if not self._closed:
                 self._jobs[key] = job

@@ -9,10 +9,11 @@ import logging
 import secrets
 import socket
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent import futures
 from contextlib import suppress
 from http import HTTPStatus
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -27,7 +28,7 @@ from mrgs.scene import Camera
 from mrgs.viewer.browser import LARGEST_MESSAGE, Browser
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.panes import fitted_size
-from mrgs.viewer.settings import Start, Subject
+from mrgs.viewer.settings import Subject
 from mrgs.viewer.source import Worker
 
 SOCKET_PATH = "/socket"
@@ -123,7 +124,7 @@ class Viewer:
     token; port 0 takes a free one. ``url`` is the address to open, with the token. ConfigError if
     address or port cannot be used."""
 
-    def __init__(self, subject: Subject, start: Start, host: str, port: int) -> None:
+    def __init__(self, subject: Subject, start: Mapping[str, Any], host: str, port: int) -> None:
         require_port(port)
         self.note = subject.note
         self._subject = subject

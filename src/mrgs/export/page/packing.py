@@ -233,7 +233,7 @@ class PagePart(NamedTuple):
     replaces: tuple[int, int]
 
     def to_json(self) -> str:
-        """For the page's script; holds no ``<``."""
+        """For the page's script; contains no ``<``."""
         header = {**self.packed.header, "first": self.first, "replaces": self.replaces}
         data = base64.b64encode(self.packed.data).decode("ascii")
         return f'{{"header": {json.dumps(header)}, "data": "{data}"}}'
@@ -241,7 +241,7 @@ class PagePart(NamedTuple):
 
 class PageModel:
     """A model, cut into parts of ``size`` splats for the page, without splats that no pixel can
-    show; those that fill most of the first camera's image come first. ConfigError if no splat can
+    show; parts that fill most of the first camera's image come first. ConfigError if no splat can
     be seen."""
 
     def __init__(

@@ -95,7 +95,7 @@ def _facts(region: SurfaceRegion, capture: CaptureSettings) -> dict[str, Any]:
 
 
 PageMark: TypeAlias = dict[str, Any]
-"""``MarkText``, with the places of the mark and its label in the picture."""
+"""``mark_text``, with the places of the mark and its label in the picture."""
 
 
 def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
