@@ -3,14 +3,22 @@ elsewhere."""
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from functools import reduce
+from importlib.metadata import version
+from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
 
 from mrgs.app.commands import (
+    COMMANDS,
     Check,
     CompareMethods,
     Demo,
@@ -40,6 +48,7 @@ from mrgs.app.terminal import (
     print_viewer_address,
     read_text,
     scene_if_there,
+    styled,
 )
 from mrgs.app.training import train
 from mrgs.errors import ConfigError, MrgsError, TrainingError
@@ -47,19 +56,6 @@ from mrgs.runs.registry import imported
 
 if TYPE_CHECKING:
     from mrgs.comparison.table import Table
-
-
-import difflib
-import inspect
-from functools import reduce
-from importlib.metadata import version
-from operator import or_
-from typing import Annotated
-
-import tyro
-
-from mrgs.app.commands import COMMANDS
-from mrgs.app.terminal import styled
 
 EXIT_BAD_SCENE = 1
 

@@ -31,7 +31,6 @@ class Problem:
     """A problem of a scene.
 
     Attributes:
-        text: the finding, one sentence.
         remedy: what to do about it, one sentence; empty where the text includes it.
     """
 

@@ -19,7 +19,6 @@ class Format:
     """An export format.
 
     Attributes:
-        name: the value of ``--format``.
         files: one line for the help: the files that are written.
         export: writes the files of an ``ExportJob``; returns their paths.
         require: given a scene and the wanted CRS (None for UTM), raises ConfigError, before

@@ -45,7 +45,6 @@ class ExportJob:
     Attributes:
         baked: the exported model, as the photos have it, with the modalities of which there are
             some.
-        scale: colours of the temperatures.
         up: the up direction of the scene's frame, unit length, [3]; None if not known.
         facts: for the sidecar of every file, see ``facts_of``; ``surface_facts`` and
             ``splat_facts`` also say how marked surfaces are corrected.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
@@ -32,10 +32,7 @@ from mrgs.system.lazy import optional_package
 
 TILE_PX = 256
 
-
-def require_rasterio() -> ModuleType:
-    """Import the package rasterio. ConfigError if it is not installed."""
-    return optional_package("rasterio", "maps", "export")
+require_rasterio = partial(optional_package, "rasterio", "maps", "export")
 
 
 def write_geotiff(path: Path, drawn: OrthographicMap, wkt: str, tags: Mapping[str, str]) -> Path:

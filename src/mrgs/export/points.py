@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
@@ -41,6 +41,8 @@ UNITS = {
     "opacity": "0 to 1",
 }
 """Descriptions of the dimensions that have one."""
+
+require_laspy = partial(optional_package, "laspy", "LAS files", "export")
 
 FINEST_STEP = 1e-6
 """Coordinates are integers times a power of ten, this or as much larger as the points' spread
@@ -96,8 +98,3 @@ def write_las(path: Path, points: SurfacePoints, system: CoordinateSystem | None
     with replacing(path) as temporary:
         las.write(temporary)
     return path
-
-
-def require_laspy() -> ModuleType:
-    """Import the package laspy. ConfigError if it is not installed."""
-    return optional_package("laspy", "LAS files", "export")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from types import ModuleType
 from typing import Any
 from unicodedata import normalize
@@ -28,6 +29,8 @@ UTM_NORTH, UTM_SOUTH = 32600, 32700
 """EPSG codes of UTM on WGS 84, to which the number of the zone is added."""
 
 LOCAL_NAME = "the scene's own frame, metres"
+
+require_pyproj = partial(optional_package, "pyproj", "map coordinates", "export")
 
 NORTH_IS_UP_DEG = 5.0
 """North may be turned this far from up on a map that is said to have it up: grid north of UTM is
@@ -151,11 +154,6 @@ def local_wkt(name: str) -> str:
         f'LOCAL_CS["{quoted}",LOCAL_DATUM["origin of the scene",0],UNIT["metre",1],'
         f'AXIS["x",EAST],AXIS["y",NORTH]]'
     )
-
-
-def require_pyproj() -> ModuleType:
-    """Import the package pyproj; ConfigError if it is not installed."""
-    return optional_package("pyproj", "map coordinates", "export")
 
 
 def _utm(pyproj: ModuleType, origin: EarthPosition) -> Any:

@@ -100,8 +100,8 @@ class Resolution:
         return 1 if image[int(y), int(x)] >= np.median(about) else -1
 
     def _largest(self, place: Sequence[float]) -> tuple[int, float, float] | None:
-        """Number in the survey of the photo with the smallest pixels at a place, of all that show it
-        with its surroundings, and x and y of the place there."""
+        """Number in the survey of the photo with the smallest pixels at a place, of all that show
+        it with its surroundings, and x and y of the place there."""
         point = np.array([place], np.float32)
         found, smallest = None, np.inf
         for number, item in enumerate(self._survey):

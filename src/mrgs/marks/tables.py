@@ -197,7 +197,6 @@ def write_csv(
     the lines; returns the paths. RunError if a file cannot be written.
 
     Args:
-        path: of the table.
         assumed: returns what a reading takes for known.
     """
     rows = [facts_of_reading(each, temperature, world, assumed(each)) for each in readings]

@@ -57,7 +57,6 @@ class Uncertainty:
         model: how far the model is from what the photos show there, and how sharp the place is.
         detail: how narrow a peak the place is, which the photos blur.
         camera: limit of error of the thermal camera.
-        emissivity: of the surface.
     """
 
     photos: float = math.nan

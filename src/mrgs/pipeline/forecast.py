@@ -50,14 +50,12 @@ class Workload:
     """What the lengths of the stages depend on.
 
     Attributes:
-        views: of the scene.
         held_out: of these, the views that are scored.
         source_px: pixels of a view's images as they are.
         kpx: thousands of pixels of a view's images in training, at their full resolution.
         mean_kpx: the same as a mean over the steps, of which the first are coarser.
         start: Gaussians at the start.
         gaussians: Gaussians at the end.
-        steps: of training.
         photos: whether the scene is made from photos.
         finds_poses: whether their poses must be found.
         has_two_cameras: whether a thermal camera must be placed.
@@ -275,7 +273,6 @@ class Pace(NamedTuple):
 
     Attributes:
         loading_s: from the call to the first step, without compiling.
-        step_s: a step.
         gaussians: N; None for a method without Gaussians.
         kpx: thousands of pixels of a view's images, at their full resolution.
         mean_kpx: the same as a mean over the steps of the training, of which the first are coarser.

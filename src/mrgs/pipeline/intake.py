@@ -32,7 +32,6 @@ class Intake:
     """The contents of a folder.
 
     Attributes:
-        source: the folder.
         kind: photos, or a scene with poses.
         views: number of pairs, or of a scene's views.
         held_out: views for scoring.
@@ -93,7 +92,6 @@ def take_in(source: Path, options: PrepareOptions, progress: Progress | None = N
 
     Args:
         source: the folder, or a scene's transforms file.
-        options: facts about the photos.
         progress: called with a step's name, the number of files that are done, and of all.
 
     Raises:

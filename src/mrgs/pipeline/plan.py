@@ -54,7 +54,6 @@ class PlannedStage:
     """A stage of a pipeline.
 
     Attributes:
-        name: such as "train".
         number: from 1, of ``total``.
         parts: seconds that its parts are expected to take, by name.
         is_done: whether an earlier call has finished it, with the same inputs and settings.
@@ -77,13 +76,8 @@ class PipelinePlan:
     """What a pipeline is going to do.
 
     Attributes:
-        intake: contents of the source folder.
-        quality: of the model.
-        cores: available to the process.
         free_memory: bytes; None if not known.
         device: what trains and renders, such as "cpu" or a GPU's name.
-        output: folder of all results.
-        stages: in order.
         memory: bytes that are needed at most, roughly.
         disk: bytes that the results need, roughly.
         notes: sentences for the user.
@@ -123,7 +117,6 @@ class Monitor:
         """Called while the photos are inspected, and while a stage runs.
 
         Args:
-            part: of the stage.
             done: finished items of the part.
             total: all items of the part; 0 if not known.
             left_s: seconds until the stage is finished; None if not known.

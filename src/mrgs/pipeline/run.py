@@ -39,14 +39,10 @@ class PipelineResults:
     """The files that a pipeline made.
 
     Attributes:
-        scene: folder of the scene.
         scene_page: page that shows the scene.
         run: folder of the model; ``load_run`` opens it.
-        report: one-page report.
         page: the model as one HTML file.
         contact_sheet: photos beside renderings; None if no views are held out.
-        renders: folder of the images.
-        exports: folder of the exported files.
     """
 
     scene: Path

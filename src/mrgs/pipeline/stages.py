@@ -65,19 +65,8 @@ class Stage:
 
 
 class Job:
-    """The stages for one folder of photos, or one scene, at one quality.
-
-    Attributes:
-        intake: contents of the folder.
-        quality: of the model.
-        options: facts about the photos.
-        output: folder of all results.
-        device: where it is trained and rendered.
-        monitor: is told the progress, and asked.
-        ledger: the stages that are done.
-        config: of the training.
-        accepted: a warning that was accepted before the first stage; empty if there was none.
-    """
+    """The stages for one folder of photos, or one scene, at one quality. ``accepted`` is a warning
+    that was accepted before the first stage; empty if there was none."""
 
     def __init__(
         self,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -186,33 +186,8 @@ class ProfileChart(NamedTuple):
     end: str
 
 
-class ShownMark(NamedTuple):
-    """A mark as the report shows it; numbers are formatted, ``parts`` of the uncertainty by their
-    names with a dash for those not known. ``around`` is empty if not known, ``factor``
-    (of a surface inside) a dash if the air is not known or it is not from 0 to 1, ``settings`` are
-    empty for those of the photos, and ``pictures`` are the thermal rendering, then the photo, of
-    ``view``, none without one."""
-
-    name: str
-    severity: str
-    mean: str
-    around: str
-    parts: dict[str, str]
-    factor: str
-    low: str
-    high: str
-    difference: str
-    compared_with: str
-    size: str
-    photos: str
-    settings: list[str]
-    note: str
-    problem: str
-    remarks: list[str]
-    view: str
-    pictures: list[InlineImage]
-    chart: ProfileChart | None
-    plan: InlineImage
+ShownMark: TypeAlias = dict[str, Any]
+"""A mark as the template reads it, see ``show_marks``."""
 
 
 def show_marks(
@@ -224,12 +199,16 @@ def show_marks(
     place: Callable[[Mark], Image.Image],
     decimal: str = ".",
 ) -> list[ShownMark]:
-    """Measured marks; SceneError if a photo cannot be read.
+    """Measured marks as the template reads them; SceneError if a photo cannot be read.
+
+    Numbers are formatted. ``parts`` of the uncertainty are by their names, a dash for an unknown
+    one; ``around`` is empty if not known; ``factor`` is a dash if the air is not known or it is not
+    from 0 to 1; ``settings`` are empty if they are the photos'; ``pictures`` are the thermal
+    rendering, then the photo, of ``view``, none without one.
 
     Args:
         reference: name of the mark that all differences refer to; empty for none.
         survey: the air inside and outside, for the temperature factor.
-        place: draws where a mark is.
         decimal: before the decimals of the numbers beside the colours of a picture.
     """
     temperature, found = scene.temperature, []
@@ -237,31 +216,33 @@ def show_marks(
         mark, view = reading.mark, nearest_view(reading.mark, scene)
         difference = value_text(reading.difference, temperature, sign=True)
         around = _around(reading.difference_uncertainty, temperature)
-        shown = ShownMark(
-            mark.name,
-            mark.severity,
-            value_text(reading.mean, temperature),
-            _around(total_uncertainty(reading), temperature),
-            {
+        shown = {
+            "name": mark.name,
+            "severity": mark.severity,
+            "mean": value_text(reading.mean, temperature),
+            "around": _around(total_uncertainty(reading), temperature),
+            "parts": {
                 PART_NAMES[name]: value_text(part, temperature)
                 for name, part in asdict(reading.uncertainty or Uncertainty()).items()
             },
-            _factor(reading.mean, survey),
-            value_text(reading.low, temperature),
-            value_text(reading.high, temperature),
-            " ± ".join(filter(None, (difference, around))),
-            "" if math.isnan(reading.difference) else mark.against or reference,
-            size_text(reading, scene.world),
-            "–" if reading.photos is None else str(reading.photos),
-            settings_texts(reading),
-            mark.note,
-            reading.problem,
-            list(reading.remarks),
-            "" if view is None else view.name,
-            [] if view is None else mark_pictures(reading, view, regions, scene, decimal),
-            _chart(reading, scene),
-            inline_image(place(mark), f"{mark.name}, plan", quality=85),
-        )
+            "factor": _factor(reading.mean, survey),
+            "low": value_text(reading.low, temperature),
+            "high": value_text(reading.high, temperature),
+            "difference": " ± ".join(filter(None, (difference, around))),
+            "compared_with": "" if math.isnan(reading.difference) else mark.against or reference,
+            "size": size_text(reading, scene.world),
+            "photos": DASH if reading.photos is None else str(reading.photos),
+            "settings": settings_texts(reading),
+            "note": mark.note,
+            "problem": reading.problem,
+            "remarks": reading.remarks,
+            "view": "" if view is None else view.name,
+            "pictures": []
+            if view is None
+            else mark_pictures(reading, view, regions, scene, decimal),
+            "chart": _chart(reading, scene),
+            "plan": inline_image(place(mark), f"{mark.name}, plan", quality=85),
+        }
         found.append(shown)
     return found
 
@@ -354,28 +335,12 @@ def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
     return CameraEffects(chart, picture, kelvin(constant) if constant else "")
 
 
-class ShownProposal(NamedTuple):
-    """A proposal as the report shows it, with the mark that it would become; numbers are formatted.
-    ``low`` and ``high`` are the 10th and 90th percentile over the views, ``position`` is in scene
-    units, ``photo`` the thermal photo's temperature there, None where it has no valid pixel, and
-    ``at_end`` whether that is an end of the recorded range."""
-
-    mark: ShownMark
-    contrast: str
-    low: str
-    high: str
-    views: int
-    position: str
-    photo: str | None
-    at_end: bool
-
-
 class Findings(NamedTuple):
     """What was measured and what was found; the plan is None without marks, or where the map shows
     them all, the map where the scene has none."""
 
     marks: Sequence[ShownMark] = ()
-    proposals: Sequence[ShownProposal] = ()
+    proposals: Sequence[Mapping[str, Any]] = ()
     overviews: Sequence[Mapping[str, Any]] = ()
     plan: InlineImage | None = None
     from_the_front: bool = False
@@ -429,7 +394,7 @@ def show_findings(
     )
     return found._replace(
         marks=shown,
-        proposals=[_shown(anomalies[mark.name], mark, marks.run, scene) for mark in candidates],
+        proposals=[_shown(anomalies[mark["name"]], mark, marks.run, scene) for mark in candidates],
     )
 
 
@@ -450,19 +415,24 @@ def _map_caption(drawn: TemperatureMap, t: Texts) -> str:
     return f"{what} {rest} {white}"
 
 
-def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> ShownProposal:
+def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> dict[str, Any]:
+    """A proposal, with the mark that it would become, for the template; numbers are formatted.
+    ``low`` and ``high`` are the 10th and 90th percentile over the views, ``position`` is in scene
+    units, ``photo`` the thermal photo's temperature there, None where it has no valid pixel, and
+    ``at_end`` whether that is an end of the recorded range."""
     spot, temperature = anomaly.spot, scene.temperature
     photo = photo_value(scene.views[spot.view], spot)
-    return ShownProposal(
-        mark,
-        value_text(anomaly.contrast, temperature, sign=True),
-        _text(spot.low, temperature),
-        _text(spot.high, temperature),
-        spot.views,
-        ", ".join(number_text(each, 2) for each in spot.position.tolist()),
-        None if photo is None else _text(photo, temperature),
-        photo is not None and not 0 < photo < 1 and run.image_model.thermal_gain is None,
-    )
+    gained = run.image_model.thermal_gain is not None
+    return {
+        "mark": mark,
+        "contrast": value_text(anomaly.contrast, temperature, sign=True),
+        "low": _text(spot.low, temperature),
+        "high": _text(spot.high, temperature),
+        "views": spot.views,
+        "position": ", ".join(number_text(each, 2) for each in spot.position.tolist()),
+        "photo": None if photo is None else _text(photo, temperature),
+        "at_end": photo is not None and not 0 < photo < 1 and not gained,
+    }
 
 
 def _text(value: float, temperature: TemperatureRange | None) -> str:

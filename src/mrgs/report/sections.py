@@ -76,26 +76,22 @@ def conditions_of(survey: Survey, pixel_m: float | None = None) -> list[Conditio
 
 
 _BUILDING = (
-    ("Wind", "wind_m_s", "m/s", "at most 5 m/s", -math.inf, 5.0),
-    ("Without direct sun", "hours_without_sun", "h", "at least 2 h", 2.0, math.inf),
+    ("wind_m_s", "at most 5 m/s", -math.inf, 5.0),
+    ("hours_without_sun", "at least 2 h", 2.0, math.inf),
 )
 _PLANT = (
-    ("Irradiance in the plane of the modules", "irradiance_w_m2", "W/m²", "at least 600 W/m²",
-     600.0, math.inf),
-    ("Wind", "wind_m_s", "m/s", "at most 7.8 m/s (4 Beaufort)", -math.inf, 7.8),
-    ("Clouds", "cloud_eighths", "/ 8", "at most 2 eighths of the sky", -math.inf, 2.0),
-)  # fmt: skip
+    ("irradiance_w_m2", "at least 600 W/m²", 600.0, math.inf),
+    ("wind_m_s", "at most 7.8 m/s (4 Beaufort)", -math.inf, 7.8),
+    ("cloud_eighths", "at most 2 eighths of the sky", -math.inf, 2.0),
+)
 """Arguments of ``_compared``."""
 
 
-def _compared(
-    survey: Survey, what: str, field: str, unit: str, asked: str, low: float, high: float
-) -> Condition:
+def _compared(survey: Survey, name: str, asked: str, low: float, high: float) -> Condition:
     """A field of the survey that must be within limits."""
-    found = getattr(survey, field)
-    return Condition(
-        what, asked, _given(found, unit), None if found is None else low <= found <= high
-    )
+    (what, unit), found = LABELS[name], getattr(survey, name)
+    met = None if found is None else low <= found <= high
+    return Condition(what, asked, _given(found, unit), met)
 
 
 def _steady(survey: Survey) -> Condition:

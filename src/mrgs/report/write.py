@@ -100,11 +100,11 @@ def report_run(
     begin(1)
     findings = show_findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
-    every = (*findings.marks, *(proposal.mark for proposal in findings.proposals))
-    known = [mark.parts for mark in every if mark.around]
+    every = (*findings.marks, *(each["mark"] for each in findings.proposals))
+    known = [mark["parts"] for mark in every if mark["around"]]
     parts = [name for name in PART_NAMES.values() if any(each[name] != DASH for each in known)]
     who = [each for each in (survey.inspector, survey.company) if each]
-    compared_with = {mark.compared_with for mark in findings.marks} - {""}
+    compared_with = {mark["compared_with"] for mark in findings.marks} - {""}
     page = write_html(
         run.folder.path / "report.html" if path is None else Path(path),
         "report/report.html",
@@ -130,7 +130,7 @@ def report_run(
         camera_is_known=PART_NAMES["camera"] in parts,
         every=every,
         compared_with=compared_with.pop() if len(compared_with) == 1 else "",
-        has_factor=any(mark.factor != DASH for mark in every),
+        has_factor=any(mark["factor"] != DASH for mark in every),
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
         camera=camera_effects(run, t),
         has_thermal_gains=run.image_model.thermal_gain is not None,

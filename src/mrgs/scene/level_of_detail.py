@@ -31,7 +31,6 @@ class Merged(NamedTuple):
     """Gaussians that stand for more of them.
 
     Attributes:
-        gaussians: M of them.
         of: which of them each of the N became a part of, [N].
         weights: of each of the N in it, [N]; they add up to 1.
     """

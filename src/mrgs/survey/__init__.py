@@ -38,13 +38,9 @@ class Survey:
     the limits, that stand behind their label.
 
     Attributes:
-        client: who ordered the inspection.
-        company: the inspector's.
         qualification: the inspector's, such as "ISO 9712 level 2".
-        purpose: the question to answer.
         standard: that the conditions are compared with.
         construction: of the building, or the type of the modules.
-        orientation: that the inspected side faces.
         side: whether the building was photographed from inside or outside.
         time: of the photos, such as "06:30 to 07:10".
         precipitation: in the 12 hours before, and during the photos.
@@ -55,7 +51,6 @@ class Survey:
             of the two counts. Without the K, 2 K are assumed.
         emissivity_uncertainty: standard uncertainty of the emissivities.
         hot_places: largest number of hottest places that are proposed as anomalies.
-        statement: the inspector's conclusion.
 
     Raises:
         ConfigError: a value that cannot be.
@@ -126,7 +121,6 @@ class Survey:
 
         Args:
             assignments: ``NAME=VALUE`` each, the value as in YAML; an empty one takes it back.
-            source: of the assignments, for messages.
         """
         hints = get_type_hints(Survey)
         stated: dict[str, Any] = {}

@@ -110,7 +110,6 @@ class MarkBoard:
         appraise: the uncertainty of the temperatures by what the survey states; None if unknown.
 
     Attributes:
-        marks: as they were measured.
         numbers: of each; it stays the same when a mark is renamed.
         proposals: of the report, measured in the same way.
         problems: why the files of the run are not what is shown, a sentence each.

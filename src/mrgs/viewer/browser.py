@@ -24,12 +24,10 @@ from mrgs.scene import Camera
 from mrgs.scene.rotations import rigid_transform
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.facts import (
-    EMPTY_HINT,
     LONGEST_SIDE_PX,
     VIDEO_SECONDS,
     encode,
     hello_facts,
-    keyframes_text,
     marks_facts,
     picture_message,
     point_text,
@@ -201,8 +199,10 @@ class Browser:
         self.send("point", of=None if point is None else point_text(point, self.subject))
 
     def send_keyframes(self) -> None:
-        """Send how many keyframes the path has."""
-        self.send("keyframes", text=keyframes_text(len(self.inspection.keyframes)))
+        """Send how many keyframes the path has, and what it still needs."""
+        count = len(self.inspection.keyframes)
+        few = {0: "No keyframes yet.", 1: "1 keyframe; add at least one more."}
+        self.send("keyframes", text=few.get(count, f"{count} keyframes."))
 
     def report_saved(self, path: Path) -> None:
         """Name a file that has been written."""
@@ -327,7 +327,7 @@ class ReadPoint(BrowserMessage, tag="read"):
 
     def _act(self, browser: Browser) -> None:
         if browser.inspection.click(self.x, self.y) is None:
-            browser.report(EMPTY_HINT)
+            browser.report("Nothing there: the model is empty at this point.")
         browser.send_point()
         browser.redraw()
 

@@ -86,7 +86,6 @@ def picture_message(
     """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG.
 
     Args:
-        number: of the browser's request.
         longest_px: longer side of the browser's window, in pixels of the screen.
     """
     buffer = io.BytesIO()
@@ -142,9 +141,6 @@ def marks_facts(board: MarkBoard, subject: Subject) -> dict[str, Any]:
     }
 
 
-EMPTY_HINT = "Nothing there: the model is empty at this point."
-
-
 def header_text(subject: Subject) -> str:
     """The temperature range, or why there is none."""
     scale = subject.temperature
@@ -178,12 +174,6 @@ def point_text(shown: PointReading, subject: Subject) -> dict[str, Any]:
     lines.append(f"depth {depth} ± {around} {world.length_unit}")
     lines.append("position " + ", ".join(number_text(each, 3) for each in reading.position))
     return {"value": value, "deviation": deviation, "lines": lines}
-
-
-def keyframes_text(count: int) -> str:
-    """How many keyframes a path has, and what it still needs."""
-    few = {0: "No keyframes yet.", 1: "1 keyframe; add at least one more."}
-    return few.get(count, f"{count} keyframes.")
 
 
 def _value_texts(value: ValueReading, modality: Modality, subject: Subject) -> tuple[str, str]:

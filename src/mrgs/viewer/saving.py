@@ -65,8 +65,6 @@ def render_video(
     The colour scale is the current one throughout, and so are the marks.
 
     Args:
-        inspection: whose keyframes are gone through.
-        seconds: length of the video.
         mp4: as for ``frame_writer``.
 
     Yields:

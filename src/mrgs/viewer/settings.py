@@ -105,7 +105,6 @@ class Subject:
 
     Attributes:
         name: of the scene and the run, for the title.
-        modalities: that are shown, see ``shown_modalities``.
         scene: the capture, for its cameras and photos; None if it is not available.
         folder: the run's folder; screenshots and videos go into its ``renders``.
         note: a sentence for the user at the top of the panel; may be empty.

@@ -157,7 +157,6 @@ class PageContent:
         start: name of the view that the page opens at; None takes the first.
         marks: that the page lists and draws, see ``page_marks``.
         regions: surfaces with an emissivity of their own, whose temperatures the page corrects.
-        length_unit: of depths, see ``WorldFrame.length_unit``.
         air: that the alarms of the isotherm begin with, see ``air_facts``.
         settings: that the temperatures were computed with, see ``settings_text``.
         part_size: splats of a part, see ``PageModel``.
