@@ -65,7 +65,8 @@ def test_the_facade_is_to_scale_and_has_the_marks_at_their_places(drawn):
     plain = drawn.picture({})
     assert drawn.from_the_front
     assert not drawn.north
-    width_m, height_m = drawn.size_m
+    grid = drawn.drawn.grid
+    width_m, height_m = grid.width * grid.pixel_m, grid.height * grid.pixel_m
     assert 7.5 < width_m < 9
     assert 4.5 < height_m < 6
     left, right = (
@@ -94,7 +95,8 @@ def test_the_small_map_shows_the_wall_in_its_colours_and_the_mark(drawn):
     wall = np.abs(small - (0.3 * 255 + 0.7 * 255 * np.array([0.8, 0.5, 0.2]))).max(axis=2) < 6
     assert wall.mean() > 0.9
     dot = np.argwhere(np.abs(small - MARK).max(axis=2) < 30)
-    x = drawn.size_m[0] / small.shape[1] * (dot[:, 1].mean() - small.shape[1] / 2)
+    width_m = drawn.drawn.grid.width * drawn.drawn.grid.pixel_m
+    x = width_m / small.shape[1] * (dot[:, 1].mean() - small.shape[1] / 2)
     assert x == pytest.approx(2.0, abs=0.1)
 
 

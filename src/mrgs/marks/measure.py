@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxtyping import Float
 
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
-from mrgs.marks.mark import Mark, Marks
+from mrgs.marks.mark import MOST_MARKS, Mark, Marks
 from mrgs.marks.photo_survey import RESOLVED_PX, PhotoSurvey, Resolution
 from mrgs.marks.regions import Regions
 from mrgs.marks.surface import (
@@ -230,7 +231,53 @@ class MarkMeter:
         points = places[::step].astype(np.float32)
         shown = [len(item.shown(points).rows) for item in self.survey]
         seen = sum(count >= 0.5 * len(points) for count in shown)
-        return -(-seen * self._photos // len(self.survey))
+        return -(-seen * self._photos // len(self.survey.chosen))
+
+
+MOST_CACHED = 4 * MOST_MARKS
+
+
+class CachedMeter(MarkMeter):
+    """Measures marks in a model that does not change, each only once: a note, a name or another
+    mark change no reading. Surfaces with an emissivity of their own may be under any mark: when
+    they change, all are measured again.
+    """
+
+    def __init__(self, *args: Any, **more: Any) -> None:
+        super().__init__(*args, **more)
+        self._own: list[tuple[str, Mark]] = []
+        self._regions: Regions | None = None
+        self._known = lru_cache(MOST_CACHED)(self._read)
+
+    def regions(self, marks: Marks) -> Regions:
+        """The parts of the surface with an emissivity of their own; the same object as long as
+        they are the same."""
+        own = [(mark.name, _surface_of(mark)) for mark in marks.marks if mark.has_settings]
+        known, before = self._regions, self._own
+        renamed = known is not None and known.problems and own != before  # they have names
+        if known is None or renamed or [each for _, each in own] != [each for _, each in before]:
+            known = self._regions = super().regions(marks)
+            self._known.cache_clear()
+        self._own = own  # not before: if that fails, the regions are still to be computed
+        return known
+
+    def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
+        """One mark by itself, from the cache if its reading is still valid."""
+        if regions is not None and mark.name not in regions.problems:
+            reading = self._known(_surface_of(mark), regions, self.uncertainty)
+            if not reading.problem:  # which has the mark's name
+                return replace(reading, mark=mark)
+        return super().read(mark, regions)
+
+    def _read(
+        self, surface: Mark, regions: Regions, uncertainty: UncertaintyMeter | None
+    ) -> MarkReading:
+        return super().read(surface, regions)
+
+
+def _surface_of(mark: Mark) -> Mark:
+    """The mark without what does not change its temperature."""
+    return replace(mark, name="-", note="", severity="", against="")
 
 
 def _with_values(

@@ -37,9 +37,6 @@ class PhotoSurvey:
         self.cameras = [cameras[index] for index in self.chosen]
         self._maps: list[DepthMap] = []
 
-    def __len__(self) -> int:
-        return len(self.chosen)
-
     def __iter__(self) -> Iterator[DepthMap]:
         """The depth image of each camera that is surveyed, in the order of ``chosen``."""
         if not self._maps:

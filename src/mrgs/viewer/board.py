@@ -7,20 +7,17 @@ import threading
 import warnings
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning
-from mrgs.marks.mark import MOST_MARKS, Mark, MarkKind, Marks
-from mrgs.marks.measure import MarkMeter, MarkReading
+from mrgs.marks.mark import Mark, MarkKind, Marks
+from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.store import MarkStore, file_stamp
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.scene import Camera
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
-
-MOST_CACHED = 4 * MOST_MARKS
 
 Listener = Callable[[], None]
 Appraiser = Callable[[Survey], UncertaintyMeter]
@@ -56,49 +53,6 @@ class MarkNumbers:
         ]
         self._known = dict(zip(numbers, marks, strict=True))
         return numbers
-
-
-class CachedMeter(MarkMeter):
-    """Measures marks in a model that does not change, each only once: a note, a name or another
-    mark change no reading. Surfaces with an emissivity of their own may be under any mark: when
-    they change, all are measured again.
-    """
-
-    def __init__(self, *args: Any, **more: Any) -> None:
-        super().__init__(*args, **more)
-        self._own: list[tuple[str, Mark]] = []
-        self._regions: Regions | None = None
-        self._known = lru_cache(MOST_CACHED)(self._read)
-
-    def regions(self, marks: Marks) -> Regions:
-        """The parts of the surface with an emissivity of their own; the same object as long as
-        they are the same."""
-        own = [(mark.name, _surface_of(mark)) for mark in marks.marks if mark.has_settings]
-        known, before = self._regions, self._own
-        renamed = known is not None and known.problems and own != before  # they have names
-        if known is None or renamed or [each for _, each in own] != [each for _, each in before]:
-            known = self._regions = super().regions(marks)
-            self._known.cache_clear()
-        self._own = own  # not before: if that fails, the regions are still to be computed
-        return known
-
-    def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
-        """One mark by itself, from the cache if its reading is still valid."""
-        if regions is not None and mark.name not in regions.problems:
-            reading = self._known(_surface_of(mark), regions, self.uncertainty)
-            if not reading.problem:  # which has the mark's name
-                return replace(reading, mark=mark)
-        return super().read(mark, regions)
-
-    def _read(
-        self, surface: Mark, regions: Regions, uncertainty: UncertaintyMeter | None
-    ) -> MarkReading:
-        return super().read(surface, regions)
-
-
-def _surface_of(mark: Mark) -> Mark:
-    """The mark without what does not change its temperature."""
-    return replace(mark, name="-", note="", severity="", against="")
 
 
 class MarkBoard:

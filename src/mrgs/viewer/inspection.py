@@ -256,7 +256,7 @@ class Inspection:
         drawn = self.drawn
         if drawn is None:
             return None
-        return place_at(drawn.panes, x * drawn.size[0], y * drawn.size[1])
+        return place_at(drawn.panes, x * drawn.camera.width, y * drawn.camera.height)
 
     def add_keyframe(self) -> None:
         """Add the current camera to the path. ConfigError if no picture has been drawn yet."""

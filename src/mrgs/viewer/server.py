@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from mrgs.errors import RunError, warn_user
 from mrgs.marks.emissivity import CaptureSettings
-from mrgs.marks.measure import MarkMeter
+from mrgs.marks.measure import CachedMeter, MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.run_marks import MarkPicker, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
@@ -30,7 +30,7 @@ from mrgs.scene import THERMAL, Camera, CameraResponse, Rendering, Scene
 from mrgs.scene.preview import best_view
 from mrgs.survey import Survey
 from mrgs.training import StepStatistics, TrainConfig
-from mrgs.viewer.board import Appraiser, CachedMeter, MarkBoard
+from mrgs.viewer.board import Appraiser, MarkBoard
 from mrgs.viewer.panes import PaneImages, UncertaintyPictures, render_surface
 from mrgs.viewer.settings import Subject, shown_modalities
 from mrgs.viewer.source import LiveSource, TrainedSource
