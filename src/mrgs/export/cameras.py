@@ -54,10 +54,7 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
     frame in ``transforms.json``. There poses are camera to world with OpenGL axes, in
     ``images.txt`` world to camera with OpenCV axes. COLMAP's names are relative to ``images/``;
     where one view has several cameras, all are registered and the names are relative to the folder.
-
-    Raises:
-        RunError: a file cannot be written.
-        SceneError: an image of the scene cannot be read.
+    RunError if a file cannot be written, SceneError if an image of the scene cannot be read.
     """
     paths = [
         path for view in scene.views for path in _write_images(folder, view, scene.temperature)

@@ -86,10 +86,14 @@ def write_glb(
 
 def _attributes(splats: SplatArrays) -> dict[str, np.ndarray]:
     """The vertex attributes by semantic; each takes a multiple of four bytes."""
-    colors = _linear(splats.base_colors / np.float32(255))
+    shown = splats.base_colors / np.float32(255)
+    # Linear light: what COLOR_0 means where a reader falls back to plain points.
+    colors = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     attributes = {
         "POSITION": splats.means,
-        "COLOR_0": to_bytes(np.concatenate([colors, splats.opacities[:, None]], axis=1)),
+        "COLOR_0": to_bytes(
+            np.concatenate([colors.astype(np.float32), splats.opacities[:, None]], axis=1)
+        ),
         f"{EXTENSION}:ROTATION": np.roll(splats.quats, -1, axis=1),
         f"{EXTENSION}:SCALE": splats.scales.clip(SMALLEST_SCALE),
         f"{EXTENSION}:OPACITY": splats.opacities.clip(0, 1),
@@ -156,10 +160,3 @@ def rotation_to_y(up: Float[np.ndarray, "3"]) -> list[float]:
     """The shortest rotation that turns a unit vector into +y, as a unit quaternion xyzw."""
     rotation, _ = Rotation.align_vectors([[0.0, 1.0, 0.0]], [up])
     return rotation.as_quat().tolist()
-
-
-def _linear(colors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """sRGB to linear light: what COLOR_0 means where a reader falls back to plain points."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4).astype(
-        np.float32
-    )

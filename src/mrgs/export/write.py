@@ -72,10 +72,10 @@ def export(
     on_baked: Callable[[BakingLoss], None] | None = None,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Write a model in one format, or in all, into a folder; returns the paths. For palette, range
-    and maps see ``export_run``.
+    """Write a model in one format, or in all, into a folder; returns the paths. For palette, range,
+    maps and errors see ``export_run``.
 
-    Formats of ``all`` that cannot be written are left out.
+    Formats of ``all`` that cannot be written are left out, with a warning that says why.
 
     Splat formats write one file for each modality that the scene has photos of: ``rgb.ply``,
     ``thermal.ply`` in the colours of the palette, any other in grey under its own name.
@@ -86,21 +86,10 @@ def export(
     Args:
         model: a run, which is baked here, or a model that is baked already (its baking loss is then
             not measured).
-        format: the name of one of ``FORMATS``, several names, or ``all``: every format that can be
-            written here.
-        folder: made if it does not exist; files of these names are replaced.
+        format: the name of one of ``FORMATS``, several names, or ``all``.
         on_baked: called with the PSNR that baking a run costs, dB.
         progress: called before each part with its number, the number of parts, and its name: first
             ``BAKING``, then each format.
-
-    Warns:
-        MrgsWarning: a format is left out; the message says why.
-
-    Raises:
-        ConfigError: an unknown format, a range that cannot be used, or an extra that is not
-            installed.
-        RunError: the model cannot be exported, or a file cannot be written.
-        SceneError: a photo cannot be read.
     """
     if maps.crs is not None:  # said now, not after minutes of baking and rendering
         coordinate_system(scene, maps.crs)

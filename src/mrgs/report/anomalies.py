@@ -395,11 +395,8 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> 
     proposals; the survey may set their numbers.
 
     None is made again where a mark was made, or a proposal dropped, unless in a large area, which
-    does not judge a place in it. A spot that was proposed before keeps its name.
-
-    Raises:
-        SceneError: a photo cannot be read.
-        RunError: the marks cannot be read or saved.
+    does not judge a place in it. A spot that was proposed before keeps its name. SceneError if a
+    photo cannot be read, RunError if the marks cannot be read or saved.
     """
     known = marks.marks
     judged = [np.array(mark.points) for mark in (*known.marks, *known.dropped)]

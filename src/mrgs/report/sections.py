@@ -189,18 +189,6 @@ def air_sentence(settings: Mapping[str, Setting], t: Texts) -> str:
     )
 
 
-def known_row(settings: Mapping[str, Setting], t: Texts) -> tuple[str, str]:
-    """A row of the settings that are known."""
-    known = _listed((each for each in settings.values() if each.value), t)
-    return t("Settings of the temperatures"), known or t("not in the scene's files")
-
-
-def given_rows(settings: Mapping[str, Setting], t: Texts) -> list[tuple[str, str]]:
-    """A row of the settings that are the user's; none without any."""
-    given = _listed((each for each in settings.values() if each.given), t)
-    return [(t("Of these, given by the user"), given)] if given else []
-
-
 def _listed(settings: Iterable[Setting], t: Texts) -> str:
     return "; ".join(f"{t(each.label)} {_range(each, t)}" for each in settings)
 
@@ -304,10 +292,14 @@ def _record_rows(records: Sequence[PhotoRecord], survey: Survey, t: Texts) -> li
     if times:
         first, last = f"{t.date(times[0])} {times[0]:%H:%M}", f"{times[-1]:%H:%M}"
         taken = t("{low} to {high}", low=first, high=last)
+    settings = settings_of(records).values()
+    known = _listed((each for each in settings if each.value), t)
+    given = _listed((each for each in settings if each.given), t)
     return [
         (t("Thermal camera, serial number"), ", ".join(sorted(cameras)) or missing),
         (t("Photos taken"), taken),
-        known_row(settings_of(records), t),
+        (t("Settings of the temperatures"), known or missing),
+        *([(t("Of these, given by the user"), given)] if given else []),
     ]
 
 

@@ -38,11 +38,8 @@ class MarkNumbers:
         def place(mark: Mark) -> Hashable:
             return mark.kind, mark.points, mark.eye
 
-        def name_and_place(mark: Mark) -> Hashable:
-            return mark.name, place(mark)
-
         found: dict[int, int] = {}
-        for key in (name_and_place, place):
+        for key in (lambda mark: (mark.name, place(mark)), place):
             known = self._known.items()
             left = {key(mark): number for number, mark in known if number not in found.values()}
             for index, mark in enumerate(marks):

@@ -59,20 +59,12 @@ def save_keyframes(inspection: Inspection, seconds: float) -> Path:
 def render_video(
     inspection: Inspection, seconds: float, mp4: bool | None = None
 ) -> Iterator[VideoProgress]:
-    """Render the path with the current settings into ``renders/videos``, frame by frame; as an mp4
-    too, if one can be written.
+    """Render the path with the current settings, colour scale and marks into ``renders/videos``,
+    frame by frame; as an mp4 too, if one can be written (``mp4`` as for ``frame_writer``).
 
-    The colour scale is the current one throughout, and so are the marks.
-
-    Args:
-        mp4: as for ``frame_writer``.
-
-    Yields:
-        After each frame how far it is; the last time, with the mp4 or the frames' folder.
-
-    Raises:
-        ConfigError: fewer than two keyframes, or a mode that is bound to photos.
-        RunError: a file cannot be written.
+    Yields how far it is after each frame, the last time with the mp4 or the frames' folder.
+    ConfigError for fewer than two keyframes, or a mode that is bound to photos; RunError if a file
+    cannot be written.
     """
     if inspection.settings.mode.shows_photos:
         raise ConfigError(
