@@ -12,6 +12,7 @@ from mrgs.maps.facade import facade_map
 from mrgs.maps.options import MapOptions
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
+from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.scene import THERMAL, ideal_cameras
@@ -31,7 +32,8 @@ pytestmark = pytest.mark.slow
 def maps(front, front_scene):
     """The wall of wide splats without and with the area, and what its pixels show of it."""
     wide = replace(front, scales=front.scales * 3)
-    meter = UncertaintyMeter.of(wide.render, ideal_cameras, front_scene, CELSIUS, Survey())
+    readings = PhotoReadings(wide.render, ideal_cameras, front_scene.train, CELSIUS)
+    meter = UncertaintyMeter.of(readings, front_scene, CELSIUS, Survey())
     regions = Regions(
         Marks((AREA,)), lambda camera: wide.render(camera, THERMAL), CELSIUS, CaptureSettings()
     )

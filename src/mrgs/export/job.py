@@ -24,6 +24,7 @@ from mrgs.export.splats import (
 from mrgs.export.surface_points import Columns, SurfacePoints, surface_points
 from mrgs.maps.crs import place_facts
 from mrgs.maps.options import MapOptions
+from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.uncertainty import UncertaintyMeter
@@ -117,8 +118,9 @@ class ExportJob:
             return None
         if self.marks is not None:
             return self.marks.meter.uncertainty
-        render, temperature = self.baked.render, self.baked.temperature
-        return UncertaintyMeter.of(render, ideal_cameras, self.scene, temperature, Survey())
+        baked, scene, known = self.baked, self.scene, self.baked.temperature
+        readings = PhotoReadings(baked.render, ideal_cameras, scene.train, known)
+        return UncertaintyMeter.of(readings, scene, known, Survey())
 
     @property
     def surface_facts(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from mrgs.errors import ConfigError, SceneError
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.measure import MarkMeter, MarkReading
+from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import SeenSurface, before_background, see, steady_depth
@@ -50,9 +51,8 @@ class RunMarks:
         uncertainty = None
         if scene is not None:
             survey = read_survey(run.folder.path / SURVEY_FILE)
-            uncertainty = UncertaintyMeter.of(
-                run.render, run.camera_response, scene, run.temperature, survey
-            )
+            readings = PhotoReadings(run.render, run.camera_response, scene.train, run.temperature)
+            uncertainty = UncertaintyMeter.of(readings, scene, run.temperature, survey)
         self.meter = MarkMeter(
             before_background(run.render, scene),
             run.temperature,

@@ -19,8 +19,7 @@ from mrgs.data.radiometric.measurement import Atmosphere
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
-from mrgs.marks.surface import SurfaceRenderer
-from mrgs.scene import CameraResponse, Scene, TemperatureRange
+from mrgs.scene import Scene, TemperatureRange
 from mrgs.scene.radiometry import ObjectParameters
 from mrgs.survey import Survey
 from mrgs.system.wording import Message
@@ -249,24 +248,22 @@ class UncertaintyMeter:
     """Estimates how far temperatures may be from the truth, in 95 of 100 cases, by the thermal
     photos and a budget, None without known °C; ``notes`` are assumptions, one sentence each."""
 
-    def __init__(self, witnesses: PhotoReadings, budget: Budget | None) -> None:
+    def __init__(self, readings: PhotoReadings, budget: Budget | None) -> None:
         self.notes = () if budget is None else budget.notes
-        self._witnesses = witnesses
+        self._readings = readings
         self._budget = budget
 
     @classmethod
     def of(
         cls,
-        render: SurfaceRenderer,
-        respond: CameraResponse,
+        readings: PhotoReadings,
         scene: Scene,
         temperature: TemperatureRange | None,
         survey: Survey,
     ) -> UncertaintyMeter:
-        """The meter of a rendered model of a scene; ``respond`` applies the response of the scene's
-        cameras, the survey states uncertainties of camera and settings."""
-        witnesses = PhotoReadings(render, respond, scene.train, temperature)
-        return cls(witnesses, None if temperature is None else Budget.of(scene, survey))
+        """The meter of a scene, of whose photos ``readings`` are; the survey states uncertainties
+        of camera and settings."""
+        return cls(readings, None if temperature is None else Budget.of(scene, survey))
 
     def of_mark(
         self,
@@ -277,7 +274,7 @@ class UncertaintyMeter:
         """Uncertainty of the mean of a mark with points on its surface; ``value`` is the mean as
         the photos have it, ``surface`` its settings, by default those of the photos. SceneError if
         a photo cannot be read."""
-        parts = Uncertainty(*(float(part[0]) for part in self._witnesses.of_mark(points, value)))
+        parts = Uncertainty(*(float(part[0]) for part in self._readings.of_mark(points, value)))
         if self._budget is None or math.isnan(parts.photos):
             return parts
         return self._budget.with_settings(parts, value, surface)
@@ -295,7 +292,7 @@ class UncertaintyMeter:
 
     def of_photos(self, points: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
         """The parts of photos and model alone; see ``of_points``."""
-        return self._witnesses.of_points(points).total.astype(np.float32)
+        return self._readings.of_points(points).total.astype(np.float32)
 
     def together(
         self,

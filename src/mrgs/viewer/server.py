@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,12 @@ from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.run_marks import MarkPicker, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import before_background
-from mrgs.marks.uncertainty import Budget, UncertaintyMeter
+from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.page_data import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, CameraResponse, Rendering, Scene
 from mrgs.scene.preview import best_view
-from mrgs.survey import Survey
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.board import Appraiser, MarkBoard
 from mrgs.viewer.panes import PaneImages, UncertaintyPictures, render_surface
@@ -231,11 +231,7 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
     scene, temperature = subject.scene, subject.temperature
     if scene is not None and not changes:
         readings = PhotoReadings(draw, subject.camera_response, scene.train, temperature)
-
-        def appraise(survey: Survey) -> UncertaintyMeter:
-            budget = None if temperature is None else Budget.of(scene, survey)
-            return UncertaintyMeter(readings, budget)
-
+        appraise = partial(UncertaintyMeter.of, readings, scene, temperature)
     return MarkBoard(MarkStore(subject.folder, spread), picker, appraise)
 
 
