@@ -39,7 +39,7 @@ def said() -> set[str]:
     """The sentences of the template, and those that reach it from the code."""
     sources = [
         files("mrgs").joinpath(f"report/{name}").read_text(encoding="utf-8")
-        for name in ("report.html", "conditions.py", "findings.py", "sections.py", "write.py")
+        for name in ("report.html", "findings.py", "sections.py", "write.py")
     ]
     joined = re.sub(r'"\n\s+"', "", re.sub(r't\(\n\s+"', 't("', "".join(sources)))
     conditions = [
