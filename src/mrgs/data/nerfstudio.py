@@ -231,8 +231,9 @@ class _TransformsReader:
             self.root, self.file, views, self._points(), self.notes, self._lists(), self._world()
         )
 
-    def _view(self, frame: object, what: str) -> ViewSource:
-        frame = json_value(dict[str, Any], frame, what, self.file, "export the file again")
+    def _view(self, value: object, what: str) -> ViewSource:
+        remedy = "export the file again"
+        frame: dict[str, Any] = json_value(dict[str, Any], value, what, self.file, remedy)
         paths = self._image_paths(frame, what)
         if not paths:
             raise scene_error(self.file, f"{what} has no file_path; add it or remove the frame")
