@@ -89,7 +89,7 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
 def test_a_picture_coarser_than_the_photos_is_dilated_less(
     open_page, baked, cameras, monkeypatch, least_px2
 ):
-    for module in (dilation, parts):
+    for module in (dilation, packing):
         monkeypatch.setattr(module, "LEAST_DILATION_PX2", least_px2)
     baked = replace(baked, dilation=Dilation(300.0, finest_focal_px=1_000.0))
     page = open_page(baked, viewport={"width": 320, "height": 200})
