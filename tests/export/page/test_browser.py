@@ -13,6 +13,7 @@ import pytest
 import torch
 from PIL import Image
 
+from mrgs.export.page import packing
 from mrgs.export.page.write import PageContent, PageMark, write_page
 from mrgs.pictures.palette import colorize
 from mrgs.rasterizer import contract as dilation
