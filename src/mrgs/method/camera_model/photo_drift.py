@@ -94,14 +94,13 @@ class PhotoDrift(PhotoEffect):
 
     def offsets(self) -> Float[Tensor, " p"]:
         """The offsets of all photos, normalised."""
-        weight, tiny = self.variances * self.precisions, torch.finfo().tiny
-        learned, known = self.visits > 0, self.precisions > 0
-        residuals = (self.residuals + weight * self.priors) / (1 + weight)
-        residuals = torch.where(learned, residuals, self.priors)
-        variances = torch.where(learned, self.variances, 1 / self.precisions.clamp_min(tiny))
-        variances = torch.where(learned & known, variances / (1 + weight), variances)
-        seen = (learned | known).to(residuals)
-        variances = seen * variances
+        tiny = torch.finfo().tiny
+        learned = (self.visits > 0) / self.variances.clamp_min(tiny)
+        precisions = learned + self.precisions
+        residuals = learned * self.residuals + self.precisions * self.priors
+        residuals = residuals / precisions.clamp_min(tiny)
+        seen = (precisions > 0).to(residuals)
+        variances = seen / precisions.clamp_min(tiny)
         count = seen.sum().clamp_min(1)
         centred = seen * (residuals - (seen * residuals).sum() / count)
         spread = (seen * (centred.square() - variances)).sum() / count
