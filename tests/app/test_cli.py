@@ -481,6 +481,14 @@ def interrupt(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
     monkeypatch.setattr(progress.TrainingProgress, "start", pressed)
 
 
+def test_a_flat_field_that_cannot_be_used_is_refused(small_scene, tmp_path, capsys):
+    np.savetxt(tmp_path / "frame.csv", np.full((12, 16), 20.0), delimiter=",")
+    train = ("train", small_scene, "--output", tmp_path / "run", "--flat-field", tmp_path)
+    refused(capsys, r"16×12 px, .*same camera.*--flat-field", *train)
+    refused(capsys, "mrgs-plus", *train, "--method", "mrgs")
+    refused(capsys, "keeps its shading", *train, "--resume")
+
+
 def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, monkeypatch, capsys):
     output = tmp_path / "my run"
     before = signal.getsignal(signal.SIGINT)

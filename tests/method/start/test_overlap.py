@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from mrgs import make_config, train
 from mrgs.errors import ConfigError
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.start.overlap import find_from_overlap, without_camera
@@ -126,3 +127,12 @@ def test_a_flat_field_that_cannot_be_used_is_named(tmp_path, make, words):
     with pytest.raises(ConfigError, match=words) as caught:
         find_from_overlap(scene, ImageModel(BOTH, Capture.of(scene)), make(tmp_path / "flat"))
     assert caught.value.options == ("flat_field",)
+
+
+@pytest.mark.slow
+def test_what_was_found_stays_while_the_model_is_trained():
+    scene = drifting_scene()
+    run = train(scene, config=make_config(preset="fast", max_steps=40, max_gaussians=1_000))
+    model = run.image_model
+    assert error_c(model.thermal_drift.offsets(), scene, offsets_c()) < 0.1
+    assert error_c(model.thermal_shading(HEIGHT, WIDTH)[..., 0], scene, shading_c()) < 0.15
