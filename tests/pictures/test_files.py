@@ -15,8 +15,8 @@ from mrgs.pictures.files import (
     to_rgb8,
     write_depth_png,
     write_float_tiff,
+    write_png,
     write_rendering,
-    write_rgb_png,
     write_scaled_png,
 )
 from mrgs.pictures.palette import palette_table
@@ -52,7 +52,7 @@ def test_a_float_tiff_returns_every_bit(tmp_path: Path) -> None:
 def test_rgb_is_clamped_and_rounded(tmp_path: Path) -> None:
     colors = torch.tensor([[[-0.5, 0.5, 1.5], [float("nan"), 0.2, 1.0]]], requires_grad=True)
     assert to_rgb8(colors).tolist() == [[[0, 128, 255], [0, 51, 255]]]
-    with Image.open(write_rgb_png(tmp_path / "c.png", colors)) as image:
+    with Image.open(write_png(tmp_path / "c.png", to_rgb8(colors))) as image:
         np.testing.assert_array_equal(np.asarray(image), to_rgb8(colors))
 
 

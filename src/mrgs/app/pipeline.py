@@ -12,7 +12,7 @@ from pathlib import Path
 from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
 from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
-from mrgs.app.terminal import flags_of, print_note, print_warning, styled
+from mrgs.app.terminal import flags_of, print_note, styled
 from mrgs.errors import MrgsError
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.prepare import PrepareOptions, StageReport
@@ -127,14 +127,14 @@ class PipelineTerminal(Monitor):
     def accepts(self, warnings: Sequence[str], page: Path) -> bool:  # noqa: D102
         self.pause()
         for text in warnings:
-            print_warning(text)
+            print_note(text, "warning")
         if self._yes:
             return True
         return _agrees(f"{page} shows what was found. Continue? [y/N] ")
 
     def accepts_relative(self, reason: MrgsError) -> bool:  # noqa: D102
         self.pause()
-        print_warning(f"{reason}{flags_of(reason)}")
+        print_note(f"{reason}{flags_of(reason)}", "warning")
         return self._yes or _agrees("Continue with relative values? [y/N] ")
 
     def answer(  # noqa: D102

@@ -42,11 +42,6 @@ def print_note(text: str, kind: str = "note", style: str = "yellow") -> None:
     print(f"{styled(f'mrgs: {kind}:', style, sys.stderr)} {text}", file=sys.stderr)
 
 
-def print_warning(text: str) -> None:
-    """Print a warning, which the user should judge, on one line."""
-    print_note(text, "warning")
-
-
 def print_error(text: str) -> None:
     """Print an error, on one line."""
     print_note(text, "error", "bold red")

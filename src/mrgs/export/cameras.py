@@ -30,8 +30,9 @@ from mrgs.data.transforms import (
 )
 from mrgs.export.job import ExportJob
 from mrgs.export.splats import to_bytes
-from mrgs.pictures.files import to_array, write_float_tiff, write_png, write_rgb_png
+from mrgs.pictures.files import to_array, write_float_tiff, write_png
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Scene, TemperatureRange, View
+from mrgs.scene.preview import to_rgb8
 from mrgs.scene.rotations import quaternion_from_matrix
 from mrgs.system.atomic import write_text
 
@@ -158,7 +159,7 @@ def _write_images(folder: Path, view: View, temperature: TemperatureRange | None
         pixels = image.load()
         path = folder / _image_path(view, modality, temperature is not None)
         if modality.channels == 3:
-            paths.append(write_rgb_png(path, pixels.values))
+            paths.append(write_png(path, to_rgb8(pixels.values)))
         elif modality == THERMAL and temperature is not None:
             celsius = to_array(temperature.to_celsius(pixels.values[..., 0]))
             paths.append(write_float_tiff(path, celsius, "temperature, degrees Celsius"))

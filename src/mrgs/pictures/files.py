@@ -49,7 +49,7 @@ def write_rendering(
     for modality, blend in rendering.items():
         png = folder / modality.name / f"{name}.png"
         if not modality.is_metric:
-            paths.append(write_rgb_png(png, blend.image))
+            paths.append(write_png(png, to_rgb8(blend.image)))
             continue
         values = shown_values(modality, blend.image, temperature)
         kind, text = folder_of_values(modality, temperature)
@@ -107,11 +107,6 @@ def write_png(path: Path, image: Image.Image | UInt8[np.ndarray, "h w 3"]) -> Pa
     with replacing(path) as temporary:
         (image if isinstance(image, Image.Image) else Image.fromarray(image)).save(temporary)
     return path
-
-
-def write_rgb_png(path: Path, image: Float[Tensor, "h w c"]) -> Path:
-    """Write intensities in [0, 1] (clamped) as an 8-bit RGB PNG; returns the path."""
-    return write_png(path, to_rgb8(image))
 
 
 def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], description: str) -> Path:

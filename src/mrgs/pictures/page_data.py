@@ -11,7 +11,13 @@ import numpy as np
 import torch
 
 from mrgs.pictures.files import shown_values
-from mrgs.pictures.palette import PaletteName, display_range, palette_table, tick_step
+from mrgs.pictures.palette import (
+    PALETTES,
+    PaletteName,
+    display_range,
+    palette_table,
+    tick_step,
+)
 from mrgs.pictures.values import capitalised, decimals_of, range_of, unit_label
 from mrgs.scene import Camera, Modality, Scene, TemperatureRange, evenly_spaced
 from mrgs.scene.camera_paths import focus_point
@@ -39,14 +45,8 @@ STAGE_SCRIPTS = (
 """Scripts of the same: what they read of their facts, where the camera is, the scale beside it, and
 the marks."""
 
-PALETTE_CHOICES: tuple[PaletteName, ...] = (
-    "inferno",
-    "iron",
-    "grey",
-    "black-hot",
-    "rainbow",
-    "arctic",
-    "lava",
+PALETTE_CHOICES: tuple[PaletteName, ...] = tuple(
+    name for name in PALETTES if name not in ("depth", "error")
 )
 """Palettes that the reader of such a page may choose."""
 
