@@ -83,6 +83,14 @@ def test_a_kernel_is_compiled_once_and_again_when_it_was_edited(kernel):
     assert result(kernel) == (6.0, "loaded")
 
 
+def test_what_was_edited_under_a_running_process_is_not_kept(kernel, place):
+    scaled = start(kernel)
+    kernel.write_text(KERNEL.replace("2.0", "5.0"))
+    assert scaled(3.0) == 6.0
+    assert list(place.rglob("*.nbc")) == []
+    assert result(kernel) == (15.0, "compiled")
+
+
 def test_another_checkout_of_the_same_sources_loads_what_is_compiled(kernel, tmp_path):
     assert result(kernel) == (6.0, "compiled")
     copy = tmp_path / "elsewhere" / tmp_path.name / kernel.name

@@ -55,9 +55,14 @@ _PROCESS = secrets.token_hex(4)
 
 def keep_on_disk(dispatcher: Any) -> None:
     """Make a jitted function load its compiled versions from disk, and save new ones there."""
-    if version_folder(Path(dispatcher.py_func.__code__.co_filename).parent) is None:
-        return
-    dispatcher._cache = KernelCache(dispatcher.py_func)
+    if version_folder(_root(dispatcher.py_func.__code__.co_filename)) is not None:
+        dispatcher._cache = KernelCache(dispatcher.py_func)
+
+
+def _root(file: str) -> Path:
+    """The folder of whose sources a kernel is compiled: all of this package, or that of its own
+    file elsewhere."""
+    return FOLDER if FOLDER in Path(file).parents else Path(file).parent
 
 
 class _KernelPlace:
@@ -65,17 +70,19 @@ class _KernelPlace:
     everything that the compiled code depends on. Numba's own places also go by the path and the
     date of the source file, and compile again in each new checkout or environment."""
 
-    def __init__(self, folder: Path, first_line: int) -> None:
-        self._folder, self._first_line = folder, first_line
+    def __init__(self, root: Path, version: Path, file: Path, first_line: int) -> None:
+        self._root, self._version, self._first_line = root, version, first_line
+        self._folder = version / file.parent.relative_to(root)
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> _KernelPlace | None:
-        sources = Path(py_file).parent
-        folder = version_folder(sources)
-        if folder is None:
-            return None
-        own = sources.relative_to(FOLDER) if sources.is_relative_to(FOLDER) else sources.name
-        return cls(folder / own, py_func.__code__.co_firstlineno)
+        root = _root(py_file)
+        version, first_line = version_folder(root), py_func.__code__.co_firstlineno
+        return None if version is None else cls(root, version, Path(py_file), first_line)
+
+    def is_current(self) -> bool:
+        """Whether the sources are still those that this process has imported."""
+        return digest_of(self._root) == self._version.name
 
     def ensure_cache_path(self) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -116,9 +123,11 @@ class KernelCache(FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Save a compiled version; a warning if that fails."""
+        """Save a compiled version, unless its sources were edited under the running process; a
+        warning if that fails."""
         try:
-            super().save_overload(sig, data)
+            if self._impl.locator.is_current():
+                super().save_overload(sig, data)
         except OSError as error:
             _warn_not_kept(f"{self.cache_path} cannot be written ({error.strerror})")
 
