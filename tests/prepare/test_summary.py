@@ -112,7 +112,7 @@ def calibration(turn_deg: float = 0.0) -> RigCalibration:
     """A thermal camera 3 cm beside the RGB camera, turned about the optical axis."""
     pose = rigid_transform(matrix_from_rotvec([0.0, 0.0, math.radians(turn_deg)]), [0.03, 0.0, 0.0])
     lens = Lens(640, 480, 640.0, 640.0, 320.0, 240.0)
-    views = (RigView("a", pose, 5, 0.1, 0.2),)
+    views = (RigView("a", pose, 50, 0.1, 0.2),)
     return RigCalibration(lens, pose, views, (0.28, 0.5), 0.36, 0.1, ("Hold still.",))
 
 

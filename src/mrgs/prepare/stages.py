@@ -32,7 +32,7 @@ from mrgs.prepare.convert import convert_photos
 from mrgs.prepare.existing import existing_poses, state_of_poses
 from mrgs.prepare.georeference import georeference
 from mrgs.prepare.pairs.find import find_pairs
-from mrgs.prepare.rig.contract import RigCalibration
+from mrgs.prepare.rig.contract import FEWEST_MATCHES, RigCalibration
 from mrgs.prepare.thermal_camera import Calibrate, calibrate_thermal_camera, in_metres_of_target
 from mrgs.prepare.work import Work
 from mrgs.scene import THERMAL, Modality
@@ -281,6 +281,13 @@ def summarize_thermal_camera(
     if rig.target is not None:
         pairs, residual_px = counted(rig.target.pairs, "pair"), rig.target.residual_px[0]
         lines.append(f"The target is in {pairs}; residual {residual_px:.2f} px.")
+    few = (view for view in rig.views if view.matches < FEWEST_MATCHES)
+    plain = [view.name for view in few if math.isfinite(view.uncertainty_px)]
+    if plain:
+        lines.append(
+            f"{counted(len(plain), 'thermal image')} ({', '.join(plain)}) with hardly an edge of "
+            f"their photos placed by the rig alone: look at them on the page."
+        )
     warnings = rig.warnings
     if by_target and not metric:
         lines.append("The target gives the scale: the scene is in metres.")

@@ -8,8 +8,9 @@ import torch
 from mrgs.data.lens import Lens
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.calibrate import calibrate_rig
-from mrgs.prepare.rig.contract import RigOptions
-from mrgs.scene import Pixels, PointCloud
+from mrgs.prepare.rig.contract import FEWEST_MATCHES, RigOptions
+from mrgs.prepare.stages import summarize_thermal_camera
+from mrgs.scene import RGB, Pixels, PointCloud
 from tests.helpers.rig_room import build_room
 
 KNOWN_FIELD = RigOptions(field_of_view_deg=56.0)
@@ -152,11 +153,20 @@ def test_a_photo_that_sees_no_points_gets_the_rigs_motion_and_is_named(room):
     assert "view_3" in warning
 
 
-def test_a_pair_that_does_not_agree_is_named(room):
+def test_a_plain_pair_is_placed_by_the_others(room):
     given = RigOptions(thermal_lens=room.lens, extrinsics=room.extrinsics)
     flat = replace(room.pairs[3], load_thermal=lambda: Pixels(torch.full((120, 160, 1), 21.5)))
     found = calibrate_rig([*room.pairs[:3], flat], room.points, given)
     assert found.views[3].matches == 0
-    (warning,) = found.warnings
+    others = [view.uncertainty_px for view in found.views[:3]]
+    assert max(others) < found.views[3].uncertainty_px < given.max_uncertainty_px
+    assert found.warnings == ()
+    (name,) = [view.name for view in found.views if view.matches < FEWEST_MATCHES]
+    summary = summarize_thermal_camera(found, RGB, True)
+    assert name in summary.lines[-1]
+    assert "rig alone" in summary.lines[-1]
+    strict = (max(others) + found.views[3].uncertainty_px) / 2
+    given = replace(given, max_uncertainty_px=strict)
+    (warning,) = calibrate_rig([*room.pairs[:3], flat], room.points, given).warnings
     assert "few edges" in warning
     assert "(view_3)" in warning

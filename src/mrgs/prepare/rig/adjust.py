@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import torch
@@ -206,18 +206,36 @@ def aimed(cameras: ThermalCameras, observations: Observations) -> ThermalCameras
 def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> Adjusted:
     """Maximum a posteriori estimate by Gauss-Newton with Geman and McClure's robust weights.
 
-    The scale of the weights follows from the median residual of each kind.
+    The scale of the weights follows from the median residual of each kind. How far pairs move at
+    all follows from the pairs that show it, at most as far as the prior allows: where the two
+    shutters fire together, a pair with few observations is then placed by the rig.
     """
-    rig, motions = start.rig, start.motions
+    rig, motions, assumed = start.rig, start.motions, prior
     for step in range(_STEPS + 1):
         residual, weight = _weights(observations, rig, motions)
-        equations = _normal_equations(observations, residual, weight, rig, motions, prior)
+        equations = _normal_equations(observations, residual, weight, rig, motions, assumed)
         if step < _STEPS:
             rig_step, motion_steps = equations.solution()
             rig, motions = rig + rig_step, motions + motion_steps
+            spread = _motion_spread(motions, equations.covariances(), prior, assumed)
+            assumed = replace(prior, motion_sigma=spread * prior.motion_sigma)
     inlier = weight > _INLIER_WEIGHT * weight.max()
     cameras = ThermalCameras(rig, motions)
     return Adjusted(cameras, equations.covariances(), residual.norm(dim=1), inlier)
+
+
+def _motion_spread(
+    motions: Float64[Tensor, "v 6"], covariances: Tensor, prior: Prior, assumed: Prior
+) -> float:
+    """The standard deviation of the pairs' motions, as a share of the prior's, at most 1: their
+    mean square over the number of parameters that the observations determine (the evidence's
+    maximum: D. MacKay, Bayesian Interpolation, 1992), with one parameter's worth of the prior."""
+    variances = covariances[:, RIG:, RIG:].diagonal(dim1=1, dim2=2)
+    free = prior.motion_sigma > _LEAST_SIGMA
+    determined = (1 - variances / assumed.motion_sigma.clamp(min=_LEAST_SIGMA) ** 2)[:, free]
+    squares = (motions[:, free] / prior.motion_sigma[free]).square().sum()
+    count = determined.clamp(min=0).sum()
+    return math.sqrt(min(1.0, float((squares + 1) / (count + 1))))
 
 
 def pixel_sigma(

@@ -29,9 +29,16 @@ from mrgs.prepare.rig.adjust import (
     pixel_sigma,
     project,
 )
-from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair, RigView, TargetFit
+from mrgs.prepare.rig.contract import (
+    FEWEST_MATCHES,
+    RigCalibration,
+    RigOptions,
+    RigPair,
+    RigView,
+    TargetFit,
+)
 from mrgs.prepare.rig.images import FEWEST_POINTS, ReducedPair, reduced_pair
-from mrgs.prepare.rig.refine import FEWEST_MATCHES, refine
+from mrgs.prepare.rig.refine import refine
 from mrgs.prepare.rig.search import Guess, first_guess
 from mrgs.prepare.rig.target import LocatedTarget, find_target
 from mrgs.scene import PointCloud
@@ -248,8 +255,8 @@ def _view(
     """The result of a pair, from its ``own`` rows of the observations."""
     agreeing = own[adjusted.inlier[own]]
     residual_px = float(adjusted.residual_px[agreeing].median()) if len(agreeing) else math.nan
-    sigma_px = pixel_sigma(adjusted, view, observations.points[own])
-    uncertainty_px = float(sigma_px.median()) if len(own) else math.inf
+    where = own if len(agreeing) >= FEWEST_MATCHES else slice(None)
+    uncertainty_px = float(pixel_sigma(adjusted, view, observations.points[where]).median())
     correction = adjusted.cameras.correction(view)
     return RigView(name, correction, len(agreeing), residual_px, uncertainty_px)
 
@@ -283,12 +290,13 @@ def _warnings(
     doubtful = [
         view.name
         for view in calibrated.values()
-        if view.matches < FEWEST_MATCHES or view.uncertainty_px > options.max_uncertainty_px
+        if view.uncertainty_px > options.max_uncertainty_px
     ]
     if doubtful:
         found.append(
             f"{len(doubtful)} thermal images could not be placed well ({', '.join(doubtful)}): "
-            f"few edges agree with their photos. Leave these pairs out if they look wrong."
+            f"few edges agree with their photos, and the pairs do not move alike. Leave these "
+            f"pairs out if they look wrong."
         )
     if motion_px > _MOVING:
         found.append(

@@ -93,6 +93,10 @@ class RigOptions:
     max_uncertainty_px: float = 4.0
 
 
+FEWEST_MATCHES = 12
+"""A pair with fewer is placed by the rig, and by what the pairs' motions have in common."""
+
+
 @dataclass(frozen=True, eq=False)
 class RigView:
     """The thermal camera of one pair.
@@ -104,7 +108,7 @@ class RigView:
             inliers of the result.
         residual_px: their median reprojection error, in thermal pixels.
         uncertainty_px: one standard deviation of the position of what the RGB camera sees, median
-            over its points, in thermal pixels.
+            over its points (with few of them, over those of all pairs), in thermal pixels.
     """
 
     name: str

@@ -20,6 +20,7 @@ from mrgs.data.undistort import sampled
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, ThermalCameras, adjust
+from mrgs.prepare.rig.contract import FEWEST_MATCHES
 from mrgs.prepare.rig.images import STEP_PX, ReducedPair, structure
 
 _BORDER_PX = 3
@@ -190,7 +191,6 @@ def _vertex(
     return np.clip(step, -_MOST_STEP_PX, _MOST_STEP_PX), curvature
 
 
-FEWEST_MATCHES = 12
 _SHARPEST = 0.5
 """Share of a pair's patches that is used: faint ones match by chance, or follow a moving shadow."""
 

@@ -124,7 +124,7 @@ def first_guess(
         found.sort(key=lambda one: -one.best.score)
         chance = max(found[0].chance, found[1].best.score)
         best.append(Found(found[0].best, chance, len(pairs)))
-    return max(best, key=lambda one: one.best.score / one.chance)
+    return max(best, key=lambda one: one.best.score / max(one.chance, 1e-9))
 
 
 def _best_about(
