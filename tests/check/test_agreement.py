@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.check.photos import agreements
-from mrgs.scene import Camera, PointCloud
+from mrgs.check.photos import agreements, jump
+from mrgs.scene import THERMAL, Camera, PointCloud
 
 CAMERA = Camera(
     torch.tensor([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]], dtype=torch.float64),
@@ -48,3 +48,9 @@ def test_images_that_share_too_little_are_not_judged():
     assert [agreement is None for agreement in found] == [False, False, False, True, True]
     assert agreements(images, [CAMERA] * 5, points(10)) == [None] * 5
     assert agreements([RAMP, RAMP], [CAMERA] * 2, points()) == [None] * 2
+
+
+@pytest.mark.parametrize(("radiometric", "severity"), [(True, "note"), (False, "warning")])
+def test_drift_of_radiometric_photos_stops_nothing(radiometric, severity):
+    problem = jump(THERMAL, ["a", "b"], radiometric)
+    assert (problem.severity, "offset" in problem.remedy) == (severity, radiometric)

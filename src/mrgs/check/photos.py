@@ -382,11 +382,13 @@ def _agreement(own: Float[np.ndarray, " n"], usual: Float[np.ndarray, " n"]) -> 
 
 
 def jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem:
-    """The warning about images that do not agree with the others.
+    """The warning about images that do not agree with the others; a note where the temperatures
+    are radiometric, because training then finds what a camera's drift adds to each photo.
 
     Args:
         radiometric: whether the temperatures are computed from the thermal camera's signal.
     """
+    severity: Severity = "warning"
     changed, cause = "warmer or colder", "as automatic gain or a changed span makes them"
     remedy = "Export all thermal images with one fixed span, or from radiometric files."
     if modality != THERMAL:
@@ -397,6 +399,9 @@ def jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem
             "though the photos are radiometric: the surfaces have warmed or cooled, the camera has "
             "drifted, or its settings were changed"
         )
-        remedy = "Compare these photos and their settings with the others, and leave out outliers."
+        remedy = (
+            "Training finds an offset for each photo; where the settings differ, leave photos out."
+        )
+        severity = "note"
     text = f"In {views_text(names)} the same places are {changed} than in the others, {cause}."
-    return Problem("warning", text, remedy)
+    return Problem(severity, text, remedy)

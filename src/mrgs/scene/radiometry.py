@@ -213,9 +213,9 @@ class PhotoRecord:
 
     @property
     def is_radiometric(self) -> bool:
-        """Whether the temperatures come from the camera's signal, in which no picture's span or
-        gain is."""
-        return self.parameters is not None or "DJI" in self.source
+        """Whether the temperatures come from the camera's signal or are stored as numbers: in
+        neither is a picture's span or gain."""
+        return self.parameters is not None or "DJI" in self.source or "radiometric" in self.source
 
     def to_json(self) -> dict[str, Any]:
         """The record as plain values; what is not known is left out."""

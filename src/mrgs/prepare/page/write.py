@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
+from mrgs.check import Problem
 from mrgs.check.photos import agreements, jump
 from mrgs.data import load_scene
 from mrgs.data.lens import Lens
@@ -80,9 +81,11 @@ def write_page(
     has_celsius = any(view.range_c is not None for view in work.images.views)
     has_celsius |= scene is not None and scene.temperature is not None
     unit = "°C" if has_celsius else ""
-    overlays = {}
+    overlays, notes = {}, tuple[str, ...]()
     if scene is not None and posed is not None:
-        work.found_by_page = _disagreements(work, previews, posed)
+        if (found := _disagreement(work, previews, posed)) is not None:
+            notes = (f"{found.text} {found.remedy}",)
+            work.found_by_page = notes if found.severity == "warning" else ()
         overlays = thermal_overlays(previews, posed.points, posed.visible, work.progress)
     warnings = [text for stage in work.reports for text in stage.warnings]
     skipped = [(item.name, item.reason) for item in (*work.skipped, *without_pose)]
@@ -101,7 +104,7 @@ def write_page(
         has_celsius=has_celsius,
         folder=shlex.quote(str(work.scene)),
         trains=work.trains,
-        warnings=list(dict.fromkeys((*warnings, *work.found_by_page))),
+        warnings=list(dict.fromkeys((*warnings, *notes))),
         stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
         pairs=pairs(previews, overlays, unit, len(work.images.views)),
         temperatures=_temperatures(work, previews, scene, unit),
@@ -169,10 +172,8 @@ def _previews(
     return previews
 
 
-def _disagreements(
-    work: Work, previews: Sequence[Preview], posed: Reconstruction
-) -> tuple[str, ...]:
-    """A warning about thermal images that do not agree at the points that they show; none if they
+def _disagreement(work: Work, previews: Sequence[Preview], posed: Reconstruction) -> Problem | None:
+    """What to say of thermal images that do not agree at the points that they show; None if they
     do."""
     images = [view.images.get(THERMAL) if view.registered else None for view in previews]
     found = agreements(
@@ -183,10 +184,9 @@ def _disagreements(
     pairs = zip(previews, found, strict=True)
     names = [view.name for view, agreement in pairs if agreement is not None and agreement.jumps]
     if not names:
-        return ()
+        return None
     radiometric = any(view.facts.record.is_radiometric for view in work.images.views)
-    problem = jump(THERMAL, names, radiometric)
-    return (f"{problem.text} {problem.remedy}",)
+    return jump(THERMAL, names, radiometric)
 
 
 def _time(stage: StageReport) -> str:
