@@ -73,8 +73,7 @@ $(VENV)/.%-installed: $(VENV)/.installed
 # Else each of the tests' processes would compile the same kernels, for a minute or more.
 KERNELS := $(shell find src/mrgs -path '*kernels*' -name '*.py')
 $(VENV)/.kernels-compiled: $(VENV)/.installed $(KERNELS)
-	$(BIN)/python tools/compile_kernels.py
-	@touch $@
+	$(BIN)/python tools/compile_kernels.py $@
 
 # Pins every package that `make` can install, the indirect ones too, for every supported Python.
 # What is pinned stays; `make pins ARGS=--upgrade` takes the newest versions that pyproject.toml allows.

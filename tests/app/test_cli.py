@@ -129,7 +129,7 @@ BAD_SCENES: dict[str, tuple[Damage, str]] = {
     ),
     "NaN in a pose": (
         set_pose(float("nan")),
-        r"transforms\.json: transform_matrix of frame 1 .*NaN",
+        r"transforms\.json: transform_matrix of frame 1 .*nan",
     ),
     "scaled pose": (
         set_pose(3.0),

@@ -60,7 +60,7 @@ def test_swapped_bounds(tmp_path):
         ),
         (
             {"absolute_min_temperature": 3, "absolute_max_temperature": float("nan")},
-            "plausible",
+            "absolute_max_temperature is nan",
         ),
     ],
 )

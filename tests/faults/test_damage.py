@@ -22,7 +22,7 @@ from mrgs.training.start import TrainOptions
 from tests.faults.runs import GAUSSIANS, NERF, load_gaussians, load_nerf
 from tests.helpers.checkpoints import rewrite, rewrite_unchecked
 
-KINDS = ("gaussians", "nerf")
+KINDS = ("gaussians", pytest.param("nerf", marks=pytest.mark.slow))
 LOAD = {"gaussians": load_gaussians, "nerf": load_nerf}
 TRAIN = {"gaussians": (train, GAUSSIANS), "nerf": (train_thermonerf, NERF)}
 OPEN = {"gaussians": load_run, "nerf": open_thermonerf}

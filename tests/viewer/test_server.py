@@ -158,6 +158,8 @@ def test_a_training_is_compared_with_photos_as_its_cameras_write_them(small_scen
             found.append(written)
 
         config = make_config("mrgs-plus", max_steps=2, max_gaussians=60)
+        no_shading = replace(config.image_model, thermal_drift=False, thermal_shading=False)
+        config = replace(config, image_model=no_shading)
         train(
             small_scene, tmp_path / "run", config, hooks=Hooks(on_model=live.on_model, on_step=look)
         )

@@ -75,6 +75,7 @@ def test_a_resumed_run_has_the_same_bits(small_scene, tmp_path):
     assert parted.log_file.read_text().count("\n") == whole.log_file.read_text().count("\n")
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_does_not_change_the_bits(small_scene, tmp_path):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("the machine has one core")
