@@ -184,6 +184,7 @@ class PhotoRecord:
         parameters: with which the temperatures were computed; None if not known.
         planck: the camera's calibration; None if not known.
         given: parameters that the user gave in place of what the file says, by name.
+        has_numbers: whether the file held finished temperatures as numbers.
     """
 
     source: str = ""
@@ -193,6 +194,7 @@ class PhotoRecord:
     parameters: ObjectParameters | None = None
     planck: Planck | None = None
     given: Mapping[str, float] = field(default_factory=dict, hash=False)
+    has_numbers: bool = False
 
     def __post_init__(self) -> None:
         for name in ("source", "camera", "serial"):
@@ -215,7 +217,7 @@ class PhotoRecord:
     def is_radiometric(self) -> bool:
         """Whether the temperatures come from the camera's signal or are stored as numbers: in
         neither is a picture's span or gain."""
-        return self.parameters is not None or "DJI" in self.source or "radiometric" in self.source
+        return self.parameters is not None or self.has_numbers
 
     def to_json(self) -> dict[str, Any]:
         """The record as plain values; what is not known is left out."""

@@ -42,6 +42,14 @@ def test_a_given_unit(save, unit, counts):
     assert photo.facts.notes == ()
 
 
+def test_numbers_are_radiometric_and_shades_of_grey_are_not(save):
+    numbers = read_thermal_photo(save("a.tif", SCENE_C))
+    grey = save("a.png", np.rint(8 * SCENE_C).astype(np.uint8))
+    shades = read_thermal_photo(grey, Overrides(bounds_c=(0.0, 30.0)))
+    assert numbers.facts.record.is_radiometric
+    assert not shades.facts.record.is_radiometric
+
+
 def test_signed_sixteen_bits(save):
     photo = read_thermal_photo(save("a.tif", np.rint(100 * (SCENE_C - 20)).astype(np.int16)))
     np.testing.assert_allclose(photo.temperature_c, SCENE_C - 20, atol=0.0051)

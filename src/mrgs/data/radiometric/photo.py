@@ -157,6 +157,7 @@ class PhotoFacts:
         unit: guessed for the file's numbers, such as ``kelvin*100``; None where the user gave it or
             the file defines it.
         visible: a photo in visible light inside the file; None if there is none.
+        has_numbers: whether the file holds finished temperatures as numbers.
         given: the overrides that the temperatures were computed with, by name.
         notes: how the file was understood, one sentence each.
         warnings: what the user should know before trusting the numbers, one sentence each.
@@ -174,6 +175,7 @@ class PhotoFacts:
     scale_c: tuple[float, float] | None = None
     unit: str | None = None
     visible: VisibleImage | None = None
+    has_numbers: bool = False
     given: Mapping[str, float] = field(default_factory=dict, hash=False)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -183,7 +185,7 @@ class PhotoFacts:
         """What a scene keeps of these facts."""
         return PhotoRecord(
             self.source, self.camera or "", self.serial or "", self.taken, self.parameters,
-            self.planck, self.given,
+            self.planck, self.given, self.has_numbers,
         )  # fmt: skip
 
     def adding(

@@ -3,7 +3,6 @@ colour palette."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,8 +110,7 @@ def finished(
     if overrides.bounds_c is not None:
         doubts += ("bounds_c had no effect: the numbers are temperatures.",)
     guess = None if is_stated or overrides.unit is not None else chosen.text
-    facts = replace(facts, source=f"radiometric {facts.source}")
-    facts = facts.adding(notes=notes, warnings=doubts, unit=guess)
+    facts = facts.adding(notes=notes, warnings=doubts, unit=guess, has_numbers=True)
     return ThermalPhoto(celsius, None, valid, facts)
 
 

@@ -74,6 +74,12 @@ class _ClosedFormat(NamedTuple):
             return self.suffix is None and all(sign in data for sign in self.signs)
         return data.startswith(self.signs[0])
 
+    def refuse(self, data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+        """SceneError: the format and the program that reads it."""
+        raise scene_error(
+            path, f"has its temperatures in {self.name} format, which is not read: {self.remedy}"
+        )
+
 
 _CLOSED_FORMATS = (
     _ClosedFormat(None, (b"\xffIRB\0",), "InfraTec's IRB", "export CSV from IRBIS"),
@@ -82,18 +88,6 @@ _CLOSED_FORMATS = (
     _ClosedFormat(".bmt", (b"BM",), "Testo's BMT", "export the table from IRSoft as CSV"),
     _ClosedFormat(".is2", (b"",), "Fluke's IS2", "export CSV from Fluke Connect or SmartView"),
 )
-
-
-def _closed_format(data: bytes, path: Path) -> _ClosedFormat | None:
-    return next((each for each in _CLOSED_FORMATS if each.recognises(data, path)), None)
-
-
-def _refuse(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    known = _closed_format(data, path)
-    assert known is not None
-    raise scene_error(
-        path, f"has its temperatures in {known.name} format, which is not read: {known.remedy}"
-    )
 
 
 READERS = [
@@ -115,7 +109,7 @@ READERS = [
         lambda data, path, overrides: read_flir(data, path, ExifFacts(), overrides),
         "signal",
     ),
-    Reader(lambda data, path: _closed_format(data, path) is not None, _refuse, "signal"),
+    *(Reader(each.recognises, each.refuse, "signal") for each in _CLOSED_FORMATS),
     Reader(
         lambda data, _: data.startswith(_RASTERS),
         lambda data, path, overrides: read_raster(data, path, read_exif(data), overrides),
