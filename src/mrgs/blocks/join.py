@@ -46,11 +46,8 @@ def join(
     """The Gaussians of each block in its cell, the heads and the background of the coarse model,
     and the blocks' mean image model.
 
-    Never more than the joined model and the checkpoint of one block are in memory.
-
-    Raises:
-        RunError: a checkpoint cannot be read.
-    """
+    Never more than the joined model and the checkpoint of one block are in memory. RunError if a
+    checkpoint cannot be read."""
     gaussians, facts, cameras = _joined([coarse, *blocks], plan, scene)
     model, image_model = WholeModel.of(coarse, config)
     image_model.load_state_dict(cameras)

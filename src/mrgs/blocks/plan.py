@@ -100,11 +100,8 @@ class BlockPlan:
     def require_same(
         self, path: Path, scene: Scene, config: TrainConfig, options: BlockOptions
     ) -> None:
-        """Check that the plan is the one that would be made now.
-
-        Raises:
-            RunError: it is of another scene, configuration or number of blocks.
-        """
+        """Check that the plan is the one that would be made now. RunError if it is of another
+        scene, configuration or number of blocks."""
         now = {"scene": scene.path, **options._asdict(), **flat(config_values(config))}
         found = {"scene": self.scene, **self.options._asdict(), **flat(self.config)}
         last = max((view for each in self.cells for view in each.views), default=-1)
@@ -127,11 +124,7 @@ def make_plan(
     options: BlockOptions,
     say: Callable[[str], None],
 ) -> BlockPlan:
-    """Cut a scene into blocks.
-
-    Raises:
-        ConfigError: the scene cannot be cut like this.
-    """
+    """Cut a scene into blocks. ConfigError if the scene cannot be cut like this."""
     plane = plane_of(scene)
     rows, columns = parse_grid(options.blocks) or shape_for(
         math.ceil(len(scene.train) / VIEWS_PER_BLOCK), plane.sides
@@ -169,11 +162,8 @@ def make_plan(
 
 
 def read_plan(path: Path) -> BlockPlan | None:
-    """The plan in a file; None if there is none.
-
-    Raises:
-        RunError: the file is no plan, or that of another version of the program.
-    """
+    """The plan in a file; None if there is none. RunError if the file is no plan, or that of
+    another version of the program."""
     if not path.is_file():
         return None
     try:

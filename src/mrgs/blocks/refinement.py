@@ -133,11 +133,7 @@ class WholeModel(NamedTuple):
 
     @classmethod
     def of(cls, folder: RunFolder, config: TrainConfig) -> WholeModel:
-        """The model of a finished run.
-
-        Raises:
-            RunError: it cannot be read.
-        """
+        """The model of a finished run. RunError if it cannot be read."""
         model, _, image_model = folder.load_newest(lambda path: load_model(path, config))
         return cls(model, image_model)
 

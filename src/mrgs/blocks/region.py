@@ -78,11 +78,7 @@ class Region(NamedTuple):
 
     @classmethod
     def from_json(cls, value: Any) -> Region:
-        """A region from ``to_json``.
-
-        Raises:
-            TypeError, ValueError: the value is none.
-        """
+        """A region from ``to_json``. TypeError or ValueError if the value is none."""
         low, high = value
         return cls(_ends(low, -math.inf), _ends(high, math.inf))
 

@@ -48,10 +48,7 @@ class Variant:
     @classmethod
     def from_text(cls, name: str, text: str, source: str) -> Variant:
         """A variant from YAML with its method and what differs, as for ``mrgs train --config``.
-
-        Raises:
-            ConfigError: it is not YAML, or names no method.
-        """
+        ConfigError if it is not YAML, or names no method."""
         return cls(name, _method_in(text, source), text, source)
 
 
@@ -81,12 +78,8 @@ class Options:
 
 def configure(variant: Variant, options: Options, seed: int) -> RunConfig:
     """The configuration of one run of a method on a scene; the values of a variant override the
-    options that all runs share.
-
-    Raises:
-        ConfigError: an unknown method or preset, a value that is not allowed, or a variant with
-            another resolution.
-    """
+    options that all runs share. ConfigError for an unknown method or preset, a value that is not
+    allowed, or a variant with another resolution."""
     config: Any = find_method(variant.method).configure(
         options.preset,
         max_steps=options.max_steps,
@@ -107,11 +100,8 @@ def configure(variant: Variant, options: Options, seed: int) -> RunConfig:
 
 
 def from_text(text: str) -> RunConfig:
-    """A configuration of any method, as ``write_yaml`` wrote it.
-
-    Raises:
-        ConfigError: it is not a configuration.
-    """
+    """A configuration of any method, as ``write_yaml`` wrote it. ConfigError if it is not a
+    configuration."""
     method = find_method(_method_in(text, "the request"))
     config: RunConfig = method.read_config(text, "the request")
     return config

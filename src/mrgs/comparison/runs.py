@@ -42,7 +42,8 @@ def run_one(
     on_step: OnStep | None = None,
     on_score: Callable[[int, int], None] | None = None,
 ) -> bool:
-    """Train, continue, or only score one run, depending on its state.
+    """Train, continue, or only score one run, depending on its state. MrgsError if the scene or the
+    folder cannot be used, or the training had to stop.
 
     Args:
         device: where it is trained and rendered, if its method can use a GPU.
@@ -51,9 +52,6 @@ def run_one(
 
     Returns:
         Whether the run is scored; False if ``on_step`` stopped it.
-
-    Raises:
-        MrgsError: the scene or the folder cannot be used, or the training had to stop.
     """
     method = find_method(config.method)
     device = device if method.uses_gpu else "cpu"
@@ -149,10 +147,7 @@ class SceneData:
 
     def changed_since(self, scores: Scores | None) -> str:
         """How the scene differs from the data of scores; empty if it does not, or they name none.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        SceneError if a photo cannot be read."""
         scored = ScoredData.from_json((scores or {}).get("data"))
         return "" if scored is None else scored.changes(self._scored, self.scene)
 

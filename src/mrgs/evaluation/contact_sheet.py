@@ -66,13 +66,11 @@ class ViewImages:
         depth_of: Modality | None = None,
     ) -> ViewImages:
         """The images of a view with its photos, and of a rendering that is compared with them.
+        SceneError if a photo cannot be read.
 
         Args:
             ball: how far the scene reaches; depth beyond it is the background's. None if unbounded.
             depth_of: the modality whose depth is shown if known; None for the first.
-
-        Raises:
-            SceneError: a photo cannot be read.
         """
         seen = rendering.with_depth(depth_of or next(iter(rendering)))
         photos = {each: image.load() for each, image in view.images.items()}
@@ -146,13 +144,10 @@ def contact_sheet(
     """Draw the sheet: a row per view and a column per kind of image that any row has.
 
     Photos and renderings of a modality with a unit share one range, that of the photos shown; its
-    errors have another, symmetric about zero.
+    errors have another, symmetric about zero. ValueError if there are no rows.
 
     Args:
         rows: with aligned poses, if ``metrics`` has them.
-
-    Raises:
-        ValueError: there are no rows.
     """
     if not rows:
         raise ValueError("a contact sheet needs at least one row")

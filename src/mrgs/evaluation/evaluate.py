@@ -90,7 +90,8 @@ class Truth:
         depth: Float[Tensor, "h w"] | None,
         temperature: TemperatureRange | None,
     ) -> Figures:
-        """Score one view against the exact truth.
+        """Score one view against the exact truth. SceneError if a truth file is damaged, or lies
+        outside the scene.
 
         Args:
             thermal: rendered normalised temperatures, [H, W, 1]; None without them.
@@ -102,9 +103,6 @@ class Truth:
             ``mae_c``: |rendered − exact temperature|, mean over the frame. ``camera_mae_c``:
             |photo − exact temperature|, the error of the camera itself.
             ``depth_median_relative_error``: median of |rendered − exact| / exact.
-
-        Raises:
-            SceneError: a truth file is damaged, or lies outside the scene.
         """
         figures = all_missing(
             TRUTH_FIGURES, "the view has no thermal image, or the scene has no °C"
@@ -146,13 +144,10 @@ class Truth:
         self, kind: str, name: str, shape: tuple[int, int]
     ) -> Float32[Tensor, "h w"] | Missing:
         """The truth of one view at the size of a rendering; averaged over areas where that is
-        smaller.
+        smaller. SceneError if the file is damaged, or lies outside the scene.
 
         Args:
             kind: ``temperature`` (°C) or ``depth`` (z-depth, metres).
-
-        Raises:
-            SceneError: the file is damaged, or lies outside the scene.
         """
         path = self.folder / kind / f"{name}.tiff"
         if not path.resolve().is_relative_to(self.folder.resolve()):
@@ -177,11 +172,7 @@ class Truth:
 
 
 def read_float_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
-    """Read a one-channel float32 TIFF.
-
-    Raises:
-        SceneError: the file is damaged or of another kind.
-    """
+    """Read a one-channel float32 TIFF. SceneError if the file is damaged or of another kind."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # Pillow only warns of damaged tags
@@ -245,7 +236,7 @@ def evaluate(
     camera_response: CameraResponse = ideal_cameras,
 ) -> Metrics:
     """Render each view once and score it at the full frame, on the (undistorted) images that the
-    views load.
+    views load. SceneError if there are no views, or an image or a truth file cannot be read.
 
     Args:
         render: the model, from a view to its images.
@@ -254,9 +245,6 @@ def evaluate(
         visit: called after each view with the images that were compared with its photos.
         camera_response: from the rendering to what the cameras record, which is compared with the
             photos.
-
-    Raises:
-        SceneError: there are no views, or an image or a truth file cannot be read.
     """
     if not views:
         raise SceneError(

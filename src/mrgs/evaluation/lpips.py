@@ -42,12 +42,8 @@ class Lpips:
 
     @classmethod
     def from_file(cls, path: Path, device: torch.device | str = "cpu") -> Lpips:
-        """Read the weights (names and shapes: see the module).
-
-        Raises:
-            RunError: the file is missing, is no safetensors file, or lacks a tensor of the right
-                shape.
-        """
+        """Read the weights (names and shapes: see the module). RunError if the file is missing, is
+        no safetensors file, or lacks a tensor of the right shape."""
         if not path.is_file():
             raise RunError(
                 f"{path}: no such file; give a safetensors file with VGG-16 and LPIPS weights",
@@ -73,11 +69,7 @@ class Lpips:
     @torch.no_grad()
     def __call__(self, image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"]) -> float:
         """Distance of two images in [0, 1] (mapped to [-1, 1] here); one channel is shown to VGG as
-        grey.
-
-        Raises:
-            ValueError: an image side is shorter than ``MIN_SIDE_PX``.
-        """
+        grey. ValueError if an image side is shorter than ``MIN_SIDE_PX``."""
         if min(image.shape[:2]) < MIN_SIDE_PX:
             raise ValueError(
                 f"LPIPS needs images of at least {MIN_SIDE_PX} pixels a side, got "

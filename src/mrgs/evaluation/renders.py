@@ -66,11 +66,8 @@ class Renders:
     depths: Mapping[str, Path]
 
     def rendering(self, view: View, temperature: TemperatureRange | None) -> Rendering:
-        """The images of a view, as if a model had rendered them.
-
-        Raises:
-            RunError: a file cannot be used; the message names it and the remedy.
-        """
+        """The images of a view, as if a model had rendered them. RunError if a file cannot be used;
+        the message names it and the remedy."""
         blends = {}
         for modality, posed in view.images.items():
             if modality in self.images:
@@ -132,10 +129,8 @@ def evaluate_renders(
 
 
 def find_renders(folder: Path, scene: Scene) -> Renders:
-    """The files for a scene's eval views; nothing is decoded yet.
-
-    Raises:
-        RunError: the folder has no images, or not all that it must have.
+    """The files for a scene's eval views; nothing is decoded yet. RunError if the folder has no
+    images, or not all that it must have.
 
     Warns:
         MrgsWarning: the folder holds images that belong to no eval view.

@@ -76,11 +76,7 @@ class ScoredData:
 
     @classmethod
     def of(cls, scene: Scene, trained: Sequence[ImageFingerprint]) -> ScoredData:
-        """The data of a scene's scores.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        """The data of a scene's scores. SceneError if a photo cannot be read."""
         photos = "".join(image.photo for image in trained)
         digest = hashlib.sha256(photos.encode()).hexdigest() if photos else ""
         bounds = None if scene.temperature is None else astuple(scene.temperature)
@@ -234,11 +230,8 @@ def write_report(
     parts: Parts | None = None,
     data: ScoredData | None = None,
 ) -> tuple[Path, Path]:
-    """Write ``metrics.json`` and ``metrics.md`` into the folder; returns their paths.
-
-    Raises:
-        RunError: a file cannot be written.
-    """
+    """Write ``metrics.json`` and ``metrics.md`` into the folder; returns their paths. RunError if a
+    file cannot be written."""
     document = to_document(facts, metrics, parts, data)
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     return (

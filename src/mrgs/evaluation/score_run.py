@@ -118,11 +118,7 @@ def held_out_error(
     run: TrainedRun, views: Sequence[View], on_view: Callable[[], None] = lambda: None
 ) -> HeldOutError | None:
     """How far off what the model shows held-out photos are; None where it shows a surface in too
-    few.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    few. SceneError if a photo cannot be read."""
     halves, sizes = [], []
     for view in views:
         photographed = _Photographed(run, view)
@@ -139,11 +135,7 @@ def held_out_error(
 
 def aligned_view(run: TrainedRun, view: View, on_view: Callable[[], None] = lambda: None) -> View:
     """The view with its photos where the model shows what they show; as given where nothing fits
-    better.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    better. SceneError if a photo cannot be read."""
     photographed = _Photographed(run, view)
     motion = best = torch.eye(4, dtype=torch.float64)
     best_db = -math.inf

@@ -157,7 +157,8 @@ class RadianceField(nn.Module):
 
         As published t is of degree 0, so that neither t nor t̂ depends on the view; t of a higher
         degree does. Without residuals (3DGS_RGB-T) the temperature is treated like a colour:
-        harmonics up to ``sh_degree``, clamped at 0.
+        harmonics up to ``sh_degree``, clamped at 0. Errors as for ``intensities`` and
+        ``temperature_residuals``.
 
         Args:
             gaussians: N Gaussians.
@@ -168,9 +169,6 @@ class RadianceField(nn.Module):
             rows: distinct Gaussians to evaluate; all if None (V = N).
             residuals: t̂ of all Gaussians, where it is known.
             color_degree: see ``temperature_residuals``.
-
-        Raises:
-            ValueError, IndexError: as ``intensities`` and ``temperature_residuals``.
         """
         if not self.config.residuals:
             return self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows)
@@ -194,7 +192,7 @@ class RadianceField(nn.Module):
         floor: float = 0.0,
     ) -> Float[Tensor, "v c"]:
         """A modality's spherical harmonics, SH2RGB of Eq. 4: c of RGB, and all there is of a
-        modality that is not in the paper.
+        modality that is not in the paper. IndexError on the CPU for rows that do not exist.
 
         Args:
             modality: one that the Gaussians have, of C channels.
@@ -203,9 +201,6 @@ class RadianceField(nn.Module):
             sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
             rows: distinct Gaussians to evaluate; all if None (V = N).
             floor: smallest value; −∞ for no clamp.
-
-        Raises:
-            IndexError: rows on the CPU that do not exist.
         """
         dc, rest = gaussians.sh_dc[modality], gaussians.sh_rest[modality]
         position = camera_position.to(gaussians.means)
@@ -252,11 +247,7 @@ class RadianceField(nn.Module):
         self, neighbours: Int64[Tensor, "n k"] | None, count: int
     ) -> Int64[Tensor, "n k"]:
         """The neighbours of all Gaussians, whose count is given; no columns for a field that
-        exchanges no heat.
-
-        Raises:
-            ValueError: neighbours are needed, but are None or of another shape.
-        """
+        exchanges no heat. ValueError if neighbours are needed, but are None or of another shape."""
         k = self.config.neighbours_k
         if k == 0:
             return torch.empty(count, 0, dtype=torch.int64, device=self.center.device)

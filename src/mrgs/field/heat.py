@@ -27,12 +27,8 @@ def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n 
     """Indices of the k nearest other Gaussians, nearest first.
 
     Where fewer than k others exist, the remaining places hold the Gaussian itself: it exchanges no
-    heat with itself.
-
-    Raises:
-        ValueError: a position is not finite. Not on a GPU, which takes it as very far away: to look
-            for it, the host would have to wait for the device.
-    """
+    heat with itself. ValueError if a position is not finite; not on a GPU, which takes it as very
+    far away: to look for it, the host would have to wait for the device."""
     points = means.detach().double()
     if not points.isfinite().all():
         raise ValueError("the positions of Gaussians must be finite")

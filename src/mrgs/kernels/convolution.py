@@ -18,10 +18,7 @@ def convolve(
     plane: Float[Tensor, "h w"], weights: Float[Tensor, "3 3"], bias: Float[Tensor, "1"]
 ) -> Float[Tensor, "h w"]:
     """``mrgs.method.losses.radiation.convolve`` for float32 or float64; differentiable once.
-
-    Raises:
-        ValueError: tensors of other sizes or types.
-    """
+    ValueError for tensors of other sizes or types."""
     require("plane", plane, (None, None), (torch.float32, torch.float64))
     require("weights", weights, (3, 3), (plane.dtype,))
     result: Tensor = _Convolution.apply(plane, weights)

@@ -17,7 +17,7 @@ def require(
     dtypes: Sequence[torch.dtype] = (torch.float32,),
     device: torch.device = HOST,
 ) -> None:
-    """A tensor must be of a shape, of a type, and on a device.
+    """A tensor must be of a shape, of a type, and on a device. ValueError if it is not so.
 
     Args:
         name: of the tensor, for the message.
@@ -25,9 +25,6 @@ def require(
         shape: that it must have; None allows any size.
         dtypes: the types that it may have.
         device: where it must be.
-
-    Raises:
-        ValueError: it is not so.
     """
     fits = tensor.dim() == len(shape) and all(
         size is None or size == found for size, found in zip(shape, tensor.shape, strict=True)
@@ -59,15 +56,13 @@ def require_indices(name: str, indices: Tensor, shape: Sequence[int | None], cou
 
 
 def require_layers(name: str, layers: Sequence[Tensor], widths: Sequence[int | None]) -> None:
-    """Weights and biases of linear layers must pass on what the layer before them gives.
+    """Weights and biases of linear layers must pass on what the layer before them gives. ValueError
+    if they do not.
 
     Args:
         name: of the network, for the message.
         layers: weight [out, in] and bias [out] of each layer, in float32.
         widths: of the inputs and of each layer's outputs; None allows any.
-
-    Raises:
-        ValueError: they do not.
     """
     inputs = widths[0]
     for place, outputs in enumerate(widths[1:]):

@@ -22,11 +22,7 @@ def total_variation(
     column_weights: Float[Tensor, "h w1"] | None = None,
 ) -> Float[Tensor, ""]:
     """``mrgs.method.losses.smoothness.total_variation`` for float32 or float64; a GPU's host does
-    not wait.
-
-    Raises:
-        ValueError: tensors of other sizes, types or devices.
-    """
+    not wait. ValueError for tensors of other sizes, types or devices."""
     require("image", image, (None, None, None), (torch.float32, torch.float64), image.device)
     pixels = image.detach()
     total, gradient = pixels.new_zeros((), dtype=torch.float64), torch.zeros_like(pixels)

@@ -20,7 +20,8 @@ MIN_SINE = 0.02
 
 @dataclass(frozen=True)
 class MapOptions:
-    """Choices for the maps of an export.
+    """Choices for the maps of an export. ConfigError for a pixel size that is not above 0, or three
+    points that span no plane.
 
     Attributes:
         plane: three points of a façade in the scene's coordinates: lower left, lower right, and one
@@ -28,9 +29,6 @@ class MapOptions:
         pixel_size_m: side of a pixel; None takes that of the photos.
         crs: a projected coordinate reference system, such as ``EPSG:25832``; None takes the UTM
             zone.
-
-    Raises:
-        ConfigError: a pixel size that is not above 0, or three points that span no plane.
     """
 
     plane: ThreePoints | None = None

@@ -48,7 +48,7 @@ Place: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Mark:
-    """A place on a surface that is measured.
+    """A place on a surface that is measured. ConfigError for a value that cannot be.
 
     Attributes:
         name: unique among the marks of a run.
@@ -63,9 +63,6 @@ class Mark:
         emissivity: of the surface in a box or polygon; None keeps that of the photos.
         reflected_c: reflected apparent temperature there, °C; None keeps that of the photos.
         against: name of the mark whose mean is subtracted in ΔT; empty for the reference.
-
-    Raises:
-        ConfigError: a value that cannot be.
     """
 
     name: str
@@ -141,7 +138,8 @@ class Mark:
 
 @dataclass(frozen=True)
 class Marks:
-    """All marks of a run, in the order in which they were made.
+    """All marks of a run, in the order in which they were made. ConfigError for two marks of the
+    same name, a reference to no mark, or too many.
 
     Attributes:
         marks: that the user has drawn or accepted.
@@ -150,9 +148,6 @@ class Marks:
         dropped: rejected proposals; nothing is proposed in their places again.
 
     All names differ.
-
-    Raises:
-        ConfigError: two marks of the same name, a reference to no mark, or too many.
     """
 
     marks: tuple[Mark, ...] = ()

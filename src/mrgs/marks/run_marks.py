@@ -33,12 +33,10 @@ SPOT_SHARE = 0.01
 
 class RunMarks:
     """The marks of a run: added, changed, measured, and saved at once in its ``marks.json``.
+    SceneError if the run is old and its scene is not there.
 
     Args:
         scene: of the run, where it has been read before.
-
-    Raises:
-        SceneError: the run is old and its scene is not there.
     """
 
     def __init__(self, run: Run, scene: Scene | None = None) -> None:
@@ -64,11 +62,8 @@ class RunMarks:
 
     @property
     def marks(self) -> Marks:
-        """The marks as they are on the disk.
-
-        Raises:
-            RunError: the file cannot be read, or has the marks of another model.
-        """
+        """The marks as they are on the disk. RunError if the file cannot be read, or has the marks
+        of another model."""
         return self.store.read()
 
     @property

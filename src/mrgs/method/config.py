@@ -191,7 +191,8 @@ def make_config(
     seed: int = 0,
     batch: int = 1,
 ) -> TrainConfig:
-    """The configuration of a method and a preset.
+    """The configuration of a method and a preset. ConfigError for an unknown method or preset, or a
+    value that is not allowed.
 
     Args:
         method: ``mrgs`` is the published method, ``mrgs-base``, ``mrgs-fourier`` and ``mrgs-boltz``
@@ -204,9 +205,6 @@ def make_config(
         resolution: photos wider than this many pixels are reduced to it.
         seed: of every random choice.
         batch: views per step; with several, fewer and larger steps are taken.
-
-    Raises:
-        ConfigError: an unknown method or preset, or a value that is not allowed.
     """
     if method not in METHODS:
         raise ConfigError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")

@@ -202,11 +202,7 @@ class GaussianOptimizer:
         return tensors | self._adam.moments(self._parameters())
 
     def load_moments(self, tensors: Mapping[str, Tensor]) -> None:
-        """Take the moments of ``state()``.
-
-        Raises:
-            ValueError: they are not those of the parameters.
-        """
+        """Take the moments of ``state()``. ValueError if they are not those of the parameters."""
         moments = {name: tensor for name, tensor in tensors.items() if name.startswith(_ADAM)}
         self._adam.load_moments(self._parameters(), moments)
 

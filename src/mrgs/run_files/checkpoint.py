@@ -106,11 +106,8 @@ def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:
 
 
 def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
-    """Number of steps skipped since the last good one.
-
-    Raises:
-        KeyError, ValueError: the header lacks it.
-    """
+    """Number of steps skipped since the last good one. KeyError or ValueError if the header lacks
+    it."""
     count = header["skipped_in_a_row"]
     if type(count) is not int or count < 0:
         raise ValueError("skipped_in_a_row is a number of at least 0")
@@ -119,11 +116,8 @@ def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
 
 @contextmanager
 def fitting(path: Path) -> Iterator[None]:
-    """Within this block tensors of a checkpoint are used.
-
-    Raises:
-        RunError: they do not fit the run's configuration.
-    """
+    """Within this block tensors of a checkpoint are used. RunError if they do not fit the run's
+    configuration."""
     try:
         yield
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
@@ -136,11 +130,7 @@ def fitting(path: Path) -> Iterator[None]:
 
 def require_like(found: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
     """Check names, types and shapes of tensors from a file, which kernels and optimizers rely on,
-    by examples.
-
-    Raises:
-        ValueError: they differ; names the first tensor that does.
-    """
+    by examples. ValueError if they differ, which names the first tensor that does."""
     for name in sorted(found.keys() | expected.keys()):
         if name not in found:
             raise ValueError(f"{name} is missing")

@@ -46,11 +46,7 @@ class ImageFingerprint(NamedTuple):
 
 
 def fingerprints(scene: Scene) -> tuple[ImageFingerprint, ...]:
-    """Fingerprints of all training images, view by view.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    """Fingerprints of all training images, view by view. SceneError if a photo cannot be read."""
     with ThreadPoolExecutor(_READERS) as pool:
         return tuple(pool.map(_fingerprint, (image for _, image in _training_images(scene))))
 
@@ -134,11 +130,7 @@ class CheckpointFacts(NamedTuple):
 
     @classmethod
     def at_start(cls, scene: Scene) -> CheckpointFacts:
-        """The facts before the first step on a scene.
-
-        Raises:
-            SceneError: a photo cannot be read.
-        """
+        """The facts before the first step on a scene. SceneError if a photo cannot be read."""
         capture, images = Capture.of(scene), fingerprints(scene)
         return cls(
             0, scene.path, capture, scene.temperature, 0.0, 0, 0, "cpu", scene.modalities, images
@@ -160,11 +152,8 @@ class CheckpointFacts(NamedTuple):
 
     @classmethod
     def from_json(cls, header: Mapping[str, Any]) -> CheckpointFacts:
-        """The facts in a header, which may have other entries too.
-
-        Raises:
-            KeyError, TypeError, ValueError: one is missing, or is not what it should be.
-        """
+        """The facts in a header, which may have other entries too. KeyError, TypeError or
+        ValueError if one is missing, or is not what it should be."""
         values = {name: header[name] for name in cls._fields}
         if (bounds := values["temperature"]) is not None:
             values["temperature"] = dict(zip(("min_c", "max_c"), bounds, strict=True))
@@ -172,11 +161,7 @@ class CheckpointFacts(NamedTuple):
 
 
 def require_scene(scene: object) -> None:
-    """Check that an argument is a scene or its folder.
-
-    Raises:
-        SceneError: it is something else.
-    """
+    """Check that an argument is a scene or its folder. SceneError if it is not."""
     if not isinstance(scene, (Scene, str, os.PathLike)):
         raise SceneError(
             f"the scene must be a Scene or its folder, not {type(scene).__name__}: make one with "
@@ -187,10 +172,7 @@ def require_scene(scene: object) -> None:
 
 def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
     """Check that a scene has the cameras and the temperatures that its run was trained with.
-
-    Raises:
-        RunError: it has others.
-    """
+    RunError if it does not."""
     problems = [*_mismatches(facts, scene)]
     if not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
         problems.append(("has other cameras than the run's scene", _AS_IT_WAS))
@@ -231,11 +213,8 @@ def facts_to_resume(
 
 
 def differences(facts: CheckpointFacts, scene: Scene) -> str:
-    """How a scene differs from the run's, for a message; empty if it does not.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    """How a scene differs from the run's, for a message; empty if it does not. SceneError if a
+    photo cannot be read."""
     for what, _ in _incompatible(facts, scene):
         return f"it {what}"
     return changes(facts.images, fingerprints(scene), scene)

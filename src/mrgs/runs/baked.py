@@ -198,10 +198,7 @@ def bake(
 ) -> BakedModel:
     """Fold the field of a trained model into plain splats, with colours that are fitted for the
     directions from the photos' cameras. What the field does not change is shared, not copied.
-
-    Raises:
-        ValueError: no camera.
-    """
+    ValueError without a camera."""
     if not cameras:
         raise ValueError("colours cannot be fitted without a camera")
     gaussians = model.gaussians

@@ -154,11 +154,7 @@ def load_run(
     path: str | Path, scene: Scene | str | Path | None = None, device: DeviceName = "auto"
 ) -> Run:
     """Open the newest checkpoint of a run with Gaussians; the arguments, warnings and errors are
-    those of ``open_run``.
-
-    Raises:
-        RunError: the run's method has no Gaussians.
-    """
+    those of ``open_run``. RunError if the run's method has no Gaussians."""
     run = open_run(path, scene, device)
     if not isinstance(run, Run):
         raise RunError(
@@ -169,11 +165,7 @@ def load_run(
 
 
 def method_of(folder: RunFolder) -> Method:
-    """The method of a run.
-
-    Raises:
-        RunError: the folder is not a run, or its method is not registered.
-    """
+    """The method of a run. RunError if the folder is not a run, or its method is not registered."""
     name = folder.method
     try:
         return find_method(name)

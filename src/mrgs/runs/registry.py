@@ -121,11 +121,7 @@ def register(method: Method) -> None:
 
 
 def find_method(name: str) -> Method:
-    """The method of a name.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The method of a name. ConfigError if there is none."""
     if name not in _METHODS:
         _register_plugins()
     if name not in _METHODS:

@@ -131,13 +131,11 @@ def train_steps(
     run's folder is locked until the loop ends.
 
     The arguments are those of ``train``, except that a temporary folder is removed, with its
-    checkpoints, when neither the loop nor what it has yielded nor a snapshot is left.
+    checkpoints, when neither the loop nor what it has yielded nor a snapshot is left. MrgsError as
+    for ``train``.
 
     Yields:
         the run after each step.
-
-    Raises:
-        MrgsError: as ``train``.
     """
     options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
 
@@ -231,11 +229,7 @@ class LiveRun:
 
 
 def _checked(config: TrainConfig | None) -> TrainConfig:
-    """The configuration, or the usual one where there is none.
-
-    Raises:
-        ConfigError: it is something else.
-    """
+    """The configuration, or the usual one where there is none. ConfigError for anything else."""
     if config is None or isinstance(config, TrainConfig):
         return config or make_config()
     raise ConfigError(

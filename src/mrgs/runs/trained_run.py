@@ -197,11 +197,7 @@ def asked_cameras(
     cameras: Camera | Mapping[Modality, Camera], modalities: Iterable[Modality]
 ) -> Mapping[Modality, Camera]:
     """The camera of each modality to render: the given one for all that can be rendered, or one for
-    each.
-
-    Raises:
-        ValueError: neither of the two, or a modality that cannot be rendered.
-    """
+    each. ValueError for anything else, or a modality that cannot be rendered."""
     modalities = tuple(modalities)
     if isinstance(cameras, Camera):
         return dict.fromkeys(modalities, cameras)

@@ -35,7 +35,7 @@ def _stated(label: str = "", unit: str = "", low: float = 0.0, high: float = 0.0
 @dataclass(frozen=True)
 class Survey:
     """What the inspector states; None for what is not stated. Numbers are in the unit, and between
-    the limits, that stand behind their label.
+    the limits, that stand behind their label. ConfigError for a value that cannot be.
 
     Attributes:
         qualification: the inspector's, such as "ISO 9712 level 2".
@@ -51,9 +51,6 @@ class Survey:
             of the two counts. Without the K, 2 K are assumed.
         emissivity_uncertainty: standard uncertainty of the emissivities.
         hot_places: largest number of hottest places that are proposed as anomalies.
-
-    Raises:
-        ConfigError: a value that cannot be.
     """
 
     title: str | None = _stated()

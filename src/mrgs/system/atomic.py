@@ -36,11 +36,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
     On any error the temporary file is removed. That of a process which was killed is removed when a
     later one writes into the folder. The folder is made if need be, and the suffix is kept, because
-    image writers choose the format by it.
-
-    Raises:
-        WriteError: the file cannot be written (permissions, a full disk).
-    """
+    image writers choose the format by it. WriteError if the file cannot be written (permissions, a
+    full disk)."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.parent not in _swept:
@@ -59,10 +56,7 @@ def write_text(path: Path, text: str) -> Path:
     """Write a text file in UTF-8, whole or not at all; returns the path.
 
     Parts of names that are not UTF-8 become escapes such as ``\\udcff``, which JSON reads back.
-
-    Raises:
-        WriteError: the file cannot be written.
-    """
+    WriteError if the file cannot be written."""
     return write_texts(path, [text])
 
 
@@ -77,12 +71,9 @@ def write_texts(path: Path, texts: Iterable[str]) -> Path:
 
 
 def require_folder(folder: Path) -> None:
-    """Check that a folder is still there, before something is written that belongs to what it
-    held: on a drive that was pulled out, ``replacing`` would make an empty one in its place.
-
-    Raises:
-        WriteError: it is gone.
-    """
+    """Check that a folder is still there, before something is written that belongs to what it held:
+    on a drive that was pulled out, ``replacing`` would make an empty one in its place. WriteError
+    if it is gone."""
     try:
         there = folder.is_dir()
     except OSError:  # a drive that does not answer
@@ -95,11 +86,7 @@ def require_folder(folder: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file if it is there.
-
-    Raises:
-        WriteError: it cannot be removed.
-    """
+    """Remove a file if it is there. WriteError if it cannot be removed."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

@@ -21,16 +21,14 @@ from torch import Tensor
 
 
 class CudaGraph:
-    """A CUDA graph, and a number that it leaves for the host.
+    """A CUDA graph, and a number that it leaves for the host. RuntimeError if the work waits for
+    the GPU, or its memory does not suffice.
 
     Args:
         work: what is recorded: it queues the same work for tensors at the same places whenever it
             is called, does not wait for the GPU, and returns the number.
         device: a CUDA device.
         cuda: torch's module, or a stand-in.
-
-    Raises:
-        RuntimeError: the work waits for the GPU, or its memory does not suffice.
     """
 
     def __init__(

@@ -54,10 +54,7 @@ def _source(package: str) -> str:
 
 def optional_package(name: str, what: str, extra: str) -> ModuleType:
     """Import a package that the extra of mrgs installs; ``what`` needs it, in the plural.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    ConfigError if it is not installed."""
     try:
         return import_module(name)
     except ImportError:

@@ -26,11 +26,7 @@ def require_within(
     config: Any, names: Iterable[str], low: float, high: float, title: str = "{}"
 ) -> None:
     """Fields of a configuration must be from ``low`` to ``high``, and not NaN; ``title`` is what
-    the message calls a field, with {} for its name.
-
-    Raises:
-        ConfigError: a value is outside.
-    """
+    the message calls a field, with {} for its name. ConfigError if a value is outside."""
     for name in names:
         value = getattr(config, name)
         limit = f"at least {low:,}" if not low <= value else f"at most {high:,}"
@@ -39,11 +35,7 @@ def require_within(
 
 
 def whole_number(value: object, name: str) -> int:
-    """A whole number of any type, which the message calls by a name.
-
-    Raises:
-        ConfigError: it is something else.
-    """
+    """A whole number of any type, which the message calls by a name. ConfigError if it is not."""
     try:
         return operator.index(cast(SupportsIndex, value))
     except TypeError:

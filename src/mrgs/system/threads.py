@@ -43,11 +43,8 @@ _computes: int | None = None
 
 def require_own_threads() -> None:
     """To be called before something is computed: the threads of torch and Numba do not survive a
-    fork, and the child would wait for them forever, or be ended by Numba.
-
-    Raises:
-        MrgsError: this process was forked from one that has computed.
-    """
+    fork, and the child would wait for them forever, or be ended by Numba. MrgsError if this process
+    was forked from one that has computed."""
     if _computes not in (None, os.getpid()):
         raise MrgsError(
             "this process was forked from one that has computed, whose threads it lacks: start "

@@ -20,10 +20,7 @@ Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
 
 def from_json(kind: type[Record], value: object) -> Record:
     """A dataclass or a named tuple from parsed JSON; entries that it has no field for are ignored.
-
-    Raises:
-        ValueError: a field is missing or of another type; the message begins with its path.
-    """
+    ValueError if a field is missing or of another type; the message begins with its path."""
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:

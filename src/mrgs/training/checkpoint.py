@@ -134,11 +134,8 @@ def load_state(
 
 def shift_temperatures(folder: RunFolder, celsius: float) -> None:
     """Add a constant to all temperatures of a run's newest checkpoint; what its cameras are
-    expected to record stays the same.
-
-    Raises:
-        RunError: the run is being trained, or the checkpoint cannot be read or written.
-    """
+    expected to record stays the same. RunError if the run is being trained, or the checkpoint
+    cannot be read or written."""
     with folder.locked():
         path, (tensors, facts, header) = folder.load_newest(lambda path: (path, read(path)))
         assert facts.temperature is not None
@@ -168,11 +165,7 @@ def _require_made_with(
     path: Path, header: Mapping[str, Any], now: Mapping[str, Any], from_python: bool
 ) -> None:
     """Check that a run resumes with the strategy and the terms that it started with; the settings
-    of a strategy that is not from Python are in the run's config.yaml.
-
-    Raises:
-        RunError: they are others.
-    """
+    of a strategy that is not from Python are in the run's config.yaml. RunError if they differ."""
     found = {name: (header.get(name), now[name]) for name in ("strategy", "terms")}
     if from_python:
         settings = header.get(_SETTINGS, {})
@@ -187,11 +180,8 @@ def _require_made_with(
 
 
 def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
-    """The model of a checkpoint.
-
-    Raises:
-        ValueError: the tensors do not fit a model of this configuration.
-    """
+    """The model of a checkpoint. ValueError if the tensors do not fit a model of this
+    configuration."""
     gaussians = gaussians_from(parameters_of_gaussians(tensors), config, facts)
     neighbours, k = tensors.get("neighbours"), config.field.neighbours_k
     if neighbours is not None:  # they may be missing right after a densification
@@ -223,10 +213,7 @@ def gaussians_from(
     tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts
 ) -> Gaussians:
     """The Gaussians of a checkpoint, from the parameters by name, as in ``Gaussians.tensors``.
-
-    Raises:
-        ValueError: they do not fit a model of this configuration.
-    """
+    ValueError if they do not fit a model of this configuration."""
     modalities = model_modalities(facts.modalities)
     means = tensors.get("means")
     if means is None or means.dim() != 2 or len(means) == 0:

@@ -50,11 +50,8 @@ def estimate_bytes(
     scene: Scene, config: TrainConfig, gaussians: int, *, compiles: bool = False
 ) -> int:
     """Memory that a process needs to train this many Gaussians on the CPU, to about a fifth;
-    ``compiles`` where it compiles the kernels, because none are saved.
-
-    Raises:
-        SceneError: the first photo of a modality cannot be read.
-    """
+    ``compiles`` where it compiles the kernels, because none are saved. SceneError if the first
+    photo of a modality cannot be read."""
     pixels = max(
         sum(camera.width * camera.height for camera in view.cameras.values())
         for view in scene.train

@@ -69,11 +69,7 @@ class TrainingPhotos:
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="mrgs-photos")
 
     def load(self, image: PosedImage) -> Pixels:
-        """The pixels of an image, the same bits at each call.
-
-        Raises:
-            SceneError: it cannot be read.
-        """
+        """The pixels of an image, the same bits at each call. SceneError if it cannot be read."""
         stored = self._kept_on_gpu.get(image) or self._kept.get(image)
         if stored is None:
             coming = self._ahead.pop(image, None)
@@ -180,11 +176,7 @@ def kept_limit() -> int:
 
 def kept_bytes(scene: Scene) -> int:
     """Bytes that the training photos of a scene take if all of them are kept, by what a pixel of
-    the first of each modality takes.
-
-    Raises:
-        SceneError: that photo cannot be read.
-    """
+    the first of each modality takes. SceneError if that photo cannot be read."""
     total = 0.0
     for modality in scene.modalities:
         photos = scene.train_photos(modality)

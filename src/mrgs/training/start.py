@@ -105,11 +105,8 @@ def train(
     part: TrainingPart | None = None,
 ) -> RunFolder:
     """Train a model of a scene, or of a part of it, into a run folder; see ``mrgs.train``, which
-    also opens the run. A resumed run needs its strategy, terms and part again.
-
-    Raises:
-        MrgsError: as ``mrgs.train``.
-    """
+    also opens the run. A resumed run needs its strategy, terms and part again. MrgsError as for
+    ``mrgs.train``."""
     if stop_at is not None and whole_number(stop_at, "stop_at") < 1:
         raise ConfigError(f"stop_at must be at least 1, not {stop_at}", options=("stop_at",))
     opened = open_training(
@@ -212,14 +209,12 @@ def begun_run(
 
 
 def scene_to_train(scene: Scene | str | Path, config: RunConfig) -> Scene:
-    """The scene that a run of any method is trained on; a given one keeps its resolution.
+    """The scene that a run of any method is trained on; a given one keeps its resolution. MrgsError
+    if the scene cannot be used, torch's default type is not float32, or this process was forked
+    from one that has computed.
 
     Warns:
         MrgsWarning: the scene has a problem that ``mrgs.check`` finds.
-
-    Raises:
-        MrgsError: the scene cannot be used, torch's default type is not float32, or this process
-            was forked from one that has computed.
     """
     require_own_threads()
     require_scene(scene)

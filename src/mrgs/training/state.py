@@ -42,11 +42,8 @@ class ViewSampler:
         self._waiting = torch.empty(0, dtype=torch.int64)
 
     def restrict(self, views: Sequence[int]) -> None:
-        """From the next round on, show only these.
-
-        Raises:
-            ValueError: there are several groups, which are dealt from all views.
-        """
+        """From the next round on, show only these. ValueError if there are several groups, which
+        are dealt from all views."""
         if self._groups > 1:
             raise ValueError("groups of views cannot be restricted")
         self._views = torch.tensor(views)
@@ -74,11 +71,8 @@ class ViewSampler:
         return self._waiting.clone()
 
     def load(self, waiting: Tensor) -> None:
-        """Continue with the rest of a round.
-
-        Raises:
-            ValueError: it names a view that does not exist, a view of another group, or one twice.
-        """
+        """Continue with the rest of a round. ValueError if it names a view that does not exist, a
+        view of another group, or one twice."""
         is_list = waiting.dtype == torch.int64 and waiting.dim() == 1
         if not is_list or not set(waiting.tolist()) <= set(range(self._count)):
             raise ValueError(f"the round is not one of {self._count} views")
@@ -171,10 +165,7 @@ class TrainingState:
     def refresh_neighbours(self, config: TrainConfig) -> None:
         """Search the neighbours (Eq. 11) when N has changed, and every so many steps because the
         Gaussians move; but not so close to the end that the layers could no longer follow.
-
-        Raises:
-            NotFiniteError: a position is not finite.
-        """
+        NotFiniteError if a position is not finite."""
         every = config.neighbours_every
         due = self.step % every == 0 and self.step + every <= config.max_steps
         if config.field.neighbours_k == 0 or not (self.model.neighbours is None or due):

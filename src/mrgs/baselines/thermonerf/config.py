@@ -68,11 +68,8 @@ def make_config(
     resolution: int | None = None,
     seed: int = 0,
 ) -> ThermoNerfConfig:
-    """The configuration of a preset; ``max_steps`` stretches or shrinks its schedule.
-
-    Raises:
-        ConfigError: an unknown preset, or a value that is not allowed.
-    """
+    """The configuration of a preset; ``max_steps`` stretches or shrinks its schedule. ConfigError
+    for an unknown preset, or a value that is not allowed."""
     if preset not in PRESETS:
         raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
     steps, rays = PRESETS[preset]

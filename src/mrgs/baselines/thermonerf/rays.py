@@ -169,11 +169,8 @@ class PixelPool:
     """Draws rays at random over all training views, whose photos are read and kept.
 
     Where the images of each view share a camera, a ray is used for all modalities; else each
-    modality has an equal share of the rays.
-
-    Raises:
-        SceneError: a photo cannot be read, or there is none in colour or thermal.
-    """
+    modality has an equal share of the rays. SceneError if a photo cannot be read, or there is none
+    in colour or thermal."""
 
     def __init__(self, scene: Scene, frame: SceneFrame) -> None:
         if not set(MODALITIES) & set(scene.modalities):

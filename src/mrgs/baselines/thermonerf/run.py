@@ -87,11 +87,8 @@ def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
 
 
 def _model(tensors: Mapping[str, Tensor], config: ThermoNerfConfig) -> ThermoNerf:
-    """The model of a checkpoint.
-
-    Raises:
-        KeyError, ValueError: the tensors are not those of a model of this configuration.
-    """
+    """The model of a checkpoint. KeyError or ValueError if the tensors are not those of a model of
+    this configuration."""
     frame = below(tensors, "frame.")
     numbers = {"centre": (3,), "sizes": (4,)}
     require_like(

@@ -119,11 +119,8 @@ def read_bare_numbers(data: bytes, path: Path, overrides: Overrides) -> ThermalP
     """The photo in a ``.raw`` file of ``dji_irp -a measure``: float32 in °C, or int16 in 0.1 °C;
     little-endian.
 
-    The size follows from the number of bytes: all of ``SIZES`` differ in both.
-
-    Raises:
-        SceneError: the length is none that a DJI camera gives, or the numbers are no temperatures.
-    """
+    The size follows from the number of bytes: all of ``SIZES`` differ in both. SceneError if no DJI
+    camera gives this length, or the numbers are no temperatures."""
     facts = PhotoFacts("output of DJI's Thermal SDK")
     return _bare_numbers(data, path, facts, overrides, f"has {len(data)} bytes")
 

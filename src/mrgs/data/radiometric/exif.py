@@ -216,10 +216,7 @@ def segments(data: bytes) -> Iterator[Segment]:
 
 def flir_record(data: bytes, path: Path) -> bytes | None:
     """The thermal record in FLIR's format, put together from its parts; None if the photo has none.
-
-    Raises:
-        SceneError: parts are missing, repeated or cut off.
-    """
+    SceneError if parts are missing, repeated or cut off."""
     parts = [s for s in segments(data) if s.marker == _APP1 and s.content.startswith(RECORD_MARKS)]
     parts = [part for part in parts if len(part.content) >= _FLIR_HEADER]
     if not parts:

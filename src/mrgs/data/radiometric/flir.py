@@ -72,13 +72,11 @@ def camera_facts(records: Records) -> CameraFacts:
 
 
 def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
-    """The photo in an FFF record.
+    """The photo in an FFF record. SceneError if the record is cut off or damaged, or its constants
+    are missing or absurd.
 
     Args:
         exif: of the JPEG file around it; empty for a bare FFF file.
-
-    Raises:
-        SceneError: the record is cut off or damaged, or its constants are missing or absurd.
     """
     records = Records(record, path)
     content = records.require(CAMERA_INFO, "camera info with the Planck constants")
@@ -119,10 +117,7 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
 
 def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
     """The detector's counts in the record of the raw image: a PNG, or bare 16-bit numbers.
-
-    Raises:
-        SceneError: damaged, cut off, too large, or compressed in a way that is not read.
-    """
+    SceneError if it is damaged, cut off, too large, or compressed in a way that is not read."""
     order = order_of(record)
     size = None if order is None else RecordFields(record, order).read(2, "HH")
     if order is None or size is None:
@@ -369,11 +364,7 @@ class Records:
         return self._data[entry.offset : entry.offset + entry.length]
 
     def require(self, type_: int, what: str) -> bytes:
-        """The content of a record.
-
-        Raises:
-            SceneError: there is none, or it is cut off.
-        """
+        """The content of a record. SceneError if there is none, or it is cut off."""
         entry = self._entries.get(type_)
         if entry is None:
             raise scene_error(
@@ -396,11 +387,8 @@ def cut_off(path: Path, what: str, there: int, wanted: int) -> SceneError:
 
 
 def _directory(data: bytes, path: Path) -> list[_Entry]:
-    """All records but the free ones.
-
-    Raises:
-        SceneError: the header or the directory is damaged or cut off.
-    """
+    """All records but the free ones. SceneError if the header or the directory is damaged or cut
+    off."""
     if len(data) < _HEADER_BYTES or data[:4] not in FFF_SIGNATURES:
         raise scene_error(
             path,

@@ -29,14 +29,12 @@ class Overrides:
 
     The first seven are fields of ``mrgs.scene.radiometry.ObjectParameters``, for files with the
     camera's raw signal. The last two are the meaning of the numbers in files without it.
+    ConfigError for a value that cannot be true.
 
     Attributes:
         unit: ``celsius``, ``kelvin`` or ``fahrenheit``, with a factor if the numbers are multiples,
             and an addend: ``kelvin*100``, ``celsius*40+4000``, ``(celsius+100)*40``.
         bounds_c: the temperatures of black and white, °C, for integers that are shades of grey.
-
-    Raises:
-        ConfigError: a value that cannot be true.
     """
 
     emissivity: float | None = None
@@ -126,11 +124,7 @@ class VisibleImage:
         """The photo in RGB.
 
         Cameras that store it as PNG put luma and chroma (JPEG's YCbCr) into the channels for red,
-        green and blue.
-
-        Raises:
-            SceneError: the photo is damaged.
-        """
+        green and blue. SceneError if the photo is damaged."""
         with opened(self.source, self.data, ("JPEG", "PNG"), MAX_PIXELS) as image:
             if image.format == "PNG" and image.mode == "RGB":
                 image = Image.merge("YCbCr", image.split())

@@ -35,11 +35,8 @@ _RELATIVE = "relative values from 0 to 1 are used"
 
 
 def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
-    """The photo in an image file, given its content.
-
-    Raises:
-        SceneError: damaged, of an unknown scale, or with bounds for what is not grey.
-    """
+    """The photo in an image file, given its content. SceneError if it is damaged, of an unknown
+    scale, or given bounds without being grey."""
     with opened(path, data, most_pixels=MAX_PIXELS) as image:
         kind, mode = str(image.format), image.mode
         plain = mode == "F" or mode.startswith("I")  # one channel, its array of floats or integers
@@ -80,14 +77,12 @@ def finished(
     is_stated: bool = False,
 ) -> ThermalPhoto:
     """The photo of numbers that are temperatures in the unit given by the user, else in the one
-    that the file states, else in the one candidate that is plausible.
+    that the file states, else in the one candidate that is plausible. SceneError if the unit is not
+    given and not plain, or no number is a temperature.
 
     Args:
         is_stated: whether the file or its camera's model states the first candidate, as a single
             one always is.
-
-    Raises:
-        SceneError: the unit is not given and not plain, or no number is a temperature.
     """
     usual = typical(values)
     is_stated = is_stated or len(candidates) == 1

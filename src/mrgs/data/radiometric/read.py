@@ -121,11 +121,8 @@ READERS = [
 
 
 def reader_of(data: bytes, path: Path) -> Reader | None:
-    """The first of ``READERS`` that recognises a file; None if it is of no known kind.
-
-    Raises:
-        SceneError: FLIR's record in a JPEG is damaged.
-    """
+    """The first of ``READERS`` that recognises a file; None if it is of no known kind. SceneError
+    if FLIR's record in a JPEG is damaged."""
     return next((reader for reader in READERS if reader.recognises(data, path)), None)
 
 

@@ -45,14 +45,12 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     Lines before and after it are left out, and so is a text at the start of its lines; a unit that
     they name is that of the numbers. What is no number among as many numbers as in the other lines
     is a pixel without temperature. The separator is a semicolon, a tab or a comma; a comma inside
-    quotes, or beside another separator, is a decimal comma.
+    quotes, or beside another separator, is a decimal comma. SceneError if there is no such block,
+    or the numbers are no temperatures.
 
     Args:
         data: the file's content; see ``decoded_text`` for its encodings.
         overrides: ``unit``, where the numbers are not °C.
-
-    Raises:
-        SceneError: there is no such block, or the numbers are no temperatures.
     """
     if len(data) > MAX_BYTES:
         raise scene_error(

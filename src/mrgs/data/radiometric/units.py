@@ -45,11 +45,8 @@ class Unit(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Unit:
-        """From ``celsius``, ``kelvin*100``, ``celsius*40+4000`` or ``(celsius+100)*40``.
-
-        Raises:
-            ValueError: not of one of these forms, or a factor of 0.
-        """
+        """From ``celsius``, ``kelvin*100``, ``celsius*40+4000`` or ``(celsius+100)*40``. ValueError
+        for any other form, or a factor of 0."""
         compact = text.replace(" ", "").lower()
         if plain := _PLAIN.fullmatch(compact):
             unit = cls(plain[1], float(plain[2] or 1), float(plain[3] or 0))
@@ -125,11 +122,7 @@ def guessed_unit(
     candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"], path: Path
 ) -> Choice:
     """The one unit in which ``typical`` numbers are everyday temperatures, with a doubt unless it
-    is °C as such.
-
-    Raises:
-        SceneError: there is no number, no candidate fits, or more than one does.
-    """
+    is °C as such. SceneError if there is no number, no candidate fits, or more than one does."""
     if np.isnan(numbers).any():
         raise scene_error(path, "has no number but 0; it is empty, export it again")
     everyday = _everyday(candidates, numbers)
@@ -186,13 +179,11 @@ be right."""
 def camera_units(
     make: str | None, model: str | None, xmp: bytes, path: Path
 ) -> tuple[tuple[str, ...], bool]:
-    """Candidate units of a TIFF of integers, and whether its tags state the first.
+    """Candidate units of a TIFF of integers, and whether its tags state the first. SceneError if
+    the tags say that the numbers are no temperatures.
 
     Args:
         xmp: metadata in the file, empty if there is none.
-
-    Raises:
-        SceneError: the tags say that the numbers are no temperatures.
     """
     band = (match[1].decode("latin-1").strip() if (match := _BAND.search(xmp)) else "").upper()
     if band and band != _THERMAL_BAND:

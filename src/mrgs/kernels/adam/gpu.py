@@ -69,11 +69,8 @@ def move(
     epsilon: float,
     skip: Tensor | None,
 ) -> None:
-    """``mrgs.method.adam.move`` for float32 on a GPU.
-
-    Raises:
-        ValueError: tensors of other sizes, types or devices.
-    """
+    """``mrgs.method.adam.move`` for float32 on a GPU. ValueError for tensors of other sizes, types
+    or devices."""
     states = means[0], squares[0], counts[0]
     if (
         len(parameters) != 1

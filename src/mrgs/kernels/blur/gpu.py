@@ -109,11 +109,8 @@ def blur_backward_kernel(
 
 
 def blur(plane: Tensor, sigma_px: Tensor) -> Tensor:
-    """``mrgs.method.camera_model.point_spread.blur`` for float32; σ stays on the device.
-
-    Raises:
-        ValueError: tensors of other sizes, types or devices.
-    """
+    """``mrgs.method.camera_model.point_spread.blur`` for float32; σ stays on the device. ValueError
+    for tensors of other sizes, types or devices."""
     require("plane", plane, (None, None), device=plane.device)
     require("sigma_px", sigma_px, (), device=plane.device)
     result: Tensor = _Blur.apply(plane, sigma_px)

@@ -17,10 +17,7 @@ def require_pass(
     geometry: Geometry, layers: Sequence[Layer], projection: Projection, offset: Tensor
 ) -> None:
     """The arguments of a rasterizer must fit together: the kernels trust sizes, types and devices.
-
-    Raises:
-        ValueError: they do not.
-    """
+    ValueError if they do not."""
     count, device = len(geometry.means), geometry.means.device
     expected = {"means": 3, "quats": 4, "scales": 3, "means2d_offset": 2}
     for (name, columns), tensor in zip(expected.items(), (*geometry, offset), strict=True):
@@ -43,13 +40,11 @@ GROUP = 3
 
 def in_passes(layers: Sequence[Layer], draw: Callable[[Sequence[Layer]], Raster]) -> Raster:
     """Render layers whose channels are cut into groups of 3 and 1, as many at once as possible.
+    ValueError if there is no layer, or one has no channel.
 
     Args:
         layers: of any number of channels.
         draw: renders one layer of 3 or 1 channels, or one of each in any order.
-
-    Raises:
-        ValueError: there is no layer, or one has no channel.
     """
     channels = [layer.features.shape[1] for layer in layers]
     if not channels or min(channels) < 1:

@@ -288,11 +288,7 @@ def compare(
     scalars: Scalars,
     wants_errors: bool,
 ) -> Dissimilarity:
-    """``ssim.Compare``.
-
-    Raises:
-        ValueError: tensors of other sizes or types.
-    """
+    """``ssim.Compare``. ValueError for tensors of other sizes or types."""
     require("x", x, (None, None, None), (torch.float32, torch.float64))
     require("y", y, x.shape, (x.dtype,))
     height, width, channels = x.shape

@@ -235,10 +235,7 @@ def compare(
     wants_errors: bool,
 ) -> Dissimilarity:
     """``ssim.Compare`` for float32 images, without a host round trip; the total is of float64.
-
-    Raises:
-        ValueError: tensors of other sizes, types or devices.
-    """
+    ValueError for tensors of other sizes, types or devices."""
     require("x", x, (None, None, None), device=x.device)
     require("y", y, x.shape, device=x.device)
     rows = 1 if len(weights) == 1 else len(x)

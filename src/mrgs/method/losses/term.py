@@ -136,11 +136,8 @@ class LossContext:
     @cached_property
     def colors_by_thermal_camera(self) -> Blend:
         """The RGB blend in the pixels of the thermal image. Where the RGB photo's camera is another
-        one, or there is none, it is rendered again, once and without gradient.
-
-        Raises:
-            KeyError: the view has no thermal camera.
-        """
+        one, or there is none, it is rendered again, once and without gradient. KeyError if the view
+        has no thermal camera."""
         if share_camera(self.cameras, RGB, THERMAL):
             return self.rendering[RGB]
         with torch.no_grad():

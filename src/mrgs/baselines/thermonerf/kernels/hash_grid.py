@@ -33,11 +33,8 @@ def encode(
     resolutions: Int64[Tensor, " levels"],
     offsets: Int64[Tensor, " levels+1"],
 ) -> Float[Tensor, "n 4*levels"]:
-    """``mrgs.baselines.thermonerf.networks.encode`` for float32 or float64 on the CPU.
-
-    Raises:
-        ValueError: tensors of other sizes or types, or levels that do not lie in the table.
-    """
+    """``mrgs.baselines.thermonerf.networks.encode`` for float32 or float64 on the CPU. ValueError
+    for tensors of other sizes or types, or levels that do not lie in the table."""
     levels = len(resolutions)
     require("points", points, (None, 3), (torch.float32, torch.float64))
     require("table", table, (None, CHANNELS), (points.dtype,))

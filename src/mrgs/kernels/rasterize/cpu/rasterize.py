@@ -142,11 +142,8 @@ def _drawn_splats(
 def median_depth(
     geometry: Geometry, opacities: Float[Tensor, " n"], projection: Projection
 ) -> Float[Tensor, "h w"]:
-    """``reference.median_depth`` for float32 tensors on the CPU.
-
-    Raises:
-        ValueError: tensors of other types or sizes.
-    """
+    """``reference.median_depth`` for float32 tensors on the CPU. ValueError for tensors of other
+    types or sizes."""
     # The records have room for what is blended, and a depth needs none of it.
     features, offset = torch.zeros(len(opacities), 4), _zeros(len(opacities), 2)
     require_pass(geometry, [Layer(opacities, features, torch.zeros(4))], projection, offset)

@@ -227,10 +227,7 @@ def tile_lists(
 ) -> TileLists:
     """The tile lists of the splats [V, 16] in depth order, which are those of the Gaussians
     ``order`` [V] of N = ``gaussians``; 0 if their pairs are not wanted, which gradients need.
-
-    Raises:
-        MrgsError: there are more pairs than the lists can number.
-    """
+    MrgsError if there are more pairs than the lists can number."""
     tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     chunk_counts = np.zeros((CHUNKS, tiles_x * tiles_y), np.int64)
     pair_counts = np.zeros(gaussians, np.int32)

@@ -207,11 +207,7 @@ def _project(what: _Pass, buffers: Arguments) -> None:
 
 def _list(buffers: Arguments) -> None:
     """Add the lists of the tiles, and where each Gaussian's pairs stand: sort by depth, then stably
-    by tile.
-
-    Raises:
-        MrgsError: there are more pairs than the kernels can number.
-    """
+    by tile. MrgsError if there are more pairs than the kernels can number."""
     depths, tiles = buffers["depths"], buffers["tiles"]
     order = torch.argsort(depths, stable=True)
     counts = buffers["pair_counts"].index_select(0, order)
