@@ -94,11 +94,7 @@ class KernelWarning(MrgsWarning):
 
 
 def warn_user(text: str, category: type[MrgsWarning] = MrgsWarning) -> None:
-    """Warn of something in a call of this package; the warning points at the line of that call.
-
-    Warns:
-        MrgsWarning: the text, in this category.
-    """
+    """Warn of something in a call of this package; the warning points at the line of that call."""
     frame, level = sys._getframe(), 1
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_INSIDE):
         frame, level = frame.f_back, level + 1

@@ -145,7 +145,8 @@ def render(
 ) -> tuple[Rendering, list[ScreenPoints]]:
     """Render each modality from its camera; modalities that one fused pass can serve share it.
 
-    Differentiable in the Gaussians' parameters and the field's.
+    Differentiable in the Gaussians' parameters and the field's. Returns the images, and the
+    projected centres of each pass.
 
     Args:
         model: what to render.
@@ -153,9 +154,6 @@ def render(
         sh_degrees: highest degree of a modality's spherical harmonics that counts; the model's for
             those that are not named.
         with_median_depth: also find the depth of the surface, which carries no gradient.
-
-    Returns:
-        the images, and the projected centres of each pass.
     """
     degrees = sh_degrees or {}
     blends: dict[Modality, Blend] = {}

@@ -25,11 +25,7 @@ _IMPORT_MACHINERY = "<frozen importlib._bootstrap>"
 
 
 class Interruption(NamedTuple):
-    """Why a command ends early.
-
-    Attributes:
-        message: last line on standard error; empty for none.
-    """
+    """Why a command ends early. ``message`` is the last line on standard error; empty for none."""
 
     cause: str
     status: int
@@ -46,11 +42,8 @@ class Interrupted(KeyboardInterrupt):
 class Interrupts:
     """Turns signals into ``Interrupted`` while it is entered, in the main thread.
 
-    Signals that the process was started to ignore, as by ``nohup``, stay ignored.
-
-    Attributes:
-        received: the first interruption; None if there was none.
-    """
+    Signals that the process was started to ignore, as by ``nohup``, stay ignored. ``received`` is
+    the first interruption; None if there was none."""
 
     def __init__(self) -> None:
         self.received: Interruption | None = None

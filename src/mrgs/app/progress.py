@@ -41,11 +41,8 @@ Clock = Callable[[], float]
 
 
 class _Line:
-    """A line that changes in place; where the output is not a terminal, a line now and then.
-
-    Args:
-        columns: among "text", "bar", "spinner" and "time", which counts up.
-    """
+    """A line that changes in place; where the output is not a terminal, a line now and then. The
+    columns are among "text", "bar", "spinner" and "time", which counts up."""
 
     def __init__(self, *columns: str, clock: Clock, **options: Any) -> None:
         # Imported here, so that a help text comes at once.
@@ -102,10 +99,7 @@ def counter(
 ) -> Iterator[Callable[..., None]]:
     """A progress callback (done, total), or (number, total, name) for parts with names, both with
     ``left_s`` if the time left is known. Without a terminal, each named part has a line.
-
-    Args:
-        forecast: the time left of named parts; without it, all parts count the same.
-    """
+    ``forecast`` gives the time left of named parts; without it, all parts count the same."""
     line, started = _Line("spinner", "text", "bar", clock=clock), clock()
 
     def show(done: int, total: int, name: str = "", left_s: float | None = None) -> None:

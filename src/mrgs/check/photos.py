@@ -327,11 +327,8 @@ def agreements(
 ) -> list[Agreement | None]:
     """The agreement of each image with the others; None where it shares too few points with them.
 
-    Occlusions are not detected: medians over views and points are robust to them.
-
-    Args:
-        images: [H, W] each, in one unit; NaN where not valid; None for a view without one.
-    """
+    Occlusions are not detected: medians over views and points are robust to them. The ``images``
+    are [H, W] each, in one unit; NaN where not valid; None for a view without one."""
     values = _values_at_points(images, cameras, points)
     usual = np.full(values.shape[1], np.nan)
     enough = np.isfinite(values).sum(axis=0) >= FEWEST_VIEWS
@@ -382,12 +379,9 @@ def _agreement(own: Float[np.ndarray, " n"], usual: Float[np.ndarray, " n"]) -> 
 
 
 def jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem:
-    """The warning about images that do not agree with the others; a note where the temperatures
-    are radiometric, because training then finds what a camera's drift adds to each photo.
-
-    Args:
-        radiometric: whether the temperatures are computed from the thermal camera's signal.
-    """
+    """The warning about images that do not agree with the others; a note where the temperatures are
+    radiometric, because training then finds what a camera's drift adds to each photo.
+    ``radiometric`` temperatures are computed from the thermal camera's signal."""
     severity: Severity = "warning"
     changed, cause = "warmer or colder", "as automatic gain or a changed span makes them"
     remedy = "Export all thermal images with one fixed span, or from radiometric files."

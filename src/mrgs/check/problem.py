@@ -28,11 +28,8 @@ _CAMERAS_AT_ONCE = 256
 
 @dataclass(frozen=True)
 class Problem:
-    """A problem of a scene.
-
-    Attributes:
-        remedy: what to do about it, one sentence; empty where the text includes it.
-    """
+    """A problem of a scene. ``remedy`` is what to do about it, one sentence; empty where the text
+    includes it."""
 
     severity: Severity
     text: str

@@ -12,11 +12,8 @@ from mrgs.scene import Scene
 
 
 class Rule(NamedTuple):
-    """A rule, and whether it is fast enough for ``mrgs train`` to apply it before each training.
-
-    Attributes:
-        fast: it judges what ``fast_problems`` reads: all poses, and the photos of a few views.
-    """
+    """A rule, and whether it is fast enough for ``mrgs train`` to apply it before each training. A
+    ``fast`` one judges what ``fast_problems`` reads: all poses, and the photos of a few views."""
 
     find: Callable[[Evidence], Iterable[Problem]]
     fast: bool = False

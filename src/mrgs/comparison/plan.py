@@ -34,11 +34,8 @@ DEFAULT_METHODS = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs
 
 @dataclass(frozen=True)
 class Variant:
-    """A method with some values changed, which has rows of its own in the tables.
-
-    Attributes:
-        changes: the values that differ from the method's, as YAML; empty for none.
-    """
+    """A method with some values changed, which has rows of its own in the tables. ``changes`` are
+    the values that differ from the method's, as YAML; empty for none."""
 
     name: str
     method: str

@@ -42,7 +42,7 @@ def run_jobs(
     device: DeviceName = "auto",
     child: Sequence[str] = CHILD,
 ) -> dict[PlannedRun, str]:
-    """Execute all runs, ``count`` at a time.
+    """Execute all runs, ``count`` at a time. Returns the reason, one line, of each job that failed.
 
     Args:
         jobs: in the order in which they are started.
@@ -50,9 +50,6 @@ def run_jobs(
         on_message: called with each message of a child, and with ``{"start": True}`` when it
             starts.
         child: arguments of the Python process that does a run.
-
-    Returns:
-        The reason, one line, of each job that failed.
 
     Raises:
         KeyboardInterrupt: Ctrl-C; the running jobs have left checkpoints. A second one ends them at

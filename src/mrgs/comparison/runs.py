@@ -43,15 +43,13 @@ def run_one(
     on_score: Callable[[int, int], None] | None = None,
 ) -> bool:
     """Train, continue, or only score one run, depending on its state. MrgsError if the scene or the
-    folder cannot be used, or the training had to stop.
+    folder cannot be used, or the training had to stop. Returns whether it is scored; False if
+    ``on_step`` stopped it.
 
     Args:
         device: where it is trained and rendered, if its method can use a GPU.
         on_step: called after every training step; returning True stops with a checkpoint.
         on_score: called with the numbers of scored views and of all.
-
-    Returns:
-        Whether the run is scored; False if ``on_step`` stopped it.
     """
     method = find_method(config.method)
     device = device if method.uses_gpu else "cpu"

@@ -46,11 +46,8 @@ MISSING = object()
 
 
 class Cache:
-    """Results by name; each is computed once, until something that it depends on changes.
-
-    Attributes:
-        made: number of results that were computed rather than found, so far.
-    """
+    """Results by name; each is computed once, until something that it depends on changes. ``made``
+    is the number of results that were computed rather than found, so far."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -112,11 +109,8 @@ def save(path: Path, value: Any, made_from: str) -> None:
 
 
 def load(path: Path, kind: Any, made_from: str) -> Any:
-    """The result that ``save`` wrote with this fingerprint; ``MISSING`` if there is none.
-
-    Args:
-        kind: type of the result, or that type or None.
-    """
+    """The result that ``save`` wrote with this fingerprint; ``MISSING`` if there is none. ``kind``
+    is the type of the result, or that type or None."""
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata()
@@ -260,11 +254,8 @@ class Digests:
         return known[3]
 
     def save(self, forget_others: bool = False) -> None:
-        """Remember the digests. RunError if the file cannot be written.
-
-        Args:
-            forget_others: after a pass over all files: those not asked for are gone.
-        """
+        """Remember the digests. RunError if the file cannot be written. ``forget_others`` after a
+        pass over all files: those not asked for are gone."""
         if forget_others:
             self._known = {name: self._known[name] for name in self._known if name in self._asked}
         if _CTIME_SHOWS_CHANGES and self._known != self._saved:

@@ -88,11 +88,8 @@ def find_transforms(root: Path) -> Path | None:
 
 def read_transforms(root: Path, file: Path) -> SceneSource:
     """Read a nerfstudio scene; images are looked up, not decoded. SceneError if the file is
-    damaged, or an image that it names is missing.
-
-    Args:
-        root: the scene's folder, resolved; all paths in the file are relative to it.
-    """
+    damaged, or an image that it names is missing. ``root`` is the scene's folder, resolved; all
+    paths in the file are relative to it."""
     return _TransformsReader(root, file).capture()
 
 

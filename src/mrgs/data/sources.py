@@ -121,15 +121,13 @@ def point_cloud(
     notes: ReadingNotes,
     transform: NDArray[np.float64] | None = None,
 ) -> PointCloud | None:
-    """The finite points of a file, moved by ``transform`` ([3, 4]; None leaves them).
+    """The finite points of a file, moved by ``transform`` ([3, 4]; None leaves them). None if none
+    is left.
 
     Args:
         positions: [N, 3].
         colors: RGB in [0, 1], [N, 3]; None gives middle grey.
         notes: receives how many points were dropped.
-
-    Returns:
-        The points, None if none is left.
     """
     with np.errstate(all="ignore"):
         if transform is not None:
@@ -155,11 +153,8 @@ Prober = Callable[[Path], ImageInfo]
 
 def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
     """Compare the headers of the image and its mask with the intrinsics; nothing is decoded.
-    SceneError if a file is missing, unreadable, or of another size than the lens says.
-
-    Args:
-        probed: ``probe``, which may remember the files that several images share.
-    """
+    SceneError if a file is missing, unreadable, or of another size than the lens says. ``probed``
+    is ``probe``, or remembers the files that several images share."""
     info = probed(source.path)
     _check_size((info.width, info.height), source.lens, source.path)
     if source.mask is not None:

@@ -105,11 +105,7 @@ def _values(
 
 class SheetRows:
     """The views on a sheet: a few, evenly spaced, and the ones with the worst scores, which a mean
-    hides.
-
-    Args:
-        count: number of views that will be added.
-    """
+    hides. ``count`` views will be added."""
 
     def __init__(self, count: int) -> None:
         self._spread = evenly_spaced(count)
@@ -144,11 +140,8 @@ def contact_sheet(
     """Draw the sheet: a row per view and a column per kind of image that any row has.
 
     Photos and renderings of a modality with a unit share one range, that of the photos shown; its
-    errors have another, symmetric about zero. ValueError if there are no rows.
-
-    Args:
-        rows: with aligned poses, if ``metrics`` has them.
-    """
+    errors have another, symmetric about zero. ValueError if there are no rows. The ``rows`` have
+    aligned poses if ``metrics`` has them."""
     if not rows:
         raise ValueError("a contact sheet needs at least one row")
     columns, bars = _columns([images for _, images in rows], temperature)

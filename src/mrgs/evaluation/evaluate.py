@@ -144,11 +144,8 @@ class Truth:
         self, kind: str, name: str, shape: tuple[int, int]
     ) -> Float32[Tensor, "h w"] | Missing:
         """The truth of one view at the size of a rendering; averaged over areas where that is
-        smaller. SceneError if the file is damaged, or lies outside the scene.
-
-        Args:
-            kind: ``temperature`` (°C) or ``depth`` (z-depth, metres).
-        """
+        smaller. SceneError if the file is damaged, or lies outside the scene. The ``kind`` is
+        ``temperature`` (°C) or ``depth`` (z-depth, metres)."""
         path = self.folder / kind / f"{name}.tiff"
         if not path.resolve().is_relative_to(self.folder.resolve()):
             raise SceneError(f"{path} lies outside {self.folder}: rename the view")

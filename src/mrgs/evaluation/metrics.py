@@ -34,11 +34,7 @@ def figure_names(modality: Modality) -> tuple[str, ...]:
 
 
 class Missing(NamedTuple):
-    """A missing figure.
-
-    Attributes:
-        reason: why it is missing: a clause without a full stop.
-    """
+    """A missing figure. The reason is a clause without a full stop."""
 
     reason: str
 
@@ -221,11 +217,8 @@ class Foreground:
 
         The threshold is Otsu's of each photo's valid pixels, averaged over the photos. Of both
         sides the object is the one that covers less of the photos' borders: an object is
-        photographed as a whole, from all around.
-
-        Returns:
-            None where no photo has a threshold: no thermal photos, or only uniform ones.
-        """
+        photographed as a whole, from all around. None where no photo has a threshold: no thermal
+        photos, or only uniform ones."""
         found, borders = [], []
         for view in views:
             if THERMAL not in view.images:

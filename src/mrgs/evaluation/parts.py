@@ -46,10 +46,8 @@ class Parts:
 
 
 def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> Parts | None:
-    """Knock the parts out of a run's model, one at a time, and score what is left.
-
-    Returns:
-        None for a model without the paper's field (3DGS_RGB-T).
+    """Knock the parts out of a run's model, one at a time, and score what is left. None for a model
+    without the paper's field (3DGS_RGB-T).
 
     Raises:
         SceneError: there are no views, or an image or a truth file cannot be read.

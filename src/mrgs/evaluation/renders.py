@@ -97,7 +97,8 @@ def evaluate_renders(
     """Score a folder of renderings with the metrics of ``evaluate_run``.
 
     Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png``. The images are compared with
-    the undistorted photos, at the size at which ``load_scene`` gives them.
+    the undistorted photos, at the size at which ``load_scene`` gives them. MrgsWarning if the
+    folder has images of no eval view.
 
     Args:
         folder: of the images, see the module.
@@ -109,9 +110,6 @@ def evaluate_renders(
     Raises:
         SceneError: the scene cannot be read, or has no eval views.
         RunError: an image is missing, cannot be read, or has another size than its view.
-
-    Warns:
-        MrgsWarning: the folder holds images of no eval view.
     """
     folder = Path(folder)
     loaded = load_scene(scene, resolution=resolution)
@@ -130,11 +128,8 @@ def evaluate_renders(
 
 def find_renders(folder: Path, scene: Scene) -> Renders:
     """The files for a scene's eval views; nothing is decoded yet. RunError if the folder has no
-    images, or not all that it must have.
-
-    Warns:
-        MrgsWarning: the folder holds images that belong to no eval view.
-    """
+    images, or not all that it must have. MrgsWarning if there are images that belong to no eval
+    view."""
     modalities = in_order(modality for view in scene.eval for modality in view.images)
     if not folder.is_dir():
         folders = " and ".join(f"{modality}/" for modality in modalities)

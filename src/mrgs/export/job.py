@@ -151,11 +151,8 @@ class ExportJob:
     def splats(
         self, baked: BakedModel | None = None
     ) -> Iterator[tuple[Modality, SplatArrays, dict[str, Any]]]:
-        """Yield each modality to write, its splats, and the facts about their file.
-
-        Args:
-            baked: the model to take them from; ``splat_model`` if None.
-        """
+        """Yield each modality to write, its splats, and the facts about their file. They are taken
+        from ``baked``, by default from ``splat_model``."""
         baked = baked or self.splat_model
         for modality in self.modalities:
             facts = self.splat_facts | color_facts(modality, self.scale, baked)

@@ -107,11 +107,8 @@ def surface_nets(
     values: Float[np.ndarray, "x y z"],
 ) -> tuple[Float[np.ndarray, "v 3"], Int32[np.ndarray, "f 3"]]:
     """Triangles of the level 0 of signed distances, seen counter-clockwise from the positive side;
-    none in cells that touch NaN.
-
-    Returns:
-        vertices in grid coordinates (sample (i, j, k) is at i, j, k), and faces as rows of them.
-    """
+    none in cells that touch NaN. Returns vertices in grid coordinates (sample (i, j, k) is at i, j,
+    k), and faces as rows of them."""
     inside = values < 0
     active = _active_cells(inside, np.isfinite(values))
     cells = np.argwhere(active)

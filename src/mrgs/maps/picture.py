@@ -35,11 +35,8 @@ class Caption(NamedTuple):
 def map_scale(
     drawn: OrthographicMap, palette: PaletteName, range_c: tuple[float, float] | None = None
 ) -> Scale:
-    """The colours of a map's temperatures.
-
-    Args:
-        range_c: °C of the first and last colour; None takes those of the map.
-    """
+    """The colours of a map's temperatures. ``range_c`` are the °C of the first and the last colour;
+    None takes those of the map."""
     return Scale(palette, *(range_c or display_range(drawn.celsius)), "°C")
 
 

@@ -132,11 +132,8 @@ class MarkMeter:
         return Regions(marks, self.render, self._temperature, self.capture)
 
     def measure(self, marks: Marks, regions: Regions | None = None) -> list[MarkReading]:
-        """Every mark, in their order, with the differences between them.
-
-        Args:
-            regions: of these marks, where they are there already: each is a rendering.
-        """
+        """Every mark, in their order, with the differences between them. ``regions`` are those of
+        these marks, where they are known already: each is a rendering."""
         if regions is None:
             regions = self.regions(marks)
         readings = [self.read(mark, regions) for mark in marks.marks]

@@ -25,11 +25,8 @@ SURVEY_WIDTH_PX = 160
 
 
 class PhotoSurvey:
-    """Small depth images of the photos' cameras, rendered when they are first asked for.
-
-    Attributes:
-        chosen: indices of the cameras that are surveyed, at most ``MAX_VIEWS``, spread evenly.
-    """
+    """Small depth images of the photos' cameras, rendered when they are first asked for. ``chosen``
+    are the indices of the cameras that are surveyed, at most ``MAX_VIEWS``, spread evenly."""
 
     def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
         self.chosen = evenly_spaced(len(cameras), MAX_VIEWS)

@@ -111,11 +111,8 @@ class SurfaceRegion:
 
 class Regions:
     """All regions of a model with settings of their own, from marks with settings; where two
-    overlap, the later one counts. Without known °C the list is empty.
-
-    Attributes:
-        problems: of marks that cannot be regions, one sentence by name.
-    """
+    overlap, the later one counts. Without known °C the list is empty. ``problems`` has a sentence
+    for each mark that cannot be a region, by its name."""
 
     def __init__(
         self,

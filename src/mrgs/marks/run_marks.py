@@ -33,11 +33,8 @@ SPOT_SHARE = 0.01
 
 class RunMarks:
     """The marks of a run: added, changed, measured, and saved at once in its ``marks.json``.
-    SceneError if the run is old and its scene is not there.
-
-    Args:
-        scene: of the run, where it has been read before.
-    """
+    SceneError if the run is old and its scene is not there. ``scene`` is the run's, where it has
+    been read before."""
 
     def __init__(self, run: Run, scene: Scene | None = None) -> None:
         self.run = run

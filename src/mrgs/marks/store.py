@@ -93,11 +93,8 @@ class MarkStore:
     def read(self) -> Marks:
         """The marks; none where there is no file. RunError if the run's folder is gone, or the file
         cannot be read, is of a newer version of the program, or its marks are those of another
-        model.
-
-        Warns:
-            MrgsWarning: the file is damaged; it is kept under another name, and there are no marks.
-        """
+        model. MrgsWarning if the file is damaged: it is kept under another name, and there are no
+        marks."""
         require_folder(self.folder)
         states = self._states(self.file)
         return states[0] if states else Marks()

@@ -63,11 +63,8 @@ TUKEY = 6.0
 
 @dataclass(frozen=True, eq=False)
 class SeenSurface:
-    """A surface as one camera sees it.
-
-    Attributes:
-        depth: z-depth, scene units, NaN where there is no surface, [H, W].
-    """
+    """A surface as one camera sees it. ``depth`` is z-depth in scene units, NaN where there is no
+    surface, [H, W]."""
 
     camera: Camera
     rendering: Rendering

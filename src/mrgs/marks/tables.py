@@ -141,10 +141,7 @@ def facts_of_reading(
     assumed: Sequence[str] = (),
 ) -> dict[str, Any]:
     """A reading under the names of the columns of the CSV file; None where there is no value.
-
-    Args:
-        assumed: what the reading takes for known, one sentence each.
-    """
+    ``assumed`` is what the reading takes for known, one sentence each."""
     mark = reading.mark
     value_unit = "c" if temperature is not None else "normalised"
     length_unit = "m" if world.metric else "units"
@@ -194,11 +191,8 @@ def write_csv(
     assumed: AssumedOf = lambda reading: (),
 ) -> list[Path]:
     """Write a row for each mark, and beside it ``NAME_profiles.csv`` with a row for each sample of
-    the lines; returns the paths. RunError if a file cannot be written.
-
-    Args:
-        assumed: returns what a reading takes for known.
-    """
+    the lines; returns the paths. RunError if a file cannot be written. ``assumed`` returns what a
+    reading takes for known."""
     rows = [facts_of_reading(each, temperature, world, assumed(each)) for each in readings]
     names = list(facts_of_reading(_NOTHING, temperature, world))
     paths = [write_text(path, _csv_text(names, rows))]
@@ -326,10 +320,7 @@ def mark_text(
     reading: MarkReading, reference: str, temperature: TemperatureRange | None, world: WorldFrame
 ) -> dict[str, Any]:
     """A mark as a panel lists it: what it is, what was measured, and what can be changed.
-
-    Args:
-        reference: name of the mark that all differences refer to; empty for none.
-    """
+    ``reference`` is the name of the mark that all differences refer to; empty for none."""
     mark = reading.mark
     return {
         "name": mark.name,

@@ -112,11 +112,7 @@ def are_finite(loss: Float[Tensor, ""], gradients: Sequence[Tensor]) -> Bool[Ten
 
 class GaussianOptimizer:
     """Adam over the parameters of the Gaussians; the scene's extent multiplies the learning rate of
-    the means.
-
-    Attributes:
-        gaussians: their tensors are the parameters.
-    """
+    the means. Tensors of ``gaussians`` are the parameters."""
 
     def __init__(self, gaussians: Gaussians, config: OptimizerConfig, extent: float) -> None:
         self._config, self._extent = config, extent

@@ -25,11 +25,8 @@ PAGE_STYLE = "pictures/templates/page.css"
 
 
 class InlineImage(NamedTuple):
-    """A picture as a ``data:`` address, which the macro ``image`` of ``parts.html`` shows.
-
-    Attributes:
-        text: what the picture shows, for readers who cannot see it.
-    """
+    """A picture as a ``data:`` address, which the macro ``image`` of ``parts.html`` shows. ``text``
+    is what it shows, for readers who cannot see it."""
 
     source: Markup
     width: int
@@ -70,11 +67,7 @@ def render(template: str, **values: Any) -> Markup:
 
 
 class Page(NamedTuple):
-    """A page of one HTML file.
-
-    Attributes:
-        policy: its content security policy, which the text names too.
-    """
+    """A page of one HTML file, and its content security policy, which the text names too."""
 
     html: Markup
     policy: str

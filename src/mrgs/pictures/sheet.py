@@ -40,11 +40,7 @@ class Panel(NamedTuple):
 
 
 class PanelRow(NamedTuple):
-    """A row of a section.
-
-    Attributes:
-        figures: caption and value of the lines below the label.
-    """
+    """A row of a section. ``figures`` are caption and value of the lines below the label."""
 
     label: str
     panels: Sequence[Panel]

@@ -259,15 +259,13 @@ def median_depth(
 
     It is the mean over what brings T from 0.6 to 0.4, mostly one Gaussian or two, of z where they
     are met by the ray of the pixel. The mean over all of them, Σ w z, lies between two surfaces
-    wherever a little of the farther one shines through, or a little fog lies before it.
+    wherever a little of the farther one shines through, or a little fog lies before it. In scene
+    units, [H, W]; NaN where more than half of the light passes all Gaussians.
 
     Args:
         geometry: of the Gaussians.
         opacities: of the layer, in (0, 1), [N].
         projection: of the camera.
-
-    Returns:
-        scene units, [H, W]; NaN where more than half of the light passes all Gaussians.
     """
     means, quats, scales = geometry
     projection = projection.to(means)

@@ -284,11 +284,7 @@ above."""
 
 @dataclass(frozen=True, eq=False)
 class TemperatureMap:
-    """A map for a report.
-
-    Attributes:
-        from_the_front: whether it shows a façade; else the scene from above.
-    """
+    """A map for a report: of a façade if it is ``from_the_front``, else of the scene from above."""
 
     drawn: OrthographicMap
     from_the_front: bool

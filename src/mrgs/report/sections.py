@@ -50,10 +50,7 @@ class Condition(NamedTuple):
 
 def conditions_of(survey: Survey, pixel_m: float | None = None) -> list[Condition]:
     """The conditions of the survey's standard, as practitioners cite it; none without one.
-
-    Args:
-        pixel_m: width of a pixel of the thermal photos on the surfaces; None if not known.
-    """
+    ``pixel_m`` is the width of a pixel of the thermal photos on the surfaces; None if not known."""
     if survey.standard is None:
         return []
     if survey.standard == "IEC TS 62446-3":

@@ -182,15 +182,13 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
 def facts_to_resume(
     facts: CheckpointFacts, scene: Scene, accept_changes: bool = False
 ) -> CheckpointFacts:
-    """The facts of a checkpoint that is resumed, updated to its scene as it is now.
+    """The facts of a checkpoint that is resumed, updated to its scene as it is now. MrgsWarning if
+    they have changed, which is accepted.
 
     Args:
         facts: of the checkpoint.
         scene: to train on.
         accept_changes: continue although photos, poses or intrinsics have changed.
-
-    Warns:
-        MrgsWarning: they have changed, which is accepted.
 
     Raises:
         RunError: they have changed, which is not accepted; or the scene has another number of

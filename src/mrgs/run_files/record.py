@@ -100,7 +100,7 @@ def _as_one(numbers: Sequence[float | Tensor]) -> Tensor | list[float]:
 
 
 class RunRecord:
-    """Log and checkpoints of a run during its training.
+    """Log and checkpoints of a run during its training. ``step`` is the number of steps done.
 
     Args:
         folder: the run's folder, locked by the caller.
@@ -113,9 +113,6 @@ class RunRecord:
         skipped_in_a_row: number of steps skipped since the last good one.
         check_every: steps after which skipped ones are counted; by default ``CHECK_EVERY``.
         clock: in seconds.
-
-    Attributes:
-        step: number of steps done.
     """
 
     def __init__(

@@ -263,11 +263,7 @@ def _remove_own(folder: Path, owner: int) -> None:
 @contextmanager
 def _run_folder(output: str | Path | None) -> Iterator[RunFolder]:
     """The folder of a training, which takes place within this block: one that is stopped keeps its
-    checkpoints, also in a temporary folder.
-
-    Warns:
-        MrgsWarning: where they are.
-    """
+    checkpoints, also in a temporary folder. MrgsWarning, which names it."""
     folder = TemporaryRunFolder() if output is None else RunFolder(output)
     try:
         yield folder

@@ -121,10 +121,7 @@ class Camera:
     def copy_numbers_from(self, other: Camera) -> None:
         """Have the ``tensors`` that were asked of this camera, and of its ``resized`` ones, hold
         another's numbers: what a GPU has recorded reads these tensors. All else stays as it is.
-
-        Args:
-            other: with the same ``K``, width and height.
-        """
+        ``other`` has the same ``K``, width and height."""
         for (device, dtype), tensors in self._tensors.items():
             for tensor, value in zip(tensors, other.tensors(device, dtype), strict=True):
                 tensor.copy_(value)

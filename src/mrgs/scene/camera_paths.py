@@ -18,11 +18,7 @@ def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     The ellipse lies in the plane that fits the camera centres best; its half axes are √2 standard
     deviations, so that cameras which stand evenly on an ellipse get that ellipse back. Intrinsics
     are those of the first camera. ConfigError if there are no cameras, or fewer than one frame is
-    asked for.
-
-    Args:
-        frames: how many poses to return; the last one is followed by the first.
-    """
+    asked for. Of the ``frames`` poses that are returned, the last is followed by the first."""
     if not cameras:
         raise ConfigError("a camera path needs at least one training camera")
     if frames < 1:

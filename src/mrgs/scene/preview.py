@@ -15,11 +15,8 @@ from mrgs.scene.camera import Camera
 
 
 def preview_png(images: Sequence[Float[Tensor, "_ _ _"]]) -> bytes:
-    """Images side by side as a PNG, as ``to_rgb8`` shows them: a thermal image is "white hot".
-
-    Args:
-        images: at least one; all are scaled to the height of the first.
-    """
+    """Images side by side as a PNG, as ``to_rgb8`` shows them: a thermal image is "white hot". At
+    least one image; all are scaled to the height of the first."""
     height = images[0].shape[0]
     tiles = []
     for image in images:
@@ -54,11 +51,8 @@ MOST_POINTS = 5000
 
 def best_view(cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> int:
     """Index of the camera that has most of a scene in its image; of several that have as much, the
-    one that has the middle of the scene nearest to its axis.
-
-    Args:
-        points: of the scene's surfaces, world coordinates, at least one.
-    """
+    one that has the middle of the scene nearest to its axis. ``points`` are those of the scene's
+    surfaces, world coordinates, at least one."""
     points = points[:: max(1, len(points) // MOST_POINTS)].double()
     middle = points.median(dim=0).values
     shares, turns = [], []

@@ -114,11 +114,8 @@ class Survey:
 
     def stating(self, assignments: Sequence[str], source: str) -> Survey:
         """This survey with other values of some fields. ConfigError if an assignment is none, names
-        no field, or has a value that cannot be.
-
-        Args:
-            assignments: ``NAME=VALUE`` each, the value as in YAML; an empty one takes it back.
-        """
+        no field, or has a value that cannot be. ``assignments`` are ``NAME=VALUE`` each, the value
+        as in YAML; an empty one takes it back."""
         hints = get_type_hints(Survey)
         stated: dict[str, Any] = {}
         for text in assignments:

@@ -19,11 +19,7 @@ def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
     will be written there; ``what`` is the subject of the sentence.
 
     Too little room is no error: the estimate may be too high, and what is written before the disk
-    is full is kept.
-
-    Warns:
-        MrgsWarning: there is less.
-    """
+    is full is kept. MrgsWarning if there is less."""
     free = free_disk(folder)
     if free < needed_bytes:
         warn_user(

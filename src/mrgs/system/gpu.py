@@ -115,10 +115,7 @@ class Machine:
 def choose_device(name: DeviceName, machine: Any = Machine()) -> torch.device:  # noqa: B008
     """The device of a name; "auto" is the GPU where there is one that can be used, else the CPU.
     DeviceError for another name, or if "cuda" cannot be used; the message says what to do.
-
-    Warns:
-        MrgsWarning: "auto", and there is an NVIDIA GPU that cannot be used; the message says why.
-    """
+    MrgsWarning if "auto" finds an NVIDIA GPU that cannot be used; the message says why."""
     if name not in get_args(DeviceName):
         raise DeviceError(
             f"unknown device {name!r}: choose one of {', '.join(get_args(DeviceName))}; of several "

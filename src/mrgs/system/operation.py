@@ -171,13 +171,9 @@ def checking(gradients: bool = True) -> Iterator[None]:
 
     Both compute the operation from the same inputs; results and gradients (for the same random
     cotangents; not without ``gradients``) may differ by ``operation_check.TOLERANCE``, as a
-    relative L2 norm. A kernel that
-    differs is not used from then on in this process, unless it passes a later check with gradients;
-    one without skips it. torch's random generators are left alone.
-
-    Warns:
-        KernelWarning: a kernel differs from its plain definition, or fails.
-    """
+    relative L2 norm. A kernel that differs is not used from then on in this process, unless it
+    passes a later check with gradients; one without skips it. torch's random generators are left
+    alone. KernelWarning if a kernel differs from its plain definition, or fails."""
     token = _check.set(_Check(gradients, set()))
     try:
         yield

@@ -24,11 +24,8 @@ def own_modes(device: torch.device = HOST) -> Iterator[None]:
     On a GPU, backward passes would run in another thread, and to wake that one and then this one
     takes longer than many a pass (docs/decisions, 052). The default type of tensors is the whole
     process's too: changed here, it would change under the caller's other threads. ConfigError if
-    the default type is not float32.
-
-    Args:
-        device: of the computation; a GPU is made the current CUDA device within the block.
-    """
+    the default type is not float32. A GPU as ``device`` is made the current CUDA device within the
+    block."""
     chosen = torch.get_default_dtype()
     if chosen != torch.float32:
         raise ConfigError(

@@ -43,11 +43,8 @@ def check_kernels(
 
     A kernel that differs is not used from then on in this process (``operation.checking``). The
     state is left as it is. The photos, of views that together have all modalities, are random
-    numbers, so that none has to be read, once with masks and once without.
-
-    Warns:
-        MrgsWarning: a kernel differs from its plain definition.
-    """
+    numbers, so that none has to be read, once with masks and once without. MrgsWarning if one
+    differs."""
     scale = scale._replace(thermal_noise=max(scale.thermal_noise, NOISE))
     generator, device = torch.Generator().manual_seed(0), state.device
     missing = {modality for view in scene.train for modality in view.images}
@@ -99,11 +96,7 @@ def check_rendering(model: Model, image_model: ImageModel, *devices: torch.devic
 
     A kernel that differs is not used from then on in this process (``operation.checking``). The
     camera is a new one that has the sample before it; the devices are those where the model is
-    going to be rendered. The image model is in the host's memory.
-
-    Warns:
-        MrgsWarning: a kernel differs from its plain definition.
-    """
+    going to be rendered. The image model is in the host's memory. MrgsWarning if one differs."""
     if len(model.gaussians) == 0:
         return
     sample = _sampled(model, None, model.sh_degree)

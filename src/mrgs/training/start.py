@@ -211,11 +211,7 @@ def begun_run(
 def scene_to_train(scene: Scene | str | Path, config: RunConfig) -> Scene:
     """The scene that a run of any method is trained on; a given one keeps its resolution. MrgsError
     if the scene cannot be used, torch's default type is not float32, or this process was forked
-    from one that has computed.
-
-    Warns:
-        MrgsWarning: the scene has a problem that ``mrgs.check`` finds.
-    """
+    from one that has computed. MrgsWarning if the scene has a problem that ``mrgs.check`` finds."""
     require_own_threads()
     require_scene(scene)
     with own_modes():

@@ -84,10 +84,7 @@ def picture_message(
     inspection: Inspection, drawn: DrawnPicture, number: int, effort: Effort, longest_px: int
 ) -> bytes:
     """Length of the facts (4 bytes, little-endian), the facts as JSON, the picture as JPEG.
-
-    Args:
-        longest_px: longer side of the browser's window, in pixels of the screen.
-    """
+    ``longest_px`` is the longer side of the browser's window, in pixels of the screen."""
     buffer = io.BytesIO()
     options = MOVING_JPEG if effort == "moving" else SHARP_JPEG
     Image.fromarray(drawn.pixels).save(buffer, "JPEG", **options)

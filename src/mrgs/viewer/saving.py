@@ -27,11 +27,8 @@ VIDEO_SIDE_PX = 960
 
 
 class VideoProgress(NamedTuple):
-    """How far a video is.
-
-    Attributes:
-        path: the finished mp4, or the folder of the frames; None before the end.
-    """
+    """How far a video is. ``path`` is the finished mp4, or the folder of the frames; None before
+    the end."""
 
     done: int
     total: int

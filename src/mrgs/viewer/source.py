@@ -100,11 +100,7 @@ LEVEL_FACTOR = 5
 
 
 class DetailLevel(NamedTuple):
-    """A model of fewer Gaussians.
-
-    Attributes:
-        stands_for: number of Gaussians of this level that each of the coarsest replaces.
-    """
+    """A model of fewer Gaussians, of which each of the coarsest level ``stands_for`` a number."""
 
     model: Model
     stands_for: Float[Tensor, " m"]

@@ -54,11 +54,8 @@ class Gate:
     Another web page that is open in the user's browser can send requests to any address, also to
     this computer's own. Its requests carry its own origin; or, where it has pointed its own name at
     this address (DNS rebinding), that name as the host. Both are refused. Other users of the
-    computer, and of the network, do not have the token.
-
-    Attributes:
-        token: what the address to open contains.
-    """
+    computer, and of the network, do not have the token. ``token`` is what the address to open
+    contains."""
 
     def __init__(self, host: str) -> None:
         self.token = secrets.token_urlsafe(24)

@@ -49,11 +49,8 @@ class GridSize(NamedTuple):
 
 
 class HashGrid(nn.Module):
-    """Features of points in [0, 1]³.
-
-    Attributes:
-        table: the features of all levels, one after the other, [entries, 4].
-    """
+    """Features of points in [0, 1]³. ``table`` has the features of all levels, one after the other,
+    [entries, 4]."""
 
     resolutions: Tensor
     offsets: Tensor

@@ -73,10 +73,7 @@ def camera_facts(records: Records) -> CameraFacts:
 
 def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
     """The photo in an FFF record. SceneError if the record is cut off or damaged, or its constants
-    are missing or absurd.
-
-    Args:
-        exif: of the JPEG file around it; empty for a bare FFF file.
+    are missing or absurd. ``exif`` is that of the JPEG file around it; empty for a bare FFF file.
     """
     records = Records(record, path)
     content = records.require(CAMERA_INFO, "camera info with the Planck constants")

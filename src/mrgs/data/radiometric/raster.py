@@ -78,12 +78,8 @@ def finished(
 ) -> ThermalPhoto:
     """The photo of numbers that are temperatures in the unit given by the user, else in the one
     that the file states, else in the one candidate that is plausible. SceneError if the unit is not
-    given and not plain, or no number is a temperature.
-
-    Args:
-        is_stated: whether the file or its camera's model states the first candidate, as a single
-            one always is.
-    """
+    given and not plain, or no number is a temperature. ``is_stated`` if the file or its camera's
+    model states the first candidate, as a single one always is."""
     usual = typical(values)
     is_stated = is_stated or len(candidates) == 1
     if overrides.unit is not None:

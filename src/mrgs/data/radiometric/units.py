@@ -180,11 +180,8 @@ def camera_units(
     make: str | None, model: str | None, xmp: bytes, path: Path
 ) -> tuple[tuple[str, ...], bool]:
     """Candidate units of a TIFF of integers, and whether its tags state the first. SceneError if
-    the tags say that the numbers are no temperatures.
-
-    Args:
-        xmp: metadata in the file, empty if there is none.
-    """
+    the tags say that the numbers are no temperatures. ``xmp`` is the metadata in the file, empty if
+    there is none."""
     band = (match[1].decode("latin-1").strip() if (match := _BAND.search(xmp)) else "").upper()
     if band and band != _THERMAL_BAND:
         raise scene_error(path, f"is the band {band} of a multispectral camera, no thermal photo")

@@ -69,11 +69,8 @@ class Strategy(ABC):
 
     Subclass it as a frozen dataclass and give an instance to ``train(..., strategy=...)``. To name
     it in a config.yaml, give it a field ``name: Literal["..."]`` and add it to
-    ``mrgs.method.density.ConfiguredStrategy``.
-
-    Attributes:
-        max_gaussians: cap on the number of Gaussians, at the start too.
-    """
+    ``mrgs.method.density.ConfiguredStrategy``. ``max_gaussians`` is the cap on their number, at the
+    start too."""
 
     max_gaussians: int = 5_000_000
 
