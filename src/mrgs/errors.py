@@ -16,7 +16,6 @@ class MrgsError(Exception):
     """An error that the user can fix; the command line prints it as one line and exits with code 2.
 
     Attributes:
-        message: as given.
         options: parameters of the Python API that are at fault or that help, such as
             ``thermal_fov_deg``; the command line shows its flags for them.
     """
@@ -49,12 +48,7 @@ class WriteError(RunError):
 
 class DamagedCheckpointError(RunError):
     """A checkpoint is not what was written, or holds values that are not finite; an older one may
-    be good.
-
-    Attributes:
-        path: the checkpoint.
-        reason: what is wrong with it.
-    """
+    be good."""
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(

@@ -29,7 +29,6 @@ class Model:
     """Everything that an image is rendered from.
 
     Attributes:
-        gaussians: the shared Gaussians.
         field: what turns their parameters into colours and temperatures.
         neighbours: of each Gaussian, for the heat transformation, [N, K]; None if the field has
             none.
@@ -149,8 +148,6 @@ def render(
     projected centres of each pass.
 
     Args:
-        model: what to render.
-        cameras: of the modalities to render.
         sh_degrees: highest degree of a modality's spherical harmonics that counts; the model's for
             those that are not named.
         with_median_depth: also find the depth of the surface, which carries no gradient.

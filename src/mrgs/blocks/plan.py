@@ -67,10 +67,8 @@ class BlockPlan:
     Attributes:
         scene: absolute path of its folder.
         config: of the whole, as in ``config.yaml``.
-        options: by which it was cut.
         plane: in which it was cut.
         overlap: width of the margins, scene units.
-        cells: the blocks.
     """
 
     scene: str

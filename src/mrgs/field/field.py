@@ -161,7 +161,6 @@ class RadianceField(nn.Module):
         ``temperature_residuals``.
 
         Args:
-            gaussians: N Gaussians.
             neighbours: see ``temperature_residuals``; not read if t̂ is known.
             camera_position: centre of projection in world coordinates; not read where t is of
                 degree 0.
@@ -196,7 +195,6 @@ class RadianceField(nn.Module):
 
         Args:
             modality: one that the Gaussians have, of C channels.
-            gaussians: N Gaussians.
             camera_position: centre of projection in world coordinates.
             sh_degree: highest degree of the spherical harmonics in use, 0 to 3.
             rows: distinct Gaussians to evaluate; all if None (V = N).
@@ -218,7 +216,6 @@ class RadianceField(nn.Module):
         PE_p (Eq. 9), heat transformation (Eq. 10–12), output layer.
 
         Args:
-            gaussians: N Gaussians.
             neighbours: what ``neighbours_of`` returns; not read if the field exchanges no heat.
             rows: distinct Gaussians to evaluate; all if None (V = N).
             color_degree: highest degree of the colour's spherical harmonics in use; the extraction

@@ -76,8 +76,6 @@ class TrainConfig:
 
     Attributes:
         method: the method's name in the registry (``mrgs.runs.registry``).
-        preset: the preset's name.
-        max_steps: training steps.
         batch: views per step.
         resolution: images wider than this many pixels are reduced to it; None keeps them.
         coarse_until: share of the training in which photos and renderings are coarser: a quarter of
@@ -102,12 +100,9 @@ class TrainConfig:
             changes.
         checkpoint_every: steps between checkpoints; there is one every two minutes besides, unless
             writing takes long.
-        field: the radiance field.
         loss: L_c, L_t and L_smooth.
         radiation: L_boltz; None leaves it out.
         image_model: what the cameras do to the images; nothing as published.
-        optimizer: learning rates.
-        densification: the density control.
     """
 
     method: str = "mrgs"

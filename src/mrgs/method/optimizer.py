@@ -27,15 +27,11 @@ class OptimizerConfig:
         means: at the first step, in scene extents; decays log-linearly to ``means_final`` at the
             last step.
         means_final: at the last step, in scene extents.
-        quats: of the rotations.
-        log_scales: of the logarithms of the scales.
         opacities: of the opacity logits of all modalities.
         sh_dc: of the colour coefficient of degree 0, and of that of any further modality.
         sh_rest: of their coefficients of higher degrees.
-        temperature_dc: of the temperature.
-        temperature_rest: of its higher degrees, where it has them.
+        temperature_rest: of the temperature's higher degrees, where it has them.
         embedding: of e_m.
-        heads: of the field's layers.
         uncertainty: of ψ.
         slowdown_from: share of the training after which all rates but that of the means fall.
         slowdown_to: the share of the rates that is left at the last step.

@@ -59,7 +59,6 @@ class Workload:
         photos: whether the scene is made from photos.
         finds_poses: whether their poses must be found.
         has_two_cameras: whether a thermal camera must be placed.
-        compiles_s: time to compile the kernels.
     """
 
     views: int

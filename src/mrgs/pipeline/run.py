@@ -39,9 +39,7 @@ class PipelineResults:
     """The files that a pipeline made.
 
     Attributes:
-        scene_page: page that shows the scene.
         run: folder of the model; ``load_run`` opens it.
-        page: the model as one HTML file.
         contact_sheet: photos beside renderings; None if no views are held out.
     """
 

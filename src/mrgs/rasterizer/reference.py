@@ -66,7 +66,6 @@ def rasterize(
     every tensor of every layer.
 
     Args:
-        geometry: of the Gaussians.
         layers: one layer, or two that share the walk over the Gaussians.
         projection: of the camera, of any dtype and on any device; no gradient flows to it.
         means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the
@@ -263,9 +262,7 @@ def median_depth(
     units, [H, W]; NaN where more than half of the light passes all Gaussians.
 
     Args:
-        geometry: of the Gaussians.
         opacities: of the layer, in (0, 1), [N].
-        projection: of the camera.
     """
     means, quats, scales = geometry
     projection = projection.to(means)

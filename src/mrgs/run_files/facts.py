@@ -104,11 +104,9 @@ class CheckpointFacts(NamedTuple):
     """The facts about a run in the headers of its checkpoints.
 
     Attributes:
-        step: steps done.
         scene: absolute path of the scene's folder; empty for a scene made from arrays.
         capture: what the model needs to know of the scene's photos.
         temperature: the scene's temperature scale; None without known °C.
-        train_seconds: time spent in training so far.
         peak_memory_bytes: largest memory of the process since the run came to ``device``; on a GPU
             that of its tensors there.
         skipped_steps: steps skipped so far because of values that were not finite.
@@ -182,18 +180,9 @@ def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
 def facts_to_resume(
     facts: CheckpointFacts, scene: Scene, accept_changes: bool = False
 ) -> CheckpointFacts:
-    """The facts of a checkpoint that is resumed, updated to its scene as it is now. MrgsWarning if
-    they have changed, which is accepted.
-
-    Args:
-        facts: of the checkpoint.
-        scene: to train on.
-        accept_changes: continue although photos, poses or intrinsics have changed.
-
-    Raises:
-        RunError: they have changed, which is not accepted; or the scene has another number of
-            images, another temperature range or more modalities.
-    """
+    """The facts of a checkpoint that is resumed, updated to its scene as it is now. RunError if the
+    scene has another number of images, another temperature range or more modalities. Changed photos,
+    poses or intrinsics are a MrgsWarning if ``accept_changes``, else a RunError."""
     _raise_first(scene, _incompatible(facts, scene))
     images = fingerprints(scene)
     if changed := changes(facts.images, images, scene):

@@ -105,14 +105,11 @@ class RunRecord:
     Args:
         folder: the run's folder, locked by the caller.
         facts: of the checkpoint that is resumed, or of step 0.
-        config: of the run.
         tensors: returns all tensors of the training's state, by name.
         write: writes a checkpoint, from its path and facts.
         describe: returns numbers about the model for the log, every ``LOG_MODEL_EVERY`` steps.
-        device: where the steps are computed.
         skipped_in_a_row: number of steps skipped since the last good one.
         check_every: steps after which skipped ones are counted; by default ``CHECK_EVERY``.
-        clock: in seconds.
     """
 
     def __init__(

@@ -73,15 +73,10 @@ class Method:
         changes: str = "",
         source: str = "",
     ) -> Any:
-        """The configuration of a preset, with changed values; see ``mrgs.make_config``.
+        """The configuration of a preset, with changed values; see ``mrgs.make_config`` for the
+        others. ``max_gaussians`` and ``batch`` count where the method has Gaussians.
 
         Args:
-            preset: the preset's name.
-            max_steps: the preset's schedule is rescaled to these; None keeps it.
-            max_gaussians: cap on the Gaussians, where the method has any; None keeps the preset's.
-            resolution: images wider than this many pixels are reduced to it.
-            seed: of every random choice.
-            batch: views per step, where the method has Gaussians.
             changes: YAML of the values that differ; they count before the others. A preset among
                 them stands for all of its values; steps and batch rescale its schedule, as those
                 given do.

@@ -78,7 +78,8 @@ def train(
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
-        on_step: called after every step; returning True stops with a checkpoint.
+        on_step: called with the ``StepStatistics`` of every step; returning True stops with a
+            checkpoint.
         on_start: called once, before the model is made, with the scene and the configuration.
         on_model: called once, after that, with the model that is trained, which ``on_step`` may
             read and must not change, and with the response of the scene's cameras to a rendering,

@@ -44,7 +44,6 @@ class TrainedRun(ABC):
     """A run's newest checkpoint, of any method: what scoring and rendering need.
 
     Attributes:
-        folder: the run's folder.
         config: what it was trained with.
         facts: steps, scene, temperature scale, cost.
         scene: that it was trained on, if it was given in memory; None to read it from its folder.

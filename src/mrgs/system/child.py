@@ -30,7 +30,6 @@ class Child:
     """A child process, as its parent sees it.
 
     Attributes:
-        log: file with its standard error.
         end: its last message; empty before it has come.
     """
 
@@ -40,7 +39,6 @@ class Child:
         Args:
             arguments: such as ``("-m", "package.module")``.
             request: anything that JSON can express.
-            log: file for its standard error, replaced.
             variables: changes of the environment.
         """
         self.log = log

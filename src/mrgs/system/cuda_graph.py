@@ -27,7 +27,6 @@ class CudaGraph:
     Args:
         work: what is recorded: it queues the same work for tensors at the same places whenever it
             is called, does not wait for the GPU, and returns the number.
-        device: a CUDA device.
         cuda: torch's module, or a stand-in.
     """
 

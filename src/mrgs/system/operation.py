@@ -69,7 +69,6 @@ class Operation(Generic[P, R]):
     """A function with a plain definition and, for some devices, a kernel.
 
     Attributes:
-        plain: the plain torch definition.
         name: full name of the plain definition.
         measure: what is compared of a result, from the result and the arguments.
         rejected: its kernels that were found to differ, so that they are not used.

@@ -31,7 +31,6 @@ class KernelComparison(NamedTuple):
     """What kernels of an operation are compared with, and how.
 
     Attributes:
-        plain: the plain definition.
         measure: as of the operation; None for all of a result.
         gradients: whether to compare gradients as well as results.
     """

@@ -40,12 +40,8 @@ def aligned(rows: Sequence[Sequence[str]], left: Iterable[int]) -> list[str]:
 
 
 class Message(str):
-    """A text with values filled in; anything that reads texts can read it.
-
-    Attributes:
-        template: English, with values as ``{name}``.
-        values: in place of them, formatted.
-    """
+    """An English template with formatted values in place of each ``{name}``; anything that reads
+    texts can read it."""
 
     template: str
     values: dict[str, str]

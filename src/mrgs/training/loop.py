@@ -39,7 +39,6 @@ class Trainer:
     Attributes:
         folder: the run's folder, locked by the caller.
         scene: at the run's resolution.
-        config: of the run.
         state: all that changes during training.
     """
 

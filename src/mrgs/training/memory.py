@@ -80,8 +80,6 @@ def training_bytes(
     """``estimate_bytes`` of a scene of which only this is known.
 
     Args:
-        config: of the run.
-        modalities: of the scene.
         gaussians: how many.
         pixels: of all images of the largest view.
         photo_bytes: what the training photos take if all of them are kept.

@@ -43,7 +43,6 @@ class TrainingPhotos:
     Every round shows each photo once, so which of them are kept makes no difference.
 
     Args:
-        device: of the training.
         limit_bytes: of what is kept in the host's memory; None for a share of what is free now.
         gpu_limit_bytes: of what is kept on a GPU; None for a share of what is free there now.
         block_bytes: size of the blocks that photos are kept in.

@@ -45,7 +45,6 @@ class Recorder:
     parameters are others: when Gaussians are added or removed.
 
     Args:
-        device: a CUDA device.
         graph: what records there.
         watched: makes errors of waits for the device.
     """
@@ -71,8 +70,6 @@ class Recorder:
 
         Args:
             state: whose parameters get the gradients; they have none.
-            inputs: of the view.
-            run_pass: the pass.
 
         Warns:
             MrgsWarning: the pass cannot be recorded. It runs as it is from now on; where memory did

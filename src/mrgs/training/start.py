@@ -37,18 +37,8 @@ from mrgs.training.state import TrainingState, initial_state
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """How a run of any method is trained, without effect on its result.
-
-    Attributes:
-        resume: continue the run from its newest undamaged checkpoint, exactly; on another device up
-            to rounding. The run keeps its own configuration.
-        accept_changes: resume although photos, poses or intrinsics have changed since the run
-            began.
-        device: "auto" takes the GPU if there is one that can be used.
-        plain: run the plain definitions of all operations instead of kernels, much slower; so does
-            the environment variable MRGS_PLAIN=1.
-        tensorboard: also write the log to the run's folder ``tensorboard``.
-    """
+    """How a run of any method is trained, without effect on its result: ``mrgs.train`` describes
+    the keywords of these names."""
 
     resume: bool = False
     accept_changes: bool = False
@@ -59,16 +49,8 @@ class TrainOptions:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Functions that a training calls.
-
-    Attributes:
-        on_step: called with the ``StepStatistics`` of every step; returning True stops the training
-            with a checkpoint.
-        on_start: called once, before the model is made, with the scene and the configuration.
-        on_model: called once, after that, with the model that is trained, which ``on_step`` may
-            read and must not change, and with the response of the scene's cameras as learned so
-            far; not by methods without Gaussians.
-    """
+    """Functions that a training calls: ``mrgs.train`` describes the keywords of these names. Methods
+    without Gaussians do not call ``on_model``."""
 
     on_step: Callable[[Any], object] | None = None
     on_start: Callable[[Scene, Any], object] | None = None

@@ -90,11 +90,9 @@ class TrainingState:
     """All that changes during training, and so all that a checkpoint contains.
 
     Attributes:
-        step: steps done.
         model: what is trained; its Gaussians are those of ``gaussian_optimizer``.
         terms: of the loss, with their learned parameters.
         image_model: what the cameras do to the images.
-        gaussian_optimizer: Adam over the Gaussians.
         layer_optimizer: Adam over the layers of the terms, the field and the image model.
         strategy: density control.
         strategy_state: what it remembers.

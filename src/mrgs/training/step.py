@@ -72,8 +72,6 @@ def training_step(
     Args:
         state: changed in place.
         views: as many as the ``batch`` of the configuration.
-        config: of the run.
-        scale: of the scene.
         recorder: replays the pass of a step's only view on a GPU.
     """
     state.step += 1

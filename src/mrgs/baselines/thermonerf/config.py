@@ -28,10 +28,8 @@ class ThermoNerfConfig:
         max_steps: training steps, one batch of rays each.
         rays_per_batch: rays of a step, drawn over all training views.
         resolution: images wider than this many pixels are reduced to it; None keeps them.
-        seed: of every random choice.
         learning_rate: of Adam, at the first step.
         learning_rate_final: at the last step; in between it decays exponentially.
-        checkpoint_every: steps between checkpoints.
     """
 
     method: Literal["thermonerf"] = METHOD

@@ -83,8 +83,6 @@ class NerfState:
     """All that changes during training, and so all that a checkpoint contains.
 
     Attributes:
-        step: steps done.
-        model: what is trained.
         optimizer: Adam over all its parameters.
         generator: of every random choice after the start.
         skipped_in_a_row: steps skipped since the last good one.

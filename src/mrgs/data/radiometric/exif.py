@@ -43,13 +43,8 @@ class ExifFacts:
     """Facts in EXIF data; None where one is missing or damaged.
 
     Attributes:
-        make: the maker of the camera.
-        model: its model.
         taken: time by the camera's own clock, without a time zone.
-        gps: position.
         orientation: how the camera was held, 1 to 8; 1 is upright, or not known.
-        serial: the camera's serial number.
-        focal_mm: focal length in mm.
         field_of_view_deg: horizontal, from the focal length and the pixels' size on the sensor.
     """
 

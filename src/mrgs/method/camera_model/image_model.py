@@ -109,7 +109,6 @@ class ImageModel(nn.Module):
         """The cameras of a training view at their refined pose.
 
         Args:
-            cameras: of the view.
             view: its place among the training views, on the model's device.
         """
         if self.poses is None or not self.poses.moves:
@@ -125,7 +124,6 @@ class ImageModel(nn.Module):
         """The rendering of a training view as its cameras record it.
 
         Args:
-            rendering: of the view.
             view: its place among the training views, on the rendering's device.
             pixel_sizes: of the rendering's images, in pixels of the photos; 1 where none is given.
         """

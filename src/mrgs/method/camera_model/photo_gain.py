@@ -88,7 +88,6 @@ def expected_gains(
 
     Args:
         gains: log gain and offset of each photo, at least one; their mean is 0.
-        viewpoints: of each photo.
         viewpoint: of the photo to predict; if exactly one photo was taken there, the result is
             that photo's gain.
     """

@@ -101,7 +101,6 @@ def pose_error(
     darker as a whole, and what differs much is left to other causes.
 
     Args:
-        images: of the view's modalities.
         centre: of its first camera, about which the world is turned, in world coordinates.
         axes_px: columns of rotation vectors and translations, each of which shifts the images by
             about a pixel.

@@ -39,7 +39,6 @@ class AdaptiveDensityControl(Strategy):
     [N]).
 
     Attributes:
-        name: of the strategy.
         start: no densification up to this step.
         stop: none after this step.
         every: steps between densifications.
@@ -169,7 +168,6 @@ def densify(
         gaussians: not changed.
         gradients: mean norm of each Gaussian's screen-space gradient.
         config: thresholds and the cap.
-        extent: of the scene.
         prunes_large: whether Gaussians above ``prune_above`` are removed too.
         generator: of the places of the split halves.
     """

@@ -30,7 +30,6 @@ class DensityStep(NamedTuple):
 
     Attributes:
         number: of the step, from 1.
-        extent: the scene's extent in scene units.
         has_sky: whether training started with distant points, whose Gaussians are large.
         observed: what ``observe`` has found, summed over the step's views; zeros where the step was
             skipped.

@@ -84,7 +84,6 @@ def thermal_radiation(
     Args:
         target: normalised temperatures of the photo.
         depth: rendered thermal depth D_t in scene units, as the scene's extent.
-        extent: of the scene.
         temperature: turns the target into kelvin; without it the normalised values stand for t_GT.
     """
     kelvin = target if temperature is None else temperature.to_kelvin(target)

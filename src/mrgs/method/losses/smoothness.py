@@ -37,9 +37,7 @@ def smoothness_loss(
         image: rendered colours or normalised temperatures.
         depth: rendered depth in scene units, as the scene's extent.
         valid: pixels that count, all if None.
-        extent: of the scene.
         image_weight: of the image's part; the configuration has that of the depth's part.
-        config: of the losses.
         similarity: of neighbouring pixels, which weighs the differences of the image.
     """
     loss = image.new_zeros(())

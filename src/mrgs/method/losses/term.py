@@ -45,7 +45,6 @@ class SceneScale(NamedTuple):
     """What lengths and temperatures are measured by, and how well the latter are known.
 
     Attributes:
-        extent: the scene's extent in scene units.
         temperature: scale of the thermal values; None if the scene has no known °C.
         thermal_noise: standard deviation of the thermal photos' noise, normalised temperature.
         rgb_per_thermal: number of RGB photos per thermal photo; 0 where there are none, so that
@@ -118,9 +117,7 @@ class LossContext:
             with.
         photos: of the view, by modality.
         cameras: where two coincide, a pixel of the one image is the same pixel of the other.
-        gaussians: all Gaussians of the model.
-        dilation: of their projected covariances.
-        scale: of the scene.
+        dilation: of the Gaussians' projected covariances.
         render: renders the model from other cameras, with gradients; costs a pass each.
     """
 

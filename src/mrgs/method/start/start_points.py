@@ -278,7 +278,6 @@ def initial_gaussians(
     points as neighbours.
 
     Args:
-        points: start points.
         field: gives e_m its start; its frame must be set.
         apart: modalities with an opacity of their own; see ``blended_apart``.
         temperature_sh_degree: degree of the temperature's spherical harmonics, 0 to 3.
