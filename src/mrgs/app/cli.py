@@ -65,7 +65,6 @@ MAX_SYNTH_SEED = 1_000_000
 NO_MEMORY = ("can't allocate memory", "not enough memory")
 """Texts of torch's RuntimeError when the system has no memory left."""
 
-
 EXIT_USER_ERROR = 2
 
 _CONFIG = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff)

@@ -29,7 +29,6 @@ SynthScene = Literal[
     "solar-plant",
 ]  # fmt: skip
 
-
 METHOD_NAMES = [each.name for each in registered_methods()]
 METHODS_HELP = "; ".join(f"{each.name}: {each.description}" for each in registered_methods())
 
@@ -71,7 +70,6 @@ MovedScene = Annotated[
     Maybe[Path], tyro.conf.arg(help="Scene folder, if it has moved since training.")
 ]
 ScenePath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
-
 
 _OF_PREPARE = ("pairs", "pair_table", "poses", "one_camera", "thermal_camera", "eval_every")
 """Options of the same name in ``PrepareOptions``."""

@@ -52,7 +52,6 @@ from mrgs.training.memory import checkpoint_bytes
 
 Say = Callable[[str], None]
 
-
 WIDE_PX, NARROW_PX = 300, 220
 """Width of a panel; narrow where there are more than five columns."""
 

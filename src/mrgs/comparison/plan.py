@@ -28,7 +28,6 @@ from mrgs.training import make_config
 NEIGHBOURS_METHOD = "mrgs"
 """The method whose number of neighbours the paper's Table 4 varies."""
 
-
 DEFAULT_METHODS = ("3dgs-rgbt", "mrgs-base", "mrgs-fourier", "mrgs-boltz", "mrgs", "mrgs-plus")
 
 

@@ -140,10 +140,8 @@ def contact_sheet(
     """Draw the sheet: a row per view and a column per kind of image that any row has.
 
     Photos and renderings of a modality with a unit share one range, that of the photos shown; its
-    errors have another, symmetric about zero. ValueError if there are no rows. The ``rows`` have
+    errors have another, symmetric about zero. The ``rows`` have
     aligned poses if ``metrics`` has them."""
-    if not rows:
-        raise ValueError("a contact sheet needs at least one row")
     columns, bars = _columns([images for _, images in rows], temperature)
     panel_rows = []
     for number, (view, _) in enumerate(rows):

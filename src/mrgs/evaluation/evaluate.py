@@ -52,7 +52,6 @@ from mrgs.system.memory import give_back_freed
 NO_LPIPS = "no VGG-16 and LPIPS weights were given"
 NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
 
-
 TRUTH_FIGURES = ("mae_c", "camera_mae_c", "depth_median_relative_error")
 
 
@@ -233,7 +232,7 @@ def evaluate(
     camera_response: CameraResponse = ideal_cameras,
 ) -> Metrics:
     """Render each view once and score it at the full frame, on the (undistorted) images that the
-    views load. SceneError if there are no views, or an image or a truth file cannot be read.
+    views load. SceneError if an image or a truth file cannot be read.
 
     Args:
         render: the model, from a view to its images.
@@ -243,11 +242,6 @@ def evaluate(
         camera_response: from the rendering to what the cameras record, which is compared with the
             photos.
     """
-    if not views:
-        raise SceneError(
-            "the scene has no views to score: put 'eval' into their file names, or list them in "
-            "val_filenames; for a scene from arrays, give eval_every="
-        )
     measure = _Measure(temperature, Foreground.find(views), lpips)
     found = in_order(modality for view in views for modality in view.images)
     modalities = tuple(dict.fromkeys((*REPORTED, *found)))

@@ -69,12 +69,7 @@ class Lpips:
     @torch.no_grad()
     def __call__(self, image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"]) -> float:
         """Distance of two images in [0, 1] (mapped to [-1, 1] here); one channel is shown to VGG as
-        grey. ValueError if an image side is shorter than ``MIN_SIDE_PX``."""
-        if min(image.shape[:2]) < MIN_SIDE_PX:
-            raise ValueError(
-                f"LPIPS needs images of at least {MIN_SIDE_PX} pixels a side, got "
-                f"{tuple(image.shape[:2])}"
-            )
+        grey. No side may be shorter than ``MIN_SIDE_PX``."""
         distance = 0.0
         pairs = zip(self.features(image), self.features(target), strict=True)
         for layer, (one, other) in enumerate(pairs):

@@ -9,7 +9,6 @@ from typing import Any
 
 import torch
 
-from mrgs.errors import SceneError
 from mrgs.evaluation.evaluate import Truth
 from mrgs.evaluation.metrics import Figure, Figures, Missing, mean_figures, psnr, to_json
 from mrgs.method.parts import PartSpreads, knock_outs, part_spreads
@@ -47,13 +46,8 @@ class Parts:
 
 def score_parts(run: Run, views: Sequence[View], truth: Truth | None = None) -> Parts | None:
     """Knock the parts out of a run's model, one at a time, and score what is left. None for a model
-    without the paper's field (3DGS_RGB-T).
-
-    Raises:
-        SceneError: there are no views, or an image or a truth file cannot be read.
-    """
-    if not views:
-        raise SceneError("there are no views to score the parts of the model on")
+    without the paper's field (3DGS_RGB-T). SceneError if an image or a truth file cannot be
+    read."""
     spreads = part_spreads(run.model, views[0].camera.position.float())
     if spreads is None:
         return None

@@ -44,7 +44,6 @@ CONVENTIONS = (
     "VGG's on [-1, 1]; the 3DGS family feeds it [0, 1], so its numbers do not compare."
 )
 
-
 NO_POSE_ERROR = (
     "too few held-out views, or the model is not clear enough to tell, or the images are another "
     "program's"

@@ -50,7 +50,6 @@ Split: TypeAlias = Literal["eval", "train", "path"]
 Progress = Callable[[int, int], None]
 """Called with the number of images done and of all images."""
 
-
 MOST_VIEWS = 16
 """Number of held-out views that are inspected for wrong poses."""
 

@@ -134,34 +134,30 @@ class MarkStore:
         write_text(path, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
     def _states(self, path: Path) -> list[Marks]:
-        """The states of the marks in a file, the oldest first: only one in ``marks.json``. None
-        without a file, or where it is damaged."""
-        try:
-            document = self._document(path)
-            if document is None:
-                return []
-            states = from_json(list[dict[str, Any]], document.get("states", [document]))
-            return [_marks_of(from_json(_State, state)) for state in states]
-        except (ConfigError, ValueError) as error:
-            self._set_aside(path, str(error))
-            return []
-
-    def _document(self, path: Path) -> Any:
-        """The JSON object in a file; None without one. ConfigError or ValueError if it is damaged,
-        RunError if it cannot be read, or is not for this program or this model."""
+        """The states of the marks in a file, the oldest first: only one in ``marks.json``; none
+        without a file, or where it is damaged, which sets it aside. RunError if it cannot be read,
+        or is not for this program or this model."""
         try:
             if not path.exists():
-                return None
+                return []
             if path.stat().st_size > LARGEST_BYTES:
                 raise ConfigError("it is too large")
             document = json.loads(path.read_text(encoding="utf-8"))
+            self._require_own(path, from_json(_Head, document))
+            states = from_json(list[_State], document.get("states", [document]))
+            return list(map(_marks_of, states))
         except OSError as error:
             raise RunError(
                 f"{path} cannot be read ({error.strerror}): check its permissions"
             ) from error
-        except (ValueError, RecursionError) as error:
-            raise ConfigError(f"it is not JSON, {error}") from None
-        head = from_json(_Head, document)
+        except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+            self._set_aside(path, f"it is not JSON, {error}")
+        except (ConfigError, ValueError) as error:
+            self._set_aside(path, str(error))
+        return []
+
+    def _require_own(self, path: Path, head: _Head) -> None:
+        """Check that a file is for this program and this model; RunError if not."""
         if head.version > VERSION:
             raise RunError(f"{path} was written by a newer version of mrgs: update mrgs")
         if not head.cameras.is_world_of(self._spread):
@@ -169,7 +165,6 @@ class MarkStore:
                 f"{path} holds the marks of another model, whose places mean nothing here: move "
                 f"the file away, or put it back into its own run"
             )
-        return document
 
     def _set_aside(self, path: Path, reason: str) -> None:
         """Keep a damaged file under another name, with a warning."""

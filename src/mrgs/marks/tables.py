@@ -284,7 +284,6 @@ def digits(value: float, count: int = 3) -> str:
 
 _NOTHING = MarkReading(Mark("-", "spot", ((0.0, 0.0, 0.0),), (0.0, 0.0, 1.0), radius=1.0))
 
-
 PART_NAMES = {
     "photos": "photos",
     "model": "model",

@@ -50,7 +50,6 @@ PALETTE_CHOICES: tuple[PaletteName, ...] = tuple(
 )
 """Palettes that the reader of such a page may choose."""
 
-
 PHOTOS_READ = 8
 PIXEL_STEP = 4
 """Step between the rows and columns of a photo that are read for percentiles."""
@@ -115,11 +114,19 @@ def starting_limits(
 ) -> dict[Modality, tuple[float, float]]:
     """Limits of every modality with a unit, in that unit: what some of the training photos show,
     but for half a percent at each end; the whole range without photos."""
-    return {
-        modality: _limits_of(modality, scene, temperature)
-        for modality in modalities
-        if modality.is_metric
-    }
+    found = {}
+    for modality in (each for each in modalities if each.is_metric):
+        photos = [] if scene is None else scene.train_photos(modality)
+        seen = []
+        for index in evenly_spaced(len(photos), PHOTOS_READ):
+            pixels = photos[index].load()
+            values = shown_values(modality, pixels.values, temperature)
+            valid = True if pixels.valid is None else pixels.valid.numpy()
+            seen.append(np.where(valid, values, np.nan)[::PIXEL_STEP, ::PIXEL_STEP].ravel())
+        found[modality] = range_of(modality, temperature)
+        if seen:
+            found[modality] = rounded(modality, display_range(np.concatenate(seen)), temperature)
+    return found
 
 
 def rounded(
@@ -131,18 +138,3 @@ def rounded(
     step = max(tick_step(*limits, count=20), finest)
     low, high = math.floor(limits[0] / step + 1e-6), math.ceil(limits[1] / step - 1e-6)
     return round(low * step, 9), round(max(high, low + 1) * step, 9)
-
-
-def _limits_of(
-    modality: Modality, scene: Scene | None, temperature: TemperatureRange | None
-) -> tuple[float, float]:
-    views = [] if scene is None else [each for each in scene.train if modality in each.images]
-    if not views:
-        return range_of(modality, temperature)
-    seen = []
-    for index in evenly_spaced(len(views), PHOTOS_READ):
-        pixels = views[index].images[modality].load()
-        values = shown_values(modality, pixels.values, temperature)[::PIXEL_STEP, ::PIXEL_STEP]
-        valid = True if pixels.valid is None else pixels.valid.numpy()[::PIXEL_STEP, ::PIXEL_STEP]
-        seen.append(np.where(valid, values, np.nan).ravel())
-    return rounded(modality, display_range(np.concatenate(seen)), temperature)

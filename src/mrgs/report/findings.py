@@ -169,7 +169,6 @@ def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
 
 CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 64
 
-
 PAUSE_MIN = 2.0
 """Photos farther apart are not joined by a line, minutes."""
 

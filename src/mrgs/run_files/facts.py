@@ -181,7 +181,7 @@ def facts_to_resume(
     facts: CheckpointFacts, scene: Scene, accept_changes: bool = False
 ) -> CheckpointFacts:
     """The facts of a checkpoint that is resumed, updated to its scene as it is now. RunError if the
-    scene has another number of images, another temperature range or more modalities. Changed photos,
+    scene has another number of images, another temperature range or more modalities. Other photos,
     poses or intrinsics are a MrgsWarning if ``accept_changes``, else a RunError."""
     _raise_first(scene, _incompatible(facts, scene))
     images = fingerprints(scene)

@@ -25,7 +25,6 @@ _COMPUTABLE = {
 }
 """Types that torch stores but hardly computes with, and what holds their values."""
 
-
 Numbers: TypeAlias = tuple["float | Numbers", ...]
 
 

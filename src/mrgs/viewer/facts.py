@@ -184,7 +184,7 @@ def _value_texts(value: ValueReading, modality: Modality, subject: Subject) -> t
 def encode(value: object) -> str:
     """A message to a browser as JSON; ? stands for what is not UTF-8 in the name of a file."""
     try:
-        return msgspec.json.encode(value, enc_hook=_plain_text).decode()
+        return msgspec.json.encode(value, enc_hook=str).decode()  # a Message is a text
     except UnicodeEncodeError:
         return msgspec.json.encode(_with_valid_texts(value)).decode()
 
@@ -199,10 +199,3 @@ def _with_valid_texts(value: Any) -> Any:
         case dict():
             return {name: _with_valid_texts(each) for name, each in value.items()}
     return value
-
-
-def _plain_text(value: object) -> str:
-    """A Message, or another kind of text, as JSON knows it."""
-    if isinstance(value, str):
-        return str(value)
-    raise TypeError(f"{type(value)} cannot be sent to a browser")

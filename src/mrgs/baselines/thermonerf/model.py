@@ -21,7 +21,6 @@ CHUNK_RAYS = 8_192
 
 ALL_ROWS = slice(None)
 
-
 PADDING = 0.01
 """Added to every weight, so that no part of a ray is left out for good (mip-NeRF, Section 3.2)."""
 

@@ -162,7 +162,6 @@ register_kernels(
     Kernel(perceptron.name, "mrgs.baselines.thermonerf.kernels.perceptron.perceptron", "cpu")
 )
 
-
 HARMONICS = 16
 """Functions of the viewing direction that the colour head gets: all up to degree 3."""
 

@@ -45,7 +45,6 @@ _MEDIAN_LIMITS_C = (-150.0, 3000.0)
 """A photo whose middle temperature lies outside of these was not computed with its camera's
 constants."""
 
-
 _WORKSWELL = b"WWP"
 """Creator of a record whose numbers are temperatures; its Planck constants are all 0."""
 

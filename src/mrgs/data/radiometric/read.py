@@ -26,7 +26,6 @@ MAX_BYTES = 256 * 2**20
 _RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
-
 Kind = Literal["signal", "numbers", "table", "image"]
 """Content of a file: a camera's raw signal; bare numbers, or floats in an image; a table of
 temperatures; any other image."""
@@ -88,7 +87,6 @@ _CLOSED_FORMATS = (
     _ClosedFormat(".bmt", (b"BM",), "Testo's BMT", "export the table from IRSoft as CSV"),
     _ClosedFormat(".is2", (b"",), "Fluke's IS2", "export CSV from Fluke Connect or SmartView"),
 )
-
 
 READERS = [
     Reader(

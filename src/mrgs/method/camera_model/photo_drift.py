@@ -26,7 +26,6 @@ NORMAL_QUARTILES = 1.349
 MEDIAN_LOSS = 1.5708
 """Variance of the median over that of the mean, of many normal variables (π / 2)."""
 
-
 NEARLY_SAME_PLACE = 0.01
 """Held-out photos this close to a viewpoint are taken for the photo there: their poses may have
 been aligned since."""
