@@ -175,12 +175,6 @@ def test_a_third_modality_has_two_columns() -> None:
     assert rows[0][1].photos[NEAR_INFRARED].shape == (20, 16, 3)
 
 
-def test_no_rows_is_a_mistake_of_the_program() -> None:
-    _, metrics = rows_of([ramp_view()], render_with_error, CELSIUS)
-    with pytest.raises(ValueError, match="one row"):
-        contact_sheet([], FACTS, metrics, CELSIUS)
-
-
 def test_views_are_spread_evenly() -> None:
     assert evenly_spaced(3) == [0, 1, 2]
     assert evenly_spaced(9) == [0, 2, 4, 6, 8]

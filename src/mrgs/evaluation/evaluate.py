@@ -232,7 +232,7 @@ def evaluate(
     camera_response: CameraResponse = ideal_cameras,
 ) -> Metrics:
     """Render each view once and score it at the full frame, on the (undistorted) images that the
-    views load. SceneError if an image or a truth file cannot be read.
+    views load. SceneError if there are no views, or an image or a truth file cannot be read.
 
     Args:
         render: the model, from a view to its images.
@@ -242,6 +242,11 @@ def evaluate(
         camera_response: from the rendering to what the cameras record, which is compared with the
             photos.
     """
+    if not views:
+        raise SceneError(
+            "the scene has no views to score: put 'eval' into their file names, or list them in "
+            "val_filenames; for a scene from arrays, give eval_every="
+        )
     measure = _Measure(temperature, Foreground.find(views), lpips)
     found = in_order(modality for view in views for modality in view.images)
     modalities = tuple(dict.fromkeys((*REPORTED, *found)))
