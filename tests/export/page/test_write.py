@@ -218,7 +218,7 @@ def test_palette_range_and_start_can_be_chosen(baked, cameras, tmp_path):
 
 
 def test_a_palette_that_the_page_lacks_is_named(baked, cameras, tmp_path):
-    with pytest.raises(ConfigError, match="depth.*black-hot"):
+    with pytest.raises(ConfigError, match=r"depth.*black-hot"):
         write_page(baked, cameras, "t", tmp_path / "page.html", PageContent("depth"))
     assert not list(tmp_path.iterdir())
 
