@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from mrgs.export import export
-from mrgs.export.loss import correction_note
+from mrgs.export.job import correction_note
 from mrgs.marks import open_marks
 from mrgs.marks.regions import Regions
 from mrgs.runs.baked import BakedModel

@@ -21,16 +21,16 @@ def test_a_map_ends_where_few_photos_look():
     np.testing.assert_allclose(low, -high)
     u = np.array([-9.0, -2.8, 0.0, 2.8, 5.0])
     np.testing.assert_array_equal(
-        coverage.holds(u, np.array([0.0]))[0], [False, True, True, True, False]
+        coverage.covers(u, np.array([0.0]))[0], [False, True, True, True, False]
     )
 
 
 def test_both_edges_of_a_map_lie_alike():
     coverage = Coverage.of([square(-3, 3)] * 5, 0.25)
     places = np.linspace(-4, 4, 161)
-    across = coverage.holds(places, np.array([0.0]))[0]
+    across = coverage.covers(places, np.array([0.0]))[0]
     np.testing.assert_array_equal(across, across[::-1])
-    down = coverage.holds(np.array([0.0]), places)[:, 0]
+    down = coverage.covers(np.array([0.0]), places)[:, 0]
     np.testing.assert_array_equal(down, across)
     assert 5.5 < across.sum() * 0.05 < 6.5
 
@@ -41,7 +41,7 @@ def test_a_hole_that_photos_show_badly_stays_in_the_map():
     coverage = Coverage.of([ring] * 5, 0.25)
     middle = coverage.share.shape[0] // 2
     assert coverage.share[middle, middle] < LEAST_SHARE
-    assert coverage.holds(np.arange(-2.5, 3, 0.5), np.arange(-2.5, 3, 0.5)).all()
+    assert coverage.covers(np.arange(-2.5, 3, 0.5), np.arange(-2.5, 3, 0.5)).all()
 
 
 def test_one_place_is_a_map():

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from mrgs.scene import RGB, THERMAL
-from mrgs.viewer.panes import panes_of, place_at
+from mrgs.viewer.painting import DrawnPicture
+from mrgs.viewer.panes import panes_of
 from tests.helpers.scenes import write_scene
 from tests.helpers.subjects import MODES
 
@@ -67,11 +68,12 @@ def test_each_thermal_pane_has_the_thermal_camera(camera, tmp_path):
 
 def test_places_are_found_in_their_panes(camera):
     panes = panes_of(MODES["side_by_side"], camera, None)
-    place = place_at(panes, 120, 30)
+    drawn = DrawnPicture(camera, panes, (), {}, np.zeros((120, 160, 3), np.uint8))
+    place = drawn.place(0.75, 0.25)
     assert place.pane is panes[1]
     assert (place.u, place.v) == (0.5, 0.25)
-    assert place_at(panes, 161, 30) is None
-    assert place_at(panes, 10, -1) is None
+    assert drawn.place(1.01, 0.25) is None
+    assert drawn.place(0.1, -0.01) is None
 
 
 def test_a_view_without_thermal_has_no_difference(camera, tmp_path):

@@ -1,7 +1,7 @@
 """LPIPS with VGG-16 (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
 Metric", 2018).
 
-The weights are not part of this package. ``Lpips.from_file`` reads a safetensors file that holds
+The weights are not part of this package. ``Lpips.from_file`` reads a safetensors file with
 
 - ``features.N.weight`` and ``features.N.bias``, N = 0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28:
   the convolutions of VGG-16 trained on ImageNet, named and shaped as in torchvision's state dict of
@@ -98,7 +98,7 @@ class Lpips:
 
 
 def weight_shapes() -> dict[str, tuple[int, ...]]:
-    """Names and shapes of the tensors that a weights file must hold."""
+    """Names and shapes of the tensors that a weights file must have."""
     shapes: dict[str, tuple[int, ...]] = {}
     width_in = 3
     for block, (indices, width) in enumerate(zip(_BLOCKS, _WIDTHS, strict=True)):

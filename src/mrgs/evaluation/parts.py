@@ -1,4 +1,4 @@
-"""What each part of the paper contributes to a trained model: how much it says, and what the
+"""What each part of the paper contributes to a trained model: how large it is, and what the
 held-out views lose without it."""
 
 from __future__ import annotations

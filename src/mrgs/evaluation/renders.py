@@ -10,7 +10,7 @@ Temperatures are in one of
   float32, °C.
 
 The first of these folders that exists is read, so that the output of ``mrgs render`` can be scored:
-its ``thermal/`` holds coloured pictures beside the values. ``depth_thermal/NAME.tiff`` (z-depth,
+its ``thermal/`` has coloured pictures beside the values. ``depth_thermal/NAME.tiff`` (z-depth,
 scene units) is optional.
 """
 

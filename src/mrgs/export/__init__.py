@@ -12,8 +12,8 @@ from mrgs.system.lazy import lazy_imports
 if TYPE_CHECKING:
     from mrgs.export.formats import FORMATS as FORMATS
     from mrgs.export.formats import Format as Format
-    from mrgs.export.loss import BakingLoss as BakingLoss
-    from mrgs.export.loss import baking_loss_db as baking_loss_db
+    from mrgs.export.job import BakingLoss as BakingLoss
+    from mrgs.export.job import baking_loss_db as baking_loss_db
     from mrgs.export.page.write import write_page as write_page
     from mrgs.export.write import export as export
 

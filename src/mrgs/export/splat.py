@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mrgs.export.job import ExportJob, described, loss_facts
-from mrgs.export.loss import baking_loss_db
+from mrgs.export.job import ExportJob, baking_loss_db, described, loss_facts
 from mrgs.export.splats import SplatArrays, to_bytes, without_directions
 from mrgs.scene import THERMAL
 from mrgs.system.atomic import replacing

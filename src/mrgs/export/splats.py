@@ -76,7 +76,7 @@ def thermal_scale(
 
 def require_exportable(baked: BakedModel) -> None:
     """Check that there is something to write, and that all of it is finite. RunError if the model
-    has no splats, or some hold NaN or infinity."""
+    has no splats, or some have NaN or infinity."""
     if len(baked) == 0:
         raise RunError("the model has no splats, so there is nothing to export: retrain it")
     broken = 0

@@ -8,8 +8,7 @@ from typing import TypeAlias
 
 from mrgs.errors import ConfigError, MrgsError, RunError, WriteError, warn_user
 from mrgs.export.formats import FORMATS, Format
-from mrgs.export.job import ExportJob, facts_of
-from mrgs.export.loss import BakingLoss, baking_loss_db
+from mrgs.export.job import BakingLoss, ExportJob, baking_loss_db, facts_of
 from mrgs.export.splats import require_exportable, thermal_scale
 from mrgs.maps.crs import coordinate_system
 from mrgs.maps.options import MapOptions

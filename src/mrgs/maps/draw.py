@@ -115,7 +115,7 @@ def draw_map(
         camera = grid.camera(left, top, width, height)
         bands[1:4, part[0], part[1]], points[part] = _draw_part(splats, scene, camera, part, shown)
     if coverage is not None:
-        beyond = ~coverage.holds(*grid.middles)
+        beyond = ~coverage.covers(*grid.middles)
         bands[:, beyond], points[beyond] = np.nan, np.nan
     statistics = PhotoStatistics(points, grid)
     for image in scene.train_photos(THERMAL):

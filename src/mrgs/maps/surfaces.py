@@ -315,7 +315,7 @@ class Coverage:
         first, last = cells.min(axis=0), cells.max(axis=0) + 1
         return self.low + first * self.cell_m, self.low + last * self.cell_m
 
-    def holds(
+    def covers(
         self, u: Float64[np.ndarray, " w"], v: Float64[np.ndarray, " h"]
     ) -> Bool[np.ndarray, "h w"]:
         """Whether enough photos show the places of a grid, [H, W]."""
@@ -324,8 +324,8 @@ class Coverage:
         )
         at = np.stack(np.meshgrid(columns, rows))
         share = ndimage.map_coordinates(self.share, at, order=1, mode="constant")
-        holds: Bool[np.ndarray, "h w"] = ndimage.binary_fill_holes(share >= LEAST_SHARE)
-        return holds
+        covered: Bool[np.ndarray, "h w"] = ndimage.binary_fill_holes(share >= LEAST_SHARE)
+        return covered
 
 
 CELL = 1.5

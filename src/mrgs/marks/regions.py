@@ -93,7 +93,7 @@ class SurfaceRegion:
     inside: Bool[np.ndarray, "h w"]
     plane: RegionPlane | None
 
-    def holds(self, points: Points, eye: Vector | None = None) -> Bool[np.ndarray, " n"]:
+    def contains(self, points: Points, eye: Vector | None = None) -> Bool[np.ndarray, " n"]:
         """Which points of the world are on it, [N]; not NaN. ``eye`` sees them, if they are pixels
         of an image: their depths differ from pixel to pixel, which from the side would make the
         edge of a flat region ragged."""
@@ -105,8 +105,8 @@ class SurfaceRegion:
         seen = self.surface.depth[at.rows, at.columns]
         with np.errstate(invalid="ignore"):
             near = np.abs(seen - depth.numpy()) < REGION_DEPTH * seen
-        holds: Bool[np.ndarray, " n"] = at.inside & self.inside[at.rows, at.columns] & near
-        return holds
+        inside: Bool[np.ndarray, " n"] = at.inside & self.inside[at.rows, at.columns] & near
+        return inside
 
 
 class Regions:
@@ -175,12 +175,12 @@ class Regions:
         self, points: Float[np.ndarray, "*shape 3"], eye: Vector | None = None
     ) -> Iterator[tuple[SurfaceSettings, Bool[np.ndarray, "*shape"]]]:
         """The settings of each region, and which of some points on surfaces are its own; see
-        ``SurfaceRegion.holds``."""
+        ``SurfaceRegion.contains``."""
         flat = points.reshape(-1, 3)
         owner = np.full(len(flat), -1, np.int16)
         for rows in row_chunks(len(flat)):
             for number, region in enumerate(self._regions):
-                owner[rows][region.holds(flat[rows], eye)] = number
+                owner[rows][region.contains(flat[rows], eye)] = number
         for number, region in enumerate(self._regions):
             yield region.settings, (owner == number).reshape(points.shape[:-1])
 
@@ -209,7 +209,7 @@ class Regions:
         eye: Vector | None = None,
     ) -> Float[np.ndarray, " n"]:
         """Temperatures of points (°C, or normalised by ``scale``), corrected where a region has
-        them, see ``SurfaceRegion.holds``; where there is no such temperature the value stays."""
+        them, see ``SurfaceRegion.contains``; where there is no such temperature the value stays."""
         corrected = values.copy()
         for settings, held in self.parts(points, eye):
             found = values[held].astype(np.float64)

@@ -82,7 +82,7 @@ class MarkStore:
 
     def __init__(self, folder: Path, spread: CameraSpread) -> None:
         self.folder = folder
-        self.file = folder / FILE
+        self.file, self._undo_file = folder / FILE, folder / UNDO_FILE
         self._spread = spread
 
     @property
@@ -106,29 +106,28 @@ class MarkStore:
             before = self.read()
             after = change(before)
             if after != before:
-                states = [*self._states(self.folder / UNDO_FILE), before]
-                self._write_undo(states[-STEPS_KEPT:])
-                self._write(self.file, _content(after))
+                self._write([*self._states(self._undo_file), before][-STEPS_KEPT:], self._undo_file)
+                self._write([after], self.file)
         return after
 
     def undo(self) -> Marks:
         """Undo the last change, and save; returns the marks. Errors as for ``edit``; also
         ConfigError if there is nothing to undo."""
         with self._locked():
-            now, states = self.read(), self._states(self.folder / UNDO_FILE)
+            now, states = self.read(), self._states(self._undo_file)
             while states and states[-1] == now:  # a change that was cut off before its second file
                 states.pop()
             if not states:
                 raise ConfigError("there is nothing to undo: the marks have not been changed")
             before = states.pop()
-            self._write(self.file, _content(before))
-            self._write_undo(states)
+            self._write([before], self.file)
+            self._write(states, self._undo_file)
         return before
 
-    def _write_undo(self, states: Sequence[Marks]) -> None:
-        self._write(self.folder / UNDO_FILE, {"states": [_content(state) for state in states]})
-
-    def _write(self, path: Path, content: dict[str, Any]) -> None:
+    def _write(self, states: Sequence[Marks], path: Path) -> None:
+        """Write the only state into ``marks.json``, or any number into the file for undoing."""
+        contents = [_content(state) for state in states]
+        content = contents[0] if path == self.file else {"states": contents}
         head = {"program": f"mrgs {version('mrgs')}", "version": VERSION}
         whole = {**head, "cameras": asdict(self._spread), **content}
         write_text(path, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")

@@ -277,7 +277,7 @@ def _with_around(size: float, share: float) -> str:
 
 
 def digits(value: float, count: int = 3) -> str:
-    """So many digits, without an exponent."""
+    """A number with a count of significant digits, without an exponent."""
     decimals = 2 if value <= 0 else max(0, count - 1 - math.floor(math.log10(value)))
     return f"{value:.{decimals}f}"
 

@@ -252,7 +252,7 @@ def _around(value: float, temperature: TemperatureRange | None) -> str:
 
 def _factor(mean: float, survey: Survey) -> str:
     """f_Rsi = (T_si - T_e) / (T_i - T_e) (ISO 13788), which is defined for surfaces inside only; a
-    dash where it would not lie from 0 to 1, as of a radiator."""
+    dash where it would not be from 0 to 1, as of a radiator."""
     inside, outside = survey.inside_c, survey.outside_c
     if (
         survey.side != "inside"

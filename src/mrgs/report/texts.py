@@ -20,7 +20,7 @@ DATES: dict[Language, str] = {"en": "%Y-%m-%d", "de": "%d.%m.%Y", "fr": "%d/%m/%
 
 
 class Texts:
-    """Translates what the report says; a sentence without a translation stays English.
+    """Translates the report's sentences; a sentence without a translation stays English.
 
     Args:
         language: of the report; its sentences are in ``report/languages/LANGUAGE.json``, under the

@@ -46,7 +46,7 @@ class Method:
             where the method has no Gaussians.
         open: opens the newest checkpoint of a run as a ``TrainedRun``, from the folder, the scene
             (or None) and the device.
-        read_config: configuration from YAML, the file's name, and the configuration that holds
+        read_config: configuration from YAML, the file's name, and the configuration with
             what the YAML leaves out (or None).
         has_gaussians: whether there is something to view and to export.
         uses_gpu: whether it can train and render on a GPU.

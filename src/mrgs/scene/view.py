@@ -51,7 +51,7 @@ class PosedImage:
     load_at_least: Callable[[int], Pixels] | None = None
 
     def look(self, width: int) -> Pixels:
-        """The image for whom so many pixels across suffice: a large photo is read at a fraction of
+        """The image where this many pixels across suffice: a large photo is read at a fraction of
         its size, in a fraction of the time. Others are as from ``load``. SceneError if it cannot be
         read."""
         return self.load() if self.load_at_least is None else self.load_at_least(width)

@@ -38,7 +38,7 @@ class CudaGraph:
         self._fetched = torch.zeros((), dtype=torch.int64, pin_memory=device.type == "cuda")
         stream, current = cuda.Stream(device), cuda.current_stream(device)
         stream.wait_stream(current)
-        # While torch records, it gives back nothing of what it holds in reserve.
+        # While torch records, it gives back nothing of what it keeps in reserve.
         cuda.empty_cache()
         # cuBLAS has a workspace per stream, which is made in the memory of the graph that first
         # needs it: torch must neither keep it when the graph is gone, nor use it in another graph.

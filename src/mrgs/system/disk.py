@@ -9,7 +9,7 @@ from mrgs.errors import warn_user
 
 
 def free_disk(folder: Path) -> int:
-    """Free bytes where a folder lies, or will lie."""
+    """Free bytes on the disk of a folder, which may not be there yet."""
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     return shutil.disk_usage(existing).free
 

@@ -50,7 +50,7 @@ def release_when_freed() -> None:
 
 
 def give_back_freed() -> None:
-    """Return the freed memory that the C library holds in reserve to the system, which takes some
+    """Return the freed memory that the C library keeps in reserve to the system, which takes some
     milliseconds; does nothing where the library cannot."""
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -98,7 +98,7 @@ class KernelComparison(NamedTuple):
 
 
 def members(value: Any) -> Iterable[Any]:
-    """What a tuple, list or dataclass holds; nothing for any other value."""
+    """The members of a tuple, list or dataclass; none of any other value."""
     if isinstance(value, (list, tuple)):
         return value
     return vars(value).values() if is_dataclass(value) else ()

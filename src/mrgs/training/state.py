@@ -161,8 +161,8 @@ class TrainingState:
         return [*gaussians, *self.layer_optimizer.parameters()]
 
     def refresh_neighbours(self, config: TrainConfig) -> None:
-        """Search the neighbours (Eq. 11) when N has changed, and every so many steps because the
-        Gaussians move; but not so close to the end that the layers could no longer follow.
+        """Search the neighbours (Eq. 11) when N has changed, and every ``neighbours_every`` steps
+        because Gaussians move; but not so close to the end that the layers could no longer follow.
         NotFiniteError if a position is not finite."""
         every = config.neighbours_every
         due = self.step % every == 0 and self.step + every <= config.max_steps

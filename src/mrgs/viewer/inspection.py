@@ -21,12 +21,10 @@ from mrgs.viewer.painting import DrawnPicture, MarkLabel, Scales, annotate, comp
 from mrgs.viewer.panes import (
     Pane,
     PaneImages,
-    Place,
     Reading,
     difference,
     panes_of,
     photo_images,
-    place_at,
     read_point,
     render_pane,
 )
@@ -162,7 +160,8 @@ class Inspection:
             raise ConfigError("marks need the scene: open the run with it")
         if kind == "box" and len(points) != 2:
             raise ConfigError("draw a box from one corner to the opposite one")
-        places = [place for x, y in points if (place := self._place(x, y)) is not None]
+        found = [] if self.drawn is None else [self.drawn.place(x, y) for x, y in points]
+        places = [place for place in found if place is not None]
         pane = places[0].pane if places else None
         if pane is None or len(places) < len(points) or any(p.pane is not pane for p in places):
             raise ConfigError("draw the mark within one picture")
@@ -209,7 +208,7 @@ class Inspection:
         """Read the point under a place of the latest picture (x to the right, y down, 0 to 1); None
         if it is empty."""
         self.point = None
-        place = self._place(x, y)
+        place = None if self.drawn is None else self.drawn.place(x, y)
         if place is None:
             return None
         pane, subject = place.pane, self.subject
@@ -229,8 +228,8 @@ class Inspection:
     def hover(self, x: float, y: float) -> str:
         """What the latest picture shows at a place (x to the right, y down, 0 to 1), as text; empty
         where it shows no value."""
-        place, drawn = self._place(x, y), self.drawn
-        if place is None or drawn is None:
+        drawn = self.drawn
+        if drawn is None or (place := drawn.place(x, y)) is None:
             return ""
         pane, shown = place.pane, drawn.images[drawn.panes.index(place.pane)]
         modality = self._first_readable(pane)
@@ -250,13 +249,6 @@ class Inspection:
         """The modality whose value is named first in a pane."""
         modalities = (*reversed(pane.modalities), *self.subject.readable)
         return next((each for each in modalities if each.channels == 1), None)
-
-    def _place(self, x: float, y: float) -> Place | None:
-        """The pane and the place in it at a place of the latest picture; None between the panes."""
-        drawn = self.drawn
-        if drawn is None:
-            return None
-        return place_at(drawn.panes, x * drawn.camera.width, y * drawn.camera.height)
 
     def add_keyframe(self) -> None:
         """Add the current camera to the path. ConfigError if no picture has been drawn yet."""

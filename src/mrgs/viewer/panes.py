@@ -113,15 +113,6 @@ def panes_of(mode: Mode, camera: Camera, view: View | None) -> tuple[Pane, ...]:
     return (Pane(mode.kind, mode.modalities, camera),)
 
 
-def place_at(panes: Sequence[Pane], x: float, y: float) -> Place | None:
-    """The pane and the place in it at pixel (x, y) of the picture; None between the panes."""
-    for pane in panes:
-        u, v = (x - pane.left) / pane.camera.width, (y - pane.top) / pane.camera.height
-        if 0 <= u < 1 and 0 <= v < 1:
-            return Place(pane, u, v)
-    return None
-
-
 def _photo_panes(mode: Mode, view: View, width: int, height: int) -> tuple[Pane, ...]:
     """A row for each modality of the view: the photo, and the model from the same camera."""
     rows = [modality for modality in mode.modalities if modality in view.images]

@@ -217,10 +217,24 @@ def test_palette_range_and_start_can_be_chosen(baked, cameras, tmp_path):
     assert "<option selected>view 3</option>" in path.read_text(encoding="utf-8")
 
 
-def test_a_palette_that_the_page_lacks_is_named(baked, cameras, tmp_path):
-    with pytest.raises(ConfigError, match=r"depth.*black-hot"):
-        write_page(baked, cameras, "t", tmp_path / "page.html", PageContent("depth"))
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"modalities": ()}, "modality"),
+        ({"palette": "depth"}, "depth.*black-hot"),
+        ({"range_c": (30.0, 30.0)}, "30 to 30"),
+        ({"range_c": (float("nan"), 30.0)}, "nan to 30"),
+    ],
+)
+def test_bad_options_are_named(baked, cameras, tmp_path, options, message):
+    with pytest.raises(ConfigError, match=message):
+        write_page(baked, cameras, "t", tmp_path / "page.html", PageContent(**options))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_page_needs_a_camera(baked, tmp_path):
+    with pytest.raises(ConfigError, match="camera"):
+        write_page(baked, {}, "t", tmp_path / "page.html")
 
 
 def test_a_place_that_cannot_be_written_is_named(baked, cameras, tmp_path):

@@ -109,7 +109,7 @@ register_kernels(
 def _encode_level(
     points: Float[Tensor, "n 3"], table: Float[Tensor, "entries 4"], cells: int
 ) -> Float[Tensor, "n 4"]:
-    """Features of points in [0, 1]³ on one level of so many cells along an axis."""
+    """Features of points in [0, 1]³ on one level with a number of cells along each axis."""
     places = points * cells
     cell = places.floor().clamp_max(cells - 1)
     near = places - cell

@@ -207,23 +207,19 @@ def write_page(
     content: PageContent | None = None,
 ) -> Path:
     """Write the model with the cameras of its views, by name, as one HTML page; returns its path.
-    There is at least one camera, and one modality to show.
 
     The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
     It takes about 7 MB for 100,000 splats with RGB and thermal. A model of more than
     ``content.part_size`` splats is shown coarsely first, and finely as its parts are read.
 
     Raises:
-        ConfigError: there are no splats, or the page has no such palette.
+        ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
         RunError: the file cannot be written.
     """
     content = content or PageContent()
     modalities = baked.modalities if content.modalities is None else content.modalities
     shown = metric_first(in_order(modalities))
-    if content.palette not in PALETTE_CHOICES:
-        raise ConfigError(
-            f"the page has no palette {content.palette}; choose one of {', '.join(PALETTE_CHOICES)}"
-        )
+    _check(shown, cameras, content)
     every, start = list(cameras.values()), content.start or next(iter(cameras))
     model = PageModel(baked, shown, cameras[start], content.part_size)
     regions = content.regions
@@ -282,6 +278,25 @@ def visible_range(
         seen.append(values[blend.alpha.numpy() >= SURFACE_ALPHA])
     low, high = display_range(np.concatenate(seen))
     return in_unit(modality, low, baked.temperature), in_unit(modality, high, baked.temperature)
+
+
+def _check(
+    modalities: Sequence[Modality], cameras: Mapping[str, Camera], content: PageContent
+) -> None:
+    range_c = content.range_c
+    if not modalities:
+        raise ConfigError("the page needs at least one modality to show")
+    if not cameras:
+        raise ConfigError("the page needs at least one camera to open on")
+    if content.palette not in PALETTE_CHOICES:
+        raise ConfigError(
+            f"the page has no palette {content.palette}; choose one of {', '.join(PALETTE_CHOICES)}"
+        )
+    if range_c is not None and not -np.inf < range_c[0] < range_c[1] < np.inf:
+        raise ConfigError(
+            f"the temperature range {range_c[0]:g} to {range_c[1]:g} must rise from a number to a "
+            f"larger one"
+        )
 
 
 def _modality_facts(
