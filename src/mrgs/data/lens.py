@@ -30,7 +30,7 @@ border."""
 
 _FOLD_ANGLES = 256
 _FOLD_RADII = 512
-_NEWTON_STEPS = 40
+_NEWTON_STEPS, _ROUNDING = 40, 1e-15
 _MAX_SIDE_PX = 1_000_000
 _SHORTEST_PX = 1e-3
 """Shorter focal lengths are damage."""
@@ -87,21 +87,18 @@ class Lens:
         u, v = self._inside_fold(x, y)
         share = np.ones_like(u)
         with np.errstate(all="ignore"):
-            error_u, error_v = np.subtract(self.distort(u, v), (x, y))
+            error = np.subtract(self.distort(u, v), (x, y))
             for _ in range(_NEWTON_STEPS):
                 a, b, d = self._jacobian(u, v)
-                step = share / (a * d - b * b)
-                trial_u, trial_v = self._inside_fold(
-                    u - step * (d * error_u - b * error_v), v - step * (a * error_v - b * error_u)
-                )
-                trial_error_u, trial_error_v = np.subtract(self.distort(trial_u, trial_v), (x, y))
-                better = np.hypot(trial_error_u, trial_error_v) < np.hypot(error_u, error_v)
+                right, down = share / (a * d - b * b) * error
+                trial = self._inside_fold(u - (d * right - b * down), v - (a * down - b * right))
+                trial_error = np.subtract(self.distort(*trial), (x, y))
+                better = np.hypot(*trial_error) < np.hypot(*error)
                 share = np.where(better, np.minimum(2 * share, 1.0), share / 2)
-                u, v = np.where(better, trial_u, u), np.where(better, trial_v, v)
-                error_u, error_v = (
-                    np.where(better, trial_error_u, error_u),
-                    np.where(better, trial_error_v, error_v),
-                )
+                u, v = np.where(better, trial, (u, v))
+                error = np.where(better, trial_error, error)
+                if np.hypot(*error).max(initial=0) < _ROUNDING:
+                    break
         return u, v
 
     def before_fold(self, x: Array, y: Array) -> NDArray[np.bool_]:

@@ -31,6 +31,9 @@ _HEADER = "mrgs"
 _HEADER_DIGEST = "sha256"
 _TENSORS_DIGEST = "tensors_sha256"
 
+MOST_MAPPED_BYTES = 2**24
+"""Read from a file before it is closed and opened again."""
+
 
 def write_file(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
     """Write a checkpoint in one file that is either whole or not there. Its header has the JSON
@@ -66,16 +69,19 @@ def read(
     header, names = _header_and_names(path)
     digest = hashlib.sha256()
     tensors: dict[str, Tensor] = {}
-    broken = None
-    for name in sorted(names):
-        # In memory of its own: if someone cuts off a mapped file, the process ends. Opened for each
-        # tensor, because the file's pages count as the process's memory until it is closed.
-        with _opened(path) as file:
-            tensor = file.get_tensor(name).clone()
-        _add_to(digest, name, tensor)
-        broken = broken or first_not_finite({name: tensor})
-        if needed(name):
-            tensors[name] = tensor
+    broken, waiting = None, sorted(names, reverse=True)
+    while waiting:
+        mapped_bytes = 0
+        with _opened(path) as file:  # anew now and then: its pages count as the process's memory
+            while waiting and mapped_bytes < MOST_MAPPED_BYTES:
+                name = waiting.pop()
+                # In memory of its own: if someone cuts off a mapped file, the process ends.
+                tensor = file.get_tensor(name).clone()
+                mapped_bytes += tensor.nbytes
+                _add_to(digest, name, tensor)
+                broken = broken or first_not_finite({name: tensor})
+                if needed(name):
+                    tensors[name] = tensor
     if header.get(_TENSORS_DIGEST) != digest.hexdigest():
         raise DamagedCheckpointError(path, "its tensors do not match their digest")
     if broken is not None:

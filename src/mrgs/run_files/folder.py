@@ -8,8 +8,9 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 from filelock import FileLock, Timeout
 
@@ -238,7 +239,7 @@ class RunFolder:
         self.newest_checkpoint()
         config = self.read_config(read)
         have = flat(self._config_values())
-        missing = [name for name in flat(parse_yaml(write_yaml(config), "")) if name not in have]
+        missing = [name for name in flat(asdict(cast(Any, config))) if name not in have]
         if missing:
             warn_user(
                 f"{self.config_file} lacks {listed(missing)}, for which the defaults are used: "

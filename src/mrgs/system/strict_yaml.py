@@ -8,6 +8,8 @@ import sys
 import types
 import typing
 from collections.abc import Mapping
+from copy import deepcopy
+from functools import lru_cache
 from typing import Any, Literal, TypeVar, get_args
 
 import yaml
@@ -37,10 +39,7 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def first_difference(first: Mapping[str, Any], second: Mapping[str, Any]) -> str | None:
     """The name under which two flat mappings differ first; None if they do not."""
-    for name in [*first, *second]:
-        if first.get(name) != second.get(name):
-            return name
-    return None
+    return next((name for name in [*first, *second] if first.get(name) != second.get(name)), None)
 
 
 def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = None) -> Config:
@@ -63,13 +62,15 @@ def parse_yaml(text: str, source: str) -> Any:
         ConfigError: not YAML, or a key stands twice in a mapping.
     """
     try:
-        loader = _StrictLoader(text)
-        try:
-            return loader.get_single_data()
-        finally:
-            loader.dispose()
+        return deepcopy(_parsed(text))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
+
+
+@lru_cache(maxsize=4)
+def _parsed(text: str) -> Any:
+    """What YAML says; to open a run reads its configuration several times."""
+    return _StrictLoader(text).get_single_data()
 
 
 class _StrictLoader(yaml.SafeLoader):
