@@ -73,6 +73,26 @@ def auto_is_the_cpu() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def compare_once() -> Callable[..., None]:
+    from mrgs.system.operation import Operation
+    from tests.helpers.kernel_checks import once_per_form
+
+    return once_per_form(Operation._compare)
+
+
+@pytest.fixture(autouse=True)
+def kernels_are_compared_once(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, compare_once: Callable
+) -> None:
+    """Else a training of three steps would spend most of its time on comparing the same kernels
+    of the same shapes again. Tests of the comparison itself are marked ``compares_kernels``."""
+    if request.node.get_closest_marker("compares_kernels") is None:
+        from mrgs.system.operation import Operation
+
+        monkeypatch.setattr(Operation, "_compare", compare_once)
+
+
 @pytest.fixture
 def gpu_device() -> Iterator[str]:
     """Where the Triton kernels run: "cuda"; or, without a CUDA device, "cpu", where they are

@@ -12,6 +12,10 @@ from pathlib import Path
 import pytest
 
 import room_map
+from room_map import nodes
+from tests.helpers.syntax import without_collector
+
+__all__ = ["without_collector"]
 
 SOURCE = Path(__file__).parents[1] / "src" / "mrgs"
 FILES = {path.relative_to(SOURCE).as_posix(): path for path in sorted(SOURCE.rglob("*.py"))}
@@ -73,11 +77,6 @@ def room_of(dotted: str) -> str:
 
 
 @cache
-def nodes(tree: ast.AST) -> list[ast.AST]:
-    return list(ast.walk(tree))
-
-
-@cache
 def imported_modules(tree: ast.AST) -> list[str]:
     """Absolute names of everything that a file imports, wherever in the file; ``from a import b``
     gives ``a.b``."""
@@ -91,9 +90,8 @@ def imported_modules(tree: ast.AST) -> list[str]:
     return names
 
 
-@cache
 def parse(name: str) -> ast.Module:
-    return ast.parse(FILES[name].read_text(encoding="utf-8"), name)
+    return room_map.tree(FILES[name])
 
 
 def misplaced_imports(room: str, tree: ast.AST) -> list[str]:
@@ -223,7 +221,7 @@ def test_no_two_classes_have_the_same_name():
     defined = Counter(
         node.name
         for name in FILES
-        for node in ast.walk(parse(name))
+        for node in nodes(parse(name))
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
     assert [name for name, count in defined.items() if count > 1] == []

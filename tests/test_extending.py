@@ -26,6 +26,8 @@ from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system import operation
 from tests.helpers.runs import trained_run
 
+pytestmark = pytest.mark.compares_kernels
+
 PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
 RECIPES = {
     title: dict(re.findall(r"```(\w+)\n(.*?)```", body, re.DOTALL))

@@ -23,11 +23,11 @@ def test_an_unknown_name_is_an_attribute_error():
 
 
 def test_modules_of_the_package_need_no_import_of_their_own():
-    program = "import mrgs; print(mrgs.errors.MrgsError.__name__, mrgs.prepare.prepare.__name__)"
+    program = "import mrgs; print(mrgs.errors.MrgsError.__name__, mrgs.prepare.__name__)"
     run = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
-    assert run.stdout == "MrgsError prepare\n"
+    assert run.stdout == "MrgsError mrgs.prepare\n"
 
 
 def test_a_package_may_lie_in_a_zip_file(tmp_path, monkeypatch):

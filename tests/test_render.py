@@ -218,6 +218,7 @@ def test_gaussians_out_of_view_need_no_values(angle, distance, options, monkeypa
     assert (expected["sh_dc.rgb"].flatten(1) == 0).all(dim=1).any()  # some are out of view
 
 
+@pytest.mark.compares_kernels
 def test_a_falloff_that_is_edited_to_reach_farther_is_drawn_whole(monkeypatch):
     def flatter(pixels, means2d, covs2d):
         return original(pixels, means2d, covs2d) ** 0.1

@@ -35,6 +35,19 @@ def groups() -> dict[str, list[str]]:
     return found
 
 
+@cache
+def tree(path: Path) -> ast.Module:
+    """What a file says."""
+    return ast.parse(path.read_text(encoding="utf-8"), path.name)
+
+
+@cache
+def nodes(within: ast.AST) -> list[ast.AST]:
+    """All nodes of a tree."""
+    return list(ast.walk(within))
+
+
+@cache
 def imports() -> dict[str, set[str]]:
     """The other packages that each package imports, wherever in its files."""
     graph: dict[str, set[str]] = {}
@@ -43,7 +56,7 @@ def imports() -> dict[str, set[str]]:
         if room in {"__init__", "__main__"}:
             continue
         targets = graph.setdefault(room, set())
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(tree(path)):
             names: list[str] = []
             if isinstance(node, ast.Import):
                 names = [alias.name for alias in node.names]

@@ -15,17 +15,15 @@ from mrgs.app.cli import main
 from mrgs.marks.mark import Mark
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL
-from mrgs.training import make_config
-from tests.helpers.runs import trained_run
+from tests.helpers.runs import SMALL, trained_run
 
 VIEW = "frame_train_00001"
 
 
 @pytest.fixture(scope="module")
 def folder(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    config = make_config("mrgs", max_steps=60, max_gaussians=300)
     output = tmp_path_factory.mktemp("measured") / "run"
-    return trained_run(tmp_path_factory, small_scene, config, output)
+    return trained_run(tmp_path_factory, small_scene, SMALL, output)
 
 
 @pytest.fixture

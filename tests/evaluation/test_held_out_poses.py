@@ -43,7 +43,7 @@ def offset_px(camera: Camera, other: Camera) -> float:
 
 
 def test_photos_are_laid_where_they_were_taken():
-    views, right = photographed(wrong_px=2.0).train, orbit()
+    views, right = photographed(wrong_px=2.0, views=12).train, orbit(views=12)
     error = held_out_error(BALL, views)
     assert error is not None
     assert error.found.is_wrong
@@ -57,7 +57,7 @@ def test_photos_are_laid_where_they_were_taken():
 
 
 def test_right_poses_are_found_right():
-    error = held_out_error(BALL, photographed(wrong_px=0.0).train)
+    error = held_out_error(BALL, photographed(wrong_px=0.0, views=12).train)
     assert error is not None
     assert error.photo_px < 0.05
     assert not error.found.is_wrong
@@ -87,7 +87,7 @@ def test_where_nothing_is_shown_nothing_is_told():
     empty = colored_ball()
     hidden = {each: logit - 20 for each, logit in empty.gaussians.opacity_logits.items()}
     run = Showing(replace(empty, gaussians=replace(empty.gaussians, opacity_logits=hidden)))
-    views = photographed(wrong_px=2.0).train
+    views = photographed(wrong_px=2.0, views=4).train
     assert held_out_error(run, views) is None
     assert offset_px(aligned_view(run, views[0]).camera, views[0].camera) == 0
 
@@ -97,7 +97,7 @@ def test_photos_that_the_model_does_not_render_are_left_out():
         modalities = (RGB,)
 
     run = Colours(colored_ball())
-    views = photographed(wrong_px=2.0).train
+    views = photographed(wrong_px=2.0, views=12).train
     thermal = [View(view.name, {THERMAL: view.images[THERMAL]}) for view in views]
     assert held_out_error(run, thermal) is None
     error = held_out_error(run, [thermal[0], *views[1:]])
@@ -106,7 +106,7 @@ def test_photos_that_the_model_does_not_render_are_left_out():
 
 
 def test_few_views_tell_nothing():
-    views = photographed(wrong_px=2.0).train
+    views = photographed(wrong_px=2.0, views=4).train
     assert looked_at_first(views[:3]) == []
     assert held_out_error(BALL, views[:3]) is None
     assert held_out_error(BALL, views[:4]) is not None
@@ -144,10 +144,10 @@ def test_masked_photos_do_not_count_as_right():
     def masked(pixels: Pixels) -> Pixels:
         return Pixels(pixels.values, torch.zeros(pixels.values.shape[:2], dtype=torch.bool))
 
-    views = photographed(wrong_px=2.0).train
-    hidden = [changed(view, masked) for view in views[:8]]
+    views = photographed(wrong_px=2.0, views=10).train
+    hidden = [changed(view, masked) for view in views[:4]]
     assert held_out_error(BALL, hidden) is None
-    error = held_out_error(BALL, [*hidden, *views[8:14]])
+    error = held_out_error(BALL, [*hidden, *views[4:]])
     assert error is not None
     assert error.photo_px == pytest.approx(2.0, rel=0.3)
 

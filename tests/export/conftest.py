@@ -15,13 +15,15 @@ from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange
 from mrgs.training import make_config
 from tests.helpers.runs import trained_run
+from tests.helpers.training import FITTED
 
 
 @pytest.fixture(scope="session")
 def run(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    config = make_config("mrgs", preset="fast", max_steps=250, max_gaussians=400)
+    config = make_config("mrgs", preset="fast", max_steps=150, max_gaussians=400)
     # At full rates to the end, so that within so few steps colours come to depend on the view.
-    config = replace(config, optimizer=replace(config.optimizer, slowdown_from=1.0))
+    full_rates = replace(config.optimizer, slowdown_from=1.0)
+    config = replace(config, optimizer=full_rates, fitted_residuals=FITTED)
     output = tmp_path_factory.mktemp("export") / "run"
     return load_run(trained_run(tmp_path_factory, small_scene, config, output))
 

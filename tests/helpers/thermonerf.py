@@ -10,4 +10,4 @@ from mrgs.baselines.thermonerf import ThermoNerfConfig
 
 def small_config(max_steps: int = 20, **changes: Any) -> ThermoNerfConfig:
     """Few steps of few rays."""
-    return replace(ThermoNerfConfig(max_steps=max_steps, rays_per_batch=256), **changes)
+    return replace(ThermoNerfConfig(max_steps=max_steps, rays_per_batch=64), **changes)

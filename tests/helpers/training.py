@@ -11,10 +11,14 @@ from mrgs.method.config import TrainConfig, make_config
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.training.state import TrainingState, learned_layers
 
+FITTED = 4
+"""Steps of the fit before the training, which takes longer than the training itself where there are
+few Gaussians."""
+
 
 def short_config(method: str = "mrgs", max_steps: int = 60, **changes: Any) -> TrainConfig:
     """Fast learning rates, and nothing but optimization: no densification, no reset within the
-    run."""
+    run; temperatures are fitted for a moment."""
     config = make_config(method, "fast", max_steps=max_steps, max_gaussians=200)
     rates = replace(
         OptimizerConfig(),
@@ -27,7 +31,9 @@ def short_config(method: str = "mrgs", max_steps: int = 60, **changes: Any) -> T
     schedule = replace(
         config.densification, start=max_steps, stop=max_steps, every=1_000, reset_every=1_000
     )
-    return replace(config, optimizer=rates, densification=schedule, **changes)
+    fitted = min(config.fitted_residuals, FITTED)
+    made = replace(config, optimizer=rates, densification=schedule, fitted_residuals=fitted)
+    return replace(made, **changes)
 
 
 def tensors_of(state: TrainingState) -> dict[str, torch.Tensor]:

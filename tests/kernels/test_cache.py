@@ -175,6 +175,18 @@ def test_a_full_disk_costs_only_the_time_to_compile(kernel, monkeypatch):
         assert scaled(3.0) == 6.0
 
 
+def test_processes_that_compile_at_the_same_time_share_no_file(kernel, place, monkeypatch):
+    for process, x in (("a", 3.0), ("b", 3)):
+        monkeypatch.setattr(cache, "_PROCESS", process)
+        scaled = start(kernel)
+        scaled._cache._cache_file._load_index = dict  # what the other has saved is not there yet
+        assert scaled(x) == 6.0
+    assert len({file.name for file in place.rglob("*.nbc")}) == 2
+    scaled = start(kernel)
+    assert (scaled(3.0), scaled(3)) == (6.0, 6.0)
+
+
+@pytest.mark.slow
 def test_two_processes_that_compile_different_signatures_do_not_mix_them_up(kernel, place):
     script = f"import runpy; f = runpy.run_path({str(kernel)!r})['scaled']; print(f({{}}))"
     processes = [

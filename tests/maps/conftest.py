@@ -43,8 +43,8 @@ def middles(low: float, high: float, step: float) -> np.ndarray:
 @pytest.fixture(scope="session")
 def front() -> BakedModel:
     """The wall with two windows, the ground before it, and a splat that floats before the wall."""
-    wall = plane(middles(-WIDTH / 2, WIDTH / 2, 0.035), middles(0, HEIGHT, 0.035), True)
-    ground = plane(middles(-4, 4, 0.06), middles(-4, 0, 0.06), False)
+    wall = plane(middles(-WIDTH / 2, WIDTH / 2, 0.05), middles(0, HEIGHT, 0.05), True)
+    ground = plane(middles(-4, 4, 0.08), middles(-4, 0, 0.08), False)
     window = np.zeros(len(wall), bool)
     for left, right, bottom, top in WINDOWS:
         window |= (
@@ -57,8 +57,8 @@ def front() -> BakedModel:
     )
     scales = np.concatenate(
         [
-            np.tile([0.035, 0.005, 0.035], (len(wall), 1)),
-            np.tile([0.05, 0.05, 0.005], (len(ground), 1)),
+            np.tile([0.045, 0.005, 0.045], (len(wall), 1)),
+            np.tile([0.07, 0.07, 0.005], (len(ground), 1)),
             [[1.0, 1.0, 1.0]],
         ]
     )
@@ -99,8 +99,14 @@ def front_scene(front: BakedModel) -> Scene:
         cameras,
         rgb=[photo[RGB].image.numpy().clip(0, 1) for photo in photos],
         celsius=celsius,
-        points=front.means[::7].numpy(),
+        points=front.means[::4].numpy(),
         eval_every=0,
         name="front",
     )
     return replace(scene, world=MUNICH)
+
+
+@pytest.fixture(scope="session")
+def few_photos(front_scene: Scene) -> Scene:
+    """Three of its photos, for what does not depend on how many there are."""
+    return replace(front_scene, train=front_scene.train[::3])

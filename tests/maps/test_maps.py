@@ -175,8 +175,8 @@ def test_the_picture_has_legend_scale_and_north(ortho, elevation):
         assert (bar.sum(axis=2) < 120).sum() > 300
 
 
-def test_las_and_ply_carry_the_same_crs(tmp_path, ortho, front, front_scene):
-    export(front, front_scene, ["las", "points"], tmp_path)
+def test_las_and_ply_carry_the_same_crs(tmp_path, ortho, front, few_photos):
+    export(front, few_photos, ["las", "points"], tmp_path)
     las = laspy.read(tmp_path / "points.las")
     crs = las.header.parse_crs()
     assert crs.to_epsg() == 32632 or "UTM zone 32N" in crs.name
@@ -191,8 +191,8 @@ def test_las_and_ply_carry_the_same_crs(tmp_path, ortho, front, front_scene):
     assert las.xyz[:, 2].min() > 519  # metres above sea level
 
 
-def test_without_gps_coordinates_are_the_scene_s(tmp_path, front, front_scene):
-    local = replace(front_scene, world=WorldFrame(metric=True))
+def test_without_gps_coordinates_are_the_scene_s(tmp_path, front, few_photos):
+    local = replace(few_photos, world=WorldFrame(metric=True))
     export(front, local, ["ortho", "las"], tmp_path, maps=OPTIONS)
     with rasterio.open(tmp_path / "ortho.tif") as file:
         assert 'UNIT["metre",1' in file.crs.to_wkt()
@@ -252,10 +252,10 @@ def test_a_crs_that_does_not_fit_is_said_before_anything_is_baked(
     assert not begun
 
 
-def test_a_wanted_crs_is_used(tmp_path, front, front_scene):
+def test_a_wanted_crs_is_used(tmp_path, front, few_photos):
     export(
         front,
-        front_scene,
+        few_photos,
         "ortho",
         tmp_path,
         maps=MapOptions(pixel_size_m=0.5, crs="EPSG:25832"),
@@ -282,9 +282,9 @@ def test_north_is_said_to_be_up_only_where_it_is(front_scene, crs, place, north_
     assert facts["map_north_clockwise_from_up_deg"] == pytest.approx(caption.north_deg, abs=1e-3)
 
 
-def test_all_files_of_an_export_name_the_wanted_crs(tmp_path, front, front_scene):
+def test_all_files_of_an_export_name_the_wanted_crs(tmp_path, front, few_photos):
     options = MapOptions(pixel_size_m=0.5, crs="EPSG:3035")
-    export(front, front_scene, ["las", "points", "ortho"], tmp_path, maps=options)
+    export(front, few_photos, ["las", "points", "ortho"], tmp_path, maps=options)
     sidecars = [json.loads(file.read_text(encoding="utf-8")) for file in tmp_path.glob("*.json")]
     assert len(sidecars) == 3
     assert all(facts["crs"].startswith("EPSG:3035") for facts in sidecars)
@@ -298,9 +298,9 @@ def test_all_files_of_an_export_name_the_wanted_crs(tmp_path, front, front_scene
 
 
 @pytest.mark.slow
-def test_beyond_utm_maps_lie_in_a_polar_crs_or_in_none(tmp_path, front, front_scene):
+def test_beyond_utm_maps_lie_in_a_polar_crs_or_in_none(tmp_path, front, few_photos):
     world = WorldFrame(True, True, EarthPosition(86.0, 20.0, 0.0))
-    arctic, options = replace(front_scene, world=world), MapOptions(pixel_size_m=0.5)
+    arctic, options = replace(few_photos, world=world), MapOptions(pixel_size_m=0.5)
     export(front, arctic, "elevation", tmp_path, maps=options)
     begun = []
     with pytest.raises(ConfigError, match="EPSG:3413"):
@@ -385,10 +385,10 @@ def test_without_the_extra_it_is_named(tmp_path, front, front_scene, monkeypatch
     assert package in str(caught.value)
 
 
-def test_a_folder_that_cannot_be_written_is_said(tmp_path, front, front_scene):
+def test_a_folder_that_cannot_be_written_is_said(tmp_path, front, few_photos):
     (tmp_path / "out").write_text("a file")
     with pytest.raises(WriteError, match="out"):
-        export(front, front_scene, "ortho", tmp_path / "out", maps=MapOptions(pixel_size_m=0.3))
+        export(front, few_photos, "ortho", tmp_path / "out", maps=MapOptions(pixel_size_m=0.3))
 
 
 def test_what_floats_behind_the_cameras_is_not_drawn(ortho):
@@ -396,9 +396,9 @@ def test_what_floats_behind_the_cameras_is_not_drawn(ortho):
         assert np.nanmax(file.read(1)) < 25
 
 
-def test_the_modality_of_the_surface_may_be_thermal(tmp_path, front, front_scene):
-    views = tuple(View(v.name, {THERMAL: v.images[THERMAL]}) for v in front_scene.train)
-    alone = replace(front_scene, train=views)
+def test_the_modality_of_the_surface_may_be_thermal(tmp_path, front, few_photos):
+    views = tuple(View(v.name, {THERMAL: v.images[THERMAL]}) for v in few_photos.train)
+    alone = replace(few_photos, train=views)
     assert RGB not in alone.modalities
     export(front, alone, "elevation", tmp_path, maps=MapOptions(pixel_size_m=0.2))
     with rasterio.open(tmp_path / "elevation.tif") as file:

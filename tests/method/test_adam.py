@@ -11,6 +11,8 @@ from mrgs.system.gpu import HOST
 from mrgs.system.operation import checking, disable_kernels
 from mrgs.training.kernel_check import _check_optimizer
 
+pytestmark = pytest.mark.compares_kernels
+
 
 @pytest.fixture(autouse=True)
 def none_is_rejected(monkeypatch):

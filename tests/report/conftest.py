@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.spherical_harmonics import C0
 from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model
+from mrgs.report.write import require_weasyprint
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import RGB, THERMAL, Gaussians, Pixels, PosedImage, Scene
 from tests.helpers.changed_views import with_image
@@ -20,6 +22,16 @@ from tests.helpers.runs import SMALL, trained_run
 from tests.maps.conftest import front, front_scene
 
 __all__ = ["front", "front_scene"]
+
+
+@pytest.fixture(scope="session")
+def pango() -> None:
+    """Skips what this system cannot make a PDF for."""
+    try:
+        require_weasyprint()
+    except ConfigError as error:
+        pytest.skip(str(error))
+
 
 SPLATS, RADIUS = 600, 0.8
 PLACES = ((0.0, 0.4), (math.pi / 2, -0.4), (5 * math.pi / 4, 0.35))

@@ -18,7 +18,6 @@ from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL
 from tests.helpers.browsers import chromium, needs_chromium, new_page
-from tests.helpers.pdf import needs_pango
 
 LONG_WORD = "x" * 250
 LONG_NAME = "Fensterlaibung_Nordseite_Obergeschoss_12"
@@ -60,7 +59,7 @@ def lines_of(sheet: Any) -> Iterator[Any]:
 
 
 @pytest.mark.slow
-@needs_pango
+@pytest.mark.usefixtures("pango")
 def test_nothing_runs_off_the_paper(sheets: list[Any]):
     for sheet in sheets:
         right = sheet.content_box_x() + sheet.width
@@ -69,7 +68,7 @@ def test_nothing_runs_off_the_paper(sheets: list[Any]):
 
 
 @pytest.mark.slow
-@needs_pango
+@pytest.mark.usefixtures("pango")
 def test_names_of_rows_and_numbers_are_not_broken_into_letters(sheets: list[Any]):
     texts = [box.text.strip() for sheet in sheets for box in lines_of(sheet)]
     for whole in ("Objekt", "S2", "B1", "T_refl −5,0\xa0°C", "Adresse"):
@@ -80,7 +79,7 @@ def test_names_of_rows_and_numbers_are_not_broken_into_letters(sheets: list[Any]
 
 
 @pytest.mark.slow
-@needs_pango
+@pytest.mark.usefixtures("pango")
 def test_a_long_row_of_the_survey_goes_on_on_the_next_page(sheets: list[Any]):
     first, second = sheets[:2]
     bottom = first.content_box_y() + first.height

@@ -7,10 +7,9 @@ from PIL import Image, ImageFile
 
 from mrgs.errors import ConfigError
 from mrgs.report.write import write_pdf
-from tests.helpers.pdf import needs_pango
 
 
-@needs_pango
+@pytest.mark.usefixtures("pango")
 def test_a_page_becomes_a_pdf_and_nothing_is_fetched(tmp_path):
     secret = tmp_path / "secret.css"
     secret.write_text("h1 { color: red }", encoding="utf-8")
@@ -26,7 +25,7 @@ def test_a_page_becomes_a_pdf_and_nothing_is_fetched(tmp_path):
     assert not ImageFile.LOAD_TRUNCATED_IMAGES
 
 
-@needs_pango
+@pytest.mark.usefixtures("pango")
 def test_no_file_beside_the_page_comes_into_a_pdf(tmp_path):
     picture, page = tmp_path / "secret.png", tmp_path / "report.html"
     Image.new("RGB", (20, 10), (250, 10, 10)).save(picture)

@@ -180,6 +180,7 @@ def test_without_kernels_an_opened_run_has_the_same_scores(run, monkeypatch):
         assert found == pytest.approx(numbers, rel=1e-3, abs=1e-4)
 
 
+@pytest.mark.compares_kernels
 def test_opening_a_run_does_not_take_back_what_a_training_found_of_gradients(run):
     heat = vars(RadianceField)["temperature_residuals"]
     heat.rejected.add(residuals_on_cpu)

@@ -15,6 +15,8 @@ from mrgs.system import operation as module
 from mrgs.system.gpu import interpreted
 from mrgs.system.operation import Operation, checking, disable_kernels, operation
 
+pytestmark = pytest.mark.compares_kernels
+
 SOURCE = Path(kernels.__file__).parents[1]
 
 

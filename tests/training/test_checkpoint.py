@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +12,9 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
+from mrgs.data import load_scene
 from mrgs.errors import DamagedCheckpointError, RunError
+from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.rasterizer.contract import Dilation
 from mrgs.run_files.checkpoint import first_not_finite, load_facts, read
@@ -19,7 +23,7 @@ from mrgs.scene import TemperatureRange
 from mrgs.scene.capture import Capture, Viewpoint
 from mrgs.training import step
 from mrgs.training.checkpoint import load_model, load_state, save
-from mrgs.training.state import TrainingState
+from mrgs.training.state import TrainingState, initial_state
 from mrgs.training.view_pass import PhotographedView
 from tests.helpers.checkpoints import header_of, rewrite
 from tests.helpers.training import short_config, tensors_of
@@ -40,15 +44,16 @@ FACTS = CheckpointFacts(
 )
 
 
-@pytest.fixture
-def config():
+@pytest.fixture(scope="module")
+def config() -> TrainConfig:
     return short_config()
 
 
-@pytest.fixture
-def state(make_start, config) -> TrainingState:
-    """After two steps."""
-    scene, state = make_start(config)
+@pytest.fixture(scope="module")
+def state(small_scene, config) -> TrainingState:
+    """After two steps; only to be read."""
+    scene = load_scene(small_scene)
+    state = initial_state(scene, config)
     for _ in range(2):
         (number,) = state.sampler.next()
         view = scene.train[number]
@@ -59,16 +64,23 @@ def state(make_start, config) -> TrainingState:
     return state
 
 
-@pytest.fixture
-def path(tmp_path, state) -> Path:
-    """A checkpoint of the state."""
-    path = tmp_path / "checkpoints" / "step_000002.safetensors"
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory, state) -> Path:
+    """A checkpoint of the state; only to be read."""
+    path = tmp_path_factory.mktemp("saved") / "checkpoints" / "step_000002.safetensors"
     save(path, state, FACTS)
     return path
 
 
+@pytest.fixture
+def path(tmp_path, saved) -> Path:
+    """A copy of the checkpoint, to be damaged."""
+    return shutil.copytree(saved.parent, tmp_path / "checkpoints") / saved.name
+
+
 def test_everything_comes_back(state, path, config):
-    state.skipped_in_a_row += 2
+    state = copy(state)
+    state.skipped_in_a_row = state.skipped_in_a_row + 2
     save(path, state, FACTS)
     found, facts = load_state(path, config), load_facts(path)
     assert facts == FACTS

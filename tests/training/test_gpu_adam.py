@@ -9,6 +9,8 @@ from mrgs.method.adam import Adam, ParameterGroup, move
 from mrgs.system.operation import checking
 from mrgs.training.kernel_check import _check_optimizer
 
+pytestmark = pytest.mark.compares_kernels
+
 SHAPES = ((40, 3), (1300, 2), (7, 15, 3), (0, 24))
 
 

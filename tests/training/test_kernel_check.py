@@ -24,6 +24,8 @@ from mrgs.training.kernel_check import _camera_before, check_kernels, check_rend
 from mrgs.training.state import initial_state
 from tests.helpers.gaussians import random_gaussians
 
+pytestmark = pytest.mark.compares_kernels
+
 Function = Callable[..., Any]
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numba
@@ -22,6 +23,19 @@ from tests.helpers.scenes import write_scene
 from tests.helpers.thermonerf import small_config
 
 
+@pytest.fixture(scope="module")
+def trained(small_scene, tmp_path_factory):
+    """Three steps; only to be read."""
+    output = tmp_path_factory.mktemp("runs") / "run"
+    return train_thermonerf(small_scene, output, small_config(3)).path
+
+
+@pytest.fixture
+def folder(trained, tmp_path):
+    """A copy of the trained run, to be damaged."""
+    return RunFolder(shutil.copytree(trained, tmp_path / "run"))
+
+
 def spoil(monkeypatch, steps):
     """Make the loss of some steps NaN."""
     honest = step_module.distortion_loss
@@ -38,7 +52,7 @@ def test_training_lowers_the_loss_of_both_modalities(small_scene, tmp_path):
     train_thermonerf(
         small_scene,
         tmp_path / "run",
-        small_config(80),
+        small_config(50, rays_per_batch=128),
         hooks=Hooks(on_step=lambda s: seen.append(s.terms)),
     )
     for name, factor in (("rgb", 0.5), ("thermal", 0.5)):
@@ -103,8 +117,7 @@ def test_other_kinds_of_scenes_train_too(tmp_path, options):
     assert (THERMAL not in rendering) == (options.get("thermal") is False)
 
 
-def test_a_run_is_opened_scored_and_rendered(small_scene, tmp_path):
-    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(3))
+def test_a_run_is_opened_scored_and_rendered(folder):
     run = open_run(folder.path)
     assert isinstance(run, ThermoNerfRun)
     evaluate_run(run)
@@ -116,8 +129,7 @@ def test_a_run_is_opened_scored_and_rendered(small_scene, tmp_path):
     assert len(list((rendered / "temperature_c").iterdir())) == 2
 
 
-def test_what_needs_gaussians_refuses(small_scene, tmp_path):
-    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
+def test_what_needs_gaussians_refuses(folder):
     with pytest.raises(RunError) as caught:
         load_run(folder.path)
     text = str(caught.value)
@@ -138,14 +150,12 @@ def test_a_run_with_gaussians_is_opened_as_ever_and_not_resumed_here(small_scene
         )
 
 
-def test_a_run_is_never_overwritten(small_scene, tmp_path):
-    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
+def test_a_run_is_never_overwritten(small_scene, folder):
     with pytest.raises(RunError, match="resume it"):
         train_thermonerf(small_scene, folder.path, small_config(1))
 
 
-def test_a_run_that_died_before_its_first_checkpoint_is_begun_anew(small_scene, tmp_path):
-    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(1))
+def test_a_run_that_died_before_its_first_checkpoint_is_begun_anew(small_scene, folder):
     folder.newest_checkpoint().unlink()
     again = train_thermonerf(small_scene, folder.path, small_config(2))
     assert load_facts(again.newest_checkpoint()).step == 2
@@ -157,8 +167,7 @@ def test_somebody_elses_configuration_is_kept(small_scene, tmp_path):
         train_thermonerf(small_scene, tmp_path, small_config(1))
 
 
-def test_a_damaged_checkpoint_or_configuration_is_named(small_scene, tmp_path):
-    folder = train_thermonerf(small_scene, tmp_path / "run", small_config(2))
+def test_a_damaged_checkpoint_or_configuration_is_named(folder):
     text = folder.config_file.read_text()
     folder.config_file.write_text(text + "colour: red\n")
     with pytest.raises(RunError, match=r"'colour'.*; fix"):
@@ -170,8 +179,8 @@ def test_a_damaged_checkpoint_or_configuration_is_named(small_scene, tmp_path):
         open_run(folder.path)
 
 
-def test_a_checkpoint_without_a_frame_does_not_fit(small_scene, tmp_path):
-    path = train_thermonerf(small_scene, tmp_path / "run", small_config(1)).newest_checkpoint()
+def test_a_checkpoint_without_a_frame_does_not_fit(folder):
+    path = folder.newest_checkpoint()
     header = {**load_facts(path).to_json(), "skipped_in_a_row": 0}
     write_file(path, {"frame.sizes": torch.zeros(4), "frame.centre": torch.zeros(3)}, header)
     with pytest.raises(RunError, match="does not fit"):

@@ -10,6 +10,8 @@ from mrgs.scene import RGB, THERMAL, Gaussians
 from mrgs.system.operation import Operation
 from tests.helpers.gaussians import random_gaussians
 
+pytestmark = pytest.mark.compares_kernels
+
 CAMERA = torch.zeros(3)
 
 

@@ -7,5 +7,5 @@ from tests.helpers.rig_room import Room, build_room
 
 @pytest.fixture(scope="session")
 def room() -> Room:
-    """Six pairs of a rigid rig; only to be read."""
-    return build_room()
+    """Four pairs of a rigid rig; only to be read."""
+    return build_room(views=4)
