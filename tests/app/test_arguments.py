@@ -155,7 +155,7 @@ def test_colours_only_where_they_are_wanted(monkeypatch):
     assert styled("late", "bold red", Terminal()) == "late"
 
 
-def test_a_module_is_the_command(tmp_path):
+def test_a_module_is_the_command():
     source = Path(mrgs.__file__).parents[1]
     run = subprocess.run(
         [sys.executable, "-m", "mrgs", "--version"],

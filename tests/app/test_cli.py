@@ -774,7 +774,7 @@ def test_a_training_can_be_watched(small_scene, tmp_path, capsys):
     assert re.search(r"open http://127\.0\.0\.1:\d+", capsys.readouterr().out)
 
 
-def test_a_transforms_file_names_the_scene_too(tmp_path, monkeypatch, capsys):
+def test_a_transforms_file_names_the_scene_too(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "scene")
     monkeypatch.chdir(tmp_path)
     assert run("train", scene / "transforms.json", *TINY) == 0

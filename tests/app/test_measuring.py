@@ -145,7 +145,7 @@ def test_what_cannot_be_done_is_one_line(run, options, message, capsys):
     assert not (run / "marks.json").exists()
 
 
-def test_a_reference_temperature_shifts_the_whole_run(run, tmp_path, capsys):
+def test_a_reference_temperature_shifts_the_whole_run(run, tmp_path):
     run = shutil.copytree(run, tmp_path / "run")
     assert main(["measure", str(run), "--spot", f"{VIEW}:20,15"]) == 0
     before = load_run(run)

@@ -142,7 +142,7 @@ def test_what_nobody_can_know_is_not_asked(monkeypatch):
     assert PipelineTerminal(yes=False).answer(error, PrepareOptions()) is None
 
 
-def test_an_interrupted_run_says_how_to_go_on(small_scene, tmp_path, monkeypatch, capsys):
+def test_an_interrupted_run_says_how_to_go_on(small_scene, monkeypatch, capsys):
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
 

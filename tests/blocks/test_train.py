@@ -374,7 +374,7 @@ def test_an_overlap_that_does_not_fit_is_refused(scene, tmp_path):
         training(tmp_path, scene, options=BlockOptions("1x2", 5.0)).train_all()
 
 
-def test_a_scene_that_has_changed_is_refused(joined, scene, tmp_path):
+def test_a_scene_that_has_changed_is_refused(joined, scene):
     start = training(joined, scene)
     views = start.scene.train
     changed = replace(start.scene, train=(*views[1:], views[0]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
@@ -22,12 +23,24 @@ from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import TrainedRun, open_run
 from mrgs.training import train
 from tests.helpers.comparison import tiny_options
+from tests.helpers.runs import made_once
 
 
 @pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
-    """Do the runs in this process; the list tells the scene and method of those that were done."""
+def here(
+    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory, small_scene: Path
+) -> list[tuple[str, str]]:
+    """Do the runs in this process; the list tells the scene and method of those that were done.
+    A new run of the small scene is the copy of one that is done once per session."""
     done: list[tuple[str, str]] = []
+
+    def scored(job: PlannedRun) -> Path:
+        key = hashlib.sha256(repr(job.config).encode()).hexdigest()[:16]
+        return made_once(
+            tmp_path_factory,
+            f"scored_{key}",
+            lambda folder: run_one(small_scene, folder, job.config),
+        )
 
     def run_jobs(
         jobs: Sequence[PlannedRun], count: int, weights: Path | None, *_: Any
@@ -35,6 +48,8 @@ def here(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
         failures = {}
         for job in jobs:
             done.append((job.scene_name, job.method))
+            if job.scene == small_scene and not job.folder.exists():
+                shutil.copytree(scored(job), job.folder)
             try:
                 run_one(job.scene, job.folder, job.config, lpips_weights=weights)
             except MrgsError as error:

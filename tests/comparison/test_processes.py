@@ -73,7 +73,7 @@ def test_messages_are_handed_on_in_order(make_jobs):
     assert list(jobs[0].folder.parent.glob("*.stderr.txt")) == []
 
 
-def test_the_request_holds_the_job(make_jobs, tmp_path):
+def test_the_request_holds_the_job(make_jobs):
     (job,) = make_jobs("say(**request); say(end='scored')")
     request = do([job])[1][1][1]
     assert (request["scene"], request["folder"]) == (str(job.scene), str(job.folder))
@@ -201,7 +201,7 @@ def test_ctrl_c_closes_the_childs_input_and_waits_for_it(make_jobs):
     ]
 
 
-def test_a_second_ctrl_c_ends_a_child_that_does_not_listen(make_jobs, tmp_path):
+def test_a_second_ctrl_c_ends_a_child_that_does_not_listen(make_jobs):
     jobs = make_jobs("say(step=os.getpid(), gaussians=1); import time; time.sleep(60)")
     heard: list[dict] = []
     interrupt(lambda: len(heard) > 1, times=2)

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Callable
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -9,10 +11,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
-from torchmetrics.functional.image import (
-    peak_signal_noise_ratio,
-    structural_similarity_index_measure,
-)
 
 from mrgs.evaluation.metrics import (
     Missing,
@@ -26,6 +24,12 @@ from mrgs.evaluation.metrics import (
 )
 
 Metric = Callable[..., float]
+
+
+@pytest.fixture(scope="module")
+def theirs() -> ModuleType:
+    """The metrics of torchmetrics, which takes a second to import."""
+    return importlib.import_module("torchmetrics.functional.image")
 
 
 def pair(channels: int = 3, low: float = 0.2, high: float = 0.7) -> tuple[Tensor, Tensor]:
@@ -49,9 +53,9 @@ def test_psnr_clamps_the_rendering() -> None:
     assert psnr(target * 3, target) == math.inf
 
 
-def test_psnr_agrees_with_torchmetrics() -> None:
+def test_psnr_agrees_with_torchmetrics(theirs) -> None:
     image, target = pair()
-    expected = peak_signal_noise_ratio(as_batch(image), as_batch(target), data_range=1.0)
+    expected = theirs.peak_signal_noise_ratio(as_batch(image), as_batch(target), data_range=1.0)
     assert psnr(image, target) == pytest.approx(expected.item(), rel=1e-6)
 
 
@@ -108,21 +112,23 @@ def test_mean_absolute_error_by_hand() -> None:
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_ssim_pair_range_is_torchmetrics_default_away_from_the_border(channels: int) -> None:
+def test_ssim_pair_range_is_torchmetrics_default_away_from_the_border(
+    channels: int, theirs
+) -> None:
     image, target = pair(channels)
-    _, similarity = structural_similarity_index_measure(
+    _, similarity = theirs.structural_similarity_index_measure(
         as_batch(image), as_batch(target), return_full_image=True
     )
     expected = similarity[..., 5:-5, 5:-5].mean().item()
     assert ssim_pair_range(image, target) == pytest.approx(expected, rel=1e-9)
 
 
-def test_ssim_is_torchmetrics_at_range_one_but_for_the_padding() -> None:
+def test_ssim_is_torchmetrics_at_range_one_but_for_the_padding(theirs) -> None:
     _, target = pair()
     image, target = (
         torch.nn.functional.pad(x, (0, 0, 12, 12, 12, 12)) for x in (target * 0.8, target)
     )  # black frame
-    _, similarity = structural_similarity_index_measure(
+    _, similarity = theirs.structural_similarity_index_measure(
         as_batch(image), as_batch(target), data_range=1.0, return_full_image=True
     )
     assert ssim(image, target) == pytest.approx(similarity.mean().item(), rel=1e-9)

@@ -23,6 +23,8 @@ from tests.faults.tally import Tally
 
 SIGNALS = ("INT", "TERM", "HUP")
 STEPS = ("--max-steps", 100_000)
+ENDLESS = ("--method", "3dgs-rgbt", *STEPS)
+"""The method that begins soonest."""
 
 
 def trainings(folder: Path, signals: Sequence[str]) -> Tally:
@@ -30,7 +32,7 @@ def trainings(folder: Path, signals: Sequence[str]) -> Tally:
     tally, scene = Tally(), small_scene(folder / "scene")
     for name in signals:
         output = folder / f"train_{name}_{len(list(folder.iterdir()))}"
-        process = start("train", scene, "--output", output, *SMALL, *STEPS)
+        process = start("train", scene, "--output", output, *SMALL, *ENDLESS)
         wait_until(lambda output=output: logged_step(output) >= 10, process)
         process.send_signal(getattr(signal, f"SIG{name}"))
         found = ended(process)
@@ -46,7 +48,7 @@ def imports(folder: Path, moments_s: Sequence[float]) -> Tally:
     tally, scene = Tally(), small_scene(folder / "scene")
     for moment in moments_s:
         output = folder / f"after {moment} s"
-        process = start("train", scene, "--output", output, *SMALL, *STEPS)
+        process = start("train", scene, "--output", output, *SMALL, *ENDLESS)
         wait_until(lambda moment=moment, at=process.pid: _processor_s(at) >= moment, process)
         process.send_signal(signal.SIGINT)
         found = ended(process)

@@ -6,6 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 import pytest
@@ -22,7 +23,8 @@ PATIENCE_S = 120.0
 """How long a condition may take to hold where every core is taken by others."""
 
 needs_chromium = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium: apt-get install chromium"
+    CHROMIUM is None or find_spec("playwright") is None,
+    reason="no Chromium: apt-get install chromium; pip install playwright",
 )
 
 

@@ -102,7 +102,7 @@ def own(finished: Path, tmp_path: Path) -> Path:
     return shutil.copytree(finished, tmp_path / "own")
 
 
-def test_everything_lands_in_one_folder(finished, small_scene, tmp_path):
+def test_everything_lands_in_one_folder(finished, small_scene):
     before = sorted(path for path in small_scene.rglob("*"))
     watcher = Watcher()
     results = run_pipeline(small_scene, finished, quality="fast", monitor=watcher)
@@ -332,7 +332,7 @@ def test_photos_without_celsius_stop_it_before_poses_are_computed(prepared, tmp_
     assert prepared == []
 
 
-def test_photos_without_celsius_can_be_accepted(prepared, tmp_path, monkeypatch):
+def test_photos_without_celsius_can_be_accepted(prepared, tmp_path):
     class Relative(Watcher):
         def accepts_relative(self, reason: MrgsError) -> bool:
             asked.append(reason.options)

@@ -56,7 +56,7 @@ def test_pairs_are_counted(tmp_path):
     assert summary.warnings == ("The clocks differ.",)
 
 
-def test_warnings_of_photos_are_said_once(tmp_path):
+def test_warnings_of_photos_are_said_once():
     facts = replace(VIEW.facts, warnings=("It is old.", "It is blurred."))
     other = replace(VIEW, name="b", facts=facts)
     summary = summarize_photos(

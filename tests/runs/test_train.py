@@ -228,7 +228,7 @@ def test_a_training_that_has_ended_is_opened_not_snapshot(small_scene, tmp_path)
     assert RGB in state.render(camera)
 
 
-def test_warnings_about_the_scene_point_at_the_callers_line(small_scene, tmp_path):
+def test_warnings_about_the_scene_point_at_the_callers_line(small_scene):
     views = load_scene(small_scene).train
     scene = Scene.from_arrays(
         [view.camera for view in views], rgb=np.zeros((len(views), 30, 40, 3)), eval_every=0

@@ -191,7 +191,7 @@ def test_a_damaged_file_is_said_as_long_as_nothing_changes(board, disk, add):
     assert (len(board.marks), board.problems) == (1, ())
 
 
-def test_a_run_that_is_gone_is_not_made_anew(board, disk, add, tmp_path):
+def test_a_run_that_is_gone_is_not_made_anew(board, disk, add):
     number = add()
     folder = board._store.folder
     away = folder.rename(folder.with_name("away"))

@@ -24,14 +24,9 @@ from mrgs.scene import THERMAL, Scene
 from mrgs.survey import SURVEY_FILE
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.painting import NO_SURFACE_COLOR
-from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
-
-pytest.importorskip(
-    "playwright.sync_api", reason="playwright is not installed: pip install playwright"
-)
-
 from mrgs.viewer.server import open_viewer
 from mrgs.viewer.web import Viewer
+from tests.helpers.browsers import chromium, needs_chromium, new_page, wait_until
 
 pytestmark = [needs_chromium, pytest.mark.slow]
 

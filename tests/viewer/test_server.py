@@ -109,7 +109,7 @@ class FakeBrowser(Browser):
         pass
 
 
-def test_a_training_can_be_watched(small_scene, tmp_path, monkeypatch):
+def test_a_training_can_be_watched(small_scene, tmp_path):
     urls, values = [], []
     browser = FakeBrowser()
     with LiveView(tmp_path / "run", port=0, on_ready=urls.append) as live:

@@ -24,7 +24,6 @@ from mrgs.scene.radiometry import Planck
 from tests.helpers.browsers import needs_chromium, new_page
 from tests.helpers.pages import SETTLED, fitted, picture, psnr, read
 
-pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = [needs_chromium, pytest.mark.slow]
 
 WINDOW = {"width": 800, "height": 420}

@@ -36,7 +36,6 @@ PIXELS = [
     (0.62, 0.6),
 ]
 
-pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = [needs_chromium, pytest.mark.slow]
 
 
@@ -236,7 +235,7 @@ def mark(kind: str, points: list[list[float]], **more: Any) -> PageMark:
     }  # fmt: skip
 
 
-def test_marks_are_listed_drawn_and_hidden_behind_surfaces(open_page, tmp_path):
+def test_marks_are_listed_drawn_and_hidden_behind_surfaces(open_page):
     ends = ["20.0 °C", "22.0 °C", "1.00 m"]
     profile = [(0.0, 20.0), (1.0, 22.0)]
     marks = [

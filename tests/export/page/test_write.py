@@ -71,7 +71,7 @@ def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras)
     assert facts["world"]["up"][2] > 0.9
 
 
-def test_the_palette_starts_with_the_corrected_temperatures(baked, cameras, tmp_path):
+def test_the_palette_starts_with_the_corrected_temperatures(baked, cameras):
     class Warmer:
         def applied_to(self, rendering, camera):
             return rendering.with_images({THERMAL: rendering[THERMAL].image + 0.1})

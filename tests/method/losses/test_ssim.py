@@ -4,7 +4,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torchmetrics.functional.image import structural_similarity_index_measure
 
 from mrgs.method.losses.ssim import (
     WEIGHTS,
@@ -48,7 +47,7 @@ def test_window_weights_sum_to_one_and_are_symmetric():
 
 
 def test_gradients():
-    x, y = image(2, 8, 7).requires_grad_(), image(2, 8, 7, seed=1).requires_grad_()
+    x, y = image(2, 6, 4).requires_grad_(), image(2, 6, 4, seed=1).requires_grad_()
     assert torch.autograd.gradcheck(window_mean, x)
     assert torch.autograd.gradgradcheck(window_mean, x)
     assert torch.autograd.gradcheck(ssim_map, (x, y))
@@ -71,6 +70,8 @@ def test_ssim_agrees_with_the_naive_formula():
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("data_range", [1.0, None])
 def test_ssim_agrees_with_torchmetrics(channels, data_range):
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
     x = 0.8 * image(channels, 41, 53, dtype=torch.float32)
     y = 0.6 * x + 0.1 * image(channels, 41, 53, seed=1, dtype=torch.float32)
     theirs, their_map = structural_similarity_index_measure(

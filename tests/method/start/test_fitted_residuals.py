@@ -40,7 +40,7 @@ def temperatures_of(field: RadianceField, gaussians: Gaussians) -> torch.Tensor:
 
 def test_temperatures_stay_those_of_the_photos_and_the_residual_carries_them() -> None:
     field, gaussians, temperatures = start()
-    fit_residuals(field, gaussians, temperatures, 200, torch.Generator().manual_seed(0))
+    fit_residuals(field, gaussians, temperatures, 100, torch.Generator().manual_seed(0))
     found = temperatures_of(field, gaussians)
     torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)
     own = C0 * gaussians.sh_dc[THERMAL][:-10, 0, 0]
@@ -60,7 +60,7 @@ def test_gaussians_that_are_added_later_have_the_temperatures_of_the_photos_too(
 
 def test_a_gaussian_that_no_photo_shows_takes_what_the_layers_know_of_its_place() -> None:
     field, gaussians, temperatures = start(position_frequencies=2)
-    fit_residuals(field, gaussians, temperatures, 300, torch.Generator().manual_seed(0))
+    fit_residuals(field, gaussians, temperatures, 150, torch.Generator().manual_seed(0))
     assert (gaussians.sh_dc[THERMAL][-10:] == 0).all()
     x = gaussians.means[:, :1]
     expected = 0.2 + 0.6 * (x - x.min()) / (x.max() - x.min())
@@ -91,7 +91,7 @@ def test_an_edited_equation_is_fitted_and_not_its_kernel() -> None:
     field, gaussians, temperatures = start(
         type("Edited", (RadianceField,), {"temperature_residuals": edited})
     )
-    fit_residuals(field, gaussians, temperatures, 200, torch.Generator().manual_seed(0))
+    fit_residuals(field, gaussians, temperatures, 20, torch.Generator().manual_seed(0))
     assert edited.rejected
     found = temperatures_of(field, gaussians)
     torch.testing.assert_close(found[:-10], temperatures[:-10], atol=1e-5, rtol=0)

@@ -10,7 +10,6 @@ import pytest
 from mrgs.prepare.page.write import write_page
 from tests.helpers.browsers import chromium, collect_errors, needs_chromium, new_page
 
-pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = [needs_chromium, pytest.mark.slow]
 
 
