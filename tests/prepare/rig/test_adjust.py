@@ -135,13 +135,17 @@ def test_cameras_are_aimed_at_what_they_observe():
     assert after < 0.2 * before
 
 
-def test_eliminating_the_motions_gives_what_the_whole_system_gives():
+def normal_equations() -> adjust_module._NormalEquations:
     _, _, observations = observed(0.3)
     start, prior = start_and_prior()
     residual, weight = adjust_module._weights(observations, start.rig, start.motions)
-    equations = adjust_module._normal_equations(
+    return adjust_module._normal_equations(
         observations, residual, weight, start.rig, start.motions, prior
     )
+
+
+def test_eliminating_the_motions_gives_what_the_whole_system_gives():
+    equations = normal_equations()
     whole = torch.block_diag(equations.rig, *equations.motions)
     whole[:12, 12:] = equations.coupling.movedim(0, 1).flatten(1)
     whole[12:, :12] = whole[:12, 12:].T
@@ -156,12 +160,7 @@ def test_eliminating_the_motions_gives_what_the_whole_system_gives():
 
 def test_many_pairs_are_solved_one_by_one():
     """The whole system of so many unknowns would take a hundred gigabytes, and days."""
-    _, _, observations = observed(0.3)
-    start, prior = start_and_prior()
-    residual, weight = adjust_module._weights(observations, start.rig, start.motions)
-    equations = adjust_module._normal_equations(
-        observations, residual, weight, start.rig, start.motions, prior
-    )
+    equations = normal_equations()
     times = 20_000 // VIEWS
     repeated = adjust_module._NormalEquations(
         times * equations.rig,
