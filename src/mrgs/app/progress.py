@@ -233,10 +233,7 @@ class TrainingProgress:
 
 class PrepareProgress:
     """Progress of ``mrgs prepare``: the current step, each finished stage, warnings at the end.
-
-    Attributes:
-        forecast: of the whole, where the time left is not given with each step.
-    """
+    ``forecast`` is that of the whole, where the time left is not given with each step."""
 
     def __init__(self, clock: Clock = time.perf_counter) -> None:
         self.forecast: Forecast | None = None

@@ -58,11 +58,8 @@ def join(
 def save(
     path: Path, joined: JoinedBlocks, config: TrainConfig, more: Sequence[CheckpointFacts]
 ) -> None:
-    """Write the checkpoint of a joined model, with its neighbours searched again.
-
-    Raises:
-        RunError: it cannot be written.
-    """
+    """Write the checkpoint of a joined model, with its neighbours searched again. RunError if the
+    file cannot be written."""
     model = joined.whole.model
     neighbours = model.field.neighbours_of(model.gaussians.means)
     with seeded(config.seed):

@@ -79,11 +79,7 @@ class BlockPlan:
     cells: Annotated[tuple[PlannedBlock, ...], msgspec.Meta(min_length=1)]
 
     def write(self, path: Path) -> None:
-        """Write the plan.
-
-        Raises:
-            WriteError: it cannot be written.
-        """
+        """Write the plan. WriteError if the file cannot be written."""
         content = {
             "format": FORMAT,
             **vars(self),

@@ -166,11 +166,7 @@ def without_empty(
 
 
 def parse_grid(blocks: str) -> tuple[int, int] | None:
-    """Rows and columns of ``ROWSxCOLUMNS``; None for ``auto``.
-
-    Raises:
-        ConfigError: something else.
-    """
+    """Rows and columns of ``ROWSxCOLUMNS``; None for ``auto``. ConfigError for anything else."""
     if blocks == "auto":
         return None
     found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", blocks)

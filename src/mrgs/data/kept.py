@@ -223,11 +223,8 @@ _Digest: TypeAlias = tuple[int, int, int, str]
 
 class Digests:
     """Digests of files, remembered in a JSON file between calls: a file is read again only if its
-    stamp has changed. On Windows they are remembered within a call only.
-
-    Args:
-        file: the JSON file; if it is missing or damaged, nothing is remembered.
-    """
+    stamp has changed. On Windows they are remembered within a call only. If that ``file`` is
+    missing or damaged, nothing is remembered."""
 
     def __init__(self, file: Path) -> None:
         self._file = file

@@ -20,11 +20,8 @@ BAR_SHARE = 0.25
 
 
 class Caption(NamedTuple):
-    """The texts of a picture.
-
-    Attributes:
-        north_deg: direction of north in the map, clockwise from up, degrees; None if not known.
-    """
+    """The texts of a picture. ``north_deg`` is the direction of north in the map, clockwise from
+    up; None if not known."""
 
     title: str
     subtitle: str

@@ -244,7 +244,10 @@ class CachedMeter(MarkMeter):
         super().__init__(*args, **more)
         self._own: list[tuple[str, Mark]] = []
         self._regions: Regions | None = None
-        self._known = lru_cache(MOST_CACHED)(self._read)
+        # Read again, too, with another meter of uncertainties.
+        self._known = lru_cache(MOST_CACHED)(
+            lambda mark, regions, uncertainty: MarkMeter.read(self, mark, regions)
+        )
 
     def regions(self, marks: Marks) -> Regions:
         """The parts of the surface with an emissivity of their own; the same object as long as
@@ -265,11 +268,6 @@ class CachedMeter(MarkMeter):
             if not reading.problem:  # which has the mark's name
                 return replace(reading, mark=mark)
         return super().read(mark, regions)
-
-    def _read(
-        self, surface: Mark, regions: Regions, uncertainty: UncertaintyMeter | None
-    ) -> MarkReading:
-        return super().read(surface, regions)
 
 
 def _surface_of(mark: Mark) -> Mark:

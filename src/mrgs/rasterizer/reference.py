@@ -63,17 +63,14 @@ def rasterize(
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
     """Render the layers from one camera; differentiable in the geometry, ``means2d_offset`` and
-    every tensor of every layer.
+    every tensor of every layer. ValueError if a shape does not fit, there is not one or two layers,
+    or the image has no pixels.
 
     Args:
         layers: one layer, or two that share the walk over the Gaussians.
         projection: of the camera, of any dtype and on any device; no gradient flows to it.
         means2d_offset: added to the projected centres, in pixels, [N, 2]; its gradient is the
             screen-space gradient that densification reads.
-
-    Raises:
-        ValueError: a shape does not fit, there is not one or two layers, or the image has no
-            pixels.
     """
     _check_shapes(geometry, layers, projection, means2d_offset)
     means, projection = geometry.means, projection.to(geometry.means)
@@ -259,11 +256,8 @@ def median_depth(
     It is the mean over what brings T from 0.6 to 0.4, mostly one Gaussian or two, of z where they
     are met by the ray of the pixel. The mean over all of them, Σ w z, lies between two surfaces
     wherever a little of the farther one shines through, or a little fog lies before it. In scene
-    units, [H, W]; NaN where more than half of the light passes all Gaussians.
-
-    Args:
-        opacities: of the layer, in (0, 1), [N].
-    """
+    units, [H, W]; NaN where more than half of the light passes all Gaussians. Opacities are those
+    of the layer, in (0, 1), [N]."""
     means, quats, scales = geometry
     projection = projection.to(means)
     viewmat, K, width, height, _ = projection

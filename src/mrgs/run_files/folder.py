@@ -107,11 +107,7 @@ class RunFolder:
         return sorted(numbered, key=lambda path: (len(path.name), path))
 
     def newest_checkpoint(self) -> Path:
-        """The last checkpoint.
-
-        Raises:
-            RunError: the folder is not a run, or has no checkpoint yet.
-        """
+        """The last checkpoint. RunError if the folder is not a run, or has no checkpoint yet."""
         self._require_config()
         found = self.checkpoints()
         if not found:
@@ -119,19 +115,14 @@ class RunFolder:
         return found[-1]
 
     def load_newest(self, load: Callable[[Path], T], *, set_aside: bool = False) -> T:
-        """Load the newest checkpoint, or an older one if it is damaged.
+        """Load the newest checkpoint, or an older one if it is damaged. RunError if there is no
+        checkpoint, all are damaged, or the newest undamaged one cannot be used. MrgsWarning if an
+        older one is used.
 
         Args:
             load: reads a checkpoint; raises DamagedCheckpointError.
             set_aside: rename damaged checkpoints to ``*.damaged``, because newer ones will be
                 written.
-
-        Warns:
-            MrgsWarning: an older one is used.
-
-        Raises:
-            RunError: there is no checkpoint, all are damaged, or the newest undamaged one cannot be
-                used.
         """
         self.newest_checkpoint()
         damaged: list[DamagedCheckpointError] = []
@@ -163,11 +154,7 @@ class RunFolder:
 
     def require_new(self) -> None:
         """Check that the folder may become a new run; one whose run ended before its first
-        checkpoint may.
-
-        Raises:
-            RunError: the folder contains a run, or something else.
-        """
+        checkpoint may. RunError if the folder contains a run, or something else."""
         if self.checkpoints():
             raise RunError(
                 f"{self.path} already holds a run: resume it, or choose another folder",
@@ -188,11 +175,7 @@ class RunFolder:
             raise RunError(why, options=("output",))
 
     def start(self, config: RunConfig) -> None:
-        """Make the folder a new run.
-
-        Raises:
-            RunError: the folder contains a run, or cannot be written.
-        """
+        """Make the folder a new run. RunError if it contains a run, or cannot be written."""
         self.require_new()
         with self._writing():
             self.log_file.unlink(missing_ok=True)
@@ -200,11 +183,7 @@ class RunFolder:
 
     @property
     def method(self) -> str:
-        """The name of the run's method.
-
-        Raises:
-            RunError: the folder is not a run.
-        """
+        """The name of the run's method. RunError if the folder is not a run."""
         values = self.read_config(parse_yaml)
         if isinstance(values, dict) and isinstance(name := values.get("method"), str):
             return name
@@ -213,11 +192,8 @@ class RunFolder:
         )
 
     def read_config(self, read: ReadConfig[T]) -> T:
-        """The run's configuration, by the method's parser.
-
-        Raises:
-            RunError: the folder is not a run, or its configuration cannot be used.
-        """
+        """The run's configuration, by the method's parser. RunError if the folder is not a run, or
+        its configuration cannot be used."""
         self._require_config()
         try:
             return read(self.config_file.read_text(encoding="utf-8"), str(self.config_file))
@@ -231,11 +207,7 @@ class RunFolder:
 
     def read_whole_config(self, read: ReadConfig[C]) -> C:
         """``read_config`` of a run with a checkpoint, whose config.yaml names every setting.
-
-        Warns:
-            MrgsWarning: it lacks some, for which the defaults are used; the file may have been cut
-                off.
-        """
+        MrgsWarning if it lacks some, for which the defaults are used: it may have been cut off."""
         self.newest_checkpoint()
         config = self.read_config(read)
         have = flat(self._config_values())
@@ -268,11 +240,8 @@ class RunFolder:
         return values if isinstance(values, dict) else {}
 
     def append_log(self, entry: dict[str, Any]) -> None:
-        """Add a line to the log; numbers that are not finite become null.
-
-        Raises:
-            RunError: the log cannot be written.
-        """
+        """Add a line to the log; numbers that are not finite become null. RunError if the log
+        cannot be written."""
         finite = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in entry.items()
@@ -290,10 +259,7 @@ class RunFolder:
     def tensorboard_log(self, step: int) -> Iterator[None]:
         """Within this block, write the numbers of the log as TensorBoard scalars, too; it hides
         what an earlier part of the training wrote after the step that this one continues from.
-
-        Raises:
-            ConfigError: TensorBoard is not installed.
-        """
+        ConfigError if TensorBoard is not installed."""
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ModuleNotFoundError:
@@ -345,11 +311,7 @@ class RunFolder:
         """Within this block a run in the folder is trained: a new one, unless ``resume``.
 
         A run that ends before its first checkpoint, because of the scene or of Ctrl-C, leaves
-        nothing.
-
-        Raises:
-            RunError: another process uses the folder, or it cannot be used.
-        """
+        nothing. RunError if another process uses the folder, or it cannot be used."""
         with self.locked():
             remove_abandoned(self.path)
             if self.log_file.exists() and not self.log_file.is_file():  # a pipe would block

@@ -123,11 +123,7 @@ class BakedModel:
 
     @property
     def temperatures_c(self) -> Float[Tensor, " n"]:
-        """°C of each splat.
-
-        Raises:
-            ValueError: the scene has no known °C.
-        """
+        """°C of each splat. ValueError if the scene has no known °C."""
         if self.temperature is None:
             raise ValueError("the scene has no temperature range, so there is no °C")
         return self.temperature.to_celsius(self.temperatures)
@@ -152,13 +148,11 @@ class BakedModel:
         self, cameras: Camera | Mapping[Modality, Camera], surface: Modality | None = None
     ) -> Rendering:
         """Render any camera, without gradients, and the median depth of a modality ``surface``.
+        ValueError if ``cameras`` is something else.
 
         Args:
             cameras: one for all modalities, or one for each modality to render.
             surface: a modality whose median depth is found too.
-
-        Raises:
-            ValueError: ``cameras`` is something else.
         """
         cameras = asked_cameras(cameras, self.modalities)
         with torch.no_grad(), own_modes(self.means.device):

@@ -74,16 +74,14 @@ class Method:
         source: str = "",
     ) -> Any:
         """The configuration of a preset, with changed values; see ``mrgs.make_config`` for the
-        others. ``max_gaussians`` and ``batch`` count where the method has Gaussians.
+        others. ``max_gaussians`` and ``batch`` count where the method has Gaussians. ConfigError
+        for a value that is not allowed, or changes for another method.
 
         Args:
             changes: YAML of the values that differ; they count before the others. A preset among
                 them stands for all of its values; steps and batch rescale its schedule, as those
                 given do.
             source: where the changes come from, for messages.
-
-        Raises:
-            ConfigError: a value that is not allowed, or changes for another method.
         """
         options = {"preset": preset, "max_steps": max_steps, "batch": batch}
         if changes:  # some of them decide about others; errors are found when all of it is read

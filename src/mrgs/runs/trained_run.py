@@ -111,15 +111,13 @@ class TrainedRun(ABC):
     def temperatures_c(
         self, rendering: Rendering, min_alpha: float = MIN_ALPHA
     ) -> Float[Tensor, "h w"]:
-        """The rendered temperatures in °C, NaN where there is none, [H, W].
+        """The rendered temperatures in °C, NaN where there is none, [H, W]. ValueError if the scene
+        has no known °C, or the rendering no thermal image.
 
         Args:
             rendering: of this run.
             min_alpha: a pixel that the model covers less has no temperature. 0 gives every pixel
                 its value, which tends to the scene's lowest temperature where nothing is.
-
-        Raises:
-            ValueError: the scene has no known °C, or the rendering no thermal image.
         """
         if self.temperature is None or THERMAL not in rendering:
             raise ValueError(

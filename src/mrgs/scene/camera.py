@@ -185,11 +185,7 @@ class Camera:
 
     def unproject_image(self, depth: Array) -> Float[Tensor, "h w 3"]:
         """The points of the world that appear at the centres of the pixels, for z-depths in scene
-        units, [H, W].
-
-        Raises:
-            ValueError: an array of another shape.
-        """
+        units, [H, W]. ValueError for an array of another shape."""
         depth = as_floats(depth, "depth")
         if depth.ndim != 2:
             raise ValueError(f"depth must have shape [H, W], not {list(depth.shape)}")
@@ -199,11 +195,8 @@ class Camera:
         return self.unproject(torch.stack([column, row], dim=2), depth)
 
     def contains(self, pixels: Array) -> Bool[Tensor, "*batch"]:
-        """Whether pixel coordinates x and y, [..., 2], lie in the image; NaN does not.
-
-        Raises:
-            ValueError: an array of another shape.
-        """
+        """Whether pixel coordinates x and y, [..., 2], lie in the image; NaN does not. ValueError
+        for an array of another shape."""
         pixels = as_floats(pixels, "pixels", 2)
         size = pixels.new_tensor([self.width, self.height])
         return ((pixels >= 0) & (pixels < size)).all(dim=-1)

@@ -51,10 +51,7 @@ def merged(gaussians: Gaussians, most: int) -> Merged:
     Mean and covariance are those of the mixture, in which a Gaussian weighs what it covers: its
     largest opacity times the area of its two largest axes. Opacities are such that a modality
     covers as much: opacity times area stays the same, as far as it can. All else is averaged.
-
-    Args:
-        most: more than 0; as many as there are leaves them alone.
-    """
+    ``most`` is above 0; as many as there are leaves them alone."""
     if len(gaussians) <= most:
         ones = torch.ones(len(gaussians))
         return Merged(gaussians, torch.arange(len(gaussians)), ones)

@@ -20,7 +20,8 @@ class Modality:
     its own appearance.
 
     Views, photos, renderings, opacities and metrics are indexed by it. Two with the same name and
-    channels are equal: unit and title only say how it is shown.
+    channels are equal: unit and title only say how it is shown. ValueError for a name that is no
+    lower-case identifier, no channel, or a text that is too long or cannot be printed.
 
     Attributes:
         name: a lower-case identifier, unique; it is used in files, logs and the names of tensors.
@@ -28,10 +29,6 @@ class Modality:
         unit: of the values once they are no longer normalised ("°C"); None for plain intensities in
             [0, 1].
         title: what headings and legends call it; the name if empty.
-
-    Raises:
-        ValueError: a name that is no lower-case identifier, no channel, or a text that is too long
-            or cannot be printed.
     """
 
     name: str
@@ -103,11 +100,8 @@ def register_modality(modality: Modality) -> Modality:
 
     Frames of ``transforms.json`` may then have ``NAME_file_path``, and its images are trained,
     scored, rendered and exported like all others. Not needed where ``transforms.json`` lists it
-    under ``modalities``. Registering the same modality twice is allowed.
-
-    Raises:
-        ValueError: a modality of this name has another number of channels.
-    """
+    under ``modalities``. Registering the same modality twice is allowed. ValueError if a modality
+    of this name has another number of channels."""
     known = _known.setdefault(modality.name, modality)
     if known != modality:
         raise ValueError(

@@ -104,16 +104,14 @@ class Rendering(Mapping[Modality, Blend]):
         self, modality: Modality, min_alpha: float = SOLID_ALPHA, max_step: float | None = None
     ) -> Float[Tensor, "h w"]:
         """z-depth of the surface that a pixel of a modality shows: the median depth, or where that
-        was not asked for D / A, the blended depth without the share of the background.
+        was not asked for D / A, the blended depth without the share of the background. In scene
+        units, NaN where there is no surface, [H, W].
 
         Args:
             min_alpha: a pixel that is covered less shows no surface.
             max_step: largest difference of depth within 3×3 pixels, as a share of the pixel's; one
                 of more lies on an outline, where the mean depth is that of neither surface. None to
                 keep outlines.
-
-        Returns:
-            Scene units, NaN where there is no surface, [H, W].
         """
         _, depth, alpha = self[modality]
         median = self._median_depth(modality)
@@ -185,11 +183,8 @@ class CameraResponse(Protocol):
         camera: Camera,
         pixel_sizes: Mapping[Modality, float] = NOT_COARSER,
     ) -> Rendering:
-        """What they would have recorded.
-
-        Args:
-            pixel_sizes: of the rendering's images, in pixels of the photos; 1 where none is given.
-        """
+        """What they would have recorded. ``pixel_sizes`` are those of its images, in pixels of the
+        photos; 1 where none is given."""
 
 
 def ideal_cameras(

@@ -60,14 +60,11 @@ class PosedImage:
 @dataclass(frozen=True, eq=False, repr=False)
 class View:
     """One moment of a capture: an image of each modality that was captured, each with its own
-    camera.
+    camera. ValueError without an image.
 
     Attributes:
         name: unique in the scene, usable as a file stem.
         images: by modality, RGB first where it is there; never empty.
-
-    Raises:
-        ValueError: no image.
     """
 
     name: str

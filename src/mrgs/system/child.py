@@ -27,11 +27,8 @@ OUT_OF_MEMORY = "the system ended the process (signal 9), most likely for want o
 
 
 class Child:
-    """A child process, as its parent sees it.
-
-    Attributes:
-        end: its last message; empty before it has come.
-    """
+    """A child process, as its parent sees it. ``end`` is its last message; empty before it has
+    come."""
 
     def __init__(self, arguments: Sequence[str], request: Any, log: Path, **variables: str) -> None:
         """Start Python in a session of its own, so that Ctrl-C reaches the parent alone.

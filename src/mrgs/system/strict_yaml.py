@@ -44,11 +44,8 @@ def first_difference(first: Mapping[str, Any], second: Mapping[str, Any]) -> str
 
 def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = None) -> Config:
     """The dataclass that ``write_yaml`` wrote, or a part of one over another of the same kind, the
-    ``base``; ``source`` is the file's name, for messages.
-
-    Raises:
-        ConfigError: not YAML, a field that does not exist, or a value of the wrong type.
-    """
+    ``base``; ``source`` is the file's name, for messages. ConfigError if it is not YAML, or has a
+    field that does not exist, or a value of the wrong type."""
     values = parse_yaml(text, source)
     if base is not None:
         values = _over(dataclasses.asdict(typing.cast(Any, base)), values)
@@ -56,11 +53,8 @@ def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = N
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Parse YAML with plain values only.
-
-    Raises:
-        ConfigError: not YAML, or a key stands twice in a mapping.
-    """
+    """Parse YAML with plain values only. ConfigError if it is not YAML, or has a key twice in a
+    mapping."""
     try:
         return deepcopy(_parsed(text))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -125,11 +119,8 @@ def _member(options: list[Any], value: Any) -> Any:
 
 
 def convert(hint: Any, value: Any, source: str) -> Any:
-    """A value of YAML as its field's type; nested dataclasses are built.
-
-    Raises:
-        ConfigError: it is of another type; the message names the ``source``.
-    """
+    """A value of YAML as its field's type; nested dataclasses are built. ConfigError, which names
+    the ``source``, if it is of another type."""
     if typing.get_origin(hint) in (types.UnionType, typing.Union):
         if value is None:
             return None

@@ -50,11 +50,8 @@ def ctrl_c_waits() -> Iterator[None]:
     """Within this block Ctrl-C waits for its end; a second one does not.
 
     Nothing changes where Ctrl-C does something else than to raise KeyboardInterrupt, or in other
-    threads than the main one, which it does not reach.
-
-    Raises:
-        KeyboardInterrupt: at the end of the block, or at the second Ctrl-C.
-    """
+    threads than the main one, which it does not reach. KeyboardInterrupt comes at the end of the
+    block, or at the second Ctrl-C."""
     is_main = threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield

@@ -208,11 +208,7 @@ class Trainer:
         for speed, and do it again.
 
         Adam makes its moments at the first step, one parameter after another: this alone is not
-        undone.
-
-        Raises:
-            TrainingError: the memory is full again; the state before is checkpointed.
-        """
+        undone. TrainingError if the memory is full again; the state before is checkpointed."""
         state = self.state
         before = (state.step, state.generator.get_state(), state.sampler.state())
         for _ in range(2):

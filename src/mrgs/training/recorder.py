@@ -67,9 +67,7 @@ class Recorder:
 
     def run(self, state: TrainingState, inputs: ViewInputs, run_pass: Pass) -> ViewMeasures:
         """Run the pass of a view, or replay it; what it returns is overwritten by the next call.
-
-        Args:
-            state: whose parameters get the gradients; they have none.
+        The parameters of ``state`` get the gradients; they have none.
 
         Warns:
             MrgsWarning: the pass cannot be recorded. It runs as it is from now on; where memory did

@@ -49,8 +49,8 @@ class TrainOptions:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Functions that a training calls: ``mrgs.train`` describes the keywords of these names. No
-    ``on_model`` is called by methods without Gaussians."""
+    """Functions that a training calls: ``mrgs.train`` describes the keywords of these names.
+    Methods without Gaussians do not call ``on_model``."""
 
     on_step: Callable[[Any], object] | None = None
     on_start: Callable[[Scene, Any], object] | None = None

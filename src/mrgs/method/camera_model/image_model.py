@@ -106,11 +106,8 @@ class ImageModel(nn.Module):
     def refined(
         self, cameras: Mapping[Modality, Camera], view: Int64[Tensor, "1"]
     ) -> Mapping[Modality, Camera]:
-        """The cameras of a training view at their refined pose.
-
-        Args:
-            view: its place among the training views, on the model's device.
-        """
+        """The cameras of a training view at their refined pose. ``view`` is its place among the
+        training views, on the model's device."""
         if self.poses is None or not self.poses.moves:
             return cameras
         return self.poses.refined(cameras, view)

@@ -19,11 +19,8 @@ SAME_PLACE = 1e-6
 
 
 class PhotoEffect(nn.Module):
-    """What a camera did to each thermal photo.
-
-    Args:
-        viewpoints: of each training view, None where it has no thermal photo; at least one has.
-    """
+    """What a camera did to each thermal photo. Training views have a viewpoint, or None if there is
+    no thermal photo; at least one has."""
 
     rows: Int64[Tensor, " v"]
 
