@@ -121,16 +121,16 @@ class Mark:
             wanted = f"{fewest}" if fewest == most else f"{fewest} to {most}"
             return f"a {self.kind} has {wanted} points, not {len(self.points)}"
         for place in (*self.points, self.eye):
-            if not all(-FARTHEST <= each <= FARTHEST for each in place):  # false for NaN
+            if not all(_is_number(each, -FARTHEST, FARTHEST) for each in place):
                 return f"x, y and z must be finite numbers, not {shown(place)}"
-        if self.kind == "spot" and not 1e-9 <= self.radius <= FARTHEST:
+        if self.kind == "spot" and not _is_number(self.radius, 1e-9, FARTHEST):
             return f"the radius of a spot must be above 0, not {shown(self.radius)}"
         if self.has_settings and not self.is_area:
             return "only boxes and polygons have an emissivity and a reflected temperature"
         limits = {"emissivity": (*EMISSIVITY, ""), "reflected_c": (*REFLECTED_C, " °C")}
         for field, (low, high, unit) in limits.items():
             value = getattr(self, field)
-            if value is not None and not low <= value <= high:
+            if value is not None and not _is_number(value, low, high):
                 return f"its {field} must be from {low:g} to {high:g}{unit}, not {shown(value)}"
         return ""
 
@@ -239,3 +239,8 @@ def _named(marks: Sequence[Mark], name: str, what: str, none: str) -> Mark:
 def places_of(points: Sequence[Sequence[float]]) -> tuple[Place, ...]:
     """Rows of an array [N, 3] as places."""
     return tuple((float(x), float(y), float(z)) for x, y, z in points)
+
+
+def _is_number(value: Any, low: float, high: float) -> bool:
+    """Whether JSON can express it, and it is between two limits."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high

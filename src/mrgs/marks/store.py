@@ -143,8 +143,8 @@ class MarkStore:
                 raise ConfigError("it is too large")
             document = json.loads(path.read_text(encoding="utf-8"))
             self._require_own(path, from_json(_Head, document))
-            states = from_json(list[_State], document.get("states", [document]))
-            return list(map(_marks_of, states))
+            states = from_json(list[dict[str, Any]], document.get("states", [document]))
+            return [_marks_of(from_json(_State, state)) for state in states]
         except OSError as error:
             raise RunError(
                 f"{path} cannot be read ({error.strerror}): check its permissions"
