@@ -180,9 +180,6 @@ class PhotoReadings:
         self._step = self._span * _step_of(self._views)
         self._maps: dict[int, DepthMap] = {}
 
-    def __len__(self) -> int:
-        return len(self._views)
-
     def __getitem__(self, index: int) -> DepthMap:
         """Depth and channels of one photo; NaN where it is masked. SceneError if the photo cannot
         be read."""
@@ -211,7 +208,7 @@ class PhotoReadings:
         found = []
         for rows in row_chunks(len(points)):
             sums = SightingSums(rows.stop - rows.start, OF_ONE_VALUE * self._step)
-            for index in range(len(self)):
+            for index in range(len(self._views)):
                 item = self[index]
                 shown = item.shown(points[rows])
                 sums.add(shown.rows, item.image[shown.pixels])
@@ -225,7 +222,7 @@ class PhotoReadings:
         if not self._step:
             return 0.0
         found = []
-        for index in evenly_spaced(len(self), NOISE_PHOTOS):
+        for index in evenly_spaced(len(self._views), NOISE_PHOTOS):
             item = self[index]
             reduced = self._views[index].images[THERMAL].camera.width / item.camera.width
             noise = item.image[..., READING] - item.image[..., RENDERED]
