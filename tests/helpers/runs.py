@@ -6,7 +6,6 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,9 +13,8 @@ from filelock import FileLock
 
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.training import train
-from tests.helpers.training import FITTED
 
-SMALL = replace(make_config("mrgs", max_steps=60, max_gaussians=300), fitted_residuals=FITTED)
+SMALL = make_config("mrgs", max_steps=60, max_gaussians=300)
 """Of the small scene: trained for a moment, so that there is something to see. A test that has no
 reason for another takes this one, and shares its run."""
 

@@ -108,6 +108,7 @@ def test_without_scores_and_a_contact_sheet_it_says_how_to_get_them(plain, run):
     assert "Not scored" in plain.text
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_commands_in_the_report_can_be_pasted_whatever_the_folder_is_called(run, tmp_path):
     folder = tmp_path / "my $(run)"
     shutil.copytree(run.folder.path, folder)
@@ -189,6 +190,7 @@ def test_a_broken_contact_sheet_is_named(run, tmp_path):
         report_run(run, tmp_path / "report.html")
 
 
+@pytest.mark.usefixtures("without_spots")
 def test_names_from_files_are_escaped(run, tmp_path):
     scene = run.load_scene()
     evil = "<script>alert(1)</script>"
@@ -459,7 +461,7 @@ def test_the_report_says_how_many_are_held_back(run: Run, tmp_path: Path):
     ("accuracy", "said", "not_said"),
     [
         ("", "would lie", "truth lies"),
-        ("camera_accuracy_c: 1", "truth lies", "would lie"),
+        ("camera_accuracy_c: 1\n", "truth lies", "would lie"),
     ],
 )
 def test_the_report_promises_no_more_than_is_known_of_the_camera(
@@ -467,7 +469,8 @@ def test_the_report_promises_no_more_than_is_known_of_the_camera(
 ):
     marks, camera = open_marks(run), run.load_scene().train[0].images[THERMAL].camera
     marks.spot(camera, (20, 15))
-    (run.folder.path / "survey.yaml").write_text(accuracy, encoding="utf-8")
+    survey = f"{accuracy}hot_places: 0\ncold_places: 0\n"
+    (run.folder.path / "survey.yaml").write_text(survey, encoding="utf-8")
     text = Page(report_run(run, tmp_path / "report.html")).text
     uncertainty = text[text.index("Uncertainty") :]
     assert said in uncertainty
@@ -477,7 +480,11 @@ def test_the_report_promises_no_more_than_is_known_of_the_camera(
 def test_the_inspectors_words_are_printed_as_they_are(run: Run, tmp_path: Path):
     words = "dry since 12.03.2026"
     survey = run.folder.path / "survey.yaml"
-    survey.write_text(f"standard: EN 13187\nprecipitation: {words}\nwind_m_s: 2.25\n", "utf-8")
+    survey.write_text(
+        f"standard: EN 13187\nprecipitation: {words}\nwind_m_s: 2.25\n"
+        "hot_places: 0\ncold_places: 0\n",
+        encoding="utf-8",
+    )
     text = Page(report_run(run, tmp_path / "report.html", language="de")).text
     assert text.count(words) == 2
     assert text.count("2,25 m/s") == 2

@@ -23,6 +23,7 @@ from mrgs.system.torch_modes import own_modes
 from mrgs.training.kernel_check import _camera_before, check_kernels, check_rendering
 from mrgs.training.state import initial_state
 from tests.helpers.gaussians import random_gaussians
+from tests.helpers.training import short_config
 
 pytestmark = pytest.mark.compares_kernels
 
@@ -89,7 +90,6 @@ def test_the_camera_of_the_check_has_most_gaussians_before_it():
 
 
 def test_a_model_without_gaussians_needs_no_check(small_scene):
-    config, scene = make_config("mrgs", "fast"), load_scene(small_scene)
-    state = initial_state(scene, config)
+    state = initial_state(load_scene(small_scene), short_config())
     nothing = state.model.gaussians.rows(torch.arange(0))
     check_rendering(replace(state.model, gaussians=nothing), state.image_model, HOST)
