@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrgs.errors import ConfigError
@@ -48,6 +48,7 @@ CONFIGS = st.builds(
 
 
 @pytest.mark.filterwarnings("ignore:Do not use the `random` module")  # the type checker's samples
+@settings(max_examples=50)
 @given(CONFIGS)
 def test_yaml_gives_back_the_same_configuration(config):
     assert from_yaml(write_yaml(config), "config.yaml") == config

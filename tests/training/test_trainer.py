@@ -344,27 +344,34 @@ def test_only_true_stops_the_run(answer, small_scene, tmp_path):
     assert load_facts(folder.newest_checkpoint()).step == 3
 
 
+@pytest.fixture(scope="module")
+def stopped_at_7(small_scene, tmp_path_factory) -> RunFolder:
+    """Only to be read."""
+    output = tmp_path_factory.mktemp("stopped") / "run"
+    return train(small_scene, output, short_config(), stop_at=7)
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
-def test_an_error_of_whoever_watches_keeps_the_last_step(error, small_scene, tmp_path):
+def test_an_error_of_whoever_watches_keeps_the_last_step(
+    error, small_scene, tmp_path, stopped_at_7
+):
     def fail(statistics):
         if statistics.step == 7:
             raise error
 
     with pytest.raises(error):
         train(small_scene, tmp_path / "run", short_config(), hooks=Hooks(on_step=fail))
-    stopped = train(small_scene, tmp_path / "stopped", short_config(), stop_at=7)
     kept = RunFolder(tmp_path / "run").newest_checkpoint()
     assert load_facts(kept).step == 7
-    assert same_tensors(kept, stopped.newest_checkpoint())
+    assert same_tensors(kept, stopped_at_7.newest_checkpoint())
 
 
-def test_ctrl_c_in_a_step_waits_for_its_end(small_scene, tmp_path):
+def test_ctrl_c_in_a_step_waits_for_its_end(small_scene, tmp_path, stopped_at_7):
     with pytest.raises(KeyboardInterrupt):
         train(small_scene, tmp_path / "run", short_config(), terms=[InStep(7, press)])
-    stopped = train(small_scene, tmp_path / "stopped", short_config(), stop_at=7)
     kept = RunFolder(tmp_path / "run").newest_checkpoint()
     assert load_facts(kept).step == 7
-    assert same_tensors(kept, stopped.newest_checkpoint())
+    assert same_tensors(kept, stopped_at_7.newest_checkpoint())
 
 
 def test_a_second_ctrl_c_does_not_wait_and_no_half_of_a_step_is_kept(small_scene, tmp_path):

@@ -41,7 +41,11 @@ def pairs(
 
 @pytest.mark.parametrize(
     ("focal", "turn_deg", "shift"),
-    [(1.1, 0.0, (0.05, -0.04)), (1.4, 3.0, (-0.1, 0.02)), (0.9, -3.0, (0.0, 0.08))],
+    [
+        pytest.param(1.1, 0.0, (0.05, -0.04), marks=pytest.mark.slow),
+        (1.4, 3.0, (-0.1, 0.02)),
+        (0.9, -3.0, (0.0, 0.08)),
+    ],
 )
 def test_scale_turn_and_shift_are_found(focal, turn_deg, shift):
     field_of_view_deg = float(np.degrees(2 * np.arctan(0.5 / focal))) * 1.04
