@@ -185,7 +185,7 @@ def test_a_modality_with_a_unit_has_a_palette_and_its_unit(run: Run, tmp_path: P
     inspection = Inspection(subject)
     inspection.settings = Settings(Mode("image", (metric,)), "iron")
     camera = run.load_scene().train[0].camera
-    scale = inspection.picture(camera).scales.values[NIR]
+    scale = inspection.picture(camera).scales[NIR]
     assert (scale.palette, scale.unit) == ("iron", "W/m²")
     row, column = divmod(int(run.render({NIR: camera})[NIR].alpha.argmax()), camera.width)
     shown = inspection.click((column + 0.5) / camera.width, (row + 0.5) / camera.height)
