@@ -64,7 +64,9 @@ class Fakes:
     def steps(self) -> Steps:
         return Steps(self.reconstruct, self.calibrate, write_page=short_page)
 
-    def reconstruct(self, images, work, progress, *, modality, gps) -> Reconstruction:
+    def reconstruct(
+        self, images, work, progress, *, modality, gps, field_of_view_deg
+    ) -> Reconstruction:
         self.calls.append("thermal poses" if modality == THERMAL else "poses")
         progress("matching", 1, 2)
         return replace(existing_poses(self.poses, images), images=modality)

@@ -33,7 +33,12 @@ from mrgs.prepare.existing import existing_poses, state_of_poses
 from mrgs.prepare.georeference import georeference
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.rig.contract import FEWEST_MATCHES, RigCalibration
-from mrgs.prepare.thermal_camera import Calibrate, calibrate_thermal_camera, in_metres_of_target
+from mrgs.prepare.thermal_camera import (
+    Calibrate,
+    calibrate_thermal_camera,
+    in_metres_of_target,
+    stated_field_of_view,
+)
 from mrgs.prepare.work import Work
 from mrgs.scene import THERMAL, Modality
 from mrgs.scene.camera import field_of_view
@@ -83,11 +88,21 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
     given = work.options.poses
     two_cameras = modality != THERMAL and not work.options.one_camera
     gps = work.gps
+    view_deg = None
+    if modality == THERMAL:
+        view_deg = work.options.thermal_fov_deg or stated_field_of_view(views)
 
     def find() -> Reconstruction:
         if given is None:
             cache = work.scene / CACHE_FOLDER
-            return reconstruct(files, cache, work.progress, modality=modality, gps=gps)
+            return reconstruct(
+                files,
+                cache,
+                work.progress,
+                modality=modality,
+                gps=gps,
+                field_of_view_deg=view_deg,
+            )
         pairs = work.pairing.pairs
         found = existing_poses(given, files, pairs=pairs, two_cameras=two_cameras)
         return replace(found, images=modality)
@@ -95,7 +110,7 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
     content = None
     if given is not None:
         content = (work.pairing.pairs, given.resolve(), state_of_poses(given), two_cameras)
-    work.poses = work.cache.get("poses", Reconstruction, (posed, content, gps), find)
+    work.poses = work.cache.get("poses", Reconstruction, (posed, content, gps, view_deg), find)
     return summarize_poses(work.poses)
 
 

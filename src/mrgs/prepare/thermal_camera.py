@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -94,7 +94,7 @@ def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration
     """
     options, posed = work.options, work.posed
     if posed.images == THERMAL:
-        names = ("thermal_fov_deg", "thermal_camera", "target", "one_camera")
+        names = ("thermal_camera", "target", "one_camera")
         given = tuple(name for name in names if getattr(options, name) not in (None, False))
         if given:
             raise ConfigError(
@@ -125,10 +125,15 @@ def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration
         for view in views
     ]
     known = _known(options, work.scene / views[0].images[THERMAL].file, work.metric)
-    stated_deg = [deg for view in views if (deg := view.facts.field_of_view_deg) is not None]
-    if stated_deg:
-        known = replace(known, stated_field_of_view_deg=median(stated_deg))
+    known = replace(known, stated_field_of_view_deg=stated_field_of_view(views))
     return calibrate(pairs, posed.points, known, work.progress)
+
+
+def stated_field_of_view(views: Sequence[ConvertedView]) -> float | None:
+    """The horizontal field of view of the thermal camera that the photos' files state, degrees; the
+    median. None if none does."""
+    stated_deg = [deg for view in views if (deg := view.facts.field_of_view_deg) is not None]
+    return median(stated_deg) if stated_deg else None
 
 
 def _check_same_shape(scene: Path, view: ConvertedView) -> None:

@@ -8,12 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from mrgs.data import load_scene
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.prepare.sfm.reconstruct import positions_of, reconstruct
-from mrgs.scene import RGB
+from mrgs.scene import RGB, THERMAL
+from mrgs.scene.rotations import matrix_from_rotvec
+
+WIDE_PX = 300.0
+"""Focal length of the thermal camera."""
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"
 needs_pycolmap = pytest.mark.skipif(
@@ -92,3 +97,48 @@ def test_two_photos_are_too_few(tmp_path):
     images = {f"photo_{seed}": noise(tmp_path / f"photo_{seed}.png", seed) for seed in range(2)}
     with pytest.raises(SceneError, match="3 photos at least"):
         reconstruct(images, tmp_path, lambda *step: None, modality=RGB)
+
+
+def thermal_photos_of_a_corner(folder: Path, count: int) -> tuple[dict[str, Path], dict]:
+    """Two walls with warm patches, by a camera that drifts by degrees and shades; and the world to
+    camera rotations."""
+    rng = np.random.default_rng(0)
+    walls = [gaussian_filter(rng.normal(0, 1, (600, 600)), 4) for _ in range(2)]
+    walls = [12 + 0.5 * wall / wall.std() for wall in walls]
+    columns, rows = np.meshgrid(np.arange(320) - 159.5, np.arange(240) - 119.5)
+    rays = np.stack([columns / WIDE_PX, rows / WIDE_PX, np.ones_like(rows)], axis=-1)
+    files, rotations = {}, {}
+    for number in range(count):
+        place = np.array([-1.5 + 3 * number / count, rng.normal(0, 0.2), -4.0])
+        turn = matrix_from_rotvec([0.0, 0.25 - 0.5 * number / count, 0.02])
+        directions = rays @ turn
+        seen, nearest = np.zeros(rows.shape), np.full(rows.shape, np.inf)
+        for wall, side in zip(walls, (1, -1), strict=True):
+            normal = np.array([0.5 * side, 0.0, 1.0])  # the walls meet at x = 0
+            reach = -(place @ normal) / (directions @ normal)
+            hits = place + reach[..., None] * directions
+            texels = [(hits[..., 1] + 3) * 100, (hits[..., 0] + 3) * 100]
+            here = (reach < nearest) & (side * hits[..., 0] >= 0)
+            seen = np.where(here, map_coordinates(wall, texels, order=1, mode="wrap"), seen)
+            nearest = np.where(here, reach, nearest)
+        shading = 1.5 * (columns**2 + rows**2) / 200**2
+        celsius = seen + rng.uniform(-3, 3) + shading + rng.normal(0, 0.04, rows.shape)
+        files[f"{number}"] = folder / f"{number}.tiff"
+        Image.fromarray(celsius.astype(np.float32)).save(files[f"{number}"])
+        rotations[f"{number}"] = turn
+    return files, rotations
+
+
+@needs_pycolmap
+def test_thermal_photos_alone_that_drift_and_shade(tmp_path):
+    images, rotations = thermal_photos_of_a_corner(tmp_path, 8)
+    wide_deg = float(np.degrees(2 * np.arctan(160 / WIDE_PX)))
+    found = reconstruct(
+        images, tmp_path, lambda *step: None, modality=THERMAL, field_of_view_deg=wide_deg
+    )
+    assert found.failed == ()
+    assert found.lenses["0"].fx == pytest.approx(WIDE_PX, rel=1e-3)
+    for name in images:
+        own = (found.viewmats[name] @ found.viewmats["0"].inverse())[:3, :3].numpy()
+        true = rotations[name] @ rotations["0"].T
+        assert np.degrees(np.arccos((np.trace(own @ true.T) - 1) / 2)) < 1

@@ -55,7 +55,7 @@ def test_what_was_made_of_the_same_images_stays(photos, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", ["content", "order", "stretch", "positions", "cut off", "damaged"]
+    "change", ["content", "order", "thermal", "positions", "field of view", "cut off", "damaged"]
 )
 def test_what_was_made_of_other_images_goes(photos, tmp_path, change):
     folder = tmp_path / "sfm"
@@ -71,12 +71,13 @@ def test_what_was_made_of_other_images_goes(photos, tmp_path, change):
     if change == "damaged":
         (folder / "job.json").write_bytes(b"\xff\xfe")
     positions = np.eye(3) if change == "positions" else None
-    set_up(folder, photos, change == "stretch", silent, positions)
+    view_deg = 45.0 if change == "field of view" else None
+    set_up(folder, photos, change == "thermal", silent, positions, view_deg)
     assert not (folder / "database.db").exists()
     assert len(json.loads((folder / "job.json").read_text())["images"]) == 3
 
 
-def test_stretched_images_are_made_and_counted(photos, tmp_path):
+def test_thermal_images_are_made_and_counted(photos, tmp_path):
     steps = []
     set_up(tmp_path / "sfm", photos, True, lambda *step: steps.append(step))
     assert steps == [("contrast", 1, 3), ("contrast", 2, 3), ("contrast", 3, 3)]

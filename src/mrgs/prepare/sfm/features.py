@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 
 import numpy as np
@@ -44,10 +45,9 @@ def find_features(job: ReconstructionJob, report: Report) -> None:
     options.num_threads = min(available_cores(), MAX_THREADS)
     options.max_image_size = MAX_IMAGE_SIDE_PX
     options.sift.max_num_features = MAX_FEATURES
-    if job.faint:  # few features, so each must be found again from afar: slower, and worth it
+    if job.faint:  # thermal images have nothing as small as a pixel, so they are not enlarged
         options.sift.peak_threshold = FAINT_PEAK_THRESHOLD
-        options.sift.estimate_affine_shape = True
-        options.sift.domain_size_pooling = True
+        options.sift.first_octave = 0
     reader = pycolmap.ImageReaderOptions()
     reader.existing_camera_id = CAMERA
     reader.camera_model = CAMERA_MODEL
@@ -66,7 +66,8 @@ def find_features(job: ReconstructionJob, report: Report) -> None:
 
 
 def _write_camera(job: ReconstructionJob) -> None:
-    """The camera with the median focal length in its images' EXIF data, or else COLMAP's guess."""
+    """The camera with its known field of view, the median focal length in its images' EXIF data, or
+    else COLMAP's guess."""
     with pycolmap.Database.open(job.database) as database:
         if database.exists_camera(CAMERA):
             return
@@ -77,6 +78,8 @@ def _write_camera(job: ReconstructionJob) -> None:
     known = [guess.mean_focal_length() for guess in guesses if guess.has_prior_focal_length]
     low, high = (share * max(camera.width, camera.height) for share in _PLAUSIBLE_FOCAL_LENGTHS)
     known = [focal_length for focal_length in known if low <= focal_length <= high]
+    if job.field_of_view_deg is not None:
+        known = [camera.width / 2 / math.tan(math.radians(job.field_of_view_deg) / 2)]
     camera.has_prior_focal_length = bool(known)
     guess = 1.2 * max(camera.width, camera.height)
     camera.focal_length = statistics.median(known) if known else guess
@@ -100,7 +103,6 @@ def match(job: ReconstructionJob, report: Report) -> None:
     report("matching", len(pairs) - len(waiting), len(pairs))
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
-    matching.guided_matching = job.faint
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = SEED
     pairing = pycolmap.ImportedPairingOptions()

@@ -20,7 +20,7 @@ MODEL_FOLDER = "model"
 POINTS_FILE = "points.npz"
 REPORT_FILE = "report.json"
 
-FORMAT = 3
+FORMAT = 4
 """Raise it when features or matches are found in another way: older ones are then discarded."""
 
 
@@ -36,8 +36,9 @@ class JobFile(msgspec.Struct, frozen=True):
     """Content of ``JOB_FILE``; ``positions`` are metres east, north and up."""
 
     images: tuple[JobImage, ...]
-    stretch: bool = False
+    thermal: bool = False
     positions: tuple[tuple[float, float, float], ...] | None = None
+    field_of_view_deg: float | None = None
     format: int = FORMAT
 
 
@@ -70,12 +71,14 @@ class ReconstructionJob:
         files: names of the images in ``root``.
         faint: whether features are few and weak, as in thermal images.
         positions: where they were taken, metres east, north and up; None if not known for all.
+        field_of_view_deg: horizontal, of the camera, as the photos' files or the user state it.
     """
 
     folder: Path
     files: tuple[str, ...]
     faint: bool
     positions: Float64[np.ndarray, "n 3"] | None = None
+    field_of_view_deg: float | None = None
 
     @property
     def root(self) -> Path:
@@ -92,6 +95,5 @@ def read_job(folder: Path) -> ReconstructionJob:
     """The job in a working folder."""
     job = msgspec.json.decode((folder / JOB_FILE).read_bytes(), type=JobFile)
     positions = None if job.positions is None else np.array(job.positions)
-    return ReconstructionJob(
-        folder, tuple(image.file for image in job.images), job.stretch, positions
-    )
+    files = tuple(image.file for image in job.images)
+    return ReconstructionJob(folder, files, job.thermal, positions, job.field_of_view_deg)

@@ -129,6 +129,7 @@ def _models(
     options.random_seed = SEED
     options.min_model_size = 3
     options.triangulation.ignore_two_view_tracks = total >= FEW_IMAGES
+    options.ba_refine_focal_length = job.field_of_view_deg is None
     if job.faint:
         options.mapper.init_min_num_inliers = FAINT_INITIAL_MATCHES
         options.mapper.abs_pose_min_num_inliers = FAINT_POSE_MATCHES

@@ -40,6 +40,7 @@ def reconstruct(
     *,
     modality: Modality,
     gps: Mapping[str, GpsPosition] | None = None,
+    field_of_view_deg: float | None = None,
 ) -> Reconstruction:
     """Poses and points from overlapping images of one camera, by incremental structure from motion
     (Schönberger and Frahm, 2016; pycolmap).
@@ -51,8 +52,10 @@ def reconstruct(
 
     Args:
         images: files by the views' names, in the order in which they were taken; all of one size.
-        modality: of the images; the contrast of thermal ones is stretched first.
+        modality: of the images; the contrast of thermal ones is made even first.
         gps: positions by view; used where all images have one.
+        field_of_view_deg: horizontal, of the camera, and then not refined: images of a flat façade
+            hardly determine it. None for what the images' EXIF data say, refined.
 
     Raises:
         SceneError: fewer than three images get a pose, or an image cannot be read.
@@ -65,7 +68,8 @@ def reconstruct(
             f"all around"
         )
     folder = work / "sfm"
-    set_up(folder, images, modality == THERMAL, progress, positions_of(images, gps or {}))
+    positions = positions_of(images, gps or {})
+    set_up(folder, images, modality == THERMAL, progress, positions, field_of_view_deg)
     check_version(installed_version())
     run_colmap(folder, progress)
     return read_result(folder, modality)
