@@ -36,6 +36,7 @@ def test_known_errors() -> None:
     assert metrics.mean[RGB]["psnr"] == pytest.approx(20.0, abs=1e-3)
     assert metrics.mean[THERMAL]["psnr"] == pytest.approx(-20 * math.log10(0.05), abs=1e-3)
     assert metrics.mean[THERMAL]["mae_c"] == pytest.approx(1.0, abs=1e-5)
+    assert metrics.mean[THERMAL]["mae_offset_c"] == pytest.approx(0.0, abs=1e-5)
     assert metrics.mean[THERMAL]["mae_foreground_c"] == pytest.approx(1.0, abs=1e-5)
     assert [view.name for view in metrics.views] == ["a", "b"]
     assert metrics.truth is None
@@ -45,6 +46,7 @@ def test_known_errors() -> None:
         "ssim",
         "ssim_pair_range",
         "mae_c",
+        "mae_offset_c",
         "mae_foreground_c",
         "lpips",
     )

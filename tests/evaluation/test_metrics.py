@@ -16,6 +16,7 @@ from mrgs.evaluation.metrics import (
     Missing,
     fill_invalid,
     mean_absolute_error,
+    mean_absolute_error_but_offset,
     otsu_threshold,
     psnr,
     psnr_matched,
@@ -103,6 +104,13 @@ def test_a_uniform_photo_matches_everything() -> None:
     figure = psnr_matched(image, torch.full_like(image, 0.3))
     assert isinstance(figure, Missing)
     assert "uniform" in figure.reason
+
+
+def test_mean_absolute_error_but_offset_by_hand() -> None:
+    target = torch.tensor([[10.0, 11.0, 12.0, 40.0]])
+    image = target + 5 + torch.tensor([[0.0, 0.3, -0.3, 2.0]])
+    valid = torch.tensor([[True, True, True, False]])
+    assert mean_absolute_error_but_offset(image, target, valid) == pytest.approx(0.2, abs=1e-6)
 
 
 def test_mean_absolute_error_by_hand() -> None:

@@ -29,6 +29,7 @@ from mrgs.evaluation.metrics import (
     figure_names,
     fill_invalid,
     mean_absolute_error,
+    mean_absolute_error_but_offset,
     mean_figures,
     psnr,
     psnr_matched,
@@ -335,17 +336,20 @@ def _temperature_figures(
     temperature: TemperatureRange | None,
     foreground: Foreground | None,
 ) -> Figures:
-    """MAE in °C over the full frame and over the foreground."""
+    """MAE in °C over the full frame, the same after the photo's own offset, and over the
+    foreground."""
     if temperature is None:
         return all_missing(CELSIUS_FIGURES, NO_CELSIUS)
+    compared, span_c = (image, photo.values, photo.valid), temperature.span_c
     figures: Figures = {
-        "mae_c": mean_absolute_error(image, photo.values, photo.valid) * temperature.span_c,
+        "mae_c": mean_absolute_error(*compared) * span_c,
+        "mae_offset_c": mean_absolute_error_but_offset(*compared) * span_c,
         "mae_foreground_c": Missing("no photo has two classes for Otsu's threshold to part"),
     }
     if foreground is not None:
         mask = foreground.of(photo)
         figures["mae_foreground_c"] = (
-            mean_absolute_error(image, photo.values, mask) * temperature.span_c
+            mean_absolute_error(image, photo.values, mask) * span_c
             if mask.any()
             else Missing("no pixel of the photo belongs to the foreground")
         )

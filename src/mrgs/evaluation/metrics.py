@@ -21,7 +21,7 @@ from mrgs.method.losses.ssim import RADIUS_PX, ssim_map
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Pixels, View, metric_first
 
 PIXEL_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range")
-CELSIUS_FIGURES = ("mae_c", "mae_foreground_c")
+CELSIUS_FIGURES = ("mae_c", "mae_offset_c", "mae_foreground_c")
 
 REPORTED = metric_first(BUILT_IN)
 """The modalities that every report lists, in its order; others follow."""
@@ -129,6 +129,19 @@ def mean_absolute_error(
     """Mean of |image − target| over the valid pixels, in the unit of the input; NaN where no pixel
     is valid."""
     return (_select(image, valid).double() - _select(target, valid).double()).abs().mean().item()
+
+
+def mean_absolute_error_but_offset(
+    image: Float[Tensor, "*shape"],
+    target: Float[Tensor, "*shape"],
+    valid: Bool[Tensor, "h w"] | None = None,
+) -> float:
+    """``mean_absolute_error`` after the offset that makes it smallest, the median difference.
+
+    For cameras that drift: how much the camera had drifted in a held-out photo no model can know.
+    """
+    difference = _select(image, valid).double() - _select(target, valid).double()
+    return (difference - difference.median()).abs().mean().item()
 
 
 def ssim(
