@@ -41,6 +41,7 @@ from mrgs.data.transforms import (
 from mrgs.errors import ConfigError
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform
+from mrgs_synth.drift import Drift
 
 NOISE_DB = 30.0
 NEAREST = 1e-6
@@ -67,12 +68,11 @@ class TrainingView:
 
 
 DRIFT_C = 0.5
-SHUTTER_S = 180.0
-"""An uncooled camera drifts from ``DRIFT_C`` below to as much above, or the other way round,
-between two corrections with its shutter."""
+LITTLE_DRIFT = Drift(ramp_c=DRIFT_C)
+"""Of an uncooled camera in the hand of a person who walks around a building."""
 
-SECONDS_PER_PHOTO = (8.0, 20.0)
-"""Of a person who walks around a building, at random."""
+MUCH_DRIFT = Drift(ramp_c=0.5, jump_c=0.3, pauses=1, rest_c=-4.0)
+"""With a pause, after which the camera is colder and takes minutes to settle."""
 
 Change = Callable[[Sequence[TrainingView], SceneSource, np.random.Generator], list[TrainingView]]
 
@@ -222,16 +222,17 @@ def _noisy(
 
 
 def _drifting(
-    views: Sequence[TrainingView], scene: SceneSource, rng: np.random.Generator
+    drift: Drift,
+    views: Sequence[TrainingView],
+    scene: SceneSource,
+    rng: np.random.Generator,
 ) -> list[TrainingView]:
-    """Thermal photos of a camera that drifts steadily, up or down, until its shutter corrects it,
-    in the order of their names; in °C."""
+    """Thermal photos of a camera that drifts, taken in the order of their names; in °C."""
     bounds = read_bounds(scene.root, scene.notes)
     if bounds is None:
         raise ConfigError("the scene has no temperature_bounds.json, so a drift has no °C")
     ordered = sorted(views, key=lambda view: view.source.key)
-    taken = rng.uniform(0, SHUTTER_S) + rng.uniform(*SECONDS_PER_PHOTO, len(views)).cumsum()
-    ends = rng.choice([-DRIFT_C, DRIFT_C], size=int(taken[-1] // SHUTTER_S) + 1)
+    _, offsets_c = drift.series(len(views), rng)
 
     def add(values: np.ndarray, drift_c: float) -> np.ndarray:
         celsius = values.astype(np.float32)
@@ -239,13 +240,9 @@ def _drifting(
             celsius = bounds.to_celsius(celsius / np.iinfo(values.dtype).max)
         return (celsius + drift_c).astype(np.float32)
 
-    drifts = [
-        float(ends[int(second // SHUTTER_S)] * (2 * (second % SHUTTER_S) / SHUTTER_S - 1))
-        for second in taken
-    ]
     return [
-        replace(view, thermal=partial(add, drift_c=drift), in_celsius=True)
-        for view, drift in zip(ordered, drifts, strict=True)
+        replace(view, thermal=partial(add, drift_c=float(offset_c)), in_celsius=True)
+        for view, offset_c in zip(ordered, offsets_c, strict=True)
     ]
 
 
@@ -308,7 +305,8 @@ REGIMES: dict[str, Change] = {
     "poses-4px": partial(_wrong_poses, 4.0),
     "every-pose-2px": partial(_wrong_poses, 2.0),
     "noise": _noisy,
-    "drift": _drifting,
+    "drift": partial(_drifting, LITTLE_DRIFT),
+    "drift-5c": partial(_drifting, MUCH_DRIFT),
     "missing-half": partial(_thermal_missing, 0.5),
     "missing-90": partial(_thermal_missing, 0.9),
     "thermal-quarter": _thermal_quarter,
