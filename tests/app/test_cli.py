@@ -711,12 +711,12 @@ def test_a_radiance_field_is_trained_and_scored_but_not_exported(small_scene, tm
     )
 
 
-def test_every_scene_that_can_be_generated_has_its_option():
-    from mrgs_synth import SceneKind
+def test_every_scene_and_camera_of_the_generator_has_its_option():
+    from mrgs_synth import CameraName, SceneKind
 
-    (option,) = (field for field in dataclasses.fields(commands.Synth) if field.name == "scene")
-    offered = get_args(get_type_hints(commands.Synth)[option.name])
-    assert offered == (*get_args(SceneKind), "solar-plant")
+    offered = get_type_hints(commands.Synth)
+    assert get_args(offered["scene"]) == (*get_args(SceneKind), "solar-plant")
+    assert get_args(offered["camera"]) == get_args(CameraName)
 
 
 def test_export_and_report(own_run, capsys):

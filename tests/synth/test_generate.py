@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import io
 import json
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mrgs.data import load_scene
 from mrgs.errors import ConfigError
-from mrgs_synth import SceneKind, synthesize
+from mrgs.scene import THERMAL
+from mrgs_synth import CameraName, SceneKind, synthesize
+from mrgs_synth.colors import from_srgb
+from mrgs_synth.series import BEGUN
 
 SMALL = {"width": 32, "height": 24, "train_views": 2, "eval_views": 1, "samples": 2}
 
@@ -79,4 +85,48 @@ def check_thermal_against_truth(scene: Path, name: str, blur_c: float = 0.5) -> 
 def test_arguments_that_cannot_be(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         synthesize(tmp_path / "scene", **(SMALL | change))
+    assert not (tmp_path / "scene").exists()
+
+
+@pytest.mark.parametrize("camera", ["phone", "handheld"])
+def test_another_camera_changes_the_photos_and_not_the_truth(
+    tmp_path: Path, camera: CameraName
+) -> None:
+    pytest.importorskip("mitsuba", reason="the extra synth is not installed")
+    synthesize(tmp_path / "own", seed=5, truth="all", **SMALL)
+    synthesize(tmp_path / "other", seed=5, truth="all", camera=camera, **SMALL)
+    own, other = files(tmp_path / "own"), files(tmp_path / "other")
+    assert set(other) - set(own) == {
+        f"truth/camera/{name}" for name in ("camera.json", "shading.tiff", "pattern.tiff")
+    }
+    exact = [name for name in own if name.startswith(("truth/temperature/", "truth/depth/"))]
+    assert len(exact) == 6
+    assert all(own[name] == other[name] for name in exact)
+    did = json.loads(other["truth/camera/camera.json"])
+    scene, truth = load_scene(tmp_path / "other"), tmp_path / "other/truth"
+    views = {view.name: view for view in (*scene.train, *scene.eval)}
+    assert list(did["photos"]) == ["frame_train_00001", "frame_eval_00001", "frame_train_00002"]
+    for name, moment in did["photos"].items():
+        thermal = views[name].images[THERMAL]
+        record, seen = thermal.record, thermal.load().values.numpy()
+        assert record is not None
+        assert record.camera == camera
+        assert record.taken == BEGUN + timedelta(seconds=round(moment["second"]))
+        with Image.open(truth / f"temperature/{name}.tiff") as image:
+            off_c = scene.temperature.to_celsius(seen[..., 0]) - np.asarray(image)
+        assert np.median(off_c) == pytest.approx(moment["drift_c"], abs=0.5)
+        ours, theirs = (folder[f"images/{name}.jpg"] for folder in (other, own))
+        gain = brightness(ours) / brightness(theirs)
+        assert np.log2(gain) == pytest.approx(moment["exposure_ev"], abs=0.1)
+
+
+def brightness(jpeg: bytes) -> float:
+    """Median linear light."""
+    with Image.open(io.BytesIO(jpeg)) as image:
+        return float(np.median(from_srgb(np.asarray(image))))
+
+
+def test_a_camera_that_does_not_suit_the_size_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="34×24"):
+        synthesize(tmp_path / "scene", **(SMALL | {"width": 34}), camera="phone")
     assert not (tmp_path / "scene").exists()

@@ -123,6 +123,18 @@ def test_a_drift_shifts_whole_photos(tmp_path: Path, original: Scene) -> None:
     assert np.std(shifts) > 0.3 * DRIFT_C
 
 
+def test_a_strong_drift_is_of_degrees_and_keeps_the_temperatures_apart(
+    tmp_path: Path, original: Scene
+) -> None:
+    scene = made(tmp_path / "out", "drift-5c")
+    span_c = original.temperature.span_c
+    shifts = [
+        span_c * (pixels(scene, "train", n) - pixels(original, "train", n)) for n in range(0, 40, 4)
+    ]
+    assert max(np.ptp(shift) for shift in shifts) < 1e-3
+    assert 2.0 < np.ptp([shift.mean() for shift in shifts]) < 6.0
+
+
 @pytest.mark.parametrize(("name", "left"), [("missing-half", 20), ("missing-90", 4)])
 def test_thermal_photos_are_missing(tmp_path: Path, original: Scene, name: str, left: int) -> None:
     scene = made(tmp_path / "out", name)

@@ -7,5 +7,6 @@ line in ``random_scenes.kinds.KINDS``.
 """
 
 from mrgs_synth.generate import SceneKind, synthesize
+from mrgs_synth.imager import CameraName
 
-__all__ = ["SceneKind", "synthesize"]
+__all__ = ["CameraName", "SceneKind", "synthesize"]

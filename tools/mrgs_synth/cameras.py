@@ -48,10 +48,7 @@ class CameraArc:
         ``train_count`` is 2 or more; with as many cameras as gaps or fewer, no gap is used twice.
         """
         cameras = []
-        for index in range(count):
-            gap = 1 + int(
-                (index + 0.5) * (train_count - 1) / count
-            )  # the azimuth before train camera ``gap``
+        for gap in gaps(count, train_count):
             lower, upper = (self.rings[i % len(self.rings)] for i in (gap - 1, gap))
             ring = ((lower[0] + upper[0]) / 2, (lower[1] + upper[1]) / 2)
             cameras.append(self._camera(gap / train_count, ring, width, height, rng))
@@ -79,6 +76,11 @@ class CameraArc:
         return Camera(
             pinhole(self.fov_deg, width, height), torch.from_numpy(viewmat), width, height
         )
+
+
+def gaps(count: int, train_count: int) -> list[int]:
+    """Of cameras between those of ``CameraArc.train``, each one's successor among them."""
+    return [1 + int((index + 0.5) * (train_count - 1) / count) for index in range(count)]
 
 
 def look_at(

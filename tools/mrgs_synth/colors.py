@@ -22,3 +22,8 @@ def from_srgb(value: UInt8[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]
         share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4
     )
     return linear
+
+
+def luminance(color: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
+    """Weighted sum of red, green and blue (ITU-R BT.709)."""
+    return color @ np.array([0.2126, 0.7152, 0.0722])

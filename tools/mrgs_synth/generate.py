@@ -15,13 +15,16 @@ from jaxtyping import Float, UInt8
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
 from mrgs_synth.bands import BANDS, in_band
+from mrgs_synth.cameras import gaps
 from mrgs_synth.electronics import electronics
 from mrgs_synth.facade import facade
 from mrgs_synth.hits import Hits, Triangles, first_hits
+from mrgs_synth.imager import CameraName, ThermalImager, named_imager
 from mrgs_synth.points import sparse_points
-from mrgs_synth.radiometry import exact_temperature
+from mrgs_synth.radiometry import block_means, ray_readings
 from mrgs_synth.random_scenes import KINDS, drawn_kind, drawn_stage
 from mrgs_synth.sensor import ThermalSensor, quantise, rounded_range
+from mrgs_synth.series import Series
 from mrgs_synth.stage import Stage
 from mrgs_synth.tabletop import tabletop
 from mrgs_synth.tracer import PathTracer
@@ -40,16 +43,18 @@ STAGES: dict[str, Callable[[int], Stage]] = {
 RAYS_PER_SIDE = 4
 METERED_VIEWS = 6
 POINTS = 7000
+IMAGER_BITS: Literal[16] = 16
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What one camera sees: the photo, the exact temperatures in °C, and the first hits of the
-    pixel centres."""
+    """What one camera sees: the photo, the exact temperatures in °C, the first hits of the pixel
+    centres, and the radiance on the detector of a ``ThermalImager``."""
 
     photo: UInt8[np.ndarray, "h w 3"]
     exact_c: Float[np.ndarray, "h w"]
     hits: Hits
+    radiance: Float[np.ndarray, "h2 w2"] | None = None
 
 
 def synthesize(
@@ -64,6 +69,7 @@ def synthesize(
     seed: int = 0,
     truth: Literal["eval", "all"] = "eval",
     bands: Sequence[str] = (),
+    camera: CameraName | ThermalImager = "gaussian",
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Generate a scene with exact truth, in ThermoScenes' layout. The same arguments and Mitsuba
@@ -89,29 +95,45 @@ def synthesize(
         truth: whether the truth is written for the evaluation views or for all.
         bands: further modalities, of ``BANDS``: "nir" is near infrared. The other files stay the
             same, but for ``transforms.json``.
+        camera: the thermal camera; by default the stage's own, with a Gaussian blur. With another
+            one, ``output/truth/camera`` says what it did to each photo.
         progress: called after each view with the number of views done and of all views.
 
     Raises:
         ConfigError: an argument is not allowed, ``output`` holds a scene already, or Mitsuba is not
             installed.
     """
+    imager = named_imager(camera)
     _check(width, height, train_views, eval_views, samples, bands)
+    if imager is not None:
+        _check_size(width, height, imager)
     kind = drawn_kind(seed) if scene == "random" else scene
     stage = STAGES[kind](seed)
     cameras = _cameras(stage, width, height, train_views, eval_views, seed)
     tracer = _tracer(stage, cameras, seed)
     target = SceneFolder.create(output)
-    shots = _photograph(stage, tracer, cameras, samples, seed, progress)
+    series = None
+    if imager is not None:
+        name = camera if isinstance(camera, str) else "custom"
+        series = _series(name, imager, stage, cameras, seed)
+    shots = _photograph(stage, tracer, cameras, samples, seed, progress, series)
     _write_photos(target, shots, every_truth=truth == "all")
-    _write_thermal(target, stage.sensor, shots, seed)
+    if series is None:
+        _write_thermal(target, stage.sensor, shots, seed)
+    else:
+        _write_series(target, series, shots)
     for band in bands:
         _write_band(target, stage, band, cameras, samples, seed)
     _write_points(target, stage, cameras, shots, seed)
     target.parameters(
         {"scene": scene, **({"kind": kind} if kind != scene else {})}
-        | {"seed": seed, "samples": samples, **_stage_parameters(stage)}
+        | {"seed": seed, "samples": samples, **_stage_parameters(stage, series)}
     )
-    target.transforms(cameras, [BANDS[band].modality for band in bands])
+    target.transforms(
+        cameras,
+        [BANDS[band].modality for band in bands],
+        records={} if series is None else series.records(),
+    )
 
 
 def _write_points(
@@ -152,6 +174,15 @@ def _check(
         )
 
 
+def _check_size(width: int, height: int, imager: ThermalImager) -> None:
+    if width % imager.enlargement or height % imager.enlargement:
+        raise ConfigError(
+            f"images of {width}×{height} cannot be enlarged from a detector with 1/"
+            f"{imager.enlargement} of the width and height: choose multiples of "
+            f"{imager.enlargement}"
+        )
+
+
 def _tracer(stage: Stage, cameras: dict[str, Camera], seed: int) -> PathTracer:
     with tempfile.TemporaryDirectory() as folder:
         tracer = PathTracer(stage, Path(folder))
@@ -173,6 +204,24 @@ def _cameras(
     }
 
 
+def _series(
+    camera: str, imager: ThermalImager, stage: Stage, cameras: dict[str, Camera], seed: int
+) -> Series:
+    """The photos in the order of the walk, on which evaluation views are taken between the training
+    views, focused as the camera does."""
+    train = [name for name in cameras if "_train_" in name]
+    held_out = [name for name in cameras if "_train_" not in name]
+    place = {name: float(number) for number, name in enumerate(train)}
+    after = gaps(len(held_out), len(train))
+    place |= {name: gap - 0.5 for name, gap in zip(held_out, after, strict=True)}
+    names = sorted(place, key=place.__getitem__)
+    focus_m = imager.focus_m
+    if focus_m is None:
+        depth_m = first_hits(cameras[names[0]], Triangles.of(stage.solids)).depth_m
+        focus_m = float(depth_m[depth_m.shape[0] // 2, depth_m.shape[1] // 2])
+    return Series.of(camera, imager, focus_m, names, seed)
+
+
 def _photo_seeds(cameras: dict[str, Camera], seed: int) -> dict[str, int]:
     """The path tracer's seed of each photo."""
     return {name: seed * len(cameras) + number for number, name in enumerate(cameras, start=1)}
@@ -185,14 +234,24 @@ def _photograph(
     samples: int,
     seed: int,
     progress: Callable[[int, int], None] | None,
+    series: Series | None,
 ) -> dict[str, Shot]:
     triangles = Triangles.of(stage.solids)
     shots, seeds = {}, _photo_seeds(cameras, seed)
     for number, (name, camera) in enumerate(cameras.items(), start=1):
+        rays_c, rays_depth_m = ray_readings(camera, stage, triangles, RAYS_PER_SIDE)
+        exposed, radiance = 1.0, None
+        if series is not None:
+            exposed = 2.0 ** series.moments[name].exposure_ev
+            focal = RAYS_PER_SIDE * float(camera.K[0, 0])
+            radiance = series.imager.exposed(
+                rays_c, rays_depth_m, series.focus_m, focal, RAYS_PER_SIDE
+            )
         shots[name] = Shot(
-            photo=tracer.photograph(camera, samples, seed=seeds[name]),
-            exact_c=exact_temperature(camera, stage, triangles, RAYS_PER_SIDE),
+            photo=tracer.photograph(camera, samples, seeds[name], exposed),
+            exact_c=block_means(rays_c, RAYS_PER_SIDE),
             hits=first_hits(camera, triangles),
+            radiance=radiance,
         )
         if progress is not None:
             progress(number, len(cameras))
@@ -217,6 +276,30 @@ def _write_thermal(
     target.temperature_bounds(temperature)
 
 
+def _write_series(target: SceneFolder, series: Series, shots: dict[str, Shot]) -> None:
+    """Write the thermal photos of a ``ThermalImager`` with 16 bits, and what it did to them.
+
+    Of the readings beyond all exact temperatures a thousandth is clipped in each photo, so that a
+    hot pixel does not widen the range.
+    """
+    exact_c = np.stack([shot.exact_c for shot in shots.values()])
+    radiances = {name: shot.radiance for name, shot in shots.items() if shot.radiance is not None}
+    size = next(iter(radiances.values())).shape
+    detector = series.detector((size[0], size[1]), float(np.median(exact_c)))
+    celsius = {
+        name: series.thermal_photo(name, detector, radiance, shots[name].photo)
+        for name, radiance in radiances.items()
+    }
+    tails = np.array([np.quantile(image, [0.001, 0.999]) for image in celsius.values()])
+    coldest = min(float(exact_c.min()), float(tails[:, 0].min()))
+    temperature = rounded_range(coldest, max(float(exact_c.max()), float(tails[:, 1].max())))
+    for name, image in celsius.items():
+        target.thermal(name, quantise(image, temperature, IMAGER_BITS))
+    target.temperature_bounds(temperature)
+    maps_c = {"shading": detector.shading_c, "pattern": detector.pattern_c}
+    target.camera(series.parameters(detector), maps_c)
+
+
 def _write_band(
     target: SceneFolder,
     stage: Stage,
@@ -233,12 +316,14 @@ def _write_band(
         target.band(BANDS[band].modality, name, photo[..., 0])
 
 
-def _stage_parameters(stage: Stage) -> dict[str, Any]:
+def _stage_parameters(stage: Stage, series: Series | None) -> dict[str, Any]:
     emissivities = [solid.material.emissivity for solid in stage.solids]
     lowest, highest = min(emissivities), max(emissivities)
+    sensor = asdict(stage.sensor) | {"detector_pixels_per_image_pixel": 0.5, "image_bits": 8}
+    if series is not None:
+        sensor = {"camera": series.camera, "image_bits": IMAGER_BITS}
     return {
-        "thermal_sensor": asdict(stage.sensor)
-        | {"detector_pixels_per_image_pixel": 0.5, "image_bits": 8},
+        "thermal_sensor": sensor,
         "truth": {
             "rays_per_pixel": RAYS_PER_SIDE**2,
             "temperature_step_c": TEMPERATURE_STEP_C,

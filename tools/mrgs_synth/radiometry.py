@@ -32,6 +32,14 @@ def exact_temperature(
 
     Where all surfaces are black bodies this is the mean of their temperatures.
     """
+    return block_means(ray_readings(camera, stage, triangles, rays_per_side)[0], rays_per_side)
+
+
+def ray_readings(
+    camera: Camera, stage: Stage, triangles: Triangles, rays_per_side: int
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """What an ideal camera reads along each of ``rays_per_side``² rays per pixel, °C, and the
+    z-depth there, metres; 0 where a ray meets nothing."""
     fine = camera.resized(camera.width * rays_per_side, camera.height * rays_per_side)
     hits = first_hits(fine, triangles)
     directions = ray_directions(fine)
@@ -41,9 +49,15 @@ def exact_temperature(
     celsius[seen] = surface_reading(
         stage, triangles, hits.triangle[seen], hits.points[seen], directions[seen]
     )
-    mean: Float[np.ndarray, "h w"] = celsius.reshape(
-        camera.height, rays_per_side, camera.width, rays_per_side
-    ).mean(axis=(1, 3))
+    return celsius, hits.depth_m
+
+
+def block_means(fine: Float[np.ndarray, "h w"], side: int) -> Float[np.ndarray, "h2 w2"]:
+    """Means over squares of ``side``² values."""
+    height, width = fine.shape
+    mean: Float[np.ndarray, "h2 w2"] = fine.reshape(height // side, side, width // side, side).mean(
+        axis=(1, 3)
+    )
     return mean
 
 

@@ -32,6 +32,7 @@ from mrgs.data.sources import ImageSource, SceneSource, ViewSource
 from mrgs.data.transforms import (
     BOUNDS,
     POINTS,
+    RECORD,
     TRANSFORMS,
     frame_json,
     world_json,
@@ -383,6 +384,8 @@ def _write_view(output: Path, view: TrainingView, name: str) -> tuple[dict, list
         viewmats={modality: images[modality].viewmat for modality in others},
         lenses={modality: images[modality].lens for modality in others},
     )
+    records = {modality: source.record for modality, source in images.items()}
+    frame |= {f"{each}_{RECORD}": record.to_json() for each, record in records.items() if record}
     return frame, list(paths.values())
 
 

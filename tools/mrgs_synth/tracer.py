@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from mrgs.data.ply import write_ply
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
-from mrgs_synth.colors import to_srgb
+from mrgs_synth.colors import luminance, to_srgb
 from mrgs_synth.denoise import Guide, denoised
 from mrgs_synth.shapes import Mesh
 from mrgs_synth.stage import Lamp, Material, Stage
@@ -57,20 +57,23 @@ class PathTracer:
         # Otherwise the lamps' order, and with it the noise, would change from run to run.
         self._scene = self._mitsuba.load_dict(description, parallel=False, optimize=False)
 
-    def photograph(self, camera: Camera, samples: int, seed: int) -> UInt8[np.ndarray, "h w 3"]:
-        """An sRGB photo with the mean of ``samples`` paths per pixel."""
+    def photograph(
+        self, camera: Camera, samples: int, seed: int, exposed: float = 1.0
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """An sRGB photo with the mean of ``samples`` paths per pixel, exposed so many times as much
+        as the others."""
+        exposure = exposed * self._exposure
         if self._guide is None or samples < SHOTS:
-            return to_srgb(self._exposure * self._radiance(camera, samples, seed))
+            return to_srgb(exposure * self._radiance(camera, samples, seed))
         shots = [self._radiance(camera, samples // SHOTS, SHOTS * seed + n) for n in range(SHOTS)]
-        return to_srgb(self._exposure * denoised(np.stack(shots), self._guide.of(camera)))
+        return to_srgb(exposure * denoised(np.stack(shots), self._guide.of(camera)))
 
     def meter(self, cameras: Sequence[Camera], seed: int) -> float:
         """Choose one exposure for all photos, as a camera's light meter does, from small pictures
         by some cameras: half of the pixels above a fifth of white, few above white."""
         small = [camera.resized(32, 24) for camera in cameras]
         radiance = np.stack([self._radiance(camera, METER_SAMPLES, seed) for camera in small])
-        luminance = radiance @ np.array([0.2126, 0.7152, 0.0722])
-        middle, bright = np.quantile(luminance, [0.5, 0.96])
+        middle, bright = np.quantile(luminance(radiance), [0.5, 0.96])
         self._exposure = float(min(0.22 / max(middle, 1e-9), 0.95 / max(bright, 1e-9)))
         return self._exposure
 

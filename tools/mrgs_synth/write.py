@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from mrgs.data.ply import write_points
 from mrgs.data.transforms import (
     BOUNDS,
     POINTS,
+    RECORD,
     TRANSFORMS,
     frame_json,
     pinhole_lens,
@@ -25,6 +27,7 @@ from mrgs.data.transforms import (
 )
 from mrgs.errors import ConfigError
 from mrgs.scene import THERMAL, Camera, Modality, TemperatureRange, WorldFrame
+from mrgs.scene.radiometry import PhotoRecord
 
 JPEG_QUALITY = 92
 # Truth is rounded to these steps, far below what matters, so that it compresses: 1/512 °C and
@@ -96,20 +99,34 @@ class SceneFolder:
         text = json.dumps(parameters, indent=1) + "\n"
         (self.path / "truth/synth.json").write_text(text, encoding="utf-8")
 
+    def camera(
+        self, parameters: Mapping[str, Any], maps_c: Mapping[str, Float[np.ndarray, "h w"]]
+    ) -> None:
+        """Write ``truth/camera/camera.json``: what the thermal camera did; and maps of its
+        detector, ``truth/camera/NAME.tiff``, °C."""
+        folder = self.path / "truth/camera"
+        folder.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(parameters, indent=1) + "\n"
+        (folder / "camera.json").write_text(text, encoding="utf-8")
+        for name, values in maps_c.items():
+            write_float_tiff(folder / f"{name}.tiff", values, TEMPERATURE_STEP_C)
+
     def transforms(
         self,
         cameras: Mapping[str, Camera],
         further: Sequence[Modality] = (),
         world: WorldFrame = METRES,
+        records: Mapping[str, PhotoRecord] = MappingProxyType({}),
     ) -> None:
-        """Write ``transforms.json`` for named cameras that share their intrinsics, and for the
-        images of further modalities."""
+        """Write ``transforms.json`` for named cameras that share their intrinsics, for the images
+        of further modalities, and with what the thermal camera noted of photos."""
         frames = [
             frame_json(
                 camera.viewmat,
                 f"images/{name}.jpg",
                 {each: f"{each}/{name}.png" for each in (THERMAL, *further)},
             )
+            | ({f"{THERMAL}_{RECORD}": records[name].to_json()} if name in records else {})
             for name, camera in cameras.items()
         ]
         lens = pinhole_lens(next(iter(cameras.values())))

@@ -450,10 +450,11 @@ def _synth(command: Synth) -> None:
 
     if not 0 <= command.seed <= MAX_SYNTH_SEED:
         raise ConfigError(f"the seed must be from 0 to {MAX_SYNTH_SEED:,}, not {command.seed}")
-    if command.scene == "solar-plant" and (command.nir or command.train_views is not None):
+    chosen = command.nir or command.camera != "gaussian" or command.train_views is not None
+    if command.scene == "solar-plant" and chosen:
         raise ConfigError(
-            "solar-plant has no near-infrared photos, and as many training views as its overlap "
-            "asks for: leave out --nir and --train-views"
+            "solar-plant has no near-infrared photos, a camera of its own, and as many training "
+            "views as its overlap asks for: leave out --nir, --camera and --train-views"
         )
     with counter("rendering") as progress:
         if command.scene == "solar-plant":
@@ -465,17 +466,11 @@ def _synth(command: Synth) -> None:
         else:
             views = 40 if command.train_views is None else command.train_views
             synthesize(
-                command.output,
-                scene=command.scene,
-                width=command.width,
-                height=command.height,
-                train_views=views,
-                eval_views=command.eval_views,
-                samples=command.samples,
-                seed=command.seed,
-                bands=["nir"] if command.nir else [],
+                command.output, scene=command.scene, width=command.width, height=command.height,
+                train_views=views, eval_views=command.eval_views, samples=command.samples,
+                seed=command.seed, bands=["nir"] if command.nir else [], camera=command.camera,
                 progress=progress,
-            )
+            )  # fmt: skip
     print(f"scene: {command.output} ({views} training views)")
 
 

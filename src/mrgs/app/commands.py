@@ -477,6 +477,8 @@ class Synth:
     """Seed of the scene, or of its random details, and of the sensor's noise."""
     nir: bool = False
     """Also take near-infrared photos, a third modality."""
+    camera: Literal["gaussian", "phone", "phone-edges", "handheld", "wiris-like"] = "gaussian"
+    """Thermal camera; all but gaussian drift, shade and blur as real ones. Not for solar-plant."""
     rows: int = 4
     """solar-plant: rows of modules, 6 m apart."""
     modules: int = 20
