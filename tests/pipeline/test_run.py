@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -453,6 +454,21 @@ def test_folders_that_cannot_hold_the_results_are_refused(small_scene, finished,
 def test_a_folder_in_use_is_left_alone(own, small_scene):
     with FileLock(own / ".lock"), pytest.raises(RunError, match="in use"):
         run_pipeline(small_scene, own, quality="fast")
+
+
+def test_a_flat_field_is_part_of_the_settings(tmp_path):
+    config = QUALITIES["fast"].config(tmp_path)
+    assert config.image_model.flat_field == str(tmp_path)
+    assert replace(config.image_model, flat_field=None) == QUALITIES["fast"].config().image_model
+
+
+def test_a_flat_field_that_is_no_folder_is_refused_before_anything_is_written(
+    small_scene, tmp_path
+):
+    with pytest.raises(ConfigError, match="uniform target") as caught:
+        run_pipeline(small_scene, tmp_path / "out", flat_field=tmp_path / "missing")
+    assert caught.value.options == ("flat_field",)
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_unknown_quality_is_named(small_scene, tmp_path):

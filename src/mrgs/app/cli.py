@@ -162,7 +162,7 @@ def _run(argv: list[str] | None) -> int:
     follow_pipeline = imported("mrgs.app.pipeline", "follow_pipeline")
     handlers: dict[type, Callable[[Any], int | None]] = {
         RunAll: lambda given: follow_pipeline(
-            given.photos, given, given.photo.options(), given.yes
+            given.photos, given, given.photo.options(), given.yes, given.flat_field
         ),
         Prepare: _prepare,
         Check: _check,

@@ -163,6 +163,8 @@ class RunAll:
     """Continue in spite of warnings about the photos, without asking."""
     device: DeviceName = "auto"
     """Device to train and render on; auto uses a usable GPU, else the CPU."""
+    flat_field: Maybe[Path] = None
+    """Folder of thermal photos of a uniform target, which show how the camera shades its photos."""
     photo: tyro.conf.OmitArgPrefixes[PhotoOptions] = field(default_factory=PhotoOptions)
 
 

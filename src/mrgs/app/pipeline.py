@@ -26,7 +26,11 @@ GIGABYTE = 1e9
 
 
 def follow_pipeline(
-    source: Path, command: RunAll | Demo, options: PrepareOptions, yes: bool
+    source: Path,
+    command: RunAll | Demo,
+    options: PrepareOptions,
+    yes: bool,
+    flat_field: Path | None = None,
 ) -> None:
     """Run a pipeline, show how far it is, and print what to open. Errors as for
     ``run_pipeline``."""
@@ -39,6 +43,7 @@ def follow_pipeline(
             options=options,
             device=command.device,
             monitor=terminal,
+            flat_field=flat_field,
         )
     except KeyboardInterrupt:
         terminal.pause()

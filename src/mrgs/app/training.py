@@ -7,7 +7,7 @@ import shlex
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -133,13 +133,11 @@ def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
     )
     if command.flat_field is None:
         return config
-    if not (method.has_gaussians and config.image_model.thermal_shading):
-        raise ConfigError(
-            f"--flat-field needs a method that models the camera's shading, and {method.name} does "
-            f"not: leave it out, or choose mrgs-plus"
-        )
-    folder = str(command.flat_field.absolute())
-    return replace(config, image_model=replace(config.image_model, flat_field=folder))
+    from mrgs.method.config import TrainConfig, with_flat_field
+
+    if not isinstance(config, TrainConfig):
+        raise ConfigError(f"--flat-field does not work with {method.name}: leave it out")
+    return with_flat_field(config, command.flat_field)
 
 
 def _within_minutes(command: Train, method: Method, config: Any, device: DeviceName) -> Any:

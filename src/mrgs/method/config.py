@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal, get_args
 
 from mrgs.errors import ConfigError
@@ -324,6 +325,28 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
         radiation=radiation,
         densification=config.densification.rescaled(factor),
     )
+
+
+def with_flat_field(config: TrainConfig, folder: Path) -> TrainConfig:
+    """The configuration with the camera's shading as in a folder of thermal photos of a uniform
+    target.
+
+    Raises:
+        ConfigError: not a folder, or the image model has no shading.
+    """
+    model = config.image_model
+    if not model.thermal_shading:
+        raise ConfigError(
+            f"a flat field needs a method that models the camera's shading, and {config.method} "
+            f"does not: leave it out, or choose mrgs-plus",
+            options=("flat_field",),
+        )
+    if not folder.is_dir():
+        raise ConfigError(
+            f"{folder} is not a folder: give the one with photos of a uniform target",
+            options=("flat_field",),
+        )
+    return replace(config, image_model=replace(model, flat_field=str(folder.absolute())))
 
 
 def _with_batch(config: TrainConfig, batch: int) -> TrainConfig:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mrgs.errors import MrgsError
-from mrgs.method.config import DEFAULT_METHOD, TrainConfig
+from mrgs.method.config import DEFAULT_METHOD, TrainConfig, with_flat_field
 from mrgs.pipeline.intake import Intake
 from mrgs.prepare.contract import StageReport
 from mrgs.prepare.options import PrepareOptions
@@ -28,15 +28,15 @@ class Quality:
     max_gaussians: int
     resolution: int
 
-    def config(self) -> TrainConfig:
-        """The configuration of the training."""
+    def config(self, flat_field: Path | None = None) -> TrainConfig:
+        """The configuration of the training; see ``with_flat_field`` for the folder."""
         config: TrainConfig = find_method(DEFAULT_METHOD).configure(
             self.preset,
             max_steps=self.max_steps,
             max_gaussians=self.max_gaussians,
             resolution=self.resolution,
         )
-        return config
+        return config if flat_field is None else with_flat_field(config, flat_field)
 
 
 QUALITIES: dict[str, Quality] = {

@@ -61,6 +61,7 @@ def run_pipeline(
     options: PrepareOptions | None = None,
     device: DeviceName = "auto",
     monitor: Monitor | None = None,
+    flat_field: Path | None = None,
 ) -> PipelineResults:
     """Prepare, train, score, render, report, page, exports; the same call resumes after an
     interruption, and repeats only stages whose inputs or settings have changed.
@@ -72,6 +73,8 @@ def run_pipeline(
         options: facts about the photos.
         device: where it is trained and rendered.
         monitor: follows the progress, and accepts warnings; by default nothing is accepted.
+        flat_field: folder of thermal photos of a uniform target, which show how the camera shades
+            its photos; None to find that from the overlap of the photos.
 
     Raises:
         SceneError: the photos or the scene cannot be used, or warnings about them were not
@@ -86,6 +89,7 @@ def run_pipeline(
         raise ConfigError(f"unknown quality {quality!r}; choose one of {', '.join(QUALITIES)}")
     monitor = monitor or Monitor()
     source, chosen, used = Path(source), QUALITIES[quality], gpu.choose_device(device)
+    chosen.config(flat_field)  # what cannot be used is refused before anything is written
     intake, options = _taken_in(source, options or PrepareOptions(), monitor)
     target = (default_output(source) if output is None else Path(output)).absolute()
     _require_own(source, target)
@@ -107,7 +111,7 @@ def run_pipeline(
             f"free: close other programs, or choose a lower quality"
         )
     with RunFolder(target).locked():
-        job = Job(intake, chosen, options, target, device, monitor)
+        job = Job(intake, chosen, options, target, device, monitor, flat_field)
         job.ledger.open()
         stages, title = _planned(job, work), gpu.device_title(used)
         plan = PipelinePlan(

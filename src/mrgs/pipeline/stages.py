@@ -76,10 +76,11 @@ class Job:
         output: Path,
         device: DeviceName,
         monitor: Monitor,
+        flat_field: Path | None = None,
     ) -> None:
         self.intake, self.quality, self.options = intake, quality, options
         self.output, self.device, self.monitor = output, device, monitor
-        self.ledger, self.config, self.accepted = Ledger(output), quality.config(), ""
+        self.ledger, self.config, self.accepted = Ledger(output), quality.config(flat_field), ""
 
     @property
     def scene(self) -> Path:
