@@ -176,8 +176,8 @@ class Detector:
 
 
 def low_order_shading(size: tuple[int, int], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
-    """Polynomial of degree 2 and mean 0 that is 1 less at the corners' mean than at the centre:
-    vignetting, somewhat lopsided."""
+    """Polynomial of degree 4 and mean 0 that is 1 less at the corners' mean than at the centre:
+    vignetting, steeper towards the corners and somewhat lopsided."""
     height, width = size
     y, x = np.meshgrid(
         (np.arange(height) + 0.5) * 2.0 / height - 1.0,
@@ -186,7 +186,8 @@ def low_order_shading(size: tuple[int, int], rng: np.random.Generator) -> Float[
     )
     along_x, along_y, twist, astigmatism = rng.normal(0.0, 0.15, 4)
     lopsided = along_x * x + along_y * y + twist * x * y + astigmatism * (x * x - y * y)
-    shading = -(x * x + y * y) / 2.0 + lopsided
+    outwards = (x * x + y * y) / 2.0
+    shading = lopsided - 0.6 * outwards - 0.4 * outwards**2
     return shading - shading.mean()
 
 
