@@ -74,7 +74,7 @@ def test_names_of_rows_and_numbers_are_not_broken_into_letters(sheets: list[Any]
     for whole in ("Objekt", "S2", "B1", "T_refl −5,0\xa0°C", "Adresse"):
         assert whole.replace("\xa0", " ") in [text.replace("\xa0", " ") for text in texts]
     assert [text for text in texts if text.startswith("mindestens")]
-    assert [text for text in texts if re.fullmatch(r"0,\d\d", text)]  # f_Rsi
+    assert [text for text in texts if re.fullmatch(r"0,\d\d ± 0,\d\d", text)]  # f_Rsi
     assert not [text for text in texts if text.endswith("T_re-")]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -50,7 +51,21 @@ def test_the_report_says_where_lengths_come_from(small_scene: Path, world: World
     ("mean", "factor"), [(-10.0, "0.00"), (5.0, "0.50"), (20.0, "1.00"), (21.0, "–"), (-11.0, "–")]
 )
 def test_a_place_that_is_warmer_than_the_room_has_no_temperature_factor(mean: float, factor: str):
-    assert _factor(mean, Survey(side="inside", inside_c=20.0, outside_c=-10.0)) == factor
+    survey = Survey(side="inside", inside_c=20.0, outside_c=-10.0)
+    assert _factor(mean, math.nan, survey) == factor
+
+
+@pytest.mark.parametrize("air", [None, 1.5])
+def test_the_uncertainty_of_a_temperature_factor_is_that_of_a_monte_carlo(air: float | None):
+    rng = np.random.default_rng(0)
+    kelvin = 0.5 if air is None else air
+    surface, inside, outside = (
+        at + sigma * rng.normal(size=200_000)
+        for at, sigma in ((12.0, 0.9), (20.0, kelvin), (-5.0, kelvin))
+    )
+    around = np.diff(np.percentile((surface - outside) / (inside - outside), [2.5, 97.5]))[0] / 2
+    survey = Survey(side="inside", inside_c=20.0, outside_c=-5.0, air_uncertainty_c=air)
+    assert _factor(12.0, 1.8, survey) == f"0.68 ± {around:.2f}"
 
 
 @pytest.mark.parametrize(
@@ -64,7 +79,7 @@ def test_a_place_that_is_warmer_than_the_room_has_no_temperature_factor(mean: fl
     ],
 )
 def test_only_surfaces_inside_a_heated_room_have_a_temperature_factor(mean: float, survey: Survey):
-    assert _factor(mean, survey) == "–"
+    assert _factor(mean, 0.3, survey) == "–"
 
 
 def test_a_profile_is_interrupted_where_there_is_no_surface():

@@ -17,7 +17,7 @@ from mrgs import open_marks
 from mrgs.errors import RunError
 from mrgs.marks import Mark, Marks
 from mrgs.marks.regions import Regions
-from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
+from mrgs.marks.uncertainty import InputQuantity, Uncertainty, UncertaintyMeter
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.report import report_run
 from mrgs.report.anomalies import Proposals, find_spots, propose
@@ -48,8 +48,8 @@ class Doubting(UncertaintyMeter):
         self.notes = ()
         self.kelvin = kelvin
 
-    def of_mark(self, points, value, surface=None) -> Uncertainty:
-        return Uncertainty(photos=self.kelvin, camera=100.0)
+    def of_mark(self, places, values, regions=None) -> Uncertainty:
+        return Uncertainty(photos=self.kelvin, shared={InputQuantity("camera"): 100.0})
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
@@ -18,6 +18,7 @@ from mrgs.marks.photo_survey import RESOLVED_PX, PhotoSurvey, Resolution
 from mrgs.marks.regions import Regions
 from mrgs.marks.surface import (
     SurfaceRenderer,
+    checked_points,
     has_flat_outline,
     line_samples,
     marked_pixels,
@@ -29,9 +30,6 @@ from mrgs.marks.surface import (
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.pictures.values import in_unit
 from mrgs.scene import THERMAL, Camera, TemperatureRange
-
-CHECKED_POINTS = 64
-"""Number of points of a mark by which photos count as seeing it."""
 
 NO_SURFACE = "no surface there: draw it on the model"
 NO_PHOTO = "no photo looks at it, so its temperature is not known"
@@ -75,7 +73,7 @@ class MarkReading:
         spread: standard deviation over the mark.
         difference: the mean minus that of the mark it is compared with; NaN without one.
         uncertainty: of the mean; None if the photos are not known.
-        difference_uncertainty: of the difference, as ``Uncertainty.total``; NaN if not known.
+        difference_uncertainty: of the difference, see ``Uncertainty``; NaN if not known.
         length: of a line, along its straight pieces, scene units; else NaN.
         area: of the flat outline of a box or polygon, scene units squared; else NaN, also where its
             corners do not lie in one plane.
@@ -181,25 +179,28 @@ class MarkMeter:
         settings, share = regions.shares_at(places)[0]
         remarks = () if share >= ONE_SURFACE else (SEVERAL_SURFACES,)
         reading = replace(reading, surface=settings, remarks=(*reading.remarks, *remarks))
-        return self._with_uncertainty(reading, places)
+        image = in_unit(THERMAL, thermal_values(seen.rendering), self._temperature)
+        in_photos = image[rows, columns][seen_there].astype(np.float64)
+        return self._with_uncertainty(reading, places, in_photos, regions)
 
     def _with_uncertainty(
-        self, reading: MarkReading, places: Float[np.ndarray, "n 3"]
+        self,
+        reading: MarkReading,
+        places: Float[np.ndarray, "n 3"],
+        in_photos: Float64[np.ndarray, " n"],
+        regions: Regions,
     ) -> MarkReading:
-        """With the uncertainty of its mean, where the photos are known."""
+        """With the uncertainty of its mean, where the photos are known; ``in_photos`` are the
+        values of the places as the photos have them."""
         if self.uncertainty is None:
             return reading
-        step = -(-len(places) // CHECKED_POINTS)
-        value, settings = reading.mean, reading.surface
-        if settings is not None:
-            value = float(self.capture.as_photos(np.array([value]), settings)[0])
-        found = self.uncertainty.of_mark(places[::step].astype(np.float32), value, settings)
+        found = self.uncertainty.of_mark(places, in_photos, regions)
         remarks = (*reading.remarks, *self._remarks(reading, found))
         return replace(reading, uncertainty=found, remarks=remarks)
 
     def _remarks(self, reading: MarkReading, uncertainty: Uncertainty) -> tuple[str, ...]:
         """Which of its extremes the photos do not resolve."""
-        doubt = replace(uncertainty, detail=math.nan).of_differences
+        doubt = replace(uncertainty, detail=math.nan).own
         if self._temperature is None:
             least = max(doubt, STANDING_OUT_SHARE)
         else:
@@ -224,8 +225,7 @@ class MarkMeter:
         that are surveyed; None if no camera is known."""
         if not self._photos:
             return None
-        step = -(-len(places) // CHECKED_POINTS)
-        points = places[::step].astype(np.float32)
+        points = checked_points(places)
         shown = [len(item.shown(points).rows) for item in self.survey]
         seen = sum(count >= 0.5 * len(points) for count in shown)
         return -(-seen * self._photos // len(self.survey.chosen))
@@ -299,9 +299,9 @@ def _with_difference(
     if not other or other == reading.mark.name:
         return reading
     pair = reading, named[other]
-    found = [each.uncertainty.of_differences for each in pair if each.uncertainty is not None]
+    found = [each.uncertainty for each in pair if each.uncertainty is not None]
     return replace(
         reading,
         difference=pair[0].mean - pair[1].mean,
-        difference_uncertainty=math.hypot(*found) if len(found) == 2 else np.nan,
+        difference_uncertainty=found[0].of_difference(found[1]) if len(found) == 2 else np.nan,
     )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64, Shaped
+from jaxtyping import Bool, Float, Float32, Int64, Shaped
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError
@@ -114,6 +114,15 @@ def see(render: SurfaceRenderer, camera: Camera) -> SeenSurface:
 def seen_depth(rendering: Rendering) -> Float[np.ndarray, "h w"]:
     """z-depth of the visible surface (``Rendering.visible_depth``) in double precision, [H, W]."""
     return rendering.visible_depth().cpu().double().numpy()
+
+
+CHECKED_POINTS = 64
+"""Number of points of a mark by which photos count as seeing it."""
+
+
+def checked_points(places: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "m 3"]:
+    """Places of a mark by which photos count as seeing it."""
+    return places[:: -(-len(places) // CHECKED_POINTS)].astype(np.float32)
 
 
 def thermal_values(rendering: Rendering) -> Float[np.ndarray, "h w"]:

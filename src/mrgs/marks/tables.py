@@ -7,7 +7,6 @@ import io
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 from mrgs.data.earth import geodetic
 from mrgs.marks.mark import Mark
 from mrgs.marks.measure import MarkReading
-from mrgs.marks.uncertainty import COVERAGE, Uncertainty
+from mrgs.marks.uncertainty import COVERAGE
 from mrgs.pictures.escape import escape_cell
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.values import decimals_of, unit_label
@@ -73,6 +72,12 @@ def around_text(around: float, temperature: TemperatureRange | None, *, unit: bo
 def total_uncertainty(reading: MarkReading) -> float:
     """Total uncertainty of the mean; NaN where it is not known."""
     return math.nan if reading.uncertainty is None else reading.uncertainty.total
+
+
+def uncertainty_parts(reading: MarkReading) -> dict[str, float]:
+    """The parts of the uncertainty under all names of ``PART_NAMES``; NaN where not known."""
+    known = {} if reading.uncertainty is None else reading.uncertainty.known
+    return {name: known.get(name, math.nan) for name in PART_NAMES}
 
 
 def settings_texts(reading: MarkReading) -> list[str]:
@@ -147,7 +152,6 @@ def facts_of_reading(
     length_unit = "m" if world.metric else "units"
     around = _scale_uncertainty(world)
     x, y, z = np.mean(mark.points, axis=0).tolist()
-    parts = asdict(reading.uncertainty or Uncertainty())
     emissivity, reflected = _settings_of(reading)
     numbers = {
         f"mean_{value_unit}": reading.mean,
@@ -155,7 +159,7 @@ def facts_of_reading(
         f"max_{value_unit}": reading.high,
         f"std_{value_unit}": reading.spread,
         f"uncertainty_{value_unit}": total_uncertainty(reading),
-        **{f"uncertainty_{name}_{value_unit}": part for name, part in parts.items()},
+        **{f"uncertainty_{n}_{value_unit}": p for n, p in uncertainty_parts(reading).items()},
         f"difference_{value_unit}": reading.difference,
         f"difference_uncertainty_{value_unit}": reading.difference_uncertainty,
         f"length_{length_unit}": reading.length,

@@ -1,24 +1,27 @@
-"""What a temperature's uncertainty is made of (JCGM 100:2008, the GUM): its parts, and their sum.
+"""What the uncertainty of temperatures and of differences is made of (JCGM 100:2008, the GUM).
 
 That of the settings is the law of propagation, as in S. Muniz et al., Opt. Eng. 53(7), 074101
-(2014): the temperature is computed again with each setting changed by its uncertainty.
+(2014): the temperature is computed again with each setting changed by its uncertainty. Temperatures
+that have an input quantity in common are correlated by it (GUM 5.2); see
+``docs/decisions/060-correlated-errors.md``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, astuple, dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass, field
 from statistics import median
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32, Float64
 
 from mrgs.data.radiometric.measurement import Atmosphere
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
+from mrgs.marks.surface import checked_points
 from mrgs.scene import Scene, TemperatureRange
 from mrgs.scene.radiometry import ObjectParameters
 from mrgs.survey import Survey
@@ -45,6 +48,14 @@ USUAL_AIR = Atmosphere(0.006569, 0.01262, -0.002276, -0.00667, 1.9)
 """The constants that FLIR's cameras store."""
 
 
+class InputQuantity(NamedTuple):
+    """The camera, or a setting and its value, from which temperatures are computed and whose error
+    is not known. Equal ones have the same error."""
+
+    name: str
+    value: float = 0.0
+
+
 @dataclass(frozen=True)
 class Uncertainty:
     """The parts of a temperature's uncertainty, each as half the width of the interval that would
@@ -55,31 +66,43 @@ class Uncertainty:
         photos: what the photos that see the place disagree by.
         model: how far the model is from what the photos show there, and how sharp the place is.
         detail: how narrow a peak the place is, which the photos blur.
-        camera: limit of error of the thermal camera.
+        shared: the parts by input quantities that other temperatures may have too: sensitivity
+            coefficient times half the width of the quantity's interval, with the sign.
     """
 
     photos: float = math.nan
     model: float = math.nan
     detail: float = math.nan
-    camera: float = math.nan
-    emissivity: float = math.nan
-    reflected: float = math.nan
-    distance: float = math.nan
+    shared: Mapping[InputQuantity, float] = field(default_factory=dict, hash=False)
 
     @property
     def known(self) -> dict[str, float]:
-        """The parts that are known, by name."""
-        return {name: value for name, value in asdict(self).items() if not math.isnan(value)}
+        """The sizes of the parts that are known, by name."""
+        parts = {"photos": self.photos, "model": self.model, "detail": self.detail}
+        for quantity, part in self.shared.items():
+            parts[quantity.name] = math.hypot(parts.get(quantity.name, 0.0), part)
+        return {name: part for name, part in parts.items() if not math.isnan(part)}
+
+    @property
+    def own(self) -> float:
+        """The parts of this place alone together, also the uncertainty of its contrast to what is
+        beside it on the same surface; NaN where no photo looked."""
+        parts = [part for part in (self.model, self.detail) if not math.isnan(part)]
+        return math.hypot(self.photos, *parts)
 
     @property
     def total(self) -> float:
         """All known parts together; NaN where no photo looked."""
-        return math.nan if math.isnan(self.photos) else math.hypot(*self.known.values())
+        return math.hypot(self.own, *self.shared.values())
 
-    @property
-    def of_differences(self) -> float:
-        """Without the camera's part, which two places of the same photos have in common."""
-        return replace(self, camera=math.nan).total
+    def of_difference(self, other: Uncertainty) -> float:
+        """Uncertainty of the difference to another temperature: an input quantity that both have
+        counts once, by how much more it changes one than the other."""
+        parts = [
+            self.shared.get(quantity, 0.0) - other.shared.get(quantity, 0.0)
+            for quantity in {*self.shared, *other.shared}
+        ]
+        return math.hypot(self.own, other.own, *parts)
 
 
 @dataclass(frozen=True)
@@ -126,32 +149,60 @@ class Budget:
         capture = CaptureSettings.of(scene)
         return cls(capture, parameters, emissivity, reflected, distance, accuracy, tuple(notes))
 
-    def parts(
-        self,
-        of_photos: Sequence[Float[np.ndarray, "*shape"]],
-        celsius: Float64[np.ndarray, "*shape"],
-        surface: SurfaceSettings | None = None,
-    ) -> list[Float64[np.ndarray, "*shape"]]:
-        """All parts of temperatures' uncertainties: those of photos and model, given as the photos
-        have the places, as the surface has them; then camera, emissivity, reflected temperature and
-        distance. ``surface`` has the settings there, by default those of the photos."""
-        surface = surface or self.capture.surface
-        camera = np.full(celsius.shape, np.nan)
+    def _gain(self, celsius: Values, surface: SurfaceSettings) -> Values:
+        """Derivative of a surface's temperature by that of the photos."""
+        if surface == self.capture.surface:
+            return np.ones(celsius.shape)
+        low, high = (self.capture.corrected(celsius + step, surface) for step in (-0.5, 0.5))
+        return high - low
+
+    def contributions(
+        self, celsius: Values, surface: SurfaceSettings
+    ) -> dict[InputQuantity, Values]:
+        """What each input quantity contributes to the uncertainty of a surface's temperatures, see
+        ``Uncertainty.shared``; ``celsius`` is what the photos give."""
+        found = {}
         if self.accuracy is not None:
             kelvin, percent = self.accuracy
-            camera = WITHIN_LIMIT * np.maximum(kelvin, percent / 100 * np.abs(celsius))
-        gain = self._gain(celsius, surface)
-        settings = [COVERAGE * part for part in self._settings(celsius, surface)]
-        return [*(gain * part for part in (*of_photos, camera)), *settings]
+            limit = np.maximum(kelvin, percent / 100 * np.abs(celsius))
+            found[InputQuantity("camera")] = WITHIN_LIMIT * limit * self._gain(celsius, surface)
+        settings = self._settings(surface)
+        stated = {quantity.name: quantity.value for quantity in settings}
+        for quantity, uncertainty in settings.items():
+            ends = [quantity.value - uncertainty, quantity.value + uncertainty]
+            if quantity.name == "emissivity":
+                ends = [_share(end) for end in ends]
+            varied = [{**stated, quantity.name: end} for end in ends]
+            low, high = (self._temperatures(celsius, each) for each in varied)
+            sensitivity = (high - low) / max(ends[1] - ends[0], 1e-12)
+            found[quantity] = COVERAGE * uncertainty * sensitivity
+        return found
 
-    def with_settings(
-        self, parts: Uncertainty, celsius: float, surface: SurfaceSettings | None = None
+    def of_mean(
+        self,
+        of_photos: Uncertainty,
+        celsius: Float64[np.ndarray, " n"],
+        surfaces: Iterable[tuple[SurfaceSettings, Bool[np.ndarray, " n"]]] = (),
     ) -> Uncertainty:
-        """The parts of the photos and the model, as the photos have the place, with those of camera
-        and settings; see ``parts``."""
-        of_photos = [np.array([each]) for each in (parts.photos, parts.model, parts.detail)]
-        found = self.parts(of_photos, np.array([celsius]), surface)
-        return Uncertainty(*(float(part[0]) for part in found))
+        """Uncertainty of the mean over points, from its parts by photos and model as the photos
+        have the place. ``surfaces`` have settings, and which points are on them; elsewhere those of
+        the photos. An input quantity has one error throughout: its contributions are averaged."""
+        left = np.ones(len(celsius), bool)
+        gain, shared = 0.0, dict[InputQuantity, float]()
+        for surface, points in (*surfaces, (self.capture.surface, left)):
+            if not points.any():
+                continue
+            share, values = points.mean(), celsius[points]
+            gain += float(share * self._gain(values, surface).mean())
+            for quantity, part in self.contributions(values, surface).items():
+                shared[quantity] = shared.get(quantity, 0.0) + float(share * part.mean())
+            left &= ~points
+        return Uncertainty(
+            gain * of_photos.photos,
+            gain * of_photos.model,
+            gain * of_photos.detail,
+            {quantity: part for quantity, part in shared.items() if not math.isnan(part)},
+        )
 
     def together(
         self,
@@ -159,51 +210,41 @@ class Budget:
         celsius: Float64[np.ndarray, "*shape"],
         surface: SurfaceSettings | None = None,
     ) -> Float64[np.ndarray, "*shape"]:
-        """Root of the sum of the squares of all known ``parts``; NaN where the photos' part is, and
-        where a surface with these settings cannot have looked so."""
-        first, *others = self.parts([of_photos], celsius, surface)
-        squares = np.square(first) + sum(np.square(np.nan_to_num(part)) for part in others)
+        """Root of the sum of the squares of all known parts, of that of photos and model as the
+        photos have the places; NaN where that is, and where a surface with these settings, by
+        default those of the photos, cannot have looked so."""
+        surface = surface or self.capture.surface
+        squares = np.square(self._gain(celsius, surface) * of_photos)
+        for part in self.contributions(celsius, surface).values():
+            squares += np.square(np.nan_to_num(part))
         total: Float64[np.ndarray, "*shape"] = np.sqrt(squares)
         return total
 
-    def _gain(self, celsius: Values, surface: SurfaceSettings) -> Values:
-        """Derivative of a surface's temperature by that of the photos."""
-        if surface == self.capture.surface:
-            return np.ones(celsius.shape)
-        ends = [self.capture.corrected(celsius + step, surface) for step in (-0.5, 0.5)]
-        return np.abs(ends[1] - ends[0])
+    def _settings(self, surface: SurfaceSettings) -> dict[InputQuantity, float]:
+        """The settings that temperatures are computed with, and their standard uncertainties; empty
+        where neither photos nor mark state these."""
+        given = self.parameters
+        if given is None and surface.reflected_c is None:
+            return {}
+        settings = {
+            InputQuantity("emissivity", surface.emissivity): self.emissivity,
+            InputQuantity("reflected", surface.reflected_c or 0.0): self.reflected_c,
+        }
+        if given is not None:
+            uncertainty = self.distance_percent / 100 * given.distance_m
+            settings[InputQuantity("distance", given.distance_m)] = uncertainty
+        return settings
 
-    def _settings(self, celsius: Values, surface: SurfaceSettings) -> list[Values]:
-        """Standard uncertainties by emissivity, reflected temperature and distance; NaN where
-        neither photos nor mark state these."""
-        unknown = np.full(celsius.shape, np.nan)
-        if self.parameters is None and surface.reflected_c is None:
-            return [unknown, unknown, unknown]
-        emissivity, reflected_c = surface.emissivity, surface.reflected_c or 0.0
-        varied = [
-            [replace(surface, emissivity=_share(emissivity + sign * self.emissivity)),
-             replace(surface, reflected_c=reflected_c + sign * self.reflected_c)]
-            for sign in (-1, 1)
-        ]  # fmt: skip
-        ends = [[self.capture.corrected(celsius, each) for each in end] for end in varied]
-        distance = unknown if self.parameters is None else self._distance(celsius, surface)
-        return [*map(_half, *ends), distance]
-
-    def _distance(self, celsius: Values, surface: SurfaceSettings) -> Values:
-        """Standard uncertainty by the distance: with another transmission τ of the air, what
+    def _temperatures(self, celsius: Values, settings: Mapping[str, float]) -> Values:
+        """The temperatures of a surface with these settings, from those that the photos give. What
         reaches the camera, τ S + (1 − τ) S_air with S what left the surface, stays."""
-        assert self.parameters is not None
-        given, law = self.parameters, self.capture.law
-        tau = _transmission(given, 1.0)
-        air = law.signal(given.atmospheric_c) + law.o
-        at_surface = self.capture.received(celsius)
-        shares = [_transmission(given, 1 + sign * self.distance_percent / 100) for sign in (-1, 1)]
-        signals = [(tau * at_surface + (each - tau) * air) / each for each in shares]
-        return _half(*(self.capture.celsius_of(each, surface) for each in signals))
-
-
-def _half(low: Values, high: Values) -> Values:
-    return np.abs(high - low) / 2
+        signal, given, law = self.capture.received(celsius), self.parameters, self.capture.law
+        if given is not None:
+            air = law.signal(given.atmospheric_c) + law.o
+            noted, tau = (_transmission(given, d) for d in (given.distance_m, settings["distance"]))
+            signal = (noted * signal + (tau - noted) * air) / tau
+        surface = SurfaceSettings(settings["emissivity"], settings["reflected"])
+        return self.capture.celsius_of(signal, surface)
 
 
 def _share(value: float) -> float:
@@ -211,10 +252,9 @@ def _share(value: float) -> float:
     return min(max(value, 0.01), 1.0)
 
 
-def _transmission(given: ObjectParameters, times: float) -> float:
-    """Share of the radiation that the air lets through at a multiple of the noted distance."""
-    tau = USUAL_AIR.transmission(given.distance_m * times, given.atmospheric_c, given.humidity)
-    return _share(tau)
+def _transmission(given: ObjectParameters, distance_m: float) -> float:
+    """Share of the radiation that the air lets through at a distance."""
+    return _share(USUAL_AIR.transmission(distance_m, given.atmospheric_c, given.humidity))
 
 
 def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | None, list[str]]:
@@ -267,17 +307,19 @@ class UncertaintyMeter:
 
     def of_mark(
         self,
-        points: Float32[np.ndarray, "n 3"],
-        value: float,
-        surface: SurfaceSettings | None = None,
+        places: Float[np.ndarray, "n 3"],
+        values: Float64[np.ndarray, " n"],
+        regions: Regions | None = None,
     ) -> Uncertainty:
-        """Uncertainty of the mean of a mark with points on its surface; ``value`` is the mean as
-        the photos have it, ``surface`` its settings, by default those of the photos. SceneError if
-        a photo cannot be read."""
-        parts = Uncertainty(*(float(part[0]) for part in self._readings.of_mark(points, value)))
+        """Uncertainty of the mean of a mark with places on its surface; ``values`` are as the
+        photos have them, not corrected for ``regions``. SceneError if a photo cannot be read."""
+        of_photos = self._readings.of_mark(checked_points(places), float(values.mean()))
+        photos, model, detail = (float(part[0]) for part in of_photos)
+        parts = Uncertainty(photos, model, detail)
         if self._budget is None or math.isnan(parts.photos):
             return parts
-        return self._budget.with_settings(parts, value, surface)
+        surfaces = () if regions is None else regions.parts(places)
+        return self._budget.of_mean(parts, values, surfaces)
 
     def of_points(
         self,

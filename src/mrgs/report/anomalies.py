@@ -376,10 +376,10 @@ class Anomaly(NamedTuple):
 
     @property
     def stands_out(self) -> bool:
-        """Whether the contrast is more than its uncertainty, where known, without the camera's
-        limit of error, which the surroundings share."""
+        """Whether the contrast is more than its uncertainty, where known, without the parts by
+        camera and settings, which the surroundings share."""
         uncertainty = self.reading.uncertainty
-        return uncertainty is None or abs(self.contrast) > uncertainty.of_differences
+        return uncertainty is None or abs(self.contrast) > uncertainty.own
 
 
 class Proposals(NamedTuple):

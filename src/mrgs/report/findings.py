@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -23,9 +22,10 @@ from mrgs.marks.tables import (
     settings_texts,
     size_text,
     total_uncertainty,
+    uncertainty_parts,
     value_text,
 )
-from mrgs.marks.uncertainty import Uncertainty
+from mrgs.marks.uncertainty import COVERAGE
 from mrgs.pictures.drawing import (
     COLDEST,
     HOTTEST,
@@ -222,9 +222,9 @@ def show_marks(
             "around": _around(total_uncertainty(reading), temperature),
             "parts": {
                 PART_NAMES[name]: value_text(part, temperature)
-                for name, part in asdict(reading.uncertainty or Uncertainty()).items()
+                for name, part in uncertainty_parts(reading).items()
             },
-            "factor": _factor(reading.mean, survey),
+            "factor": _factor(reading.mean, total_uncertainty(reading), survey),
             "low": value_text(reading.low, temperature),
             "high": value_text(reading.high, temperature),
             "difference": " ± ".join(filter(None, (difference, around))),
@@ -250,9 +250,19 @@ def _around(value: float, temperature: TemperatureRange | None) -> str:
     return "" if math.isnan(value) else around_text(value, temperature)
 
 
-def _factor(mean: float, survey: Survey) -> str:
+AIR_C = 0.5
+"""Standard uncertainty of the air's temperatures where the survey states none."""
+
+
+def air_uncertainty(survey: Survey) -> float:
+    """Half the width of the 95 % interval of the air's temperatures, K."""
+    return COVERAGE * (AIR_C if survey.air_uncertainty_c is None else survey.air_uncertainty_c)
+
+
+def _factor(mean: float, around: float, survey: Survey) -> str:
     """f_Rsi = (T_si - T_e) / (T_i - T_e) (ISO 13788), which is defined for surfaces inside only; a
-    dash where it would not be from 0 to 1, as of a radiator."""
+    dash where it would not be from 0 to 1, as of a radiator. ``around`` is the mean's ±; its own
+    follows from that and from the air inside, sensitivity coefficient f_Rsi, and outside."""
     inside, outside = survey.inside_c, survey.outside_c
     if (
         survey.side != "inside"
@@ -263,7 +273,13 @@ def _factor(mean: float, survey: Survey) -> str:
     ):
         return DASH
     factor = (mean - outside) / (inside - outside)
-    return f"{factor:.2f}" if 0 <= factor <= 1 else DASH
+    if not 0 <= factor <= 1:
+        return DASH
+    if math.isnan(around):
+        return f"{factor:.2f}"
+    of_air = air_uncertainty(survey)
+    of_factor = math.hypot(around, factor * of_air, (1 - factor) * of_air) / (inside - outside)
+    return f"{factor:.2f} ± {max(of_factor, 0.01):.2f}"
 
 
 def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:

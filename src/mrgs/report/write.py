@@ -22,6 +22,7 @@ from mrgs.report.findings import (
     CHART_HEIGHT,
     CHART_LEFT,
     CHART_WIDTH,
+    air_uncertainty,
     camera_effects,
     show_findings,
 )
@@ -131,6 +132,7 @@ def report_run(
         every=every,
         compared_with=compared_with.pop() if len(compared_with) == 1 else "",
         has_factor=any(mark["factor"] != DASH for mark in every),
+        air_around=f"{air_uncertainty(survey):g}",
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
         has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),

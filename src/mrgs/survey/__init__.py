@@ -50,6 +50,7 @@ class Survey:
         camera_accuracy_percent: as ``camera_accuracy_c``, a share of the reading in °C; the larger
             of the two counts. Without the K, 2 K are assumed.
         emissivity_uncertainty: standard uncertainty of the emissivities.
+        air_uncertainty_c: standard uncertainty of the air inside and outside.
         hot_places: largest number of hottest places that are proposed as anomalies.
     """
 
@@ -90,6 +91,7 @@ class Survey:
     emissivity_uncertainty: float | None = _stated(high=0.5)
     reflected_uncertainty_c: float | None = _stated(unit="K", high=500)
     distance_uncertainty_percent: float | None = _stated(unit="%", high=100)
+    air_uncertainty_c: float | None = _stated(unit="K", high=50)
     hot_places: int | None = _stated(high=100)
     cold_places: int | None = _stated(high=100)
     statement: str | None = _stated()
