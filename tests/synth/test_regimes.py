@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +11,10 @@ import pytest
 import torch
 
 from mrgs.data import load_scene
+from mrgs.data.transforms import TRANSFORMS
 from mrgs.errors import ConfigError
 from mrgs.scene import RGB, THERMAL, Scene
+from mrgs.scene.radiometry import PhotoRecord
 from mrgs_synth.regimes import ALSO_HELD_OUT, DRIFT_C, REGIMES, main, make_regime
 
 SCENE = Path(__file__).parents[2] / "examples" / "tabletop"
@@ -133,6 +137,19 @@ def test_a_strong_drift_is_of_degrees_and_keeps_the_temperatures_apart(
     ]
     assert max(np.ptp(shift) for shift in shifts) < 1e-3
     assert 2.0 < np.ptp([shift.mean() for shift in shifts]) < 6.0
+
+
+def test_what_the_camera_noted_of_a_photo_is_kept(tmp_path: Path) -> None:
+    scene = tmp_path / "scene"
+    make_regime(SCENE, scene, "all", 0)
+    content = json.loads((scene / TRANSFORMS).read_text())
+    record = PhotoRecord(camera="phone", taken=datetime(2026, 1, 15, 9, 30))
+    for frame in content["frames"]:
+        frame["thermal_record"] = record.to_json()
+    (scene / TRANSFORMS).write_text(json.dumps(content))
+    make_regime(scene, tmp_path / "out", "views-8", 0)
+    views = load_scene(tmp_path / "out").train
+    assert [view.images[THERMAL].record for view in views] == 8 * [record]
 
 
 @pytest.mark.parametrize(("name", "left"), [("missing-half", 20), ("missing-90", 4)])
