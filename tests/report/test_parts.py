@@ -116,6 +116,12 @@ def test_cameras_are_said_to_be_shared_only_where_all_views_share_theirs(small_s
     assert re.findall(r"\d+ × \d+", photos) == ["20 × 16", "40 × 30"]
 
 
+def test_thermal_photos_alone_have_no_two_cameras(make_scene):
+    rows = dict(capture_rows(load_scene(make_scene(rgb=False)), Survey(), Texts()))
+    assert "Cameras" not in rows
+    assert rows["RGB photos"] == "none"
+
+
 def test_a_hot_range_is_written_without_an_exponent(small_scene: Path):
     scene = replace(load_scene(small_scene), temperature=TemperatureRange(-20.0, 1650.0))
     rows = dict(capture_rows(scene, Survey(), Texts("de")))

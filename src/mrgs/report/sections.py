@@ -230,11 +230,15 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
     the photos or else by the survey; translated."""
     views = scene.views
     modalities = in_order((*REPORTED, *scene.modalities))
-    shared = all(
-        view.shares_camera(modality, other)
-        for view in views
-        for modality, other in pairwise(modalities)
-    )
+    cameras = []
+    if len(scene.modalities) > 1:
+        shared = all(
+            view.shares_camera(modality, other)
+            for view in views
+            for modality, other in pairwise(modalities)
+        )
+        text = t("one for all images of a view") if shared else t("each image has its own")
+        cameras = [(t("Cameras"), text)]
     recorded, scale = t("no °C known: relative values"), scene.temperature
     if scale is not None:
         low, high = (t.number(number_text(end, 1)) for end in (scale.min_c, scale.max_c))
@@ -243,10 +247,7 @@ def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]
     return [
         (t("Views"), t("{train} training, {evaluation} evaluation", **counts)),
         *((t(f"{capitalised(each.title)} photos"), _sizes(each, views, t)) for each in modalities),
-        (
-            t("Cameras"),
-            t("one for all images of a view") if shared else t("each image has its own"),
-        ),
+        *cameras,
         (t("Temperature range"), recorded),
         (t("Lengths"), _lengths(scene.world, t)),
         *_record_rows(scene.records, survey, t),
