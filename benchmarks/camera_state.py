@@ -1,8 +1,9 @@
 """How well a training finds what a thermal camera did: `python -m benchmarks.camera_state RUN...`
 
 For runs of scenes of ``mrgs synth --camera``: compares the learned offsets of the photos and the
-learned shading with ``truth/camera``. Both are known up to a constant, so that means are removed.
-Prints a table.
+learned shading with ``truth/camera``, and the rendered temperatures of the held-out views with the
+exact ones. Photos leave one constant open, so that means are removed, and from the temperatures
+their median error: that of ``mrgs eval`` contains the constant. Prints two tables.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from PIL import Image
 
-from mrgs.runs.open import open_gaussians
+from mrgs.evaluation.evaluate import Truth
+from mrgs.runs.open import Run, open_gaussians
 from mrgs.scene import THERMAL
 
 
@@ -32,9 +35,46 @@ def agreement(done: Float[np.ndarray, "*shape"], learned: Float[np.ndarray, "*sh
     return Agreement(float(np.std(done)), float(np.std(learned - done)))
 
 
-def camera_state(path: Path) -> dict[str, Agreement]:
+class HeldOut(NamedTuple):
+    """Errors of held-out views against the exact temperatures, °C.
+
+    Attributes:
+        constant_c: median of what the model shows above them.
+        model_c: mean absolute error of the model without this constant.
+        camera_c: that of the camera's photos, each without its own median error.
+    """
+
+    constant_c: float
+    model_c: float
+    camera_c: float
+
+
+def without_median(error_c: Float[np.ndarray, "*shape"]) -> float:
+    """Mean absolute error after the median error."""
+    return float(np.abs(error_c - np.median(error_c)).mean())
+
+
+def held_out(run: Run) -> HeldOut:
+    """A run's errors in its held-out views."""
+    scene = run.load_scene()
+    truth = Truth.of(scene)
+    assert truth is not None
+    assert scene.temperature is not None
+    shown, photos = [], []
+    for view in scene.eval:
+        rendered = run.render_view(view)[THERMAL].image[..., 0]
+        exact = truth.read("temperature", view.name, (rendered.shape[0], rendered.shape[1]))
+        assert isinstance(exact, torch.Tensor), exact
+        photo = view.images[THERMAL].load().values[..., 0]
+        for errors, image in ((shown, rendered), (photos, photo)):
+            errors.append((scene.temperature.to_celsius(image) - exact).numpy(force=True))
+    model = np.stack(shown)
+    camera_c = float(np.mean([without_median(each) for each in photos]))
+    return HeldOut(float(np.median(model)), without_median(model), camera_c)
+
+
+def camera_state(run: Run) -> dict[str, Agreement]:
     """A run's agreement, by what it learned of the camera."""
-    run = open_gaussians(path)
     scene = run.load_scene()
     assert scene.temperature is not None
     span_c, folder = scene.temperature.span_c, Path(scene.path) / "truth/camera"
@@ -55,11 +95,17 @@ def camera_state(path: Path) -> dict[str, Agreement]:
 
 def main() -> None:
     """The command line."""
+    runs = {name: open_gaussians(Path(name)) for name in sys.argv[1:]}
     print("| run | | done, standard deviation | error, standard deviation |")
     print("|---|---|---:|---:|")
-    for name in sys.argv[1:]:
-        for what, (done_c, error_c) in camera_state(Path(name)).items():
+    for name, run in runs.items():
+        for what, (done_c, error_c) in camera_state(run).items():
             print(f"| {name} | {what} | {done_c:.2f} °C | {error_c:.2f} °C |")
+    print("\n| run | constant | error without it | the camera's, each photo without its own |")
+    print("|---|---:|---:|---:|")
+    for name, run in runs.items():
+        constant_c, model_c, camera_c = held_out(run)
+        print(f"| {name} | {constant_c:+.2f} °C | {model_c:.3f} °C | {camera_c:.3f} °C |")
 
 
 if __name__ == "__main__":
