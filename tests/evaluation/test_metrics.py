@@ -16,7 +16,7 @@ from mrgs.evaluation.metrics import (
     Missing,
     fill_invalid,
     mean_absolute_error,
-    mean_absolute_error_but_offset,
+    mean_absolute_error_after_offset,
     otsu_threshold,
     psnr,
     psnr_matched,
@@ -106,11 +106,11 @@ def test_a_uniform_photo_matches_everything() -> None:
     assert "uniform" in figure.reason
 
 
-def test_mean_absolute_error_but_offset_by_hand() -> None:
+def test_mean_absolute_error_after_offset_by_hand() -> None:
     target = torch.tensor([[10.0, 11.0, 12.0, 40.0]])
     image = target + 5 + torch.tensor([[0.0, 0.3, -0.3, 2.0]])
     valid = torch.tensor([[True, True, True, False]])
-    assert mean_absolute_error_but_offset(image, target, valid) == pytest.approx(0.2, abs=1e-6)
+    assert mean_absolute_error_after_offset(image, target, valid) == pytest.approx(0.2, abs=1e-6)
 
 
 def test_mean_absolute_error_by_hand() -> None:

@@ -462,6 +462,20 @@ def test_a_flat_field_is_part_of_the_settings(tmp_path):
     assert replace(config.image_model, flat_field=None) == QUALITIES["fast"].config().image_model
 
 
+def test_other_frames_of_the_flat_field_are_other_settings(small_scene, tmp_path):
+    frame = tmp_path / "flat" / "frame.tiff"
+    frame.parent.mkdir()
+    made_from = []
+    for content in (b"one", b"another"):
+        frame.write_bytes(content)
+        intake = take_in(small_scene, PrepareOptions(), lambda *step: None)
+        job = stages_module.Job(
+            intake, QUALITIES["fast"], PrepareOptions(), tmp_path, "cpu", Monitor(), frame.parent
+        )
+        made_from.append(job.stages[1].made_from())
+    assert made_from[0] != made_from[1]
+
+
 def test_a_flat_field_that_is_no_folder_is_refused_before_anything_is_written(
     small_scene, tmp_path
 ):

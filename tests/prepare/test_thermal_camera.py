@@ -121,6 +121,8 @@ def test_thermal_images_alone_have_no_second_camera(calibrate, asked):
     assert calibrate(images=THERMAL, thermal_fov_deg=40.0) is None  # structure from motion took it
     with pytest.raises(ConfigError, match="only thermal images") as error:
         calibrate(images=THERMAL, one_camera=True)
+    with pytest.raises(ConfigError, match="only thermal images"):
+        calibrate(images=THERMAL, thermal_fov_deg=40.0, poses=Path("poses"))
     assert error.value.options == ("one_camera",)
     assert asked == []
 

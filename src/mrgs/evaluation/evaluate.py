@@ -29,7 +29,7 @@ from mrgs.evaluation.metrics import (
     figure_names,
     fill_invalid,
     mean_absolute_error,
-    mean_absolute_error_but_offset,
+    mean_absolute_error_after_offset,
     mean_figures,
     psnr,
     psnr_matched,
@@ -343,7 +343,7 @@ def _temperature_figures(
     compared, span_c = (image, photo.values, photo.valid), temperature.span_c
     figures: Figures = {
         "mae_c": mean_absolute_error(*compared) * span_c,
-        "mae_offset_c": mean_absolute_error_but_offset(*compared) * span_c,
+        "mae_offset_c": mean_absolute_error_after_offset(*compared) * span_c,
         "mae_foreground_c": Missing("no photo has two classes for Otsu's threshold to part"),
     }
     if foreground is not None:

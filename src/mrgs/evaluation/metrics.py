@@ -131,7 +131,7 @@ def mean_absolute_error(
     return (_select(image, valid).double() - _select(target, valid).double()).abs().mean().item()
 
 
-def mean_absolute_error_but_offset(
+def mean_absolute_error_after_offset(
     image: Float[Tensor, "*shape"],
     target: Float[Tensor, "*shape"],
     valid: Bool[Tensor, "h w"] | None = None,

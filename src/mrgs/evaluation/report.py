@@ -25,7 +25,7 @@ COLUMNS = {
     "ssim": ("SSIM", 4),
     "ssim_pair_range": ("SSIM, pair range", 4),
     "mae_c": ("MAE, °C", 3),
-    "mae_offset_c": ("MAE but offset, °C", 3),
+    "mae_offset_c": ("MAE after offset, °C", 3),
     "mae_foreground_c": ("MAE foreground, °C", 3),
     "lpips": ("LPIPS", 4),
     "camera_mae_c": ("the camera's own MAE, °C", 3),
@@ -37,7 +37,7 @@ CONVENTIONS = (
     "Full frame, undistorted images, mean over the views. PSNR has the range 1; 'matched' "
     "gives each channel of the rendering the gain and the offset that suit the photo best, for "
     "cameras that expose or "
-    "scale every photo by itself; 'but offset' gives the temperatures the offset that suits the "
+    "scale every photo by itself; 'after offset' gives the temperatures the offset that suits the "
     "photo best, for cameras that drift. SSIM uses an 11×11 Gaussian window "
     "(σ 1.5) with the data range 1, as the 3DGS family does; 'pair range' takes the range of the "
     "image pair and whole "

@@ -89,7 +89,7 @@ def run_pipeline(
         raise ConfigError(f"unknown quality {quality!r}; choose one of {', '.join(QUALITIES)}")
     monitor = monitor or Monitor()
     source, chosen, used = Path(source), QUALITIES[quality], gpu.choose_device(device)
-    chosen.config(flat_field)  # what cannot be used is refused before anything is written
+    chosen.config(flat_field)  # a missing folder is refused before anything is written
     intake, options = _taken_in(source, options or PrepareOptions(), monitor)
     target = (default_output(source) if output is None else Path(output)).absolute()
     _require_own(source, target)

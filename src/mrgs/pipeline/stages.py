@@ -122,7 +122,9 @@ class Job:
         return fingerprint(stamps(self.intake.source), options, files, poses)
 
     def _made_from_scene(self) -> str:
-        return fingerprint(self._scene_contents(), write_yaml(self.config))
+        flat_field = self.config.image_model.flat_field
+        frames = [] if flat_field is None else self.ledger.contents_of(Path(flat_field))
+        return fingerprint(self._scene_contents() + frames, write_yaml(self.config))
 
     def _made_from_model(self) -> str:
         newest = RunFolder(self.model).newest_checkpoint()

@@ -94,7 +94,9 @@ def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration
     """
     options, posed = work.options, work.posed
     if posed.images == THERMAL:
-        names = ("thermal_camera", "target", "one_camera")
+        names = ["thermal_camera", "target", "one_camera"]
+        if options.poses is not None:  # else structure from motion takes it
+            names.append("thermal_fov_deg")
         given = tuple(name for name in names if getattr(options, name) not in (None, False))
         if given:
             raise ConfigError(

@@ -79,7 +79,8 @@ def _write_camera(job: ReconstructionJob) -> None:
     low, high = (share * max(camera.width, camera.height) for share in _PLAUSIBLE_FOCAL_LENGTHS)
     known = [focal_length for focal_length in known if low <= focal_length <= high]
     if job.field_of_view_deg is not None:
-        known = [camera.width / 2 / math.tan(math.radians(job.field_of_view_deg) / 2)]
+        width = max(camera.width, camera.height)  # of the camera held level: images are upright
+        known = [width / 2 / math.tan(math.radians(job.field_of_view_deg) / 2)]
     camera.has_prior_focal_length = bool(known)
     guess = 1.2 * max(camera.width, camera.height)
     camera.focal_length = statistics.median(known) if known else guess
