@@ -20,7 +20,7 @@ from mrgs.marks.photo_readings import (
     SightingSums,
 )
 from mrgs.marks.tables import mark_text
-from mrgs.marks.uncertainty import USUAL_AIR, Budget, Uncertainty, UncertaintyMeter
+from mrgs.marks.uncertainty import USUAL_AIR, Budget, InputQuantity, Uncertainty, UncertaintyMeter
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
 from mrgs.scene.radiometry import ObjectParameters, Planck
 from mrgs.survey import Survey
@@ -132,6 +132,34 @@ def test_a_surface_that_cannot_have_its_settings_has_no_uncertainty():
     points = np.array([[0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]], np.float32)
     found = meter.uncertainty.of_points(points, np.full(2, 20.0, np.float32), regions)
     assert np.isnan(found).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("odd_c", [12.5, 12.0, 11.5, 11.0, 10.5, 10.0, 9.5])
+def test_one_odd_pixel_leaves_the_uncertainty_of_a_mark_as_it_is(odd_c):
+    """At 9.5 °C the reflection alone would be more than what was measured; above, with one of the
+    settings or the reading changed by its uncertainty."""
+    budget = Budget(CAPTURE, SETTINGS, accuracy=(2.0, 0.0))
+    bare_metal, values = SurfaceSettings(0.15, 20.0), np.full(100, 16.0)
+    surfaces = [(bare_metal, np.ones(100, bool))]
+    even = budget.of_mean(Uncertainty(0.1, 0.1, 0.1), values, surfaces)
+    values[40] = odd_c
+    odd = budget.of_mean(Uncertainty(0.1, 0.1, 0.1), values, surfaces)
+    assert odd.total == pytest.approx(even.total, rel=0.05)
+    assert odd.known == pytest.approx(even.known, rel=0.1)
+    on_map = budget.together(np.full(1, 0.1), np.array([odd_c]), bare_metal)
+    assert np.isnan(on_map) == np.isnan(CAPTURE.corrected(np.array([odd_c]), bare_metal))
+
+
+def test_the_one_sided_sensitivity_to_a_small_emissivity_is_by_the_side_that_is_left():
+    """An emissivity is varied down to 0.01 at least: its ends may not be equally far."""
+    budget = Budget(CAPTURE, emissivity=0.02)
+    shiny, celsius = SurfaceSettings(0.02, 20.0), np.array([18.88])
+    nominal, more = (
+        CAPTURE.corrected(celsius, replace(shiny, emissivity=each))[0] for each in (0.02, 0.04)
+    )
+    assert np.isnan(CAPTURE.corrected(celsius, replace(shiny, emissivity=0.01)))
+    (part,) = budget.contributions(celsius, shiny)[InputQuantity("emissivity", 0.02)]
+    assert part == pytest.approx(2 * (more - nominal))
 
 
 def test_the_data_sheet_is_a_limit_and_cancels_in_differences():

@@ -153,15 +153,15 @@ class Budget:
         """Derivative of a surface's temperature by that of the photos."""
         if surface == self.capture.surface:
             return np.ones(celsius.shape)
-        low, high = (self.capture.corrected(celsius + step, surface) for step in (-0.5, 0.5))
-        return high - low
+        steps = (-0.5, 0.0, 0.5)
+        return _slope(*((step, self.capture.corrected(celsius + step, surface)) for step in steps))
 
     def contributions(
         self, celsius: Values, surface: SurfaceSettings
     ) -> dict[InputQuantity, Values]:
         """What each input quantity contributes to the uncertainty of a surface's temperatures, see
         ``Uncertainty.shared``; ``celsius`` is what the photos give."""
-        found = {}
+        found, nominal = {}, self.capture.corrected(celsius, surface)
         if self.accuracy is not None:
             kelvin, percent = self.accuracy
             limit = np.maximum(kelvin, percent / 100 * np.abs(celsius))
@@ -172,9 +172,10 @@ class Budget:
             ends = [quantity.value - uncertainty, quantity.value + uncertainty]
             if quantity.name == "emissivity":
                 ends = [_share(end) for end in ends]
-            varied = [{**stated, quantity.name: end} for end in ends]
-            low, high = (self._temperatures(celsius, each) for each in varied)
-            sensitivity = (high - low) / max(ends[1] - ends[0], 1e-12)
+            low, high = (
+                (end, self._temperatures(celsius, {**stated, quantity.name: end})) for end in ends
+            )
+            sensitivity = _slope(low, (quantity.value, nominal), high)
             found[quantity] = COVERAGE * uncertainty * sensitivity
         return found
 
@@ -186,23 +187,24 @@ class Budget:
     ) -> Uncertainty:
         """Uncertainty of the mean over points, from its parts by photos and model as the photos
         have the place. ``surfaces`` have settings, and which points are on them; elsewhere those of
-        the photos. An input quantity has one error throughout: its contributions are averaged."""
-        left = np.ones(len(celsius), bool)
+        the photos. An input quantity has one error throughout: its contributions are averaged.
+        Points that cannot have looked so on their surface do not count."""
+        left, count = np.ones(len(celsius), bool), 0
         gain, shared = 0.0, dict[InputQuantity, float]()
         for surface, points in (*surfaces, (self.capture.surface, left)):
-            if not points.any():
-                continue
-            share, values = points.mean(), celsius[points]
-            gain += float(share * self._gain(values, surface).mean())
-            for quantity, part in self.contributions(values, surface).items():
-                shared[quantity] = shared.get(quantity, 0.0) + float(share * part.mean())
+            values = celsius[points & np.isfinite(self.capture.corrected(celsius, surface))]
             left &= ~points
-        return Uncertainty(
-            gain * of_photos.photos,
-            gain * of_photos.model,
-            gain * of_photos.detail,
-            {quantity: part for quantity, part in shared.items() if not math.isnan(part)},
-        )
+            if not values.size:
+                continue
+            count += values.size
+            gain += float(self._gain(values, surface).sum())
+            for quantity, part in self.contributions(values, surface).items():
+                shared[quantity] = shared.get(quantity, 0.0) + float(part.sum())
+        gain = gain / count if count else math.nan
+        shared = {quantity: part / count for quantity, part in shared.items()}
+        own = of_photos.photos, of_photos.model, of_photos.detail
+        photos, model, detail = (gain * part for part in own)
+        return Uncertainty(photos, model, detail, shared)
 
     def together(
         self,
@@ -245,6 +247,20 @@ class Budget:
             signal = (noted * signal + (tau - noted) * air) / tau
         surface = SurfaceSettings(settings["emissivity"], settings["reflected"])
         return self.capture.celsius_of(signal, surface)
+
+
+def _slope(
+    low: tuple[float, Values], at: tuple[float, Values], high: tuple[float, Values]
+) -> Values:
+    """Derivative of temperatures, each beside the number that they follow from; one-sided where
+    there is no temperature at one end."""
+    ends = []
+    for number, temperatures in (low, high):
+        missing = np.isnan(temperatures)
+        ends.append((np.where(missing, at[0], number), np.where(missing, at[1], temperatures)))
+    (start, at_start), (end, at_end) = ends
+    slope: Values = (at_end - at_start) / np.maximum(end - start, 1e-12)
+    return slope
 
 
 def _share(value: float) -> float:
