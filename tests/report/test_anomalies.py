@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from mrgs.marks import Mark
+from mrgs.marks.measure import MarkReading
+from mrgs.marks.uncertainty import Uncertainty
 from mrgs.rasterizer.contract import AS_PUBLISHED
-from mrgs.report.anomalies import Spot, _apart, _Cube, _Image, _Sightings, find_spots
+from mrgs.report.anomalies import Anomaly, Spot, _apart, _Cube, _Image, _Sightings, find_spots
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
     RGB,
@@ -217,3 +220,14 @@ def test_something_large_within_the_picture_is_a_spot():
     hottest, _ = find_spots(views(), model.render)
     assert hottest[0].value == pytest.approx(1.0, abs=0.01)
     assert np.linalg.norm(hottest[0].position[:2] - centre.numpy()) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("uncertainty", "stands_out"),
+    [(None, True), (Uncertainty(0.9), True), (Uncertainty(1.1), False), (Uncertainty(), True)],
+)
+def test_nothing_is_held_back_where_its_uncertainty_is_not_known(uncertainty, stands_out):
+    spot = Spot(np.zeros(3), 0.4, 0.39, 0.41, 8, 0)
+    mark = Mark("?", "spot", ((0.0, 0.0, 0.0),), (0.0, 0.0, 2.0), 0.1)
+    reading = MarkReading(mark, uncertainty=uncertainty)
+    assert Anomaly(spot, reading, -1.0).stands_out == stands_out

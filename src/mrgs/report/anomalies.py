@@ -379,7 +379,7 @@ class Anomaly(NamedTuple):
         """Whether the contrast is more than its uncertainty, where known, without the parts by
         camera and settings, which the surroundings share."""
         uncertainty = self.reading.uncertainty
-        return uncertainty is None or abs(self.contrast) > uncertainty.own
+        return uncertainty is None or not abs(self.contrast) <= uncertainty.own
 
 
 class Proposals(NamedTuple):
