@@ -19,6 +19,7 @@ from jaxtyping import Float
 from PIL import Image
 
 from mrgs.evaluation.evaluate import Truth
+from mrgs.evaluation.metrics import mean_absolute_error_after_offset
 from mrgs.runs.open import Run, open_gaussians
 from mrgs.scene import THERMAL
 
@@ -49,28 +50,24 @@ class HeldOut(NamedTuple):
     camera_c: float
 
 
-def without_median(error_c: Float[np.ndarray, "*shape"]) -> float:
-    """Mean absolute error after the median error."""
-    return float(np.abs(error_c - np.median(error_c)).mean())
-
-
 def held_out(run: Run) -> HeldOut:
     """A run's errors in its held-out views."""
     scene = run.load_scene()
     truth = Truth.of(scene)
     assert truth is not None
     assert scene.temperature is not None
-    shown, photos = [], []
+    rendered, exact, camera_c = [], [], []
     for view in scene.eval:
-        rendered = run.render_view(view)[THERMAL].image[..., 0]
-        exact = truth.read("temperature", view.name, (rendered.shape[0], rendered.shape[1]))
-        assert isinstance(exact, torch.Tensor), exact
+        shown = run.render_view(view)[THERMAL].image[..., 0].detach().cpu()
+        true = truth.read("temperature", view.name, (shown.shape[0], shown.shape[1]))
+        assert isinstance(true, torch.Tensor), true
         photo = view.images[THERMAL].load().values[..., 0]
-        for errors, image in ((shown, rendered), (photos, photo)):
-            errors.append((scene.temperature.to_celsius(image) - exact).numpy(force=True))
-    model = np.stack(shown)
-    camera_c = float(np.mean([without_median(each) for each in photos]))
-    return HeldOut(float(np.median(model)), without_median(model), camera_c)
+        rendered.append(scene.temperature.to_celsius(shown))
+        exact.append(true)
+        camera_c.append(mean_absolute_error_after_offset(scene.temperature.to_celsius(photo), true))
+    model = torch.stack(rendered), torch.stack(exact)
+    constant_c = float(np.median((model[0] - model[1]).numpy()))
+    return HeldOut(constant_c, mean_absolute_error_after_offset(*model), float(np.mean(camera_c)))
 
 
 def camera_state(run: Run) -> dict[str, Agreement]:

@@ -111,6 +111,8 @@ def test_mean_absolute_error_after_offset_by_hand() -> None:
     image = target + 5 + torch.tensor([[0.0, 0.3, -0.3, 2.0]])
     valid = torch.tensor([[True, True, True, False]])
     assert mean_absolute_error_after_offset(image, target, valid) == pytest.approx(0.2, abs=1e-6)
+    error = torch.tensor([2.0, 2.0, 2.0, 6.0])
+    assert mean_absolute_error_after_offset(error, torch.zeros(4)) == pytest.approx(1.0)
 
 
 def test_mean_absolute_error_by_hand() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable
 from functools import wraps
 from typing import Any
 
-from torch import Tensor
+from torch import Tensor, nn
 
 from mrgs.system.operation import Operation
 from mrgs.system.operation_check import members
@@ -15,7 +15,10 @@ from mrgs.system.operation_check import members
 def form_of(value: Any) -> Hashable:
     """Types, shapes and settings; not the numbers in tensors."""
     if isinstance(value, Tensor):
-        return value.dtype, value.shape, value.device, value.requires_grad
+        return value.dtype, value.shape, value.stride(), value.device, value.requires_grad
+    if isinstance(value, nn.Module):  # its own repr has the settings of the layers
+        settings = repr(value), repr(getattr(value, "config", None))
+        return type(value), settings, form_of(dict(value.named_parameters()))
     if isinstance(value, (bool, int, float, str, type(None))):
         return value
     if isinstance(value, dict):

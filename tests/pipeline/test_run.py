@@ -457,7 +457,7 @@ def test_a_folder_in_use_is_left_alone(own, small_scene):
 
 
 def test_a_flat_field_is_part_of_the_settings(tmp_path):
-    config = QUALITIES["fast"].config(tmp_path)
+    config = replace(QUALITIES["fast"], flat_field=tmp_path).config()
     assert config.image_model.flat_field == str(tmp_path)
     assert replace(config.image_model, flat_field=None) == QUALITIES["fast"].config().image_model
 
@@ -465,13 +465,12 @@ def test_a_flat_field_is_part_of_the_settings(tmp_path):
 def test_other_frames_of_the_flat_field_are_other_settings(small_scene, tmp_path):
     frame = tmp_path / "flat" / "frame.tiff"
     frame.parent.mkdir()
+    quality = replace(QUALITIES["fast"], flat_field=frame.parent)
     made_from = []
     for content in (b"one", b"another"):
         frame.write_bytes(content)
         intake = take_in(small_scene, PrepareOptions(), lambda *step: None)
-        job = stages_module.Job(
-            intake, QUALITIES["fast"], PrepareOptions(), tmp_path, "cpu", Monitor(), frame.parent
-        )
+        job = stages_module.Job(intake, quality, PrepareOptions(), tmp_path, "cpu", Monitor())
         made_from.append(job.stages[1].made_from())
     assert made_from[0] != made_from[1]
 

@@ -10,12 +10,13 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
+from mrgs_synth.radiometry import KELVIN
+
 BAND_UM = (7.5, 13.0)
 COLDEST_C, HOTTEST_C, STEP_C = -150.0, 1500.0, 0.1
 """Of the table between whose entries both functions interpolate linearly; each is therefore the
 exact inverse of the other."""
 
-KELVIN = 273.15
 RADIATION_1 = 2.0 * 6.62607015e-34 * 299792458.0**2
 """2 h c², W m²/sr."""
 RADIATION_2 = 6.62607015e-34 * 299792458.0 / 1.380649e-23

@@ -27,16 +27,17 @@ class Quality:
     max_steps: int
     max_gaussians: int
     resolution: int
+    flat_field: Path | None = None
 
-    def config(self, flat_field: Path | None = None) -> TrainConfig:
-        """The configuration of the training; see ``with_flat_field`` for the folder."""
+    def config(self) -> TrainConfig:
+        """The configuration of the training. ConfigError if the flat field is not a folder."""
         config: TrainConfig = find_method(DEFAULT_METHOD).configure(
             self.preset,
             max_steps=self.max_steps,
             max_gaussians=self.max_gaussians,
             resolution=self.resolution,
         )
-        return config if flat_field is None else with_flat_field(config, flat_field)
+        return config if self.flat_field is None else with_flat_field(config, self.flat_field)
 
 
 QUALITIES: dict[str, Quality] = {

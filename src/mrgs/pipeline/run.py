@@ -88,8 +88,8 @@ def run_pipeline(
     if quality not in QUALITIES:
         raise ConfigError(f"unknown quality {quality!r}; choose one of {', '.join(QUALITIES)}")
     monitor = monitor or Monitor()
-    source, chosen, used = Path(source), QUALITIES[quality], gpu.choose_device(device)
-    chosen.config(flat_field)  # a missing folder is refused before anything is written
+    source, used = Path(source), gpu.choose_device(device)
+    chosen = replace(QUALITIES[quality], flat_field=flat_field)
     intake, options = _taken_in(source, options or PrepareOptions(), monitor)
     target = (default_output(source) if output is None else Path(output)).absolute()
     _require_own(source, target)
@@ -111,7 +111,7 @@ def run_pipeline(
             f"free: close other programs, or choose a lower quality"
         )
     with RunFolder(target).locked():
-        job = Job(intake, chosen, options, target, device, monitor, flat_field)
+        job = Job(intake, chosen, options, target, device, monitor)
         job.ledger.open()
         stages, title = _planned(job, work), gpu.device_title(used)
         plan = PipelinePlan(

@@ -76,11 +76,10 @@ class Job:
         output: Path,
         device: DeviceName,
         monitor: Monitor,
-        flat_field: Path | None = None,
     ) -> None:
         self.intake, self.quality, self.options = intake, quality, options
         self.output, self.device, self.monitor = output, device, monitor
-        self.ledger, self.config, self.accepted = Ledger(output), quality.config(flat_field), ""
+        self.ledger, self.config, self.accepted = Ledger(output), quality.config(), ""
 
     @property
     def scene(self) -> Path:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ _HEADER_DIGEST = "sha256"
 _TENSORS_DIGEST = "tensors_sha256"
 
 MOST_MAPPED_BYTES = 2**24
-"""Read from a file before it is closed and opened again."""
+"""Read from a file before it is closed, until when its pages count as the process's memory."""
 
 
 def write_file(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
@@ -69,19 +69,12 @@ def read(
     header, names = _header_and_names(path)
     digest = hashlib.sha256()
     tensors: dict[str, Tensor] = {}
-    broken, waiting = None, sorted(names, reverse=True)
-    while waiting:
-        mapped_bytes = 0
-        with _opened(path) as file:  # anew now and then: its pages count as the process's memory
-            while waiting and mapped_bytes < MOST_MAPPED_BYTES:
-                name = waiting.pop()
-                # In memory of its own: if someone cuts off a mapped file, the process ends.
-                tensor = file.get_tensor(name).clone()
-                mapped_bytes += tensor.nbytes
-                _add_to(digest, name, tensor)
-                broken = broken or first_not_finite({name: tensor})
-                if needed(name):
-                    tensors[name] = tensor
+    broken = None
+    for name, tensor in _tensors_of(path, names):
+        _add_to(digest, name, tensor)
+        broken = broken or first_not_finite({name: tensor})
+        if needed(name):
+            tensors[name] = tensor
     if header.get(_TENSORS_DIGEST) != digest.hexdigest():
         raise DamagedCheckpointError(path, "its tensors do not match their digest")
     if broken is not None:
@@ -97,6 +90,19 @@ def load_facts(path: Path) -> CheckpointFacts:
         RunError: it cannot be read, or has another format.
     """
     return _facts(path, _header_and_names(path)[0])
+
+
+def _tensors_of(path: Path, names: Iterable[str]) -> Iterator[tuple[str, Tensor]]:
+    """The tensors of a checkpoint, by name, in ascending order."""
+    waiting = sorted(names, reverse=True)
+    while waiting:
+        loaded: dict[str, Tensor] = {}
+        with _opened(path) as file:
+            while waiting and sum(each.nbytes for each in loaded.values()) < MOST_MAPPED_BYTES:
+                name = waiting.pop()
+                # In memory of its own: if someone cuts off a mapped file, the process ends.
+                loaded[name] = file.get_tensor(name).clone()
+        yield from loaded.items()
 
 
 def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:

@@ -82,7 +82,7 @@ class Camera:
         width, height = as_whole(width, "width"), as_whole(height, "height")
         if not 0 < fov_deg < 180:
             raise ValueError(f"a field of view lies between 0° and 180°, not {fov_deg}°")
-        focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
+        focal = focal_length(width, math.radians(fov_deg))
         K = [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
         return cls(K, torch.eye(4), width, height)
 
@@ -237,6 +237,11 @@ class Camera:
 def field_of_view(pixels: float, focal_px: float) -> float:
     """Angle of view of a number of pixels about the optical axis, radians."""
     return 2 * math.atan(0.5 * pixels / focal_px)
+
+
+def focal_length(pixels: float, angle: float) -> float:
+    """The focal length whose ``field_of_view`` of a number of pixels this is, in their unit."""
+    return pixels / 2 / math.tan(angle / 2)
 
 
 def viewmat_towards(

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from mrgs.prepare.rig.images import InverseDepth, Plane, ReducedPair
-from mrgs.prepare.rig.search import first_guess, focal_widths
+from mrgs.prepare.rig.search import first_guess
 from mrgs.scene import Camera
+from mrgs.scene.camera import focal_length
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 260.0
 CAMERA = Camera(
@@ -86,7 +89,7 @@ def test_pairs_that_do_not_belong_together_stand_out_no_more_than_chance():
 
 
 def test_focal_widths():
-    assert focal_widths(90.0) == pytest.approx(0.5)
+    assert focal_length(1.0, math.radians(90.0)) == pytest.approx(0.5)
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from scipy.ndimage import gaussian_filter
 from mrgs.data.undistort import sampled
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.rig.images import ReducedPair, structure
+from mrgs.scene.camera import focal_length
 
 CLEAR = 1.3
 LEAST_CORRELATION = 0.35
@@ -148,17 +149,12 @@ def _best_about(
 
 def _focals(field_of_view_deg: float | None) -> list[float]:
     """Focal lengths to try, in image widths."""
-    low, high = focal_widths(_WIDEST_DEG), focal_widths(_NARROWEST_DEG)
+    low, high = (focal_length(1.0, math.radians(deg)) for deg in (_WIDEST_DEG, _NARROWEST_DEG))
     if field_of_view_deg is not None:
-        known = focal_widths(field_of_view_deg)
+        known = focal_length(1.0, math.radians(field_of_view_deg))
         low, high = known / _KNOWN_WITHIN, known * _KNOWN_WITHIN
     steps = round(np.log(high / low) / np.log(_SCALE_STEP)) + 1
     return [float(value) for value in np.geomspace(low, high, steps)]
-
-
-def focal_widths(field_of_view_deg: float) -> float:
-    """Focal length in image widths, from the horizontal field of view."""
-    return float(0.5 / np.tan(np.radians(field_of_view_deg) / 2))
 
 
 def _correlated(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import statistics
 
 import numpy as np
@@ -45,7 +44,7 @@ def find_features(job: ReconstructionJob, report: Report) -> None:
     options.num_threads = min(available_cores(), MAX_THREADS)
     options.max_image_size = MAX_IMAGE_SIDE_PX
     options.sift.max_num_features = MAX_FEATURES
-    if job.faint:  # thermal images have nothing as small as a pixel, so they are not enlarged
+    if job.thermal:  # they have nothing as small as a pixel, so they are not enlarged
         options.sift.peak_threshold = FAINT_PEAK_THRESHOLD
         options.sift.first_octave = 0
     reader = pycolmap.ImageReaderOptions()
@@ -66,8 +65,8 @@ def find_features(job: ReconstructionJob, report: Report) -> None:
 
 
 def _write_camera(job: ReconstructionJob) -> None:
-    """The camera with its known field of view, the median focal length in its images' EXIF data, or
-    else COLMAP's guess."""
+    """The camera with its known focal length, the median one in its images' EXIF data, or else
+    COLMAP's guess."""
     with pycolmap.Database.open(job.database) as database:
         if database.exists_camera(CAMERA):
             return
@@ -78,9 +77,8 @@ def _write_camera(job: ReconstructionJob) -> None:
     known = [guess.mean_focal_length() for guess in guesses if guess.has_prior_focal_length]
     low, high = (share * max(camera.width, camera.height) for share in _PLAUSIBLE_FOCAL_LENGTHS)
     known = [focal_length for focal_length in known if low <= focal_length <= high]
-    if job.field_of_view_deg is not None:
-        width = max(camera.width, camera.height)  # of the camera held level: images are upright
-        known = [width / 2 / math.tan(math.radians(job.field_of_view_deg) / 2)]
+    if job.focal_widths is not None:  # of the camera held level, while images are upright
+        known = [job.focal_widths * max(camera.width, camera.height)]
     camera.has_prior_focal_length = bool(known)
     guess = 1.2 * max(camera.width, camera.height)
     camera.focal_length = statistics.median(known) if known else guess

@@ -38,7 +38,7 @@ class JobFile(msgspec.Struct, frozen=True):
     images: tuple[JobImage, ...]
     thermal: bool = False
     positions: tuple[tuple[float, float, float], ...] | None = None
-    field_of_view_deg: float | None = None
+    focal_widths: float | None = None
     format: int = FORMAT
 
 
@@ -69,16 +69,16 @@ class ReconstructionJob:
     Attributes:
         folder: of the job and its results.
         files: names of the images in ``root``.
-        faint: whether features are few and weak, as in thermal images.
+        thermal: whether the images are thermal: their features are few and weak.
         positions: where they were taken, metres east, north and up; None if not known for all.
-        field_of_view_deg: horizontal, of the camera, as the photos' files or the user state it.
+        focal_widths: focal length in widths of the image held level; None if nobody states it.
     """
 
     folder: Path
     files: tuple[str, ...]
-    faint: bool
+    thermal: bool
     positions: Float64[np.ndarray, "n 3"] | None = None
-    field_of_view_deg: float | None = None
+    focal_widths: float | None = None
 
     @property
     def root(self) -> Path:
@@ -96,4 +96,4 @@ def read_job(folder: Path) -> ReconstructionJob:
     job = msgspec.json.decode((folder / JOB_FILE).read_bytes(), type=JobFile)
     positions = None if job.positions is None else np.array(job.positions)
     files = tuple(image.file for image in job.images)
-    return ReconstructionJob(folder, files, job.thermal, positions, job.field_of_view_deg)
+    return ReconstructionJob(folder, files, job.thermal, positions, job.focal_widths)

@@ -129,8 +129,8 @@ def _models(
     options.random_seed = SEED
     options.min_model_size = 3
     options.triangulation.ignore_two_view_tracks = total >= FEW_IMAGES
-    options.ba_refine_focal_length = job.field_of_view_deg is None
-    if job.faint:
+    options.ba_refine_focal_length = job.focal_widths is None
+    if job.thermal:
         options.mapper.init_min_num_inliers = FAINT_INITIAL_MATCHES
         options.mapper.abs_pose_min_num_inliers = FAINT_POSE_MATCHES
     models = solve(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from mrgs.prepare.sfm.job import (
 )
 from mrgs.prepare.sfm.working_folder import set_up
 from mrgs.scene import THERMAL, Modality, PointCloud
+from mrgs.scene.camera import focal_length
 from mrgs.system.atomic import write_error
 from mrgs.system.child import OUT_OF_MEMORY, Child
 from mrgs.system.wording import listed
@@ -68,8 +70,10 @@ def reconstruct(
             f"all around"
         )
     folder = work / "sfm"
-    positions = positions_of(images, gps or {})
-    set_up(folder, images, modality == THERMAL, progress, positions, field_of_view_deg)
+    positions, focal_widths = positions_of(images, gps or {}), None
+    if field_of_view_deg is not None:
+        focal_widths = focal_length(1.0, math.radians(field_of_view_deg))
+    set_up(folder, images, modality == THERMAL, progress, positions, focal_widths)
     check_version(installed_version())
     run_colmap(folder, progress)
     return read_result(folder, modality)

@@ -27,7 +27,7 @@ def set_up(
     thermal: bool,
     progress: Progress,
     positions: Float64[np.ndarray, "n 3"] | None = None,
-    field_of_view_deg: float | None = None,
+    focal_widths: float | None = None,
 ) -> None:
     """Set up the folder; features and matches of an earlier call stay if nothing has changed.
 
@@ -36,13 +36,20 @@ def set_up(
     Args:
         thermal: whether the images are thermal: their local contrast is then made even.
         positions: where the images were taken, metres east, north and up.
-        field_of_view_deg: horizontal, of the camera; None if not known.
+        focal_widths: focal length in image widths; None if not known.
 
     Raises:
         SceneError: an image cannot be read.
         RunError: the folder cannot be written.
     """
-    job, file = _job(images, thermal, positions, field_of_view_deg), folder / JOB_FILE
+    named = tuple(
+        JobImage(
+            f"{number:06d}{'.png' if thermal else source.suffix.lower()}", name, digest(source)
+        )
+        for number, (name, source) in enumerate(images.items(), 1)
+    )
+    rounded = None if positions is None else tuple(map(tuple, positions.round(3).tolist()))
+    job, file = JobFile(named, thermal, rounded, focal_widths), folder / JOB_FILE
     try:
         if file.is_file():
             with suppress(msgspec.DecodeError, UnicodeDecodeError):
@@ -61,22 +68,6 @@ def set_up(
             temporary.write_bytes(msgspec.json.encode(job))
     except OSError as error:
         raise write_error(folder, error) from None
-
-
-def _job(
-    images: Mapping[str, Path],
-    thermal: bool,
-    positions: Float64[np.ndarray, "n 3"] | None,
-    field_of_view_deg: float | None,
-) -> JobFile:
-    named = tuple(
-        JobImage(
-            f"{number:06d}{'.png' if thermal else source.suffix.lower()}", name, digest(source)
-        )
-        for number, (name, source) in enumerate(images.items(), 1)
-    )
-    rounded = None if positions is None else tuple(map(tuple, positions.round(3).tolist()))
-    return JobFile(named, thermal, rounded, field_of_view_deg)
 
 
 def _link(source: Path, target: Path) -> None:
