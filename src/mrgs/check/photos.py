@@ -45,6 +45,9 @@ scale."""
 _SATURATED = 0.02
 """Share of a set's thermal pixels that gives a warning; a view is named at five times that."""
 
+_OUTSIDE = 0.01
+"""Share of a view's thermal pixels that gives a warning."""
+
 _UNIFORM = 0.01
 """An image whose values have a smaller spread (1 % to 99 % quantile) has no content."""
 
@@ -250,6 +253,20 @@ def saturated(evidence: Evidence) -> Iterator[Problem]:
                 "Export the thermal images again with a wider fixed span, or correct "
                 "temperature_bounds.json.",
             )
+
+
+def outside(evidence: Evidence) -> Iterator[Problem]:
+    """Temperatures far beyond the scale, as float images can have them."""
+    scale = evidence.scene.temperature
+    small = {name: photo.small for name, photo in evidence.photos.get(THERMAL, {}).items()}
+    shares = {name: ((each < -1) | (each > 2)).float().mean() for name, each in small.items()}
+    views = [name for name, share in shares.items() if share > _OUTSIDE]
+    if views and scale is not None:
+        yield Problem(
+            "warning",
+            f"In {views_text(views)} temperatures are more than the whole span outside of {scale}.",
+            "Correct temperature_bounds.json, or the unit of the thermal images.",
+        )
 
 
 def jumps(evidence: Evidence) -> Iterator[Problem]:

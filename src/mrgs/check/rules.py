@@ -41,6 +41,7 @@ RULES = (
     Rule(photos.identical, fast=True),
     Rule(photos.few_bits, fast=True),
     Rule(photos.saturated),
+    Rule(photos.outside, fast=True),
     Rule(photos.jumps),
     Rule(photos.blurred),
 )

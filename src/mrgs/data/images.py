@@ -2,12 +2,14 @@
 than 80 megapixels.
 
 The EXIF orientation is ignored on purpose: structure-from-motion tools work on the pixels as
-stored.
+stored. What the tags of GDAL say of the numbers of a TIFF counts: the value of missing pixels, the
+scale and the offset.
 """
 
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,11 +19,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Shaped, UInt8
 from PIL import Image, UnidentifiedImageError
+from PIL.ExifTags import Base
 from torch import Tensor
 
-from mrgs.data.files import scene_error
+from mrgs.data.files import read_bytes, scene_error
 from mrgs.errors import SceneError
 
 MAX_PIXELS = 80_000_000
@@ -36,7 +39,23 @@ DRAFT_MARGIN = 2
 smaller from there or from all of its pixels, it differs by less than a level of 8 bits (RMS)."""
 
 Kind = Literal["grey", "colour", "float"]
-"""One channel of integers, three channels of integers, or one channel of floats (a TIFF in °C)."""
+"""One channel of integers, three channels of integers, or one channel of numbers: a TIFF of floats,
+or of integers with a scale."""
+
+_GDAL_METADATA, _GDAL_NODATA = 42112, 42113
+_GDAL_ITEM = re.compile(r'<Item[^>]*role="(scale|offset)"[^>]*>([^<]*)<')
+_TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+_TURNS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""The transposition to upright by EXIF orientation; 1 is upright."""
 
 _PIXELS_AT_ONCE = 2**16
 
@@ -58,7 +77,59 @@ def probe(path: Path) -> ImageInfo:
     """Size and kind of an image, from its header alone. SceneError if it is not an image, too
     large, or has pixels of a type that is not supported."""
     with opened(path) as image:
-        return ImageInfo(image.width, image.height, _kind(image, path))
+        return ImageInfo(*stored_size(image), _kind(image, path))
+
+
+def upright(image: Image.Image, orientation: int) -> Image.Image:
+    """An image with the given EXIF orientation (1 to 8), rotated upright."""
+    return image.transpose(_TURNS[orientation]) if orientation in _TURNS else image
+
+
+def stored_size(image: Image.Image) -> tuple[int, int]:
+    """Width and height of an image file that Pillow has just opened, as stored: of a TIFF, Pillow
+    gives those of the upright picture."""
+    is_lying = getattr(image, "tag_v2", {}).get(Base.Orientation) in range(5, 9)
+    return image.size[::-1] if is_lying else image.size
+
+
+def as_stored(image: Image.Image) -> Image.Image:
+    """The pixels of an image file that Pillow has just opened, as stored: while loading a TIFF, and
+    no other file, Pillow turns it upright."""
+    orientation = image.getexif().get(Base.Orientation, 1) if image.format == "TIFF" else 1
+    return upright(image, {6: 8, 8: 6}.get(orientation, orientation))
+
+
+def numbers_of(image: Image.Image) -> Shaped[np.ndarray, "h w"]:
+    """The numbers of an image file of one channel that Pillow has just opened, as stored; with the
+    scale and the offset that the tags of GDAL give, and NaN where they say that a pixel is missing.
+    The type is the file's, unless a tag needs a float."""
+    values = np.array(as_stored(image))
+    tags = getattr(image, "tag_v2", {})
+    nodata = _number(tags.get(_GDAL_NODATA))
+    missing = np.zeros(values.shape, dtype=bool)
+    if nodata is not None:
+        with np.errstate(over="ignore"):
+            missing = values == (np.float32(nodata) if values.dtype == np.float32 else nodata)
+    if scaling := _scaling(image):
+        factor, offset = scaling
+        values = (values * np.float64(factor) + offset).astype(np.float32)
+    return np.where(missing, np.float32(np.nan), values) if missing.any() else values
+
+
+def _scaling(image: Image.Image) -> tuple[float, float] | None:
+    """The factor and the offset that the tags of GDAL give; None if they change nothing."""
+    text = getattr(image, "tag_v2", {}).get(_GDAL_METADATA)
+    items = dict(_GDAL_ITEM.findall(text)) if isinstance(text, str) else {}
+    factor, offset = _number(items.get("scale")), _number(items.get("offset"))
+    found = 1.0 if factor is None else factor, offset or 0.0
+    return None if found == (1.0, 0.0) or not np.isfinite(found).all() else found
+
+
+def _number(text: object) -> float | None:
+    try:
+        return float(str(text).strip("\0 "))
+    except ValueError:
+        return None
 
 
 class Decoded(NamedTuple):
@@ -91,18 +162,17 @@ def decode(path: Path, least_width: int | None = None) -> Decoded:
             if (width * share, height * share) == image.size and width >= (least_width or 0):
                 image.draft(None, (width, height))
                 break
-        if kind == "float":
-            values = np.array(image, dtype=np.float32)
+        if kind == "float" or image.mode.startswith("I"):
+            values = numbers_of(image).astype(np.float32)
             finite = np.isfinite(values)
             known = np.where(finite, values, np.float32(0))
+            if kind != "float":
+                known /= np.float32(65535)
             return Decoded(torch.from_numpy(known[..., None]), _mask(finite), kind)
-        if image.mode.startswith("I"):
-            values = np.array(image, dtype=np.float32) / np.float32(65535)
-            return Decoded(torch.from_numpy(values[..., None]), None, kind)
         mode = "L" if kind == "grey" else "RGB"
         if image.mode.endswith(("A", "a")) or "transparency" in image.info:
             mode += "A"
-        pixels = np.asarray(image.convert(mode), dtype=np.uint8)
+        pixels = np.asarray(as_stored(image).convert(mode), dtype=np.uint8)
     pixels = pixels.reshape(pixels.shape[0], pixels.shape[1], -1)
     channels = 1 if kind == "grey" else 3
     valid = _mask(pixels[..., channels] >= 128) if pixels.shape[2] > channels else None
@@ -155,7 +225,8 @@ def _mask(usable: np.ndarray) -> Bool[Tensor, "h w"] | None:
 
 def _kind(image: Image.Image, path: Path) -> Kind:
     mode = image.mode
-    if mode == "F":
+    is_single = mode == "F" or mode == "L" or mode.startswith("I")
+    if mode == "F" or (is_single and _scaling(image)):
         return "float"
     # Older Pillow versions open a 16-bit PNG with mode I; in a TIFF that mode means 32 bits, whose
     # range is unknown.
@@ -190,13 +261,18 @@ def opened(
     """
     too_large = f"has more than {most_pixels // 10**6} megapixels; reduce it before use"
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of large images, and of damaged tags
-            image = Image.open(path if content is None else io.BytesIO(content), formats=formats)
-        with image:
-            if image.width * image.height > most_pixels:
-                raise scene_error(path, too_large)
-            yield image
+        # Not by its path: Pillow would map a TIFF into memory, and scramble one on its side.
+        with open(path, "rb") if content is None else io.BytesIO(content) as file:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of large images, and of damaged tags
+                try:
+                    image: Image.Image = Image.open(file, formats=formats)
+                except UnidentifiedImageError:
+                    image = _opened_by_gdal(path, content, most_pixels)
+            with image:
+                if image.width * image.height > most_pixels:
+                    raise scene_error(path, too_large)
+                yield image
     except SceneError:
         raise
     except Image.DecompressionBombError:
@@ -208,3 +284,32 @@ def opened(
         raise scene_error(
             path, f"cannot be decoded as an image ({reason}); copy or export it again"
         ) from None
+
+
+def _opened_by_gdal(path: Path, content: bytes | None, most_pixels: int) -> Image.Image:
+    """A TIFF of one channel that Pillow does not know (floats of 64 bits, LERC), as 32-bit floats;
+    ``UnidentifiedImageError`` if it is no TIFF at all."""
+    data = read_bytes(path) if content is None else content
+    if not data.startswith(_TIFF_SIGNATURES):
+        raise UnidentifiedImageError
+    try:
+        import rasterio
+    except ImportError:
+        raise scene_error(
+            path,
+            "is a TIFF that only rasterio reads; install mrgs[export], or save it with 8 or 16 "
+            "bits per channel, or as 32-bit float, without LERC compression",
+        ) from None
+    with rasterio.MemoryFile(data) as memory, memory.open(driver="GTiff") as dataset:
+        if dataset.count > 1:
+            raise scene_error(
+                path,
+                f"has {dataset.count} bands of {dataset.dtypes[0]}; save the band of the "
+                f"temperatures alone",
+            )
+        if dataset.width * dataset.height > most_pixels:
+            raise Image.DecompressionBombError
+        band = dataset.read(1, masked=True) * dataset.scales[0] + dataset.offsets[0]
+    image = Image.fromarray(band.astype(np.float32).filled(np.nan))
+    image.format = "TIFF"
+    return image

@@ -12,20 +12,23 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Literal
 
-from jaxtyping import Bool, Float32
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from mrgs.data.colmap import MODEL_FOLDERS, find_model, read_colmap
 from mrgs.data.files import (
-    MAX_MAGNITUDE,
     Number,
     contained,
     json_value,
     read_json_object,
     scene_error,
 )
-from mrgs.data.images import Kind, decode, probe, with_channels
+from mrgs.data.images import Decoded, Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
+from mrgs.data.radiometric.measurement import masked
+from mrgs.data.radiometric.units import CELSIUS, FLOAT_UNITS, Unit, everyday, typical
 from mrgs.data.sources import (
     Decoder,
     FilenameLists,
@@ -39,6 +42,7 @@ from mrgs.data.transforms import BOUNDS_FILES
 from mrgs.errors import ConfigError, warn_user
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
+from mrgs.scene.view import evenly_spaced
 from mrgs.system.memory import collector_paused
 from mrgs.system.wording import Message
 
@@ -105,6 +109,7 @@ def _recognise(path: Path) -> SceneSource:
 def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int) -> Scene:
     notes = source.notes
     thermal_kinds = _checked_thermal_files(source)
+    unit = CELSIUS
     splits = assign_splits([view.key for view in source.views], source.lists, notes)
     if "train" not in splits:
         raise scene_error(
@@ -114,15 +119,17 @@ def _assemble(source: SceneSource, path: Path, resolution: int | None, seed: int
     if thermal_kinds:
         temperature = read_bounds(source.root, notes)
         kind = check_kinds(thermal_kinds, temperature is not None, notes)
+        if kind == "float":
+            unit = _unit_of(source, temperature)
         if kind == "float" and temperature is None:
-            temperature = _measured_range(source, splits)
+            temperature = _measured_range(source, splits, unit)
 
     decoders: dict[Modality, Decoder] = {
         modality: partial(decode_intensities, channels=modality.channels)
         for view in source.views
         for modality in view.images
     }
-    decoders[THERMAL] = partial(decode_thermal, temperature=temperature)
+    decoders[THERMAL] = partial(decode_thermal, temperature=temperature, unit=unit)
     by_split: dict[Split, list[View]] = {"train": [], "eval": [], "unused": []}
     names = _unique_names([view.key for view in source.views])
     for name, view, split in zip(names, source.views, splits, strict=True):
@@ -162,8 +169,44 @@ def _checked_thermal_files(source: SceneSource) -> list[tuple[Path, Kind]]:
     return thermal_kinds
 
 
-def _measured_range(source: SceneSource, splits: Sequence[Split]) -> TemperatureRange:
-    """The range of the training images, which hold °C."""
+def _unit_of(source: SceneSource, temperature: TemperatureRange | None) -> Unit:
+    """The unit of the numbers in the thermal images: °C, unless they are everyday temperatures in K
+    only, or only K are near the scene's bounds. Images that ``prepare`` has written hold °C."""
+    images = [view.images[THERMAL] for view in source.views if THERMAL in view.images]
+    if any(image.record is not None for image in images):
+        return CELSIUS
+    some = [decode(images[at].path) for at in evenly_spaced(len(images))]
+    rows = [typical(each.values[..., 0].numpy()) for each in some if each.kind == "float"]
+    rows = [row for row in rows if np.isfinite(row).all()]
+    if not rows:
+        return CELSIUS
+    numbers = np.median(rows, axis=0)
+    likely = everyday(FLOAT_UNITS, numbers)
+    if temperature is not None:
+        near = [text for text in FLOAT_UNITS if _is_near(Unit.parse(text), numbers, temperature)]
+        if "celsius" in near and likely == ["kelvin"]:
+            source.notes.repair(
+                "The thermal images are taken for °C, as temperature_bounds.json says, though they "
+                "look like K; if they are K, write the bounds in °C."
+            )
+        likely = near
+    if likely != ["kelvin"]:
+        return CELSIUS
+    low, _, high = (f"{value:.1f}".replace("-", "−") for value in Unit("kelvin").celsius(numbers))
+    source.notes.repair(
+        f"The numbers of the thermal images are taken for K, which gives {low} °C to {high} °C; if "
+        f"they are °C, add temperature_bounds.json with their range."
+    )
+    return Unit("kelvin")
+
+
+def _is_near(unit: Unit, numbers: Float[np.ndarray, "3"], temperature: TemperatureRange) -> bool:
+    """Whether the middle of ``typical`` numbers is less than one span outside of the bounds."""
+    return -1 <= temperature.from_celsius(float(unit.celsius(numbers)[1])) <= 2
+
+
+def _measured_range(source: SceneSource, splits: Sequence[Split], unit: Unit) -> TemperatureRange:
+    """The range of the training images, which hold temperatures."""
     pairs = zip(source.views, splits, strict=True)
     paths = [
         view.images[THERMAL].path
@@ -174,7 +217,7 @@ def _measured_range(source: SceneSource, splits: Sequence[Split]) -> Temperature
         raise scene_error(
             source.file, "no training view has a thermal image; add temperature_bounds.json"
         )
-    temperature = bounds_of_images(paths)
+    temperature = bounds_of_images(paths, unit)
     source.notes.decide(
         Message(
             "There is no temperature_bounds.json: the training images' range is used, {low} °C to "
@@ -291,22 +334,25 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         raise scene_error(path, f"{error}; correct the temperatures") from None
 
 
-def bounds_of_images(paths: Sequence[Path]) -> TemperatureRange:
-    """The range of float images in °C, rounded outwards to whole degrees. SceneError if an image
-    cannot be decoded, or has no temperature in °C."""
+def bounds_of_images(paths: Sequence[Path], unit: Unit = CELSIUS) -> TemperatureRange:
+    """The range of the temperatures in float images, °C, rounded outwards to whole degrees.
+    SceneError if an image cannot be decoded, or has no temperature."""
     low, high = math.inf, -math.inf
     for path in paths:
-        values, valid, _ = decode(path)
-        known = values[..., 0] if valid is None else values[..., 0][valid]
-        if known.numel() == 0:
-            raise scene_error(path, "holds no finite temperature; replace the file")
-        if not known.abs().max() <= MAX_MAGNITUDE:
-            raise scene_error(path, "holds a temperature that is not plausible; replace the file")
-        low, high = min(low, known.min().item()), max(high, known.max().item())
-    try:
-        return TemperatureRange.around(low, high)
-    except ValueError as error:
-        raise scene_error(paths[0].parent, f"{error}; correct the temperatures") from None
+        celsius, valid = _celsius(decode(path), unit)
+        if not valid.any():
+            raise scene_error(path, "holds no plausible temperature; replace the file")
+        low, high = min(low, float(celsius[valid].min())), max(high, float(celsius[valid].max()))
+    return TemperatureRange.around(low, high)
+
+
+def _celsius(
+    image: Decoded, unit: Unit
+) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """The °C of a float image, as of a thermal photo: NaN where there is no plausible
+    temperature."""
+    usable = None if image.valid is None else image.valid.numpy()
+    return masked(unit.celsius(image.values[..., 0].numpy().astype(np.float64)), usable)
 
 
 def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: ReadingNotes) -> Kind:
@@ -336,15 +382,20 @@ def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: Rea
 
 
 def decode_thermal(
-    path: Path, least_width: int | None, temperature: TemperatureRange | None
+    path: Path,
+    least_width: int | None,
+    temperature: TemperatureRange | None,
+    unit: Unit = CELSIUS,
 ) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
 
-    Integers span the range already; °C in a float image are mapped by ``temperature`` and not
-    clamped. Temperatures are measured, and so decoded whole whatever ``least_width`` is. SceneError
-    if the file cannot be decoded, or has °C where no range is known.
+    Integers span the range already; temperatures in a float image, in ``unit``, are mapped by
+    ``temperature`` and not clamped. Temperatures are measured, and so decoded whole whatever
+    ``least_width`` is. SceneError if the file cannot be decoded, or has temperatures where no range
+    is known.
     """
-    values, valid, kind = decode(path)
+    image = decode(path)
+    values, valid, kind = image
     if kind == "colour":
         return with_channels(values, 1), valid
     if kind == "float":
@@ -352,5 +403,7 @@ def decode_thermal(
             raise scene_error(
                 path, "holds °C, but the range is not known; add temperature_bounds.json"
             )
-        return temperature.from_celsius(values), valid
+        celsius, known = _celsius(image, unit)
+        mapped = temperature.from_celsius(torch.from_numpy(np.where(known, celsius, np.float32(0))))
+        return mapped[..., None], None if known.all() else torch.from_numpy(known)
     return values, valid

@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image
 
 from mrgs.data.files import scene_error
+from mrgs.data.images import upright
 from mrgs.data.kept import Cache, Digests, Stamp, digest, stamp_of
 from mrgs.data.radiometric import ExifFacts, Overrides, ThermalPhoto, read_thermal_photo
 from mrgs.data.transforms import TRANSFORMS
@@ -32,7 +33,7 @@ from mrgs.prepare.contract import (
     Progress,
     Skipped,
 )
-from mrgs.prepare.rgb_photo import ImageFile, read_embedded, read_rgb, upright
+from mrgs.prepare.rgb_photo import ImageFile, read_embedded, read_rgb
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system.atomic import remove, replacing
 
@@ -42,7 +43,7 @@ IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 VIEWS, CONTENTS = "photos", "contents.json"
 """Of the cache: the folder with a result for each pair, and the file with digests of the photos."""
 
-_VERSION = 8
+_VERSION = 9
 """Raise it when the same photos give other images or facts."""
 
 Orientations = Mapping[Modality, int]

@@ -12,21 +12,10 @@ from PIL import Image, JpegImagePlugin
 from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from mrgs.data.files import read_bytes, scene_error
-from mrgs.data.images import probe
+from mrgs.data.files import read_bytes
+from mrgs.data.images import as_stored, opened, probe, upright
 from mrgs.data.radiometric import VisibleImage, read_exif
 from mrgs.data.radiometric.exif import clean_text
-
-_TURNS = {
-    2: Image.Transpose.FLIP_LEFT_RIGHT,
-    3: Image.Transpose.ROTATE_180,
-    4: Image.Transpose.FLIP_TOP_BOTTOM,
-    5: Image.Transpose.TRANSPOSE,
-    6: Image.Transpose.ROTATE_270,
-    7: Image.Transpose.TRANSVERSE,
-    8: Image.Transpose.ROTATE_90,
-}
-"""The transposition to upright by EXIF orientation; 1 is upright."""
 
 _SUFFIXES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}
 
@@ -40,11 +29,6 @@ class ImageFile:
     size: tuple[int, int]
 
 
-def upright(image: Image.Image, orientation: int) -> Image.Image:
-    """An image with the given EXIF orientation (1 to 8), rotated upright."""
-    return image.transpose(_TURNS[orientation]) if orientation in _TURNS else image
-
-
 def read_rgb(path: Path, orientation: int) -> ImageFile:
     """A photo, rotated upright by the given EXIF orientation; its own orientation is ignored.
 
@@ -56,19 +40,13 @@ def read_rgb(path: Path, orientation: int) -> ImageFile:
     """
     probe(path)
     data = read_bytes(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            image = Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF"))
-            image.load()
-    except Exception as error:  # Pillow raises almost anything where files are damaged
-        raise scene_error(
-            path, f"cannot be decoded as an image ({error}); copy it from the camera again"
-        ) from None
     suffix = next((suffix for mark, suffix in _SUFFIXES.items() if data.startswith(mark)), None)
-    if suffix is not None and orientation == read_exif(data).orientation == 1:
-        return ImageFile(data, suffix, image.size)
-    return _turned(image, orientation, suffix or ".png")
+    with opened(path, data) as image:
+        stored = as_stored(image)
+        stored.load()
+        if suffix is not None and orientation == read_exif(data).orientation == 1:
+            return ImageFile(data, suffix, stored.size)
+        return _turned(stored, orientation, suffix or ".png")
 
 
 def read_embedded(visible: VisibleImage, orientation: int) -> ImageFile:

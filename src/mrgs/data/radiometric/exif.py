@@ -16,6 +16,7 @@ from PIL import Image
 from PIL.ExifTags import IFD, Base
 
 from mrgs.data.files import scene_error
+from mrgs.data.images import stored_size
 
 _TIMES = (
     (Base.DateTimeOriginal, Base.SubsecTimeOriginal),
@@ -67,7 +68,7 @@ def read_exif(data: bytes) -> ExifFacts:
             with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
                 exif = image.getexif()
                 gps = exif.get_ifd(IFD.GPSInfo)
-                return _facts({**exif, **exif.get_ifd(IFD.Exif)}, gps, image.width)
+                return _facts({**exif, **exif.get_ifd(IFD.Exif)}, gps, stored_size(image)[0])
     except Exception:  # Pillow's readers of damaged tags raise almost anything
         return ExifFacts()
 

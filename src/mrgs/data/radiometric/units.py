@@ -66,6 +66,9 @@ class Unit(NamedTuple):
         return (temperature - 32) / 1.8 if self.quantity == "fahrenheit" else temperature
 
 
+CELSIUS = Unit("celsius")
+
+
 class Choice(NamedTuple):
     """The unit that numbers are read in, and what to say about the choice."""
 
@@ -91,7 +94,7 @@ def _is_everyday(unit: Unit, numbers: Float[np.ndarray, "3"]) -> bool:
     return are_everyday(*unit.celsius(numbers).tolist())
 
 
-def _everyday(candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"]) -> list[str]:
+def everyday(candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"]) -> list[str]:
     """The candidates in which typical numbers are everyday temperatures."""
     return [text for text in candidates if _is_everyday(Unit.parse(text), numbers)]
 
@@ -112,9 +115,9 @@ def given_unit(text: str, numbers: Float[np.ndarray, "3"]) -> Choice:
 def stated_unit(candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"]) -> Choice:
     """The unit of a known camera, for ``typical`` numbers: the first candidate, unless only another
     one gives everyday temperatures; with a doubt wherever another one does."""
-    first, everyday = candidates[0], _everyday(candidates, numbers)
-    text = everyday[0] if len(everyday) == 1 else first
-    doubts = () if everyday in ([], [first]) else (_doubt(text, candidates, numbers),)
+    first, likely = candidates[0], everyday(candidates, numbers)
+    text = likely[0] if len(likely) == 1 else first
+    doubts = () if likely in ([], [first]) else (_doubt(text, candidates, numbers),)
     return Choice(Unit.parse(text), text, doubts)
 
 
@@ -125,18 +128,18 @@ def guessed_unit(
     is °C as such. SceneError if there is no number, no candidate fits, or more than one does."""
     if np.isnan(numbers).any():
         raise scene_error(path, "has no number but 0; it is empty, export it again")
-    everyday = _everyday(candidates, numbers)
-    if len(everyday) != 1:
-        may_be = " or ".join(_in(text, numbers) for text in everyday)
+    likely = everyday(candidates, numbers)
+    if len(likely) != 1:
+        may_be = " or ".join(_in(text, numbers) for text in likely)
         low, _, high = numbers
         raise scene_error(
             path,
             f"its numbers ({low:.5g} to {high:.5g}) "
-            f"{f'may be {may_be}' if everyday else 'fit no usual unit'}; give the unit, such as "
-            f"{(everyday or candidates)[0]}",
+            f"{f'may be {may_be}' if likely else 'fit no usual unit'}; give the unit, such as "
+            f"{(likely or candidates)[0]}",
             options=("unit",),
         )
-    (text,) = everyday
+    (text,) = likely
     doubts = () if text == "celsius" else (_doubt(text, candidates, numbers),)
     return Choice(Unit.parse(text), text, doubts)
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
-from PIL import Image
-
 from mrgs.data.files import read_bytes, scene_error, visible_files
+from mrgs.data.images import opened, stored_size
 from mrgs.data.kept import Stamp, digest, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
 from mrgs.data.radiometric.exif import (
@@ -169,12 +166,10 @@ _PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {
 
 def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of damaged tags
-            with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
-                size, mode = image.size, image.mode
-    except Exception:  # Pillow's readers of damaged headers raise almost anything
-        return "cannot be decoded as an image; copy or export it again"
+        with opened(path, data) as image:
+            size, mode = stored_size(image), image.mode
+    except SceneError as error:
+        return str(error).removeprefix(f"{path}: ")
     kind: Kind = "numbers" if mode == "F" or mode.startswith("I") else "image"
     exif = read_exif(data)
     view_deg = exif.field_of_view_deg if kind == "numbers" else None

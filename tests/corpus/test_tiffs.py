@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrgs.check.rules import fast_problems
+from mrgs.data import load_scene
+from mrgs.data.images import decode, probe, upright
+from mrgs.data.radiometric import read_thermal_photo
+from mrgs.errors import MrgsWarning, SceneError
+from mrgs.prepare.rgb_photo import read_rgb
+from mrgs.scene import THERMAL
+from tests.corpus.tiffs import scaled_by_gdal, write_by_gdal, write_tiff
+from tests.helpers.layouts import HEIGHT, WIDTH, SceneWriter
+
+SCENE_C = np.linspace(5, 30, HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
+COLOURS = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+
+
+def stored(path):
+    """The pixels in the file, whatever their kind, times the largest value of 8 or 16 bits."""
+    return decode(path).values.numpy()
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_the_orientation_of_a_tiff_leaves_its_pixels_as_stored(tmp_path, orientation, dtype):
+    pixels = (7 * SCENE_C).astype(dtype)
+    path = write_tiff(tmp_path / "a.tif", pixels, t274=orientation)
+    white = {np.uint8: 255, np.uint16: 65535, np.float32: 1}[dtype]
+    np.testing.assert_allclose(stored(path)[..., 0] * white, pixels, rtol=1e-6)
+    assert (probe(path).width, probe(path).height) == (WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_a_turned_tiff_is_turned_once(tmp_path, orientation):
+    path = write_tiff(tmp_path / "a.tif", COLOURS, t274=orientation)
+    turned = read_rgb(path, orientation)
+    (tmp_path / "turned.png").write_bytes(turned.content)
+    truth = np.array(upright(Image.fromarray(COLOURS), orientation))
+    np.testing.assert_array_equal(np.array(Image.open(tmp_path / "turned.png")), truth)
+    thermal = read_thermal_photo(write_tiff(tmp_path / "t.tif", SCENE_C, t274=orientation))
+    np.testing.assert_array_equal(thermal.temperature_c, SCENE_C)
+
+
+def test_a_turned_thermal_image_of_a_scene_stays_on_its_photo(tmp_path):
+    writer = SceneWriter(tmp_path / "scene")
+    writer.transforms(writer.thermoscenes(thermal_mode="F"))
+    name = "thermal/frame_train_00001.tiff"
+    write_tiff(writer.root / name, SCENE_C, t274=3)
+    scene = load_scene(writer.root)
+    values = scene.train[1].images[THERMAL].load().values[..., 0]
+    np.testing.assert_allclose(scene.temperature.to_celsius(values), SCENE_C, atol=1e-4)
+
+
+class ThermalScene:
+    """A scene whose thermal images are float TIFFs with these numbers."""
+
+    def __init__(self, root, numbers, **tags):
+        self.writer = SceneWriter(root / "scene")
+        self.writer.transforms(self.writer.thermoscenes(thermal_mode="F"))
+        for path in (self.writer.root / "thermal").iterdir():
+            write_tiff(path, numbers, **tags)
+
+    def loaded(self, *bounds):
+        """The first thermal image in °C with its mask, and the warnings."""
+        if bounds:
+            self.writer.bounds(*bounds)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", MrgsWarning)
+            scene = load_scene(self.writer.root)
+        pixels = scene.train[0].images[THERMAL].load()
+        celsius = scene.temperature.to_celsius(pixels.values[..., 0]).numpy()
+        valid = np.ones(celsius.shape, bool) if pixels.valid is None else pixels.valid.numpy()
+        return celsius, valid, [str(each.message) for each in said]
+
+
+@pytest.mark.parametrize("bounds", [(), (0, 40)])
+def test_kelvin_in_a_scene_are_kelvin_and_said(tmp_path, bounds):
+    celsius, valid, said = ThermalScene(tmp_path, SCENE_C + np.float32(273.15)).loaded(*bounds)
+    np.testing.assert_allclose(celsius, SCENE_C, atol=1e-4)
+    assert valid.all()
+    assert any("taken for K" in text for text in said)
+
+
+def test_celsius_of_a_furnace_are_celsius_where_the_bounds_say_so(tmp_path):
+    hot = SCENE_C + np.float32(400)
+    celsius, _, said = ThermalScene(tmp_path, hot).loaded(400, 440)
+    np.testing.assert_allclose(celsius, hot, atol=1e-3)
+    assert said == []
+
+
+def test_bounds_and_images_that_both_look_like_kelvin_are_doubted(tmp_path):
+    kelvin = SCENE_C + np.float32(273.15)
+    celsius, _, said = ThermalScene(tmp_path, kelvin).loaded(273, 310)
+    np.testing.assert_allclose(celsius, kelvin, atol=1e-3)
+    assert any("look like K" in text for text in said)
+
+
+@pytest.mark.parametrize(
+    ("mark", "tags"),
+    [(-9999, {}), (-3.4e38, {}), (1e6, {}), (-40, {"t42113": "-40"}), (0, {"t42113": "0 "})],
+)
+def test_missing_pixels_are_masked_in_photos_and_in_scenes(tmp_path, mark, tags):
+    numbers = SCENE_C.copy()
+    numbers[2, 3:6] = mark
+    celsius, valid, _ = ThermalScene(tmp_path, numbers, **tags).loaded(0, 40)
+    photo = read_thermal_photo(write_tiff(tmp_path / "a.tif", numbers, **tags))
+    for mask in (valid, photo.valid):
+        np.testing.assert_array_equal(mask, numbers == SCENE_C)
+    np.testing.assert_allclose(celsius[valid], SCENE_C[valid], atol=1e-4)
+
+
+def test_missing_pixels_do_not_widen_the_range_of_a_scene(tmp_path):
+    numbers = SCENE_C.copy()
+    numbers[2, 3:7] = -9999
+    scene = ThermalScene(tmp_path, numbers)
+    assert load_scene(scene.writer.root).temperature.min_c == 5
+
+
+def test_numbers_far_outside_of_the_bounds_are_said_before_training(tmp_path):
+    scene = ThermalScene(tmp_path, SCENE_C + np.float32(70))
+    scene.writer.bounds(0, 20)
+    found = fast_problems(load_scene(scene.writer.root))
+    assert any("outside of 0 to 20" in problem.text for problem in found)
+
+
+@pytest.mark.parametrize("offset", [0.0, -273.15])
+def test_the_scale_and_offset_of_gdal_count(tmp_path, offset):
+    counts = np.rint((SCENE_C - offset) / 0.01).astype(np.uint16)
+    tag = {"t42112": scaled_by_gdal(0.01, offset)}
+    photo = read_thermal_photo(write_tiff(tmp_path / "a.tif", counts, **tag))
+    celsius, _, _ = ThermalScene(tmp_path, counts, **tag).loaded(0, 40)
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.0051)
+    np.testing.assert_allclose(celsius, SCENE_C, atol=0.0051)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "options"),
+    [
+        (np.float64, {}),
+        (np.float32, {"compress": "lerc"}),
+        (np.float32, {"compress": "deflate", "predictor": 3}),
+    ],
+)
+def test_floats_that_pillow_does_not_know(tmp_path, dtype, options):
+    pytest.importorskip("rasterio")
+    path = tmp_path / "a.tif"
+    numbers = SCENE_C.astype(dtype)
+    numbers[0, 0] = -1
+    write_by_gdal(path, numbers, nodata=-1, **options)
+    photo = read_thermal_photo(path)
+    np.testing.assert_allclose(photo.temperature_c[photo.valid], SCENE_C.ravel()[1:], atol=1e-4)
+    assert (photo.valid.sum(), decode(path).kind) == (SCENE_C.size - 1, "float")
+
+
+def test_several_bands_are_refused_by_their_number(tmp_path):
+    pytest.importorskip("rasterio")
+    path = write_by_gdal(tmp_path / "a.tif", np.stack([SCENE_C] * 5))
+    with pytest.raises(SceneError, match=r"a\.tif: has 5 bands"):
+        read_thermal_photo(path)
