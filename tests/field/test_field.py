@@ -226,3 +226,18 @@ def test_number_of_neighbours(options, k):
 def test_impossible_configurations_are_named(options, message):
     with pytest.raises(ConfigError, match=message):
         dataclasses.replace(FieldConfig(), **options)
+
+
+@pytest.mark.parametrize("bands", [0, 15])
+def test_without_a_clamp_the_mirrored_scale_has_the_mirrored_temperatures(bands):
+    field = make_field(residuals=False, clamp_temperature=False)
+    gaussians = make_gaussians(field, temperature_bands=bands)
+    dc, rest = gaussians.sh_dc[THERMAL].mul_(4).requires_grad_(), gaussians.sh_rest[THERMAL]
+    temperatures = field.temperatures(gaussians, None, CAMERA, 3)
+    (gradient,) = torch.autograd.grad(temperatures.sum(), dc)
+    assert temperatures.min() < 0
+    torch.testing.assert_close(gradient, torch.full_like(gradient, C0))
+    dc.data.neg_()
+    rest.neg_()
+    mirrored = field.temperatures(gaussians, None, CAMERA, 3)
+    torch.testing.assert_close(mirrored, 1 - temperatures)

@@ -37,6 +37,9 @@ class FieldConfig:
     Attributes:
         residuals: add the learned residuals ĉ and t̂; off for 3DGS_RGB-T, which blends spherical
             harmonics alone.
+        clamp_temperature: without residuals, clamp t at the cold end of the scale, as colours at
+            black. A cold bridge is colder than any pixel that blurs it: without the clamp its
+            Gaussians keep a gradient, as those of a hot spot above the hot end do.
         fourier: let neighbours exchange heat (the Fourier heat transformation).
         embedding_width: C of the multi-modal embedding e_m; a multiple of 6.
         direction_frequencies: L of PE_v, the encoding of the viewing direction.
@@ -51,6 +54,7 @@ class FieldConfig:
     """
 
     residuals: bool = True
+    clamp_temperature: bool = True
     fourier: bool = True
     embedding_width: int = 24
     direction_frequencies: int = 4
@@ -157,8 +161,8 @@ class RadianceField(nn.Module):
 
         As published t is of degree 0, so that neither t nor t̂ depends on the view; t of a higher
         degree does. Without residuals (3DGS_RGB-T) the temperature is treated like a colour:
-        harmonics up to ``sh_degree``, clamped at 0. Errors as for ``intensities`` and
-        ``temperature_residuals``.
+        harmonics up to ``sh_degree``, clamped at 0 unless ``clamp_temperature`` is off. Errors as
+        for ``intensities`` and ``temperature_residuals``.
 
         Args:
             neighbours: see ``temperature_residuals``; not read if t̂ is known.
@@ -170,7 +174,8 @@ class RadianceField(nn.Module):
             color_degree: see ``temperature_residuals``.
         """
         if not self.config.residuals:
-            return self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows)
+            floor = 0.0 if self.config.clamp_temperature else -math.inf
+            return self.intensities(THERMAL, gaussians, camera_position, sh_degree, rows, floor)
         if residuals is None:
             t_hat = self.temperature_residuals(gaussians, neighbours, rows, color_degree)
         else:

@@ -250,7 +250,7 @@ def _plus(config: TrainConfig) -> TrainConfig:
         distant_points=True,
         photo_temperatures=True,
         temperature_sh_degree=None,
-        field=replace(config.field, residuals=False),
+        field=replace(config.field, residuals=False, clamp_temperature=False),
         radiation=None,
         loss=replace(config.loss, **PLUS_LOSS),
         image_model=ImageModelConfig(
