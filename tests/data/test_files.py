@@ -27,7 +27,7 @@ def test_images_are_found_by_stem(tmp_path):
     assert finder.find("images/a.jpg", "f").name == "a.PNG"
     assert finder.find("images/a", "f").name == "a.PNG"
     assert finder.find("images/b.png", "f").name == "b.png"
-    assert finder.find("images\\b", "f").name == "b.jpg"
+    assert finder.find("images\\b", "f").name == "b.png"
     assert finder.find("images/c", "f") is None
     assert finder.find("nowhere/a", "f") is None
 
@@ -44,8 +44,9 @@ def test_paths_are_named_from_the_folder_on_whatever_their_slashes(tmp_path):
     root = tmp_path.resolve()
     assert contained(root, "images\\a.jpg", "f") == root / "images" / "a.jpg"
     assert contained(root, "images/../a.jpg", "f").resolve() == root / "a.jpg"
+    assert contained(root, f"{root}/a.jpg", "f") == root / "a.jpg"
     with pytest.raises(SceneError, match=r"^f: .* leaves"):
-        contained(root, f"{root}/a.jpg", "f")
+        contained(root, f"{root.parent}/a.jpg", "f")
 
 
 @pytest.mark.parametrize("relative", ["a\0b", "a\0b/c"])

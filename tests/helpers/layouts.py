@@ -19,6 +19,11 @@ COLMAP_IDS = {
     "RADIAL": 3,
     "OPENCV": 4,
     "OPENCV_FISHEYE": 5,
+    "FULL_OPENCV": 6,
+    "FOV": 7,
+    "SIMPLE_RADIAL_FISHEYE": 8,
+    "RADIAL_FISHEYE": 9,
+    "THIN_PRISM_FISHEYE": 10,
 }
 
 

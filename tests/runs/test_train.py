@@ -331,6 +331,7 @@ def test_a_fork_says_so_only_if_something_was_computed_before_it(ended):
     assert found == ["no scene", "computed", *["refused"] * 5], ended.process.stderr
 
 
+@pytest.mark.filterwarnings("ignore:.*no temperatures")
 def test_what_was_never_photographed_is_not_rendered(make_scene):
     scene = load_scene(make_scene(thermal=False))
     camera = scene.train[0].camera

@@ -140,7 +140,7 @@ def unreadable(evidence: Evidence) -> Iterator[Problem]:
 
 
 def missing(evidence: Evidence) -> Iterator[Problem]:
-    """Views that lack an image of a modality."""
+    """Views that lack an image of a modality, which in a scene made from arrays is meant."""
     views, present = evidence.scene.views, cameras_by_modality(evidence.scene)
     for modality in in_order((*_EXPECTED, *present)):
         title = modality.title
@@ -148,7 +148,8 @@ def missing(evidence: Evidence) -> Iterator[Problem]:
         if modality not in present:
             severity, what = _EXPECTED[modality]
             text = f"No view has any {title} image: the model will have no {what}."
-            yield Problem(severity, text, "Name them in the file if there are any.")
+            if evidence.scene.path:
+                yield Problem(severity, text, "Name them in the file if there are any.")
         elif lacking:
             text = f"There is no {title} image in {views_text(lacking)}."
             yield Problem("warning", text, f"Add the {title} images, unless that is meant.")

@@ -33,7 +33,7 @@ RULES = (
     Rule(cameras.rig),
     Rule(cameras.intrinsics),
     Rule(photos.unreadable),
-    Rule(photos.missing),
+    Rule(photos.missing, fast=True),
     Rule(photos.without_temperatures),
     Rule(photos.sizes),
     Rule(photos.used_twice, fast=True),
@@ -60,6 +60,9 @@ def fast_problems(scene: Scene) -> list[Problem]:
 
 
 def warn_of_problems(scene: Scene) -> None:
-    """Warn of each of ``fast_problems``, with what to do about it; errors as there."""
+    """Warn of each of ``fast_problems`` that is no mere note, with what to do about it; errors as
+    there."""
     for problem in fast_problems(scene):
+        if problem.severity == "note":
+            continue
         warn_user(f"{scene.name}: {problem.text} {problem.remedy}".rstrip())

@@ -21,8 +21,10 @@ from torch import Tensor
 
 from mrgs.data.files import (
     ImageFinder,
+    composed,
     contained,
     is_file,
+    on_disk,
     read_bytes,
     scene_error,
     without_image_suffix,
@@ -47,8 +49,15 @@ _PARAMETER_COUNTS = {
     "RADIAL": 5,
     "OPENCV": 8,
     "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
 }
-"""Of each camera model that is read, in the order of COLMAP's numbers for them."""
+"""Of each camera model, in the order of COLMAP's numbers for them."""
+
+_NOT_READ = ("FOV", "THIN_PRISM_FISHEYE")
 
 
 @dataclass(frozen=True)
@@ -73,10 +82,9 @@ class RegisteredImage:
     viewmat: Float64[Tensor, "4 4"]
 
 
-def find_model(root: Path) -> ColmapModel | None:
-    """The first complete reconstruction among ``MODEL_FOLDERS``; binary before text, as in
-    COLMAP."""
-    for name in MODEL_FOLDERS:
+def find_model(root: Path, folders: Sequence[str] = MODEL_FOLDERS) -> ColmapModel | None:
+    """The first complete reconstruction among these folders; binary before text, as in COLMAP."""
+    for name in folders:
         for suffix in (".bin", ".txt"):
             model = ColmapModel(root / name, suffix)
             if is_file(model.file("cameras")) and is_file(model.file("images")):
@@ -84,6 +92,27 @@ def find_model(root: Path) -> ColmapModel | None:
                     contained(root, f"{name}/{stem}{suffix}", root)
                 return model
     return None
+
+
+def largest_model(root: Path, notes: ReadingNotes) -> ColmapModel | None:
+    """The reconstruction with the most images, where COLMAP has made several (``sparse/0``,
+    ``sparse/1`` and so on, each in a world of its own); else that of ``find_model``."""
+    first = find_model(root)
+    if first is None or first.folder.name != "0":
+        return first
+    folder = first.folder.parent
+    below = folder.relative_to(root)
+    names = sorted(each.name for each in folder.iterdir() if each.name.isdigit())
+    models = [model for name in names if (model := find_model(root, [f"{below / name}"]))]
+    if len(models) == 1:
+        return first
+    counts = [len(read_images(model)) for model in models]
+    largest = models[counts.index(max(counts))]
+    notes.decide(
+        f"COLMAP has made {len(models)} reconstructions in {below}, each in a world of its own: "
+        f"{largest.folder.name} is used, with {max(counts)} images."
+    )
+    return largest
 
 
 def read_images(model: ColmapModel) -> list[RegisteredImage]:
@@ -105,7 +134,7 @@ def read_images(model: ColmapModel) -> list[RegisteredImage]:
             )
         place = np.array(pose[:4]), np.array(pose[4:])
         viewmat = viewmat_from_colmap(*place, f"image {shown(name)}", file)
-        images.append(RegisteredImage(name, lenses[number], viewmat))
+        images.append(RegisteredImage(name.replace("\\", "/"), lenses[number], viewmat))
     return sorted(images, key=lambda image: image.name)
 
 
@@ -123,11 +152,12 @@ def read_points3d(model: ColmapModel) -> tuple[NDArray[np.float64], NDArray[np.f
 def _lens(
     model: str, width: int, height: int, parameters: tuple[float, ...], what: str, file: Path
 ) -> Lens:
-    if model not in _PARAMETER_COUNTS:
-        known = ", ".join(_PARAMETER_COUNTS)
+    known = [name for name in _PARAMETER_COUNTS if name not in _NOT_READ]
+    if model not in known:
         raise scene_error(
             file,
-            f"{what} has the model {shown(model)}; undistort with COLMAP, or use one of {known}",
+            f"{what} has the model {shown(model)}; undistort with COLMAP, or use one of "
+            f"{', '.join(known)}",
         )
     if len(parameters) != _PARAMETER_COUNTS[model]:
         raise scene_error(
@@ -135,14 +165,18 @@ def _lens(
             f"{what} has {len(parameters)} parameters where {model} has "
             f"{_PARAMETER_COUNTS[model]}; correct it",
         )
-    if model in {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"}:  # one focal length
+    if "SIMPLE" in model or "RADIAL" in model:  # one focal length
         parameters = (parameters[0], *parameters)
     fx, fy, cx, cy, *distortion = parameters
-    k = [*distortion, 0.0, 0.0, 0.0, 0.0]
-    if model == "OPENCV_FISHEYE":
+    k = [*distortion, 0.0, 0.0, 0.0, 0.0, 0.0]
+    if any(distortion[5:]):
+        raise scene_error(
+            file, f"{what} has the model {model} with k4, k5 or k6; undistort with COLMAP"
+        )
+    if model.endswith("FISHEYE"):
         lens = Lens(width, height, fx, fy, cx, cy, (k[0], k[1], k[2], k[3]), fisheye=True)
     else:
-        lens = Lens(width, height, fx, fy, cx, cy, (k[0], k[1], 0.0, 0.0), (k[2], k[3]))
+        lens = Lens(width, height, fx, fy, cx, cy, (k[0], k[1], k[4], 0.0), (k[2], k[3]))
     return checked_lens(lens, what, file)
 
 
@@ -269,7 +303,7 @@ class _Images:
     def key_of(self, name: str) -> str | None:
         """The key of a name in the reconstruction: the whole path, or the file's stem if only one
         matches; None if there is none."""
-        path = without_image_suffix(PurePosixPath(name).as_posix())
+        path = without_image_suffix(composed(PurePosixPath(name).as_posix()))
         for candidate in (path, path.removeprefix(f"{self.folder}/")):
             if candidate in self.files:
                 return candidate
@@ -278,14 +312,13 @@ class _Images:
         return matches[0] if len(matches) == 1 else None
 
 
-def read_colmap(root: Path, model: ColmapModel) -> SceneSource:
-    """Read a COLMAP scene; images are looked up, not decoded.
+def read_colmap(root: Path, model: ColmapModel, notes: ReadingNotes) -> SceneSource:
+    """Read a COLMAP scene; images are looked up, not decoded. ``notes`` receives decisions.
 
     A folder ``images/`` (or ``rgb/``) without a ``thermal/`` beside it holds thermal images if a
     ``temperature_bounds.json`` is there, or if none of its images has colour channels. SceneError
     if the reconstruction is damaged, names no image, or names one that is missing.
     """
-    notes = ReadingNotes()
     finder = ImageFinder(root)
     file = model.file("images")
     registered = read_images(model)
@@ -294,7 +327,7 @@ def read_colmap(root: Path, model: ColmapModel) -> SceneSource:
             file, "holds no registered image; run COLMAP again with more overlap between the photos"
         )
     images = _image_folders(root, finder, notes)
-    found = _match(registered, images, file)
+    found = _match(registered, images, finder, file)
     keys = sorted({key for _, key in found})
     if left_out := len({key for each in images for key in each.files}) - len(keys):
         notes.decide(
@@ -310,12 +343,13 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
     """The image files of each modality that has any, RGB first."""
     images = []
     for modality, names in FOLDERS.items():
-        name = next((name for name in names if (root / name).is_dir()), "")
+        there = [on_disk(root, name) for name in names]
+        name = next((name for name in there if (root / name).is_dir()), "")
         if name and (files := finder.tree(root / name)):
             images.append(_Images(modality, name, files))
     if [each.modality for each in images] != [RGB]:
         return images
-    has_bounds = any(is_file(root / bounds) for bounds in BOUNDS_FILES)
+    has_bounds = any(is_file(root / on_disk(root, bounds)) for bounds in BOUNDS_FILES)
     if has_bounds or all(probe(path).kind != "colour" for path in images[0].files.values()):
         notes.decide(f"The images in {images[0].folder}/ are taken for thermal ones.")
         return [replace(images[0], modality=THERMAL)]
@@ -323,9 +357,12 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
 
 
 def _match(
-    registered: Sequence[RegisteredImage], images: Sequence[_Images], file: Path
+    registered: Sequence[RegisteredImage],
+    images: Sequence[_Images],
+    finder: ImageFinder,
+    file: Path,
 ) -> Registered:
-    """The image files of the registered images.
+    """The image files of the registered images; of several formats, the registered one.
 
     A name that starts with a folder is looked up there first, else among the RGB images first.
     """
@@ -336,6 +373,8 @@ def _match(
             key = each.key_of(image.name)
             if key is not None:
                 found[each.modality, key] = image
+                named = PurePosixPath(each.folder, key).with_name(PurePosixPath(image.name).name)
+                each.files[key] = finder.find(named.as_posix(), file) or each.files[key]
                 break
         else:
             raise scene_error(

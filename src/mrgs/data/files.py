@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import unicodedata
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, TypeAlias
 
 import msgspec
@@ -30,10 +31,12 @@ def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()
 
 def contained(root: Path, relative: str, named_in: Path | str) -> Path:
     """The path ``relative`` below ``root`` (already resolved), which need not exist. SceneError if
-    it is absolute or leaves the folder, by ``..`` or by a symbolic link."""
+    it leaves the folder: as an absolute path, by ``..`` or by a symbolic link."""
     try:
         path = root / relative.replace("\\", "/")
-        outside = not path.resolve().is_relative_to(root) or Path(relative).is_absolute()
+        whole = path.resolve()
+        path = path if path.is_relative_to(root) else whole
+        outside = not whole.is_relative_to(root)
     except (ValueError, OSError, RuntimeError):  # a null byte, a long name, a loop of links
         raise scene_error(named_in, f"{shown(relative)} is not a usable path; correct it") from None
     if outside:
@@ -129,6 +132,24 @@ def json_value(
         raise scene_error(file, f"{name} is {shown(value)} ({error}); {remedy}") from None
 
 
+def composed(text: str) -> str:
+    """The text in one Unicode form (NFC): macOS may write ``ü`` as two characters, where other
+    systems write one."""
+    return unicodedata.normalize("NFC", text)
+
+
+def on_disk(root: Path, relative: str) -> str:
+    """A path below ``root`` as its folders and its file are named, where these names differ from it
+    in their case or Unicode form."""
+    here = ""
+    for part in relative.split("/"):
+        wanted = composed(part).casefold()
+        names = [entry.name for entry in _entries(root / here)]
+        same = [name for name in names if composed(name).casefold() == wanted]
+        here += f"/{same[0] if part not in names and len(same) == 1 else part}"
+    return here[1:]
+
+
 def without_image_suffix(name: str) -> str:
     """A name or a path without its image extension; other dots in it are kept."""
     stem, dot, suffix = name.rpartition(".")
@@ -142,7 +163,7 @@ class _Listing:
 
     Attributes:
         links: by name, whether an image is a symbolic link.
-        by_stem: their names by what precedes the extension, sorted.
+        by_stem: their names by what precedes the extension, the best format first.
     """
 
     folder: Path
@@ -150,8 +171,13 @@ class _Listing:
     by_stem: Mapping[str, list[str]]
 
 
+_FORMATS = (".tiff", ".tif", ".png", ".jpg", ".jpeg")
+"""Of several images of one name the first is used: a JPEG is often a preview."""
+
+
 class ImageFinder:
-    """Finds image files in the scene's folder by stem; each folder is listed once."""
+    """Finds image files in the scene's folder by stem; each folder is listed once. Unicode forms of
+    a name are the same, and so are cases of a folder's."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -160,15 +186,18 @@ class ImageFinder:
     def find(self, relative: str, named_in: Path | str) -> Path | None:
         """The image ``relative``, or the one in the same folder that differs in the extension only;
         None if absent. SceneError if the path leaves the scene's folder."""
+        if relative[:1] in ("/", "\\"):
+            relative = contained(self._root, relative, named_in).relative_to(self._root).as_posix()
         folder, _, name = relative.replace("\\", "/").rpartition("/")
-        if not name or "\0" in name or relative[0] in "/\\":
+        if not name or "\0" in name:
             contained(self._root, relative, named_in)
             return None
         if folder not in self._listings:
             contained(self._root, relative, named_in)
         listing = self._listing(folder, named_in)
         if name not in listing.links:
-            name = next(iter(listing.by_stem.get(without_image_suffix(name), ())), "")
+            same = listing.by_stem.get(composed(without_image_suffix(name)), [])
+            name = min(same, key=lambda each: composed(each) != composed(name), default="")
         return self._path(listing, name, named_in) if name else None
 
     def find_mask(self, folder: str, image: str, named_in: Path | str) -> Path | None:
@@ -181,16 +210,23 @@ class ImageFinder:
         )
 
     def tree(self, folder: Path) -> dict[str, Path]:
-        """Images in ``folder`` and its direct subfolders: path below ``folder`` without extension
-        -> file, sorted. SceneError if a folder cannot be listed, or an image leads out of the
-        scene's folder."""
+        """Images in ``folder`` and its subfolders: path below ``folder`` without extension -> file,
+        sorted. SceneError if a folder cannot be listed, or an image leads out of the scene's
+        folder."""
         found: dict[str, Path] = {}
-        inside = [folder / entry.name for entry in _entries(folder)]
-        for directory in [folder, *(path for path in inside if path.is_dir())]:
+        directories = [folder]
+        for directory in directories:
+            inside = [directory / entry.name for entry in _entries(directory)]
+            directories += [
+                path
+                for path in inside
+                if path.is_dir() and (directory == folder or not path.is_symlink())
+            ]
             listing = self._listing(directory.relative_to(self._root).as_posix(), folder)
-            below = directory.relative_to(folder)
+            below = composed(directory.relative_to(folder).as_posix())
             for stem, names in listing.by_stem.items():
-                found[(below / stem).as_posix()] = self._path(listing, names[0], folder)
+                key = (PurePosixPath(below) / stem).as_posix()
+                found[key] = self._path(listing, names[0], folder)
         return {key: found[key] for key in sorted(found)}
 
     def _path(self, listing: _Listing, name: str, named_in: Path | str) -> Path:
@@ -203,13 +239,19 @@ class ImageFinder:
     def _listing(self, folder: str, named_in: Path | str) -> _Listing:
         if folder not in self._listings:
             path = contained(self._root, folder, named_in)
+            entries = _entries(path)
+            if not entries:
+                path = contained(self._root, on_disk(self._root, folder), named_in)
+                entries = _entries(path)
             links: dict[str, bool] = {}
             by_stem: dict[str, list[str]] = {}
-            for entry in _entries(path):
+            for entry in entries:
                 stem = without_image_suffix(entry.name)
                 if stem != entry.name and is_file(entry):
                     links[entry.name] = entry.is_symlink()
-                    by_stem.setdefault(stem, []).append(entry.name)
+                    by_stem.setdefault(composed(stem), []).append(entry.name)
+            for names in by_stem.values():
+                names.sort(key=lambda name: _FORMATS.index(Path(name).suffix.lower()))
             self._listings[folder] = _Listing(path, links, by_stem)
         return self._listings[folder]
 

@@ -17,11 +17,12 @@ import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
-from mrgs.data.colmap import MODEL_FOLDERS, find_model, read_colmap
+from mrgs.data.colmap import MODEL_FOLDERS, largest_model, read_colmap
 from mrgs.data.files import (
     Number,
     contained,
     json_value,
+    on_disk,
     read_json_object,
     scene_error,
 )
@@ -96,8 +97,9 @@ def _recognise(path: Path) -> SceneSource:
     root = path.resolve()
     if file := find_transforms(root):
         return read_transforms(root, file)
-    if model := find_model(root):
-        return read_colmap(root, model)
+    notes = ReadingNotes()
+    if model := largest_model(root, notes):
+        return read_colmap(root, model, notes)
     looked_for = ", ".join(f"{name}/cameras.bin or .txt" for name in MODEL_FOLDERS)
     raise scene_error(
         root,
@@ -315,7 +317,7 @@ def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) ->
 def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
     """The scale from ``temperature_bounds.json`` in the scene's folder or in its ``thermal/``; None
     without a file. SceneError if the file does not have two different temperatures in °C."""
-    paths = [contained(root, name, root) for name in BOUNDS_FILES]
+    paths = [contained(root, on_disk(root, name), root) for name in BOUNDS_FILES]
     path = next((path for path in paths if os.path.lexists(path)), None)
     if path is None:
         return None

@@ -10,8 +10,9 @@ those that Python has registered.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, TypeAlias
@@ -24,6 +25,7 @@ from mrgs.data.files import (
     MAX_MAGNITUDE,
     ImageFinder,
     Number,
+    composed,
     contained,
     is_file,
     json_value,
@@ -63,8 +65,15 @@ _MODELS = {
     "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE", _FISHEYE
 }  # fmt: skip
 _LENS_KEYS = (
-    "camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"
+    "camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2",
+    "is_fisheye", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov",
 )  # fmt: skip
+_REFUSED = (
+    "k5", "k6", "ftheta_p0", "latlong", "equirectangular", "rolling_shutter", "fisheye_crop_radius",
+    "transform_matrix_start", "from_na",
+)  # fmt: skip
+"""Keys of nerfstudio, instant-ngp and their relatives that change what the others mean, and are not
+read."""
 _LEGACY_APPLIED_TRANSFORM = np.array(
     [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 )
@@ -113,7 +122,8 @@ def lens_from_json(
     values: Mapping[str, Any], what: str, file: Path, image: Path | None = None
 ) -> Lens:
     """A lens in nerfstudio's keys: ``camera_model``, ``w``, ``h``, ``fl_x``, ``cx``, ``k1`` and so
-    on. SceneError if a number is missing or invalid, or the model is not known.
+    on; or in instant-ngp's: ``is_fisheye``, and an angle of view in place of the focal length.
+    SceneError if a number is missing or invalid, or the model is not known.
 
     Args:
         what: whose lens it is, for messages.
@@ -140,14 +150,27 @@ def lens_from_json(
         raise scene_error(
             file, f"the image size of {what}, {width}×{height}, is not whole; correct w and h"
         )
-    focal = number("fl_x")
-    fisheye = model == _FISHEYE
+
+    def focal(axis: str, pixels: float) -> float | None:
+        """From ``fl_x``, or ``x_fov`` in degrees, or ``camera_angle_x`` in radians."""
+        if values.get(f"fl_{axis}") is not None:
+            return number(f"fl_{axis}")
+        angle = number(f"camera_angle_{axis}", math.radians(number(f"{axis}_fov", 0.0)))
+        return pixels / (2 * math.tan(angle / 2)) if 0 < angle < math.pi else None
+
+    fx, fy = focal("x", width), focal("y", height)
+    if fx is None:
+        fx = number("fl_x") if fy is None else fy
+    is_fisheye = values.get("is_fisheye")
+    fisheye = (
+        json_value(bool | None, is_fisheye, f"is_fisheye of {what}", file) or model == _FISHEYE
+    )
     k1, k2, k3, k4, p1, p2 = (number(name, 0.0) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
     lens = Lens(
         int(width),
         int(height),
-        focal,
-        number("fl_y", focal),
+        fx,
+        fx if fy is None else fy,
         number("cx", width / 2),
         number("cy", height / 2),
         (k1, k2, k3, k4),
@@ -225,7 +248,13 @@ class _TransformsReader:
             if modality != RGB and 0 < missing < len(views):
                 self.notes.decide(f"{missing} of {len(views)} frames have no {modality} image.")
         return SceneSource(
-            self.root, self.file, views, self._points(), self.notes, self._lists(), self._world()
+            self.root,
+            self.file,
+            views,
+            self._points(),
+            self.notes,
+            self._lists([view.key for view in views]),
+            self._world(),
         )
 
     def _view(self, value: object, what: str) -> ViewSource:
@@ -235,7 +264,7 @@ class _TransformsReader:
         if not paths:
             raise scene_error(self.file, f"{what} has no file_path; add it or remove the frame")
         first = next(iter(paths.values()))
-        key = without_image_suffix(first.relative_to(self.root).as_posix())
+        key = without_image_suffix(composed(first.relative_to(self.root).as_posix()))
         what = f"{what} ({shown(key)})"
         images = {
             modality: self._source(modality, frame, path, what) for modality, path in paths.items()
@@ -286,7 +315,7 @@ class _TransformsReader:
         if first is None:
             return paths
         for modality in others:
-            if modality not in paths and first.parent.name == modality.name:
+            if modality not in paths and first.parent.name.casefold() == modality.name:
                 return {modality: first, **paths}
         found = {RGB: first, **paths}
         for modality in others:
@@ -311,6 +340,12 @@ class _TransformsReader:
         """The lens of an image; ``own`` wins, and what it lacks comes from the top level if the
         lens is shared. What many images share is read once."""
         whole = {**self.top, **own} if shared else own
+        if changing := [name for name in _REFUSED if np.any(whole.get(name) or 0)]:
+            raise scene_error(
+                self.file,
+                f"{changing[0]} of {what} is not read, and changes what the other keys mean; "
+                f"undistort the images, and remove it",
+            )
         values = {name: whole[name] for name in _LENS_KEYS if name in whole}
         if values.get("w") is None or values.get("h") is None:  # each image has a size of its own
             return lens_from_json(values, what, self.file, image)
@@ -319,12 +354,20 @@ class _TransformsReader:
             self._lenses[key] = lens_from_json(values, what, self.file)
         return self._lenses[key]
 
-    def _lists(self) -> FilenameLists:
+    def _lists(self, views: Sequence[str]) -> FilenameLists:
+        """The lists of images by the keys of the ``views``, of which a bare name must be one."""
+        by_name: dict[str, list[str]] = {}
+        for key in views:
+            by_name.setdefault(PurePosixPath(key).name, []).append(key)
+
+        def key_of(item: str) -> str:
+            key = composed(without_image_suffix(PurePosixPath(item.replace("\\", "/")).as_posix()))
+            same = by_name.get(key, []) if "/" not in key else []
+            return same[0] if len(same) == 1 else key.removeprefix(f"{self.root.as_posix()}/")
+
         def keys(name: str) -> frozenset[str] | None:
             names = json_value(list[str] | None, self.top.get(name), name, self.file)
-            if names is None:
-                return None
-            return frozenset(without_image_suffix(PurePosixPath(item).as_posix()) for item in names)
+            return None if names is None else frozenset(map(key_of, names))
 
         held_out = [keys("val_filenames"), keys("test_filenames")]
         named = [each for each in held_out if each is not None]

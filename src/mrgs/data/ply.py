@@ -38,6 +38,9 @@ _COLOR_NAMES = (
     ("r", "g", "b"),
 )
 
+_BRIGHTEST_FLOAT = 2.0
+"""Colours in floats span 0 to 1, and may be a little more; where one is larger, 0 to 255."""
+
 
 @dataclass
 class _Element:
@@ -198,7 +201,8 @@ def _colors(vertices: np.ndarray) -> NDArray[np.float64] | None:
     if names is None:
         return None
     colors = np.stack([vertices[name].astype(np.float64) for name in names], axis=1)
-    if vertices.dtype[names[0]].kind != "f":
+    brightest = float(np.nanmax(colors, initial=0.0))
+    if vertices.dtype[names[0]].kind != "f" or brightest > _BRIGHTEST_FLOAT:
         colors /= 65535 if vertices.dtype[names[0]].itemsize == 2 else 255
     return np.clip(np.nan_to_num(colors, nan=0.5), 0.0, 1.0)
 

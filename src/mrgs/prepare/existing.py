@@ -13,11 +13,11 @@ from mrgs.data.colmap import (
     MODEL_FOLDERS,
     ColmapModel,
     RegisteredImage,
-    find_model,
+    largest_model,
     read_images,
     read_points3d,
 )
-from mrgs.data.files import is_file, scene_error, without_image_suffix
+from mrgs.data.files import composed, is_file, scene_error, without_image_suffix
 from mrgs.data.images import probe
 from mrgs.data.kept import digest, stamps
 from mrgs.data.lens import Lens
@@ -74,7 +74,9 @@ def existing_poses(
             f"has several poses named {', '.join(several[:3])}; give each photo a name of its own "
             f"in it",
         )
-    originals = {pair.name: _first(pair.photos).stem for pair in pairs if pair.name in images}
+    originals = {
+        pair.name: composed(_first(pair.photos).stem) for pair in pairs if pair.name in images
+    }
     if len({*originals.values()}) < len(images):  # photos of several folders share a name
         originals = {name: name for name in images}
     by_name = {pose.name: pose for pose in given.poses}
@@ -136,14 +138,14 @@ def _read(folder: Path) -> _Given:
         return _Given(poses, source.points, file.name, source.notes, source.world)
     here = [ColmapModel(root, suffix) for suffix in (".bin", ".txt")]
     here = [one for one in here if all(is_file(one.file(each)) for each in ("cameras", "images"))]
-    model = find_model(root) or next(iter(here), None)
+    notes = ReadingNotes()
+    model = largest_model(root, notes) or next(iter(here), None)
     if model is None:
         looked_for = ", ".join(f"{name}/cameras.bin or .txt" for name in MODEL_FOLDERS)
         raise scene_error(
             folder,
             f"holds no poses; looked for transforms.json, {looked_for}; give the folder with one",
         )
-    notes = ReadingNotes()
     poses = [
         RegisteredImage(_stem(image.name), image.lens, image.viewmat)
         for image in read_images(model)
@@ -158,7 +160,7 @@ def _first(images: Mapping[Modality, Item]) -> Item:
 
 
 def _stem(name: str) -> str:
-    return without_image_suffix(PurePosixPath(name.replace("\\", "/")).name)
+    return composed(without_image_suffix(PurePosixPath(name.replace("\\", "/")).name))
 
 
 def _scaled(lens: Lens, path: Path) -> Lens:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from mrgs.data.files import contained, decoded_text, is_file, read_bytes, scene_error
+from mrgs.data.files import composed, contained, decoded_text, is_file, read_bytes, scene_error
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras, shifted
@@ -17,7 +17,6 @@ from mrgs.prepare.pairs.names import (
     HEADINGS,
     PARTNER,
     REFERENCE,
-    composed,
     natural,
     printable,
     read_stem,

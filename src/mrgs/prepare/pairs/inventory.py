@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
-from mrgs.data.files import read_bytes, scene_error, visible_files
+from mrgs.data.files import composed, read_bytes, scene_error, visible_files
 from mrgs.data.images import opened, stored_size
 from mrgs.data.kept import Stamp, digest, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
@@ -19,7 +19,7 @@ from mrgs.data.radiometric.exif import (
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Progress, Skipped
-from mrgs.prepare.pairs.names import composed, folder_modality, natural, printable
+from mrgs.prepare.pairs.names import folder_modality, natural, printable
 from mrgs.scene import Modality
 
 _PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image")

@@ -67,12 +67,6 @@ class StemFacts:
     moment: datetime | None = None
 
 
-def composed(text: str) -> str:
-    """The text in one Unicode form (NFC): macOS may write ``ü`` as two characters, where other
-    systems write one."""
-    return unicodedata.normalize("NFC", text)
-
-
 def printable(name: str) -> str:
     """The name of a file for messages: bytes that are not UTF-8 can be neither shown nor saved."""
     return os.fsencode(name).decode("utf-8", "replace")

@@ -13,13 +13,13 @@ from datetime import datetime, timedelta
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+from mrgs.data.files import composed
 from mrgs.prepare.pairs.clocks import clock_offset, match_times
 from mrgs.prepare.pairs.inventory import Photo
 from mrgs.prepare.pairs.names import (
     PARTNER,
     PARTNER_MARKS,
     REFERENCE,
-    composed,
     folder_modality,
     natural,
     printable,
