@@ -313,6 +313,7 @@ def test_a_model_without_surfaces_has_no_spots(run, plain, tmp_path):
     assert "Nothing stands out" not in plain.text
 
 
+@pytest.mark.filterwarnings("ignore:.*no temperatures")
 def test_a_scene_without_thermal_photos_has_no_spots(tmp_path):
     folder = train(
         write_scene(tmp_path / "scene", thermal=False),
