@@ -12,6 +12,7 @@ from PIL import Image
 
 from mrgs.check.rules import warn_of_problems
 from mrgs.data import load_scene
+from mrgs.data.files import on_disk
 from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.ply import read_ply
 from mrgs.errors import MrgsWarning, SceneError
@@ -233,3 +234,12 @@ def test_the_pixels_of_a_turned_image_are_those_that_colmap_saw(writer):
     writer.colmap([f"{name}.png" for name in NAMES], True, "PINHOLE", (20.0, 22.0, 12.5, 7.5))
     values = load_scene(writer.root).train[0].images[RGB].load().values
     assert torch.equal(values, torch.from_numpy(pixels.astype(np.float32)) / 255)
+
+
+def test_folders_and_names_in_another_form_at_every_depth(tmp_path):
+    place = tmp_path / "Gebäude" / "Thermal"
+    place.mkdir(parents=True)
+    (place / "Küche.png").write_bytes(b"")
+    wanted = unicodedata.normalize("NFD", "gebäude/thermal/Küche.png")
+    assert on_disk(tmp_path, wanted) == "Gebäude/Thermal/Küche.png"
+    assert on_disk(tmp_path, "gebäude\\other\\a") == "Gebäude/other/a"

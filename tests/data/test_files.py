@@ -93,7 +93,7 @@ def test_a_folder_of_images_that_may_not_be_listed_is_named(tmp_path, monkeypatc
     (root / "images").mkdir()
     for name in ("scandir", "listdir"):
         monkeypatch.setattr(os, name, refuse)
-    with pytest.raises(SceneError, match=r"images: .*permissions"):
+    with pytest.raises(SceneError, match=r"images: .*[Pp]ermission"):
         ImageFinder(root).tree(root / "images")
 
 

@@ -40,8 +40,7 @@ DeviceName = Literal["auto", "cpu", "cuda"]
 """As in ``mrgs.system.gpu``, which loads torch."""
 
 RenderDevice = Annotated[
-    DeviceName,
-    tyro.conf.arg(help="Device to render on; auto uses a usable GPU, else the CPU."),
+    DeviceName, tyro.conf.arg(help="Device to render on; auto uses a usable GPU, else the CPU.")
 ]
 
 QualityName = Literal["fast", "default", "best"]

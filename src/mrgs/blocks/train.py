@@ -204,11 +204,7 @@ class BlockTraining:
         return facts
 
     def _train(
-        self,
-        folder: RunFolder,
-        config: TrainConfig,
-        title: str,
-        part: Refinement | None = None,
+        self, folder: RunFolder, config: TrainConfig, title: str, part: Refinement | None = None
     ) -> None:
         """Train a run to its end, from where it is."""
         if _is_finished(folder, config):

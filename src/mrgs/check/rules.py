@@ -63,6 +63,5 @@ def warn_of_problems(scene: Scene) -> None:
     """Warn of each of ``fast_problems`` that is no mere note, with what to do about it; errors as
     there."""
     for problem in fast_problems(scene):
-        if problem.severity == "note":
-            continue
-        warn_user(f"{scene.name}: {problem.text} {problem.remedy}".rstrip())
+        if problem.severity != "note":
+            warn_user(f"{scene.name}: {problem.text} {problem.remedy}".rstrip())

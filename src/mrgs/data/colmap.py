@@ -34,7 +34,6 @@ from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.poses import viewmat_from_colmap
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
 from mrgs.data.transforms import BOUNDS_FILES
-from mrgs.errors import SceneError
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system.wording import Message, shown
 
@@ -184,9 +183,7 @@ class _Cursor:
     """Walks over a binary file and never past its end."""
 
     def __init__(self, file: Path) -> None:
-        self.file = file
-        self._data = read_bytes(file)
-        self._offset = 0
+        self.file, self._data, self._offset = file, read_bytes(file), 0
 
     def take(self, layout: str) -> tuple:
         """The next little-endian values, in the notation of ``struct``."""
@@ -194,30 +191,17 @@ class _Cursor:
         self.skip(struct.calcsize("<" + layout))
         return struct.unpack_from("<" + layout, self._data, start)
 
-    def take_count(self, smallest_record: int) -> int:
-        """A number of records, if the rest of the file can hold them."""
-        (count,) = self.take("Q")
-        if count * smallest_record > len(self._data) - self._offset:
-            raise self._cut_off()
-        return count
-
     def skip(self, size: int) -> None:
-        """Skip a number of bytes."""
-        if size > len(self._data) - self._offset:
-            raise self._cut_off()
+        """Skip a number of bytes. SceneError if the file has fewer."""
         self._offset += size
+        if self._offset > len(self._data):
+            raise scene_error(self.file, "is cut off or damaged; copy it again or run COLMAP again")
 
     def take_name(self) -> str:
         """The next text up to its zero byte."""
-        end = self._data.find(b"\0", self._offset)
-        if end < 0:
-            raise self._cut_off()
-        raw = self._data[self._offset : end]
-        self._offset = end + 1
-        return raw.decode("utf-8", "replace")
-
-    def _cut_off(self) -> SceneError:
-        return scene_error(self.file, "is cut off or damaged; copy it again or run COLMAP again")
+        start, end = self._offset, self._data.find(b"\0", self._offset)
+        self.skip((end if end >= 0 else len(self._data)) - start + 1)
+        return self._data[start:end].decode("utf-8", "replace")
 
 
 _Camera = tuple[int, str, int, int, tuple[float, ...]]
@@ -230,7 +214,7 @@ _Image = tuple[tuple[float, ...], int, str]
 def _binary_cameras(file: Path) -> Iterator[_Camera]:
     cursor = _Cursor(file)
     models = dict(enumerate(_PARAMETER_COUNTS))
-    for _ in range(cursor.take_count(24)):
+    for _ in range(*cursor.take("Q")):
         number, model_id, width, height = cursor.take("IiQQ")
         model = models.get(model_id, f"number {model_id}")
         yield number, model, width, height, cursor.take(f"{_PARAMETER_COUNTS.get(model, 0)}d")
@@ -238,16 +222,16 @@ def _binary_cameras(file: Path) -> Iterator[_Camera]:
 
 def _binary_images(file: Path) -> Iterator[_Image]:
     cursor = _Cursor(file)
-    for _ in range(cursor.take_count(73)):
+    for _ in range(*cursor.take("Q")):
         _, *pose, camera = cursor.take("I7dI")
         name = cursor.take_name()
-        cursor.skip(24 * cursor.take_count(24))
+        cursor.skip(24 * cursor.take("Q")[0])
         yield tuple(pose), camera, name
 
 
 def _binary_points(file: Path) -> Iterator[tuple[float, ...]]:
     cursor = _Cursor(file)
-    for _ in range(cursor.take_count(51)):
+    for _ in range(*cursor.take("Q")):
         _, *position_and_color, _, track_length = cursor.take("Q3d3BdQ")
         cursor.skip(8 * track_length)
         yield tuple(position_and_color)

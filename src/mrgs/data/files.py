@@ -141,13 +141,13 @@ def composed(text: str) -> str:
 def on_disk(root: Path, relative: str) -> str:
     """A path below ``root`` as its folders and its file are named, where these names differ from it
     in their case or Unicode form."""
-    here = ""
-    for part in relative.split("/"):
+    parts: list[str] = []
+    for part in relative.replace("\\", "/").split("/"):
         wanted = composed(part).casefold()
-        names = [entry.name for entry in _entries(root / here)]
+        names = [entry.name for entry in _entries(root.joinpath(*parts))]
         same = [name for name in names if composed(name).casefold() == wanted]
-        here += f"/{same[0] if part not in names and len(same) == 1 else part}"
-    return here[1:]
+        parts.append(same[0] if part not in names and len(same) == 1 else part)
+    return "/".join(parts)
 
 
 def without_image_suffix(name: str) -> str:
@@ -214,14 +214,9 @@ class ImageFinder:
         sorted. SceneError if a folder cannot be listed, or an image leads out of the scene's
         folder."""
         found: dict[str, Path] = {}
-        directories = [folder]
-        for directory in directories:
-            inside = [directory / entry.name for entry in _entries(directory)]
-            directories += [
-                path
-                for path in inside
-                if path.is_dir() and (directory == folder or not path.is_symlink())
-            ]
+        files = [*visible_files(folder)]
+        linked = [path for path in files if path.is_dir()]
+        for directory in dict.fromkeys([*(path.parent for path in files), *linked]):
             listing = self._listing(directory.relative_to(self._root).as_posix(), folder)
             below = composed(directory.relative_to(folder).as_posix())
             for stem, names in listing.by_stem.items():

@@ -9,6 +9,7 @@ scale and the offset.
 from __future__ import annotations
 
 import io
+import math
 import re
 import warnings
 from collections.abc import Iterator
@@ -44,7 +45,7 @@ or of integers with a scale."""
 
 _GDAL_METADATA, _GDAL_NODATA = 42112, 42113
 _GDAL_ITEM = re.compile(r'<Item[^>]*role="(scale|offset)"[^>]*>([^<]*)<')
-_TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 _TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -106,30 +107,27 @@ def numbers_of(image: Image.Image) -> Shaped[np.ndarray, "h w"]:
     values = np.array(as_stored(image))
     tags = getattr(image, "tag_v2", {})
     nodata = _number(tags.get(_GDAL_NODATA))
-    missing = np.zeros(values.shape, dtype=bool)
-    if nodata is not None:
-        with np.errstate(over="ignore"):
-            missing = values == (np.float32(nodata) if values.dtype == np.float32 else nodata)
-    if scaling := _scaling(image):
+    with np.errstate(over="ignore"):
+        missing = values == (np.float32(nodata) if values.dtype == np.float32 else nodata)
+    if scaling := scaling_of(image):
         factor, offset = scaling
         values = (values * np.float64(factor) + offset).astype(np.float32)
     return np.where(missing, np.float32(np.nan), values) if missing.any() else values
 
 
-def _scaling(image: Image.Image) -> tuple[float, float] | None:
+def scaling_of(image: Image.Image) -> tuple[float, float] | None:
     """The factor and the offset that the tags of GDAL give; None if they change nothing."""
     text = getattr(image, "tag_v2", {}).get(_GDAL_METADATA)
     items = dict(_GDAL_ITEM.findall(text)) if isinstance(text, str) else {}
-    factor, offset = _number(items.get("scale")), _number(items.get("offset"))
-    found = 1.0 if factor is None else factor, offset or 0.0
+    found = _number(items.get("scale", 1)), _number(items.get("offset", 0))
     return None if found == (1.0, 0.0) or not np.isfinite(found).all() else found
 
 
-def _number(text: object) -> float | None:
+def _number(text: object) -> float:
     try:
         return float(str(text).strip("\0 "))
     except ValueError:
-        return None
+        return math.nan
 
 
 class Decoded(NamedTuple):
@@ -225,8 +223,7 @@ def _mask(usable: np.ndarray) -> Bool[Tensor, "h w"] | None:
 
 def _kind(image: Image.Image, path: Path) -> Kind:
     mode = image.mode
-    is_single = mode == "F" or mode == "L" or mode.startswith("I")
-    if mode == "F" or (is_single and _scaling(image)):
+    if mode == "F" or ((mode == "L" or mode.startswith("I")) and scaling_of(image)):
         return "float"
     # Older Pillow versions open a 16-bit PNG with mode I; in a TIFF that mode means 32 bits, whose
     # range is unknown.
@@ -290,23 +287,17 @@ def _opened_by_gdal(path: Path, content: bytes | None, most_pixels: int) -> Imag
     """A TIFF of one channel that Pillow does not know (floats of 64 bits, LERC), as 32-bit floats;
     ``UnidentifiedImageError`` if it is no TIFF at all."""
     data = read_bytes(path) if content is None else content
-    if not data.startswith(_TIFF_SIGNATURES):
+    if not data.startswith(TIFF_SIGNATURES):
         raise UnidentifiedImageError
     try:
         import rasterio
     except ImportError:
-        raise scene_error(
-            path,
-            "is a TIFF that only rasterio reads; install mrgs[export], or save it with 8 or 16 "
-            "bits per channel, or as 32-bit float, without LERC compression",
-        ) from None
+        remedy = "install mrgs[export], or save it as 32-bit float without LERC compression"
+        raise scene_error(path, f"is a TIFF that only rasterio reads; {remedy}") from None
     with rasterio.MemoryFile(data) as memory, memory.open(driver="GTiff") as dataset:
         if dataset.count > 1:
-            raise scene_error(
-                path,
-                f"has {dataset.count} bands of {dataset.dtypes[0]}; save the band of the "
-                f"temperatures alone",
-            )
+            bands = f"{dataset.count} bands of {dataset.dtypes[0]}"
+            raise scene_error(path, f"has {bands}; save the band of the temperatures alone")
         if dataset.width * dataset.height > most_pixels:
             raise Image.DecompressionBombError
         band = dataset.read(1, masked=True) * dataset.scales[0] + dataset.offsets[0]

@@ -14,18 +14,11 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from mrgs.data.colmap import MODEL_FOLDERS, largest_model, read_colmap
-from mrgs.data.files import (
-    Number,
-    contained,
-    json_value,
-    on_disk,
-    read_json_object,
-    scene_error,
-)
+from mrgs.data.files import Number, contained, json_value, on_disk, read_json_object, scene_error
 from mrgs.data.images import Decoded, Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.radiometric.measurement import masked
@@ -179,13 +172,12 @@ def _unit_of(source: SceneSource, temperature: TemperatureRange | None) -> Unit:
         return CELSIUS
     some = [decode(images[at].path) for at in evenly_spaced(len(images))]
     rows = [typical(each.values[..., 0].numpy()) for each in some if each.kind == "float"]
-    rows = [row for row in rows if np.isfinite(row).all()]
-    if not rows:
-        return CELSIUS
-    numbers = np.median(rows, axis=0)
+    known = [row for row in rows if np.isfinite(row).all()]
+    numbers = np.median(known or np.full((1, 3), np.nan), axis=0)
     likely = everyday(FLOAT_UNITS, numbers)
     if temperature is not None:
-        near = [text for text in FLOAT_UNITS if _is_near(Unit.parse(text), numbers, temperature)]
+        middles = {text: Unit.parse(text).celsius(numbers)[1] for text in FLOAT_UNITS}
+        near = [text for text, c in middles.items() if -1 <= temperature.from_celsius(c) <= 2]
         if "celsius" in near and likely == ["kelvin"]:
             source.notes.repair(
                 "The thermal images are taken for °C, as temperature_bounds.json says, though they "
@@ -200,11 +192,6 @@ def _unit_of(source: SceneSource, temperature: TemperatureRange | None) -> Unit:
         f"they are °C, add temperature_bounds.json with their range."
     )
     return Unit("kelvin")
-
-
-def _is_near(unit: Unit, numbers: Float[np.ndarray, "3"], temperature: TemperatureRange) -> bool:
-    """Whether the middle of ``typical`` numbers is less than one span outside of the bounds."""
-    return -1 <= temperature.from_celsius(float(unit.celsius(numbers)[1])) <= 2
 
 
 def _measured_range(source: SceneSource, splits: Sequence[Split], unit: Unit) -> TemperatureRange:
@@ -384,10 +371,7 @@ def check_kinds(kinds: Sequence[tuple[Path, Kind]], has_bounds: bool, notes: Rea
 
 
 def decode_thermal(
-    path: Path,
-    least_width: int | None,
-    temperature: TemperatureRange | None,
-    unit: Unit = CELSIUS,
+    path: Path, least_width: int | None, temperature: TemperatureRange | None, unit: Unit = CELSIUS
 ) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -161,10 +162,8 @@ def lens_from_json(
     fx, fy = focal("x", width), focal("y", height)
     if fx is None:
         fx = number("fl_x") if fy is None else fy
-    is_fisheye = values.get("is_fisheye")
-    fisheye = (
-        json_value(bool | None, is_fisheye, f"is_fisheye of {what}", file) or model == _FISHEYE
-    )
+    flag = json_value(bool | None, values.get("is_fisheye"), f"is_fisheye of {what}", file)
+    fisheye = bool(flag) or model == _FISHEYE
     k1, k2, k3, k4, p1, p2 = (number(name, 0.0) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
     lens = Lens(
         int(width),
@@ -247,15 +246,8 @@ class _TransformsReader:
             missing = sum(modality not in view.images for view in views)
             if modality != RGB and 0 < missing < len(views):
                 self.notes.decide(f"{missing} of {len(views)} frames have no {modality} image.")
-        return SceneSource(
-            self.root,
-            self.file,
-            views,
-            self._points(),
-            self.notes,
-            self._lists([view.key for view in views]),
-            self._world(),
-        )
+        lists, world = self._lists(views), self._world()
+        return SceneSource(self.root, self.file, views, self._points(), self.notes, lists, world)
 
     def _view(self, value: object, what: str) -> ViewSource:
         remedy = "export the file again"
@@ -340,7 +332,7 @@ class _TransformsReader:
         """The lens of an image; ``own`` wins, and what it lacks comes from the top level if the
         lens is shared. What many images share is read once."""
         whole = {**self.top, **own} if shared else own
-        if changing := [name for name in _REFUSED if np.any(whole.get(name) or 0)]:
+        if changing := [name for name in _REFUSED if name in whole and np.any(whole[name] or 0)]:
             raise scene_error(
                 self.file,
                 f"{changing[0]} of {what} is not read, and changes what the other keys mean; "
@@ -354,15 +346,15 @@ class _TransformsReader:
             self._lenses[key] = lens_from_json(values, what, self.file)
         return self._lenses[key]
 
-    def _lists(self, views: Sequence[str]) -> FilenameLists:
-        """The lists of images by the keys of the ``views``, of which a bare name must be one."""
-        by_name: dict[str, list[str]] = {}
-        for key in views:
-            by_name.setdefault(PurePosixPath(key).name, []).append(key)
+    def _lists(self, views: Sequence[ViewSource]) -> FilenameLists:
+        """The lists of images, by the keys of the views; a bare name is that of the only one."""
+        keys_of = defaultdict[str, list[str]](list)
+        for view in views:
+            keys_of[PurePosixPath(view.key).name].append(view.key)
 
         def key_of(item: str) -> str:
             key = composed(without_image_suffix(PurePosixPath(item.replace("\\", "/")).as_posix()))
-            same = by_name.get(key, []) if "/" not in key else []
+            same = keys_of.get(key, [])
             return same[0] if len(same) == 1 else key.removeprefix(f"{self.root.as_posix()}/")
 
         def keys(name: str) -> frozenset[str] | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import TypeAlias
 
@@ -169,11 +168,9 @@ def _ascii_vertices(
     wanted = vertex.count * columns
     if 2 * (skipped + wanted) > len(body) + 1:  # a number and a separator each
         raise _too_short(path, vertex.count)
-    tokens = body.split(maxsplit=skipped + wanted)
+    tokens = body.split(maxsplit=skipped + wanted)[skipped : skipped + wanted]
     try:
-        numbers = np.fromiter(
-            (float(token) for token in islice(tokens, skipped, skipped + wanted)), np.float64
-        )
+        numbers = np.array(tokens, dtype=np.float64)
     except ValueError as error:
         raise scene_error(
             path, f"holds something that is not a number ({error}); export the points again"

@@ -164,10 +164,7 @@ def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
 
 
 def posed_image(
-    source: ImageSource,
-    decoder: Decoder,
-    resolution: int | None,
-    keeps_levels: bool = False,
+    source: ImageSource, decoder: Decoder, resolution: int | None, keeps_levels: bool = False
 ) -> PosedImage:
     """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is
     called. SceneError if the distortion leaves nothing of the image.

@@ -37,15 +37,7 @@ from mrgs.pictures.values import unit_of
 from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.runs.open import Run
-from mrgs.scene import (
-    BUILT_IN,
-    THERMAL,
-    Camera,
-    Modality,
-    Scene,
-    evenly_spaced,
-    ideal_cameras,
-)
+from mrgs.scene import BUILT_IN, THERMAL, Camera, Modality, Scene, evenly_spaced, ideal_cameras
 from mrgs.survey import Survey
 from mrgs.system.atomic import write_text
 

@@ -3,13 +3,10 @@ size, with °C or without."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
-
-from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.data.colmap import find_model
@@ -202,6 +199,5 @@ def _sizes(pair: PhotoPair, thermal: ThermalPhoto) -> dict[Modality, Size]:
         info = probe(pair.photos[RGB])
         sizes[RGB] = (info.width, info.height)
     elif pair.embedded and thermal.facts.visible is not None:
-        with Image.open(io.BytesIO(thermal.facts.visible.data), formats=("JPEG", "PNG")) as image:
-            sizes[RGB] = image.size
+        sizes[RGB] = thermal.facts.visible.pixels().shape[1::-1]
     return {**sizes, THERMAL: (width, height)}

@@ -177,8 +177,7 @@ def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> C
     }
     if _stamps(pair) != stamps:
         raise scene_error(
-            source,
-            "this photo or its RGB photo changed while it was read; wait until it is copied",
+            source, "this photo or its RGB photo changed while it was read; wait until it is copied"
         )
     _remove_transforms(scene)
     images = {}

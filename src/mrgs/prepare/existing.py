@@ -11,8 +11,8 @@ import torch
 
 from mrgs.data.colmap import (
     MODEL_FOLDERS,
-    ColmapModel,
     RegisteredImage,
+    find_model,
     largest_model,
     read_images,
     read_points3d,
@@ -136,10 +136,8 @@ def _read(folder: Path) -> _Given:
         firsts = [(view.key, _first(view.images)) for view in source.views]
         poses = [RegisteredImage(_stem(key), image.lens, image.viewmat) for key, image in firsts]
         return _Given(poses, source.points, file.name, source.notes, source.world)
-    here = [ColmapModel(root, suffix) for suffix in (".bin", ".txt")]
-    here = [one for one in here if all(is_file(one.file(each)) for each in ("cameras", "images"))]
     notes = ReadingNotes()
-    model = largest_model(root, notes) or next(iter(here), None)
+    model = largest_model(root, notes) or find_model(root, ["."])
     if model is None:
         looked_for = ", ".join(f"{name}/cameras.bin or .txt" for name in MODEL_FOLDERS)
         raise scene_error(

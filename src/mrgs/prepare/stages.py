@@ -96,12 +96,7 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
         if given is None:
             cache = work.scene / CACHE_FOLDER
             return reconstruct(
-                files,
-                cache,
-                work.progress,
-                modality=modality,
-                gps=gps,
-                field_of_view_deg=view_deg,
+                files, cache, work.progress, modality=modality, gps=gps, field_of_view_deg=view_deg
             )
         pairs = work.pairing.pairs
         found = existing_poses(given, files, pairs=pairs, two_cameras=two_cameras)

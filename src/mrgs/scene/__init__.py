@@ -16,13 +16,7 @@ from mrgs.scene.modality import (
 )
 from mrgs.scene.point_cloud import PointCloud
 from mrgs.scene.radiometry import TemperatureRange
-from mrgs.scene.rendering import (
-    NOT_COARSER,
-    Blend,
-    CameraResponse,
-    Rendering,
-    ideal_cameras,
-)
+from mrgs.scene.rendering import NOT_COARSER, Blend, CameraResponse, Rendering, ideal_cameras
 from mrgs.scene.scene import Scene
 from mrgs.scene.view import Pixels, PosedImage, View, evenly_spaced
 from mrgs.scene.world import EarthPosition, SceneBounds, WorldFrame

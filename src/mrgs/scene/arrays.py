@@ -18,11 +18,7 @@ from mrgs.system.limits import whole_number
 Array: TypeAlias = Tensor | NDArray[Any] | Sequence[Any]
 """What public functions accept for an array. Masked elements (``np.ma``) count as NaN."""
 
-_COMPUTABLE = {
-    torch.uint16: torch.int32,
-    torch.uint32: torch.int64,
-    torch.uint64: torch.float64,
-}
+_COMPUTABLE = {torch.uint16: torch.int32, torch.uint32: torch.int64, torch.uint64: torch.float64}
 """Types that torch stores but hardly computes with, and what holds their values."""
 
 Numbers: TypeAlias = tuple["float | Numbers", ...]

@@ -158,10 +158,7 @@ class ThermoNerf(nn.Module):
         self._spacing = Spacing(frame.near, frame.middle, frame.far)
 
     def trace(
-        self,
-        rays: Rays,
-        rows: Mapping[Modality, slice],
-        generator: torch.Generator | None = None,
+        self, rays: Rays, rows: Mapping[Modality, slice], generator: torch.Generator | None = None
     ) -> Traced:
         """Follow rays; differentiable in the parameters.
 

@@ -92,8 +92,7 @@ def _model(tensors: Mapping[str, Tensor], config: ThermoNerfConfig) -> ThermoNer
     frame = below(tensors, "frame.")
     numbers = {"centre": (3,), "sizes": (4,)}
     require_like(
-        frame,
-        {name: torch.empty(shape, dtype=torch.float64) for name, shape in numbers.items()},
+        frame, {name: torch.empty(shape, dtype=torch.float64) for name, shape in numbers.items()}
     )
     radius, near, middle, far = frame["sizes"].tolist()
     if not (0 < radius < math.inf and 0 <= near < far < math.inf and 0 < middle < math.inf):

@@ -132,6 +132,5 @@ def _bare_numbers(
                 values = np.frombuffer(data, form).reshape(height, width).astype(np.float32)
                 return finished(values, unit, path, facts, overrides)
     raise scene_error(
-        path,
-        f"{has}, which is no image of a DJI camera; make it with {TOOL} -a measure",
+        path, f"{has}, which is no image of a DJI camera; make it with {TOOL} -a measure"
     )

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -19,12 +21,16 @@ from mrgs.data.files import scene_error
 from mrgs.data.images import stored_size
 
 _TIMES = (
-    (Base.DateTimeOriginal, Base.SubsecTimeOriginal),
-    (Base.DateTimeDigitized, Base.SubsecTimeDigitized),
-    (Base.DateTime, Base.SubsecTime),
+    (Base.DateTimeOriginal, Base.SubsecTimeOriginal, Base.OffsetTimeOriginal),
+    (Base.DateTimeDigitized, Base.SubsecTimeDigitized, Base.OffsetTimeDigitized),
+    (Base.DateTime, Base.SubsecTime, Base.OffsetTime),
 )
-"""Times, and their fractions of a second. The first that is a time counts: a camera whose clock was
-not set fills one with zeros or blanks, and the last may be that of an edit."""
+"""Times, their fractions of a second, and their zones. The first that is a time counts: a camera
+whose clock was not set fills one with zeros or blanks, and the last may be that of an edit."""
+
+_CLOCK = re.compile(
+    r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d:\d\d)(?:\.(\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
+)
 
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
 
@@ -45,6 +51,7 @@ class ExifFacts:
 
     Attributes:
         taken: time by the camera's own clock, without a time zone.
+        zone_s: of that clock, seconds ahead of UTC.
         orientation: how the camera was held, 1 to 8; 1 is upright, or not known.
         field_of_view_deg: horizontal, from the focal length and the pixels' size on the sensor.
     """
@@ -57,6 +64,7 @@ class ExifFacts:
     serial: str | None = None
     focal_mm: float | None = None
     field_of_view_deg: float | None = None
+    zone_s: float | None = None
 
 
 def read_exif(data: bytes) -> ExifFacts:
@@ -75,19 +83,21 @@ def read_exif(data: bytes) -> ExifFacts:
 
 def _facts(tags: Mapping[int, Any], gps: Mapping[int, Any], width: int) -> ExifFacts:
     """From the tags of the main and of the Exif directory, which some cameras do not tell apart."""
-    times = (_time(tags.get(time), tags.get(fraction)) for time, fraction in _TIMES)
+    times = (_time(*map(tags.get, each)) for each in _TIMES)
+    taken, zone_s = next((time for time in times if time is not None), (None, None))
     orientation: Any = tags.get(Base.Orientation)
     focal_mm = _positive(tags.get(Base.FocalLength))
     serial = tags.get(Base.BodySerialNumber) or tags.get(Base.CameraSerialNumber)
     return ExifFacts(
         clean_text(tags.get(Base.Make)),
         clean_text(tags.get(Base.Model)),
-        next((time for time in times if time is not None), None),
+        taken,
         _position(gps),
         int(orientation) if orientation in range(1, 9) else 1,
         clean_text(serial),
         focal_mm,
         _field_of_view_deg(tags, width, focal_mm),
+        zone_s,
     )
 
 
@@ -125,17 +135,27 @@ def clean_text(value: object) -> str | None:
     return text.strip()[:64] or None
 
 
-def _time(value: object, subseconds: object) -> datetime | None:
+def _time(
+    value: object, subseconds: object, offset: object
+) -> tuple[datetime, float | None] | None:
+    """A time by the camera's clock and that clock's zone, which some programs write behind it."""
+    parts = _CLOCK.fullmatch(clean_text(value) or "")
+    if parts is None:
+        return None
     try:
-        moment = datetime.strptime(clean_text(value) or "", "%Y:%m:%d %H:%M:%S")
+        moment = datetime.fromisoformat("{}-{}-{} {}".format(*parts.groups()))
     except ValueError:
         return None
-    digits, _, whole = (clean_text(subseconds) or "").partition("/")
+    zone_s = None
+    with suppress(ValueError):
+        zone = parts[6] or clean_text(offset)
+        zone_s = -datetime.strptime(f"1970 {zone}", "%Y %z").timestamp()
+    digits, _, whole = (clean_text(subseconds) or parts[5] or "").partition("/")
     if not (digits.isascii() and digits.isdigit()):
-        return moment
+        return moment, zone_s
     if whole == "1000" and int(digits) < 1000:  # a ratio in place of digits
         digits = digits.zfill(3)
-    return moment.replace(microsecond=int(digits[:6].ljust(6, "0")))
+    return moment.replace(microsecond=int(digits[:6].ljust(6, "0"))), zone_s
 
 
 def _position(gps: Mapping[int, Any]) -> GpsPosition | None:
@@ -217,12 +237,14 @@ def flir_record(data: bytes, path: Path) -> bytes | None:
     parts = [part for part in parts if len(part.content) >= _FLIR_HEADER]
     if not parts:
         return None
+    if len(parts) <= 256:  # a program that wrote other segments may have changed their order
+        parts.sort(key=lambda part: part.content[6])
     last = parts[0].content[7]
     numbers = [part.content[6] for part in parts]
     # The number is one byte: it starts again at 0 after 255. Workswell numbers no part.
     in_order = numbers == [index & 0xFF for index in range(len(parts))] and numbers[-1] == last
     is_numbered = parts[0].content.startswith(RECORD_MARKS[0])
-    if (is_numbered and not in_order) or not parts[-1].whole:
+    if (is_numbered and not in_order) or not all(part.whole for part in parts):
         whole = sum(part.whole for part in parts)
         raise scene_error(
             path,

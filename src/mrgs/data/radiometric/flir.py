@@ -41,6 +41,11 @@ from mrgs.scene.radiometry import ZERO_CELSIUS_K, ObjectParameters, Planck
 _IMAGE_OFFSET = 32
 """Raw data and embedded images follow a header of this many bytes."""
 
+_SURROUNDINGS = ("reflected_c", "atmospheric_c", "window_c")
+_KELVIN_AS_CELSIUS = (250.0, 330.0)
+"""A temperature of the surroundings between these, °C, is one in K: that of FLIR's cameras for
+phones is 298."""
+
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
 """A photo whose middle temperature lies outside of these was not computed with its camera's
 constants."""
@@ -86,7 +91,13 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         facts = replace(facts, source="Workswell radiometric JPEG")
         return finished(raw.astype(np.float32), WIRIS_UNITS, path, facts, overrides, True)
     planck = _planck(info, path)
-    parameters = overrides.applied_to(_parameters(info, path))
+    stored, given = _parameters(info, path), overrides.of_parameters()
+    corrected = {
+        name: round(value - ZERO_CELSIUS_K, 3)
+        for name in _SURROUNDINGS
+        if _KELVIN_AS_CELSIUS[0] <= (value := getattr(stored, name)) <= _KELVIN_AS_CELSIUS[1]
+    }
+    parameters = overrides.applied_to(replace(stored, **corrected))
     if problem := parameters.problem():
         name, sentence = problem
         raise scene_error(path, f"its {name} of {sentence}; give the true one", options=(name,))
@@ -106,8 +117,13 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         scale_c=_scale(info, measurement),
         notes=(note,),
     )
-    doubts = _doubts(celsius, valid, facts)
-    facts = facts.adding(warnings=doubts, given=overrides.of_parameters())
+    said = [
+        f"Its {name} of {getattr(stored, name):g} °C must be K: {value:g} °C is used; if it was so "
+        f"hot, give it."
+        for name, value in corrected.items()
+        if name not in given and (name != "window_c" or stored.window_transmission < 1)
+    ]
+    facts = facts.adding(warnings=(*said, *_doubts(celsius, valid, facts)), given=given)
     return ThermalPhoto(celsius, None, valid, facts)
 
 

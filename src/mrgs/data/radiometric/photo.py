@@ -187,10 +187,7 @@ class PhotoFacts:
     ) -> PhotoFacts:
         """A copy with other values; ``notes`` and ``warnings`` are appended."""
         return replace(
-            self,
-            notes=(*self.notes, *notes),
-            warnings=(*self.warnings, *warnings),
-            **changes,
+            self, notes=(*self.notes, *notes), warnings=(*self.warnings, *warnings), **changes
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from mrgs.data.files import scene_error
-from mrgs.data.images import LUMINANCE, as_stored, numbers_of, opened
+from mrgs.data.images import LUMINANCE, as_stored, numbers_of, opened, scaling_of
 from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.measurement import masked
 from mrgs.data.radiometric.photo import MAX_PIXELS, Overrides, PhotoFacts, ThermalPhoto
@@ -39,16 +39,18 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     scale, or given bounds without being grey."""
     with opened(path, data, most_pixels=MAX_PIXELS) as image:
         kind, mode, xmp = str(image.format), image.mode, image.info.get("xmp", b"")
-        if mode in ("F", "L") or mode.startswith("I"):
+        has_numbers = mode == "F" or scaling_of(image) is not None
+        if has_numbers or mode.startswith("I"):
             pixels = numbers_of(image)
         else:
-            pixels = np.array(as_stored(image).convert("L" if mode in ("1", "LA", "La") else "RGB"))
+            grey = "L" if mode in ("1", "L", "LA", "La") else "RGB"
+            pixels = np.array(as_stored(image).convert(grey))
     facts = PhotoFacts(
         f"{kind} image", exif.model, exif.serial, exif.taken, exif.gps, exif.field_of_view_deg
     )
     if pixels.ndim == 3:
         return _from_colours(pixels, path, facts, overrides)
-    if pixels.dtype == np.float32:
+    if has_numbers:
         return finished(pixels, FLOAT_UNITS, path, facts, overrides)
     if pixels.dtype == np.uint8:
         return _from_grey(pixels.astype(np.float32) / 255, path, facts, overrides)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from mrgs.data.files import read_bytes, scene_error
+from mrgs.data.images import TIFF_SIGNATURES
 from mrgs.data.radiometric.dji import read_bare_numbers, read_r_jpeg
 from mrgs.data.radiometric.exif import (
     JPEG_SIGNATURE,
@@ -23,7 +24,7 @@ from mrgs.data.radiometric.table import read_table
 
 MAX_BYTES = 256 * 2**20
 
-_RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_RASTERS = (JPEG_SIGNATURE, b"\x89PNG\r\n\x1a\n", *TIFF_SIGNATURES)
 _TABLE_SUFFIXES = {".csv", ".txt", ".tsv"}
 
 Kind = Literal["signal", "numbers", "table", "image"]

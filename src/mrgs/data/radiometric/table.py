@@ -33,9 +33,12 @@ _MENTIONED = (
 _STATED = re.compile(r"\bunits?\b[\s\"':=;,(\[]*[°º]?\s*([CFK])\b", re.IGNORECASE)
 """How they say that it is that of the numbers."""
 
-_SEPARATORS = (";", "\t", ",")
-"""The first that a line holds several times is the one; where it is no comma, commas are decimal
-commas."""
+_SEPARATORS = (";", "\t", ",", " ")
+"""The first that gives a table is the one; where it is no comma, commas are decimal commas."""
+
+_WHOLE_AND_DECIMALS = re.compile(r"(?<![^,])([+-]?\d+),(\d+)(?![^,])")
+_ACROSS, _DOWN = "xcu", "yrlv"
+"""How the headings of a pixel's column and row begin: x, column; y, row, line."""
 
 
 def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
@@ -44,9 +47,10 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 
     Lines before and after it are left out, and so is a text at the start of its lines; a unit that
     they name is that of the numbers. What is no number among as many numbers as in the other lines
-    is a pixel without temperature. The separator is a semicolon, a tab or a comma; a comma inside
-    quotes, or beside another separator, is a decimal comma. SceneError if there is no such block,
-    or the numbers are no temperatures.
+    is a pixel without temperature. The separator is a semicolon, a tab, a comma or a blank; a comma
+    inside quotes, or beside another separator, is a decimal comma, and where commas are both, every
+    second one. Lines of three numbers may be a pixel's place and temperature. SceneError if there
+    is no such block, or the numbers are no temperatures.
 
     Args:
         data: the file's content; see ``decoded_text`` for its encodings.
@@ -58,13 +62,18 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
             f"is a text of {len(data)} bytes, too long for a table of one photo; check the export",
         )
     lines = decoded_text(data).splitlines()
-    separator = next((s for s in _SEPARATORS if any(line.count(s) > 1 for line in lines)), None)
-    rows, beside = ([], []) if separator is None else _largest_block(lines, separator)
+    possible = (each for each in _SEPARATORS if any(line.count(each) > 1 for line in lines))
+    found = ((each, *_largest_block(lines, each)) for each in possible)
+    separator, rows, beside = next((each for each in found if each[1]), ("", [], lines))
     if not rows:
         raise scene_error(
             path, "holds no table of numbers; export the temperatures of all pixels as CSV"
         )
-    values = np.stack(rows)  # without indices, as spreadsheets and pandas write them
+    if separator == "," and _are_decimals(np.stack(rows)):
+        lines = [_WHOLE_AND_DECIMALS.sub(r"\1.\2", line) for line in lines]
+        rows, beside = _largest_block(lines, ",")
+    values = _picture(np.stack(rows), beside, path)
+    # Without indices, as spreadsheets and pandas write them.
     if len(values) > 2 and _counts(values[:, 0]):
         values = values[:, 1:]
     if values.shape[1] > 2 and _counts(values[0]):
@@ -73,10 +82,41 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     return finished(values, candidates, path, PhotoFacts("table of temperatures"), overrides)
 
 
-def _numbers_in(cells: list[str]) -> int:
-    """How many numbers a line holds, without a text in front and an empty cell behind; 0 if others
+def _are_decimals(values: Float64[np.ndarray, "h w"]) -> bool:
+    """Whether every second number is the decimals of the one before: these follow each other much
+    more closely than the two of a pair."""
+    whole, decimals = values[:, ::2], values[:, 1::2]
+    if values.shape[1] % 2 or (values % 1 > 0).any() or (decimals < 0).any():
+        return False
+    steps = np.nanmean(np.abs(np.diff(whole, axis=1))) if whole.shape[1] > 1 else 0.0
+    return bool(2 * steps < np.nanmean(np.abs(whole - decimals)))
+
+
+def _picture(
+    values: Float64[np.ndarray, "h w"], beside: list[str], path: Path
+) -> Float64[np.ndarray, "rows columns"]:
+    """The picture in lines of a pixel's place and temperature, NaN where a place is missing; any
+    other table as it is. SceneError if no heading says which number is the row."""
+    if values.shape[1] != 3:
+        return values
+    (first, i), (second, j) = (np.unique(values[:, at], return_inverse=True) for at in (0, 1))
+    shape, size = (len(first), len(second)), len(first) * len(second)
+    if min(shape) < 2 or not 0.75 * size < len(values) <= size:
+        return values
+    picture = np.full(shape, np.nan)
+    picture[i, j] = values[:, 2]
+    for line in beside:
+        if re.match(f"[^a-z]*[{_ACROSS}][a-z]*[^a-z]+[{_DOWN}]", line.lower()):
+            return picture.T
+        if re.match(f"[^a-z]*[{_DOWN}][a-z]*[^a-z]+[{_ACROSS}]", line.lower()):
+            return picture
+    raise scene_error(path, "lists places and temperatures; name its columns x, y, t above them")
+
+
+def numbers_in(cells: list[str]) -> int:
+    """How many numbers a line holds, without a text in front and empty cells behind; 0 if others
     are among them."""
-    if cells and not cells[-1]:
+    while cells and not cells[-1]:
         cells = cells[:-1]
     if cells and not _NUMBER.fullmatch(cells[0]):
         cells = cells[1:]
@@ -86,7 +126,9 @@ def _numbers_in(cells: list[str]) -> int:
 def _cells(line: str, separator: str) -> list[str]:
     if separator == "," and '"' in line:  # quoted cells with a decimal comma
         line = re.sub(r'"([^"]*)"', lambda quoted: quoted[1].replace(",", "."), line)
-    cells = [cell.strip().strip('"') for cell in line.split(separator)]
+    cells = [
+        cell.strip().strip('"') for cell in line.split(separator if separator != " " else None)
+    ]
     return cells if separator == "," else [cell.replace(",", ".") for cell in cells]
 
 
@@ -96,7 +138,7 @@ def _largest_block(
     """The numbers of the longest run of lines with equally many of them, lines with gaps among
     these; and the lines beside it."""
     cells = [_cells(line, separator) for line in lines]
-    counts = [_numbers_in(each) for each in cells]
+    counts = [numbers_in(each) for each in cells]
     runs = [(count, len(list(run))) for count, run in groupby(counts) if count > 1]
     if not runs:
         return [], []
@@ -108,6 +150,8 @@ def _largest_block(
         [*run] for known, run in groupby(enumerate(rows), lambda each: each[1] is not None) if known
     ]
     longest = max(runs_of_rows, key=len)
+    if 2 * len(longest) < sum(2 * count >= width for count in counts):
+        return [], []  # lines of many lengths, as where only some numbers have a decimal comma
     first, last = longest[0][0], longest[-1][0] + 1
     block = [row for _, row in longest if row is not None]
     return block, [*lines[:first], *lines[last:]]
@@ -117,7 +161,7 @@ def _row(cells: list[str], width: int, is_labelled: bool) -> Float64[np.ndarray,
     """The numbers of a line of so many, NaN where a cell holds none; None if most hold none."""
     if is_labelled:
         cells = cells[1:]
-    if len(cells) > width and not cells[-1]:
+    while len(cells) > width and not cells[-1]:
         cells = cells[:-1]
     values = [float(cell) if _NUMBER.fullmatch(cell) else np.nan for cell in cells]
     if len(values) != width or 2 * np.isnan(values).sum() > width:

@@ -23,16 +23,7 @@ from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import colorize, display_range
 from mrgs.prepare.contract import ConvertedView, Progress
 from mrgs.prepare.rig.images import STEP_PX, inverse_depth
-from mrgs.scene import (
-    RGB,
-    THERMAL,
-    Camera,
-    Modality,
-    Pixels,
-    PointCloud,
-    TemperatureRange,
-    View,
-)
+from mrgs.scene import RGB, THERMAL, Camera, Modality, Pixels, PointCloud, TemperatureRange, View
 from mrgs.scene.view import evenly_spaced
 
 

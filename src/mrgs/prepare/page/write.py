@@ -143,11 +143,7 @@ def write_scene_page(
 
 
 def _previews(
-    work: Work,
-    scene: Scene | None,
-    posed: Reconstruction | None,
-    shown: Sequence[int],
-    width: int,
+    work: Work, scene: Scene | None, posed: Reconstruction | None, shown: Sequence[int], width: int
 ) -> list[Preview]:
     """The views that are shown: as the scene has them, else from their files."""
     temperature = None if scene is None else scene.temperature

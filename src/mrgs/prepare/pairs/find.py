@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from mrgs.data.files import composed, contained, decoded_text, is_file, read_bytes, scene_error
+from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes, scene_error
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras, shifted
@@ -249,11 +249,14 @@ def by_table(table: Path, inventory: Inventory) -> Match:
     """
     photos = {photo.path.resolve(): photo for photo in inventory.photos}
     pairs, used = [], dict[Photo, int]()
+    known, _ = by_modality(inventory.photos, "")
     for number, names in _rows(table):
         reference = _photo(names[REFERENCE], photos, inventory, table, number)
         partner = None
         if names[PARTNER]:
             partner = _photo(names[PARTNER], photos, inventory, table, number)
+            if partner in known and reference not in known:  # no headings, in the other order
+                partner, reference = reference, partner
         for photo in filter(None, (partner, reference)):
             if (before := used.setdefault(photo, number)) != number:
                 both = f"lines {before} and {number} both name {inventory.name(photo)}"
@@ -285,7 +288,9 @@ def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
                 table, f"line {number} cannot be read ({error}); {_EXAMPLE}"
             ) from None
         cells = [cell.strip() for cell in row]
-        if not any(cells):
+        while len(cells) > 2 and not cells[-1]:
+            cells.pop()
+        if not any(cells) or cells[0].startswith("sep="):  # by Excel
             continue
         words = [cell.lower() for cell in cells]
         headings = [each for word in words for each in _COLUMNS if word in HEADINGS[each]]
@@ -305,19 +310,16 @@ def _photo(
     text: str, photos: dict[Path, Photo], inventory: Inventory, table: Path, number: int
 ) -> Photo:
     try:
-        path = contained(inventory.root.resolve(), text, table)
+        root = inventory.root.resolve()
+        path = contained(root, text, table)
+        if not is_file(path):
+            path = contained(root, on_disk(root, text), table)
     except SceneError:
         raise scene_error(
             table,
             f"line {number}: {shown(text)} lies outside {inventory.root}; name photos relative to "
             f"that folder",
         ) from None
-    if not is_file(path):  # perhaps the same text in another Unicode form
-        names = [one.path.relative_to(inventory.root).as_posix() for one in inventory.photos]
-        names += [item.name for item in inventory.skipped]
-        root, wanted = inventory.root.resolve(), composed(str(path))
-        same = (root / name for name in names if composed(str(root / name)) == wanted)
-        path = next(same, path)
     if not is_file(path):
         raise scene_error(
             table, f"line {number}: there is no {shown(text)} in {inventory.root}; correct the name"

@@ -7,16 +7,13 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
-from mrgs.data.files import composed, read_bytes, scene_error, visible_files
+from mrgs.data.files import composed, decoded_text, read_bytes, scene_error, visible_files
 from mrgs.data.images import opened, stored_size
 from mrgs.data.kept import Stamp, digest, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
-from mrgs.data.radiometric.exif import (
-    JPEG_SIGNATURE,
-    RECORD_MARKS,
-    flir_record,
-)
+from mrgs.data.radiometric.exif import JPEG_SIGNATURE, RECORD_MARKS, flir_record
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
+from mrgs.data.radiometric.table import numbers_in
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Progress, Skipped
 from mrgs.prepare.pairs.names import folder_modality, natural, printable
@@ -87,7 +84,8 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         if not data:
             return "is empty; copy it again"
         reader = reader_of(data, path)
-        if reader is None and suffix in _UNSUPPORTED:
+        is_plain = data.startswith((JPEG_SIGNATURE, b"\x89PNG"))
+        if suffix in _UNSUPPORTED and not is_plain:  # a raw photo is a TIFF with a preview
             return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
         if reader is None:
             return "is no photo"
@@ -143,9 +141,12 @@ def _image(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
 
 
 def _table(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
-    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "latin-1"
-    lines = data.decode(encoding, errors="replace").splitlines()[:100]
-    is_wide = any(line.count(sign) >= _TABLE_COLUMNS for line in lines for sign in ";\t,")
+    lines = decoded_text(data).splitlines()[:100]
+    is_wide = any(
+        numbers_in(line.split()) >= _TABLE_COLUMNS
+        or any(line.count(sign) >= _TABLE_COLUMNS for sign in ";\t,")
+        for line in lines
+    )
     return Photo(path, origin, "table") if is_wide else "is no photo"
 
 

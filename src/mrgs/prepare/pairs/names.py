@@ -23,7 +23,7 @@ _THERMAL_WORDS = {
 }  # fmt: skip
 _RGB_WORDS = {
     "rgb", "vis", "visible", "visual", "color", "colour", "dc", "eo", "wide", "zoom", "scrn",
-    "max", "optical",
+    "max", "optical", "vl",
 }  # fmt: skip
 _WORDS = {THERMAL: _THERMAL_WORDS, RGB: _RGB_WORDS}
 _PHOTO_WORDS = {"image", "images", "photo", "photos"}
@@ -48,7 +48,7 @@ _LAST_LETTER = re.compile(
 """After a number any of these letters; after a word only the T: ``house_w`` may well be the west
 side."""
 
-_LAST_R = re.compile(r"(?<=\d)[_\-]r$", re.IGNORECASE)
+_LAST_R = re.compile(r"(?<=\d)[_\-]r(?:ad)?$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)
 """DJI's newer names: ``DJI_20240131120000_0001_T_Waypoint1``."""
 
@@ -76,8 +76,8 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
     """The facts in a stem.
 
     Args:
-        radiometric: whether the file is thermal by content: then an ``_R`` at the end says so, too
-            (FLIR Duo, DJI XT2).
+        radiometric: whether the file is thermal by content: then an ``_R`` or ``_RAD`` at the end
+            says so, too (FLIR Duo, DJI XT2, Workswell).
     """
     if radiometric and (found := _LAST_R.search(stem)):
         return StemFacts(stem[: found.start()], THERMAL, "r")
@@ -94,6 +94,8 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
         modality = _modality_of(word) if len(word) > 1 else None
         if modality is not None:
             rest = [*parts[:index], number, *parts[index + 1 :]]
+            if modality == REFERENCE:  # Autel's MAX_0001_IR belongs to MAX_0001
+                rest = [part for part in rest if part.lower() not in _RGB_WORDS]
             return StemFacts("_".join(part for part in rest if part), modality, word.lower())
     return StemFacts(stem)
 

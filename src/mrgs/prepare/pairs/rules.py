@@ -306,22 +306,27 @@ def by_embedded(photos: Sequence[Photo]) -> Match | None:
 
 def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
     """The nearest in time by EXIF, after the clocks are compared."""
+    timed = [photo for photo in photos if photo.exif.taken is not None]
+    in_zones = all(photo.exif.zone_s is not None for photo in timed)
+
+    def moment(photo: Photo) -> datetime:
+        """In UTC, if all photos know their zones."""
+        zone_s = photo.exif.zone_s if in_zones else None
+        return _taken(photo) - timedelta(seconds=zone_s or 0.0)
+
     references, partners = (
-        sorted(
-            (photo for photo in group if photo.exif.taken is not None),
-            key=lambda photo: (_taken(photo), natural(str(photo.origin))),
-        )
-        for group in by_modality(photos, root_name)
+        sorted(group, key=lambda photo: (moment(photo), natural(str(photo.origin))))
+        for group in by_modality(timed, root_name)
     )
     if not references or not partners:
         return None
-    start = min(_taken(photo) for photo in [*references, *partners])
+    start = min(moment(photo) for photo in [*references, *partners])
     references_s, partners_s = (
-        [(_taken(photo) - start).total_seconds() for photo in group]
+        [(moment(photo) - start).total_seconds() for photo in group]
         for group in (references, partners)
     )
     offset = clock_offset(partners_s, references_s, tolerance_s)
-    matched = _matched(references, partners, _taken, offset.seconds, tolerance_s)
+    matched = _matched(references, partners, moment, offset.seconds, tolerance_s)
     if not matched:
         return None
     unknown = {

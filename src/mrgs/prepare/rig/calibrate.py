@@ -107,10 +107,7 @@ def calibrate_rig(
 
 
 def _reduced(
-    pairs: Sequence[RigPair],
-    points: PointCloud,
-    target: LocatedTarget | None,
-    report: Progress,
+    pairs: Sequence[RigPair], points: PointCloud, target: LocatedTarget | None, report: Progress
 ) -> tuple[list[ReducedPair], tuple[int, int]]:
     """The usable pairs at working size, and the thermal images' width and height."""
     positions = points.positions.double().numpy()
@@ -246,11 +243,7 @@ def _result(
 
 
 def _view(
-    name: str,
-    view: int,
-    own: Int64[Tensor, " k"],
-    adjusted: Adjusted,
-    observations: Observations,
+    name: str, view: int, own: Int64[Tensor, " k"], adjusted: Adjusted, observations: Observations
 ) -> RigView:
     """The result of a pair, from its ``own`` rows of the observations."""
     agreeing = own[adjusted.inlier[own]]

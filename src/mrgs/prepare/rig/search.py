@@ -83,9 +83,7 @@ class Found:
 
 
 def first_guess(
-    pairs: Sequence[ReducedPair],
-    field_of_view_deg: float | None,
-    report: Progress | None = None,
+    pairs: Sequence[ReducedPair], field_of_view_deg: float | None, report: Progress | None = None
 ) -> Found:
     """Search fields of view from 15° to 100° (or around a given one), rotations up to 6°, and
     shifts up to 0.4 widths; without what all images of a camera have in common, and if nothing

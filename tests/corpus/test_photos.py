@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+from mrgs.data.radiometric import Overrides, read_exif, read_thermal_photo
+from mrgs.errors import SceneError
+from mrgs.prepare.pairs.find import find_pairs
+from mrgs.scene import RGB, THERMAL
+from tests.corpus.photos import numbers, places, raw_photo, timed_jpeg, with_parts_reversed
+from tests.helpers.flir import PARAMETERS, FlirPhoto, wave
+
+Y, X = np.mgrid[:30, :40]
+TABLE_C = np.round(18 + 6 * np.sin(X / 9) + Y / 10, 1)
+
+
+def read(tmp_path, text: str):
+    (tmp_path / "a.csv").write_text(text)
+    return read_thermal_photo(tmp_path / "a.csv").temperature_c
+
+
+@pytest.mark.parametrize("head", ["", "Emissivity,0,95\n", "sep=,\n"])
+@pytest.mark.parametrize("label", ["", "Frame 1,"])
+def test_commas_between_numbers_and_in_them(tmp_path, head, label):
+    text = numbers(TABLE_C, ",", ",")
+    lines = "".join(f"{label}{line}\n" for line in text.splitlines())
+    np.testing.assert_allclose(read(tmp_path, head + lines), TABLE_C, atol=1e-5)
+
+
+def test_whole_degrees_between_commas_stay_whole(tmp_path):
+    whole = np.rint(TABLE_C)
+    text = "\n".join(",".join(f"{value:.0f}" for value in row) for row in whole)
+    np.testing.assert_array_equal(read(tmp_path, text), whole)
+
+
+def test_decimals_in_some_of_the_numbers_only_are_refused(tmp_path):
+    text = numbers(TABLE_C, ",", ",").replace(",0,", ",")
+    with pytest.raises(SceneError, match="no table"):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("heading", "down_first"),
+    [("x,y,t", False), ("y,x,temp", True), ("row,col,T", True), ("Column;Line;°C", False)],
+)
+def test_places_and_temperatures_are_a_picture(tmp_path, heading, down_first):
+    found = read(tmp_path, places(TABLE_C, heading, down_first))
+    np.testing.assert_allclose(found, TABLE_C, atol=1e-5)
+
+
+def test_places_without_headings_are_asked_for(tmp_path):
+    with pytest.raises(SceneError, match="x, y, t"):
+        read(tmp_path, places(TABLE_C, ""))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        numbers(TABLE_C, ";", ",", "sep=;\n"),
+        numbers(TABLE_C, ";", ",").replace("\n", ";;\n"),
+        numbers(TABLE_C, " "),
+        numbers(TABLE_C, "  ", ","),
+        "\n".join(" ".join(f"{value:.18e}" for value in row) for row in TABLE_C),
+    ],
+)
+def test_tables_of_spreadsheets_and_of_numpy(tmp_path, text):
+    np.testing.assert_allclose(read(tmp_path, text), TABLE_C, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["reflected_c", "atmospheric_c", "window_c"])
+def test_kelvin_that_a_flir_camera_stores_as_celsius(tmp_path, name):
+    settings = {**PARAMETERS, "emissivity": 0.9, "window_transmission": 0.9, name: 25.0}
+    (tmp_path / "a.jpg").write_bytes(FlirPhoto(parameters=settings).jpeg())
+    (tmp_path / "b.jpg").write_bytes(FlirPhoto(parameters={**settings, name: 298.15}).jpeg())
+    right, kelvin = (read_thermal_photo(tmp_path / f"{each}.jpg") for each in "ab")
+    np.testing.assert_allclose(kelvin.temperature_c, right.temperature_c, atol=1e-3)
+    assert any(name in text for text in kelvin.facts.warnings)
+    given = read_thermal_photo(tmp_path / "b.jpg", Overrides(**{name: 90.0}))
+    assert getattr(given.facts.parameters, name) == 90
+    assert not any("are K" in text for text in given.facts.warnings)
+
+
+def test_parts_of_a_flir_record_in_another_order(tmp_path):
+    jpeg = FlirPhoto(raw=wave(60, 80), part_bytes=2000).jpeg()
+    for name, data in (("a", jpeg), ("b", with_parts_reversed(jpeg))):
+        (tmp_path / f"{name}.jpg").write_bytes(data)
+    first, second = (read_thermal_photo(tmp_path / f"{name}.jpg") for name in "ab")
+    np.testing.assert_array_equal(first.temperature_c, second.temperature_c)
+
+
+@pytest.mark.parametrize(
+    ("original", "zone", "zone_s"),
+    [
+        ("2024:05:01 12:00:07", None, None),
+        ("2024:05:01 12:00:07", "+02:00", 7200),
+        ("2024:05:01 12:00:07", "-03:30", -12600),
+        ("2024:05:01 12:00:07+02:00", None, 7200),
+        ("2024-05-01T12:00:07Z", None, 0),
+        ("2024:05:01 12:00:07.00 -0100", None, -3600),
+    ],
+)
+def test_the_time_of_a_photo_with_a_zone_is_that_of_the_photo(original, zone, zone_s):
+    found = read_exif(timed_jpeg(original, "2024:11:30 08:00:00", zone))
+    assert (found.taken, found.zone_s) == (datetime(2024, 5, 1, 12, 0, 7), zone_s)
+
+
+def clock(moment: datetime) -> str:
+    return moment.strftime("%Y:%m:%d %H:%M:%S")
+
+
+NOON = datetime(2024, 5, 1, 12, 0, 0)
+
+
+def test_photos_that_were_edited_later_are_paired_by_when_they_were_taken(photos):
+    files = {}
+    for index, second in enumerate((0, 9, 31, 45, 90, 131, 200)):
+        taken = NOON + timedelta(seconds=second)
+        edited = clock(NOON + timedelta(days=90, seconds=200 - index))
+        files[f"rgb/P{index + 3}.jpg"] = (timed_jpeg(f"{clock(taken)}+02:00", edited), {})
+        files[f"thermal/T{index}.png"] = ("png", {"taken": taken})
+    found = find_pairs(photos(files), rule="time")
+    pairs = [(pair.photos[RGB].stem, pair.photos[THERMAL].stem) for pair in found.pairs]
+    assert pairs == [(f"P{index + 3}", f"T{index}") for index in range(7)]
+
+
+def test_zones_that_both_cameras_know_tell_which_photos_belong_together(photos):
+    """At regular intervals times alone cannot tell."""
+    files = {}
+    for index in range(12):
+        taken = NOON + timedelta(seconds=10 * index)
+        rgb = timed_jpeg(clock(taken + timedelta(hours=2)), zone="+02:00")
+        files[f"rgb/P{index:02d}.jpg"] = (rgb, {})
+        files[f"thermal/T{index + 5:02d}.jpg"] = (timed_jpeg(clock(taken), zone="+00:00"), {})
+    found = find_pairs(photos(files), rule="time")
+    assert [pair.photos[RGB].stem[1:] for pair in found.pairs] == [f"{i:02d}" for i in range(12)]
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize("days", [90, -400, 8800])
+def test_a_clock_that_is_months_off_or_was_never_set(photos, days):
+    files = {}
+    for index, second in enumerate((0, 9, 31, 45, 90, 131, 200)):
+        taken = NOON + timedelta(seconds=second)
+        files[f"rgb/P{index}.jpg"] = ("jpg", {"taken": taken})
+        files[f"thermal/T{index}.png"] = ("png", {"taken": taken - timedelta(days=days)})
+    found = find_pairs(photos(files), rule="time")
+    assert [pair.photos[RGB].stem[1:] for pair in found.pairs] == list("0123456")
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize("suffix", [".DNG", ".dng", ".NEF", ".cr2"])
+def test_a_raw_file_beside_its_photo_is_skipped_and_alone_refused(photos, suffix):
+    files = {f"{name}_T.tif": "celsius" for name in ("1", "2", "3")}
+    files |= {f"{name}_W.JPG": "jpg" for name in ("1", "2", "3")}
+    files |= {f"{name}_W{suffix}": (raw_photo(), {}) for name in ("1", "2", "3")}
+    found = find_pairs(photos(files))
+    assert {pair.photos[RGB].suffix for pair in found.pairs} == {".JPG"}
+    assert all("not read" in item.reason for item in found.skipped)
+    with pytest.raises(SceneError, match=rf"1_W\{suffix}.*not read"):
+        find_pairs(photos({f"1_W{suffix}": (raw_photo(), {})}, "raw"))
+
+
+@pytest.mark.parametrize(
+    ("rgb", "thermal", "kind"),
+    [
+        ("MAX_{:04d}.JPG", "MAX_{:04d}_IR.JPG", "jpg"),
+        ("MAX_{:04d}.JPG", "IRX_{:04d}.JPG", "jpg"),
+        ("{:04d}.JPG", "{:04d}_IR.TIFF", "celsius"),
+        ("20240501_{:06d}_VIS.jpg", "20240501_{:06d}_RAD.tiff", "celsius"),
+        ("HM20240501{:06d}_VL.jpeg", "HM20240501{:06d}.tif", "celsius"),
+    ],
+)
+def test_names_of_makers(photos, rgb, thermal, kind):
+    files = {rgb.format(index): ("jpg", {"size": (32, 24)}) for index in range(4)}
+    root = photos(files | {thermal.format(index): kind for index in range(4)})
+    pairs = [(pair.photos[RGB].name, pair.photos[THERMAL].name) for pair in find_pairs(root).pairs]
+    assert pairs == [(rgb.format(index), thermal.format(index)) for index in range(4)]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "{thermal},{rgb}\n",
+        "{rgb};{thermal};;\n",
+        "{rgb}\t{thermal}\t\n",
+    ],
+)
+def test_pair_tables_of_spreadsheets_in_either_order(photos, tmp_path, lines):
+    files = {f"t/{index}.tif": "celsius" for index in range(3)}
+    root = photos(files | {f"v/{index + 4}.jpg": "jpg" for index in range(3)})
+    head = "sep=;\n" if ";" in lines else ""
+    table = "".join(lines.format(rgb=f"v/{i + 4}.jpg", thermal=f"t/{i}.tif") for i in range(3))
+    (tmp_path / "pairs.csv").write_text(head + table)
+    found = find_pairs(root, table=tmp_path / "pairs.csv")
+    pairs = [(pair.photos[RGB].name, pair.photos[THERMAL].name) for pair in found.pairs]
+    assert pairs == [(f"{i + 4}.jpg", f"{i}.tif") for i in range(3)]
+
+
+def test_a_table_separated_by_blanks_is_a_thermal_photo(photos):
+    text = numbers(TABLE_C, " ").encode()
+    files = {f"{name}_T.txt": (text, {}) for name in "123"}
+    files["README.txt"] = (b"ten words in a line make no table of any photo here\n", {})
+    root = photos(files | {f"{name}_W.jpg": ("jpg", {"size": (40, 30)}) for name in "123"})
+    assert len(find_pairs(root).pairs) == 3
