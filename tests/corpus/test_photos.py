@@ -4,6 +4,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from mrgs.data.radiometric import Overrides, read_exif, read_thermal_photo
 from mrgs.errors import SceneError
@@ -204,3 +205,33 @@ def test_a_table_separated_by_blanks_is_a_thermal_photo(photos):
     files["README.txt"] = (b"ten words in a line make no table of any photo here\n", {})
     root = photos(files | {f"{name}_W.jpg": ("jpg", {"size": (40, 30)}) for name in "123"})
     assert len(find_pairs(root).pairs) == 3
+
+
+def test_names_in_which_both_photos_have_a_word_of_the_other_camera(photos):
+    files = {f"wide_house{index}_rgb.jpg": "jpg" for index in range(3)}
+    root = photos(files | {f"wide_house{index}_ir.tif": "celsius" for index in range(3)})
+    assert len(find_pairs(root).pairs) == 3
+
+
+@pytest.mark.parametrize("kelvin_per_count", [0.04, 0.1])
+def test_the_unit_of_counts_that_fit_several_is_asked_for(tmp_path, kelvin_per_count):
+    """Numbers of 1,000 to 10,000 may be hundredths of a degree, or tenths or fortieths of a K."""
+    counts = np.rint((TABLE_C + 273.15) / kelvin_per_count).astype(np.uint16)
+    Image.fromarray(counts).save(tmp_path / "a.tiff")
+    with pytest.raises(SceneError, match="give the unit"):
+        read_thermal_photo(tmp_path / "a.tiff")
+    given = read_thermal_photo(
+        tmp_path / "a.tiff", Overrides(unit=f"kelvin*{1 / kelvin_per_count:g}")
+    )
+    np.testing.assert_allclose(given.temperature_c, TABLE_C, atol=0.051)
+
+
+def test_infinity_between_commas_is_a_pixel_without_temperature(tmp_path):
+    found = read(tmp_path, "20,21,22,inf\n20,22,23,24\n20,21,22,25\n")
+    assert np.isnan(found[0, 3])
+    assert found[1].tolist() == [20, 22, 23, 24]
+
+
+def test_a_line_about_the_camera_is_no_heading_of_places(tmp_path):
+    with pytest.raises(SceneError, match="x, y, t"):
+        read(tmp_path, places(TABLE_C, "Camera: VarioCAM, range 2"))

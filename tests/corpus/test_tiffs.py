@@ -162,3 +162,16 @@ def test_several_bands_are_refused_by_their_number(tmp_path):
     path = write_by_gdal(tmp_path / "a.tif", np.stack([SCENE_C] * 5))
     with pytest.raises(SceneError, match=r"a\.tif: has 5 bands"):
         read_thermal_photo(path)
+
+
+def test_counts_in_a_scene_are_not_taken_for_shades_in_silence(tmp_path):
+    writer = SceneWriter(tmp_path / "scene")
+    writer.transforms(writer.thermoscenes(thermal_mode="I;16"))
+    writer.bounds(0, 40)
+    scene = load_scene(writer.root)
+    assert not any("counts" in problem.text for problem in fast_problems(scene))
+    for index, path in enumerate(sorted((writer.root / "thermal").iterdir())):
+        counts = np.rint(100 * (SCENE_C + index / 10 + 273.15)).astype(np.uint16)
+        Image.fromarray(counts).save(path)
+    found = fast_problems(load_scene(writer.root))
+    assert any("counts" in problem.text for problem in found)

@@ -269,7 +269,6 @@ def test_without_celsius_values_are_called_normalised(small_run, balls, camera, 
     assert inspection.drawn.scales[THERMAL].unit == "normalised"
 
 
-@pytest.mark.filterwarnings("ignore:.*no temperatures")
 @pytest.mark.parametrize(
     ("options", "modes"),
     [

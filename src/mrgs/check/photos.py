@@ -48,6 +48,9 @@ _SATURATED = 0.02
 _OUTSIDE = 0.01
 """Share of a view's thermal pixels that gives a warning."""
 
+_NARROW = 0.1
+"""The counts of a camera have a smaller spread, as a share of 16 bits, in all photos."""
+
 _UNIFORM = 0.01
 """An image whose values have a smaller spread (1 % to 99 % quantile) has no content."""
 
@@ -224,7 +227,7 @@ def identical(evidence: Evidence) -> Iterator[Problem]:
 
 
 def few_bits(evidence: Evidence) -> Iterator[Problem]:
-    """16-bit images whose values fill a part of the range only."""
+    """16-bit images whose values fill a part of the range only: dark ones, and counts."""
     for modality, photos in evidence.photos.items():
         known = [photo.bits for photo in photos.values() if photo.bits is not None]
         if len(known) == len(photos) and known and 8 < max(known) <= 14:
@@ -233,6 +236,13 @@ def few_bits(evidence: Evidence) -> Iterator[Problem]:
                 f"The {modality.title} photos use {max(known)} of their 16 bits, so they look dark "
                 f"and differ little.",
                 "Stretch them to the whole range.",
+            )
+        elif modality == THERMAL and known and max(p.spread for p in photos.values()) < _NARROW:
+            yield Problem(
+                "warning",
+                f"The 16-bit thermal photos use less than {_NARROW:.0%} of the range between black "
+                f"and white, like counts of a camera.",
+                "If they are counts, such as K · 100, convert them to float TIFFs in °C.",
             )
 
 

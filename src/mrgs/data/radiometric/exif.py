@@ -29,7 +29,8 @@ _TIMES = (
 whose clock was not set fills one with zeros or blanks, and the last may be that of an edit."""
 
 _CLOCK = re.compile(
-    r"(\d{4})[:-](\d\d)[:-](\d\d)[ T](\d\d:\d\d:\d\d)(?:\.(\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
+    r"(\d{4})[:-](\d\d?)[:-](\d\d?)[ T](\d\d?):(\d\d?):(\d\d?)"
+    r"(?:\.(\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
 )
 
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
@@ -143,14 +144,14 @@ def _time(
     if parts is None:
         return None
     try:
-        moment = datetime.fromisoformat("{}-{}-{} {}".format(*parts.groups()))
+        moment = datetime.strptime(":".join(parts.groups()[:6]), "%Y:%m:%d:%H:%M:%S")
     except ValueError:
         return None
     zone_s = None
     with suppress(ValueError):
-        zone = parts[6] or clean_text(offset)
+        zone = parts[8] or clean_text(offset)
         zone_s = -datetime.strptime(f"1970 {zone}", "%Y %z").timestamp()
-    digits, _, whole = (clean_text(subseconds) or parts[5] or "").partition("/")
+    digits, _, whole = (clean_text(subseconds) or parts[7] or "").partition("/")
     if not (digits.isascii() and digits.isdigit()):
         return moment, zone_s
     if whole == "1000" and int(digits) < 1000:  # a ratio in place of digits

@@ -37,8 +37,8 @@ _SEPARATORS = (";", "\t", ",", " ")
 """The first that gives a table is the one; where it is no comma, commas are decimal commas."""
 
 _WHOLE_AND_DECIMALS = re.compile(r"(?<![^,])([+-]?\d+),(\d+)(?![^,])")
-_ACROSS, _DOWN = "xcu", "yrlv"
-"""How the headings of a pixel's column and row begin: x, column; y, row, line."""
+_ACROSS, _DOWN = r"\W*(?:x|u|col\w*)\b", r"\W*(?:y|v|rows?|lines?)\b"
+"""Headings of a pixel's column and of its row."""
 
 
 def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
@@ -86,10 +86,11 @@ def _are_decimals(values: Float64[np.ndarray, "h w"]) -> bool:
     """Whether every second number is the decimals of the one before: these follow each other much
     more closely than the two of a pair."""
     whole, decimals = values[:, ::2], values[:, 1::2]
-    if values.shape[1] % 2 or (values % 1 > 0).any() or (decimals < 0).any():
+    if values.shape[1] % 2 or values.shape[1] < 4 or not np.isfinite(values).all():
         return False
-    steps = np.nanmean(np.abs(np.diff(whole, axis=1))) if whole.shape[1] > 1 else 0.0
-    return bool(2 * steps < np.nanmean(np.abs(whole - decimals)))
+    are_digits = (values % 1 == 0).all() and (decimals >= 0).all()
+    steps, gaps = np.abs(np.diff(whole, axis=1)), np.abs(whole - decimals)
+    return bool(are_digits and 2 * steps.sum() < gaps.sum())
 
 
 def _picture(
@@ -106,9 +107,9 @@ def _picture(
     picture = np.full(shape, np.nan)
     picture[i, j] = values[:, 2]
     for line in beside:
-        if re.match(f"[^a-z]*[{_ACROSS}][a-z]*[^a-z]+[{_DOWN}]", line.lower()):
+        if re.match(_ACROSS + _DOWN, line, re.IGNORECASE):
             return picture.T
-        if re.match(f"[^a-z]*[{_DOWN}][a-z]*[^a-z]+[{_ACROSS}]", line.lower()):
+        if re.match(_DOWN + _ACROSS, line, re.IGNORECASE):
             return picture
     raise scene_error(path, "lists places and temperatures; name its columns x, y, t above them")
 

@@ -249,13 +249,12 @@ def by_table(table: Path, inventory: Inventory) -> Match:
     """
     photos = {photo.path.resolve(): photo for photo in inventory.photos}
     pairs, used = [], dict[Photo, int]()
-    known, _ = by_modality(inventory.photos, "")
     for number, names in _rows(table):
         reference = _photo(names[REFERENCE], photos, inventory, table, number)
         partner = None
         if names[PARTNER]:
             partner = _photo(names[PARTNER], photos, inventory, table, number)
-            if partner in known and reference not in known:  # no headings, in the other order
+            if partner.is_thermal and not reference.is_thermal:  # no headings, the other order
                 partner, reference = reference, partner
         for photo in filter(None, (partner, reference)):
             if (before := used.setdefault(photo, number)) != number:

@@ -94,9 +94,9 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
         modality = _modality_of(word) if len(word) > 1 else None
         if modality is not None:
             rest = [*parts[:index], number, *parts[index + 1 :]]
-            if modality == REFERENCE:  # Autel's MAX_0001_IR belongs to MAX_0001
-                rest = [part for part in rest if part.lower() not in _RGB_WORDS]
-            return StemFacts("_".join(part for part in rest if part), modality, word.lower())
+            # Autel's MAX_0001_IR belongs to MAX_0001.
+            key = "_".join(part for part in rest if part and part.lower() not in _RGB_WORDS)
+            return StemFacts(key, modality, word.lower())
     return StemFacts(stem)
 
 

@@ -311,8 +311,9 @@ def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Matc
 
     def moment(photo: Photo) -> datetime:
         """In UTC, if all photos know their zones."""
+        assert photo.exif.taken is not None
         zone_s = photo.exif.zone_s if in_zones else None
-        return _taken(photo) - timedelta(seconds=zone_s or 0.0)
+        return photo.exif.taken - timedelta(seconds=zone_s or 0.0)
 
     references, partners = (
         sorted(group, key=lambda photo: (moment(photo), natural(str(photo.origin))))
@@ -345,12 +346,6 @@ def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Matc
     )  # fmt: skip
     pairs = in_order(Pair(*pair) for pair in matched)
     return Match(pairs, rule, f"within {tolerance_s:g} s", unknown, doubt)
-
-
-def _taken(photo: Photo) -> datetime:
-    if photo.exif.taken is None:
-        raise ValueError("the time is not known")
-    return photo.exif.taken
 
 
 def _matched(
