@@ -569,7 +569,10 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("kind", [*SCENES, "masks"])
+RARE_SCENES = [pytest.param(each, marks=pytest.mark.slow) for each in ("two cameras", "RGB")]
+
+
+@pytest.mark.parametrize("kind", ["both", "thermal", "masks", *RARE_SCENES])
 def test_train_eval_and_render(kind, tmp_path, capsys):
     scene, output = write_scene(tmp_path / "scene", **SCENES.get(kind, {})), tmp_path / "run"
     if kind == "masks":

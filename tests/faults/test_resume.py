@@ -19,6 +19,7 @@ from mrgs.training import train
 from mrgs.training.start import TrainOptions, open_training
 from tests.faults.runs import GAUSSIANS, NERF
 
+KINDS = ("gaussians", pytest.param("nerf", marks=pytest.mark.slow))
 TRAIN = {"gaussians": (train, GAUSSIANS), "nerf": (train_thermonerf, NERF)}
 
 
@@ -79,12 +80,12 @@ def test_what_has_changed_is_named(changed, scene, gaussians_run):
     assert newest.read_bytes() == before
 
 
-@pytest.mark.parametrize("kind", TRAIN)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_scene_that_has_only_moved_is_the_same(kind, scene, request):
     resume(scene, request.getfixturevalue(f"{kind}_run"), kind)
 
 
-@pytest.mark.parametrize("kind", TRAIN)
+@pytest.mark.parametrize("kind", KINDS)
 def test_accepted_changes_are_told_and_belong_to_the_run(kind, scene, request):
     folder = request.getfixturevalue(f"{kind}_run")
     folder.newest_checkpoint().unlink()

@@ -75,7 +75,10 @@ def test_the_scene_says_how_far_they_were_moved(run, small_scene):
     assert views[int(shifts.argmax())].name in note
 
 
-@pytest.mark.parametrize("stop", [BEGINS - 1, BEGINS, STEPS // 2])
+@pytest.mark.parametrize(
+    "stop",
+    [BEGINS, *(pytest.param(step, marks=pytest.mark.slow) for step in (BEGINS - 1, STEPS // 2))],
+)
 def test_a_resumed_run_is_the_uninterrupted_run(refined, small_scene, tmp_path, stop):
     refine(small_scene, tmp_path / "run", stop)
     refine(small_scene, tmp_path / "run", STEPS, resume=True)
