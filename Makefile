@@ -7,6 +7,11 @@ CONSTRAINTS ?= constraints.txt
 # Packages are compiled to bytecode when they are first imported: without it, each start of the
 # program takes three times as long.
 unexport PYTHONDONTWRITEBYTECODE
+# Where a home cannot be written, the compiled kernels are kept with the packages: else every process
+# would compile them anew.
+ifneq ($(shell test -w "$(HOME)" && echo writable),writable)
+export NUMBA_CACHE_DIR ?= $(abspath $(VENV))/kernels
+endif
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
 	--constraint $(CONSTRAINTS)
 
