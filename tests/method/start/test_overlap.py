@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from mrgs import make_config, train
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, MrgsWarning
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.start.overlap import find_from_overlap, without_camera
 from mrgs.scene import THERMAL, Camera, Scene
 from mrgs.scene.capture import Capture
+from mrgs.scene.radiometry import ZERO_CELSIUS_K
 from tests.helpers.drifting import HEIGHT, PAUSE, WIDTH, drifting_scene, offsets_c, shading_c
 
 BOTH = ImageModelConfig(thermal_drift=True, thermal_shading=True)
@@ -92,7 +93,8 @@ def test_drawn_points_say_nothing():
     assert not model.thermal_shading.coefficients.any()
 
 
-def flat_field(folder: Path, width: int = WIDTH, height: int = HEIGHT) -> str:
+def flat_field(folder: Path, width: int = WIDTH, height: int = HEIGHT, zero: float = 0.0) -> str:
+    """Photos of a uniform target in °C above ``zero``."""
     folder.mkdir()
     rng = np.random.default_rng(2)
     for number in range(3):
@@ -100,7 +102,7 @@ def flat_field(folder: Path, width: int = WIDTH, height: int = HEIGHT) -> str:
         if (height, width) == (HEIGHT, WIDTH):
             celsius = shading_c().numpy()
         celsius = celsius + 20 + number + rng.normal(0, 0.03, celsius.shape)
-        np.savetxt(folder / f"{number}.csv", celsius, fmt="%.3f", delimiter=",")
+        np.savetxt(folder / f"{number}.csv", celsius + zero, fmt="%.3f", delimiter=",")
     return str(folder)
 
 
@@ -112,6 +114,29 @@ def test_a_flat_field_fixes_the_shading(tmp_path):
     assert model.thermal_shading.fixed
     assert error_c(model.thermal_shading(HEIGHT, WIDTH)[..., 0], scene, shading_c()) < 0.1
     assert error_c(model.thermal_drift.offsets(), scene, offsets_c()) < 0.1
+
+
+def test_a_flat_field_of_another_day_is_told(tmp_path):
+    config = replace(BOTH, flat_field=flat_field(tmp_path / "flat"))
+    scene = drifting_scene(shading=-1.0)
+    with pytest.warns(MrgsWarning, match=f"differs by {2 * shading_c().std():.1f} °C"):
+        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config.flat_field)
+
+
+def test_the_guessed_unit_of_a_flat_field_is_told_once(tmp_path):
+    config = replace(BOTH, flat_field=flat_field(tmp_path / "flat", zero=ZERO_CELSIUS_K))
+    scene = drifting_scene()
+    with pytest.warns(MrgsWarning, match="taken for kelvin") as told:
+        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config.flat_field)
+    assert len(told) == 1
+
+
+def test_photos_without_celsius_take_no_flat_field(tmp_path):
+    scene = replace(drifting_scene(), temperature=None)
+    config = replace(BOTH, flat_field=flat_field(tmp_path / "flat"))
+    with pytest.raises(ConfigError, match="no °C") as caught:
+        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config.flat_field)
+    assert caught.value.options == ("flat_field",)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from mrgs.data.images import probe
 from mrgs.data.radiometric import read_thermal_photo
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, warn_user
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.camera_model.photo_shading import HEIGHT, TERMS, image_places, shading_terms
 from mrgs.method.start.start_points import LOOKED_AT_PX, hidden_points
@@ -48,6 +48,10 @@ ALIKE = 25.0
 
 ITERATIONS, CONVERGED_C = 30, 1e-3
 
+CONTRADICTION_C, CONTRADICTION_SIGMAS = 0.3, 4.0
+"""A flat field contradicts the photos' overlap where the shading differs by more, RMS over the
+image, and by more than so many standard deviations of what the overlap says."""
+
 
 def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | None = None) -> None:
     """Start the drift and the shading of an image model, as far as it has them, from where the
@@ -59,20 +63,25 @@ def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | N
         SceneError: a photo cannot be read.
     """
     drift, shading = image_model.thermal_drift, image_model.thermal_shading
+    if flat_field is not None and shading is None:
+        raise ConfigError(
+            "a flat field corrects temperatures, and the scene's photos have no °C: leave it out",
+            options=("flat_field",),
+        )
     if (drift is None and shading is None) or scene.temperature is None:
         return
     photos, span_c = scene.train_photos(THERMAL), scene.temperature.span_c
     count, is_learned = len(photos), shading is not None and flat_field is None
     seen = _sightings(scene, photos)
+    priors = np.full(count + TERMS, SHADING_C if shading is not None else NOT_MODELLED_C)
+    priors[:count] = NOT_MODELLED_C if drift is None else OFFSET_C
+    minutes = np.full(count, np.nan) if drift is None else drift.minutes
     if shading is not None and flat_field is not None:
         shading.begin(_of_flat_field(Path(flat_field), photos[0]) / span_c)
         known = shading.coefficients.double().numpy() * span_c
         seen = replace(seen, value=seen.value - seen.terms @ known)
-    priors = np.concatenate([
-        np.full(count, NOT_MODELLED_C if drift is None else OFFSET_C),
-        np.full(TERMS, SHADING_C if is_learned else NOT_MODELLED_C),
-    ])  # fmt: skip
-    minutes = np.full(count, np.nan) if drift is None else drift.minutes
+        _warn_of_contradiction(*_fitted(seen, priors, minutes))
+        priors[count:] = NOT_MODELLED_C
     found, covariance = _fitted(seen, priors, minutes)
     covariance += LEAST_ERROR_C**2 * np.eye(len(covariance))
     offsets, coefficients = torch.from_numpy(found / span_c).split([count, TERMS])
@@ -82,6 +91,23 @@ def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | N
     if shading is not None and is_learned:
         precision = span_c**2 * np.linalg.inv(covariance[count:, count:])
         shading.begin(coefficients, torch.from_numpy(precision))
+
+
+def _warn_of_contradiction(
+    found: Float[np.ndarray, " c"], covariance: Float[np.ndarray, "c c"]
+) -> None:
+    """Warn where the photos' overlap asks for more shading than the flat field has: ``found`` ends
+    with its coefficients, °C."""
+    left, own = found[-TERMS:], covariance[-TERMS:, -TERMS:] + LEAST_ERROR_C**2 * np.eye(TERMS)
+    x, y = image_places(24, 32, torch.from_numpy(left))
+    apart_c = float((shading_terms(x, y) @ torch.from_numpy(left)).std())
+    sigmas = np.sqrt(left @ np.linalg.solve(own, left) / TERMS)
+    if apart_c > CONTRADICTION_C and sigmas > CONTRADICTION_SIGMAS:
+        warn_user(
+            f"the flat field differs by {apart_c:.1f} °C (RMS) from the shading that shows where "
+            f"the photos overlap: the camera shades as on another day, or through another lens. "
+            f"Without a flat field the shading is taken from the overlap"
+        )
 
 
 def without_camera(scene: Scene, image_model: ImageModel) -> Scene:
@@ -117,9 +143,13 @@ def _of_flat_field(folder: Path, photo: PosedImage) -> Float[Tensor, "6"]:
     if not files:
         raise refused(f"{folder} holds no photos: name a folder of photos of a uniform target")
     own = probe(photo.files[0]) if photo.files else photo.camera
-    frames = []
+    frames, guesses = [], {None, "celsius"}
     for path in files:
-        celsius = read_thermal_photo(path).temperature_c
+        read = read_thermal_photo(path)
+        celsius, unit = read.temperature_c, read.facts.unit
+        if unit not in guesses:
+            guesses.add(unit)
+            warn_user(f"the numbers in {path} are taken for {unit}, which the file does not say")
         if celsius is None:
             raise refused(f"{path} has no °C: take radiometric photos of the target")
         height, width = celsius.shape
