@@ -208,6 +208,7 @@ def test_every_method_trains(method, small_scene, tmp_path):
     assert ("gaussians.opacity_logit.thermal" in tensors) == (method != "3dgs-rgbt")
 
 
+@pytest.mark.filterwarnings("ignore:scene. No view has any")
 @pytest.mark.parametrize("method", ["mrgs", "3dgs-rgbt"])
 @pytest.mark.parametrize(
     ("options", "terms"),
@@ -231,6 +232,7 @@ def test_every_kind_of_scene_trains(options, terms, method, make_scene, tmp_path
     assert ("gaussians.opacity_logit.thermal" in tensors) == (not shares_opacity)
 
 
+@pytest.mark.filterwarnings("ignore:scene. No view has any")
 @pytest.mark.parametrize("options", [{"rgb": False}, {"thermal": False}])
 def test_a_scene_of_one_modality_prunes_what_it_does_not_see(options, make_scene, tmp_path):
     config = short_config(max_steps=40)

@@ -59,6 +59,7 @@ PLUS_LOSS = {
     "smooth_alike": 0.5,
     "smooth_noise": 4e-3,
     "huber_noise": 1.5,
+    "full_contrast": 0.2,
     "opaque": 0.1,
     "distortion": 0.1,
 }

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from mrgs.method.config import make_config
 from mrgs.method.losses.photometric import LossConfig
-from mrgs.method.losses.term import NOISE_PHOTOS, SceneScale, photo_noise
+from mrgs.method.losses.term import NOISE_PHOTOS, SceneScale, photo_contrast, photo_noise
 from mrgs.scene import RGB, THERMAL, PointCloud, PosedImage, Scene, View
 from tests.helpers.views import posed_image
 
@@ -52,6 +52,17 @@ def test_invalid_pixels_do_not_count():
 
 def test_without_photos_there_is_no_noise():
     assert photo_noise([]) == 0
+
+
+def test_neither_a_lamp_nor_drift_is_contrast():
+    rows = torch.linspace(0.1, 0.2, 60)[:, None, None].expand(60, 80, 1)
+    lamp = rows.clone()
+    lamp[:5, :5] = 0.9
+    drifted, valid = rows + 0.3, torch.ones(60, 80, dtype=torch.bool)
+    drifted[40:], valid[40:] = 7.0, False
+    contrast = photo_contrast([posed_image(rows), posed_image(lamp), posed_image(drifted, valid)])
+    assert contrast == pytest.approx(0.09, rel=0.03)
+    assert photo_contrast([]) == photo_contrast([posed_image(rows, torch.zeros_like(valid))]) == 0
 
 
 def test_some_photos_tell_for_all():

@@ -101,3 +101,30 @@ def test_a_thermal_camera_of_its_own_renders_the_colours_once():
     similarity = similarity_of(values(3, 3), everywhere / (everywhere + alike))
     expected = total_variation(seen.rendering[THERMAL].image, None, *similarity)
     assert terms["smooth"].value(seen) == (everywhere + alike) * expected
+
+
+def test_a_lamp_that_widens_the_scale_takes_nothing_from_the_rest():
+    """Loss and smoothness of temperatures are those of the scale without it."""
+    without = context(dict.fromkeys((RGB, THERMAL), small_camera()))
+    full = make_config("mrgs-plus", "fast").loss.full_contrast
+    assert full is not None
+    scale = without.scale._replace(thermal_contrast=full, thermal_noise=full / 80)
+    without = replace(without, scale=scale)
+    blend, photo = without.rendering[THERMAL], without.photos[THERMAL]
+    rendering = without.rendering.with_images({THERMAL: blend.image / 8})
+    within = replace(
+        without,
+        rendering=rendering,
+        observed=rendering,
+        photos={**without.photos, THERMAL: Pixels(photo.values / 8, None)},
+        scale=scale._replace(thermal_contrast=full / 8, thermal_noise=full / 640),
+    )
+    terms = [term for name, term in terms_of("mrgs-plus").items() if name != "distortion"]
+    torch.testing.assert_close(term_values(terms, within), term_values(terms, without))
+
+
+def test_contrast_of_full_size_or_of_noise_alone_is_not_raised():
+    loss = make_config("mrgs-plus", "fast").loss
+    assert loss.gain(THERMAL, 0.7, 0.0) == loss.gain(RGB, 0.01, 0.0) == 1
+    assert loss.gain(THERMAL, 0.003, 0.001) == pytest.approx(loss.full_contrast / 0.05)
+    assert make_config("mrgs", "fast").loss.gain(THERMAL, 0.01, 0.0) == 1

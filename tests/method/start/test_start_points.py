@@ -11,6 +11,7 @@ from mrgs.method.config import make_config
 from mrgs.method.start.distant_points import distant_points
 from mrgs.method.start.start_points import (
     DISTANT_OPACITY,
+    NEARER_OPACITY,
     OPACITY,
     THERMAL_OPACITY,
     start_points,
@@ -59,7 +60,7 @@ def test_the_scenes_own_points_keep_their_colours_and_get_temperatures():
     torch.testing.assert_close(
         found.values[THERMAL][own], torch.full_like(found.values[THERMAL][own], WALL_C)
     )
-    assert (found.opacities[RGB][own] == OPACITY).all()
+    assert (found.opacities[RGB][own] == NEARER_OPACITY).all()
     assert (found.opacities[THERMAL][own] == THERMAL_OPACITY).all()
 
 
@@ -138,6 +139,7 @@ def test_each_switch_acts_alone():
     warm = start_points(scene, replace(published, photo_temperatures=True))
     far = start_points(scene, replace(published, distant_points=True))
     assert len(warm.positions) == len(scene.points.positions)
+    assert (warm.opacities[RGB] == OPACITY).all()
     torch.testing.assert_close(warm.values[THERMAL], torch.full_like(warm.values[THERMAL], WALL_C))
     assert len(far.positions) > len(scene.points.positions)
     assert far.values[THERMAL].isnan().all()

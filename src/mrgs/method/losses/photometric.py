@@ -24,6 +24,12 @@ SMOOTH_PER_NOISE = 31.25
 """Weight of the temperatures' smoothness for each unit of the thermal photos' noise:
 docs/decisions."""
 
+LEAST_CONTRAST = 50
+"""Contrast, in standard deviations of the noise, from which on temperatures are multiplied no
+further: their noise would count as much as colours: docs/decisions."""
+
+SMALLEST_CONTRAST = 1e-3
+
 BEFORE = 0.1
 """Weight of a thermal surface before the colours', which fog may be, or glass."""
 
@@ -46,6 +52,10 @@ class LossConfig:
             root of the number of RGB photos per thermal photo. None in the paper: neither matters.
         huber_noise: width of a Huber loss of temperatures, quadratic below and linear above, in
             standard deviations of the thermal photos' noise; 0 in the paper: L1.
+        full_contrast: contrast of the thermal photos, normalised temperature, below which
+            temperatures and their differences are multiplied until it is that, before they are
+            compared and smoothed. None in the paper: a lamp that widens the scale makes all else
+            count less.
         opaque: weight of L_opaque; 0 in the paper.
         distortion: weight of L_dist; 0 in the paper.
     """
@@ -58,6 +68,7 @@ class LossConfig:
     smooth_depth: float = 1.0
     smooth_noise: float | None = None
     huber_noise: float = 0.0
+    full_contrast: float | None = None
     opaque: float = 0.0
     distortion: float = 0.0
 
@@ -80,6 +91,14 @@ class LossConfig:
         growth = max(rgb_per_thermal, 1.0) ** 0.5
         return growth * everywhere, growth * alike
 
+    def gain(self, modality: Modality, thermal_contrast: float, thermal_noise: float) -> float:
+        """What a modality's values are multiplied by before they are compared and smoothed: 1 but
+        for temperatures of little contrast that is yet well above their noise."""
+        if modality != THERMAL or self.full_contrast is None:
+            return 1.0
+        contrast = max(thermal_contrast, LEAST_CONTRAST * thermal_noise, SMALLEST_CONTRAST)
+        return max(1.0, self.full_contrast / contrast)
+
     def huber_width(self, modality: Modality, thermal_noise: float) -> float:
         """Difference below which a modality's values are compared by their squares."""
         return self.huber_noise * thermal_noise if modality == THERMAL else 0.0
@@ -87,10 +106,11 @@ class LossConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.dssim <= 1:
             raise ConfigError(f"dssim must lie between 0 and 1, not {self.dssim}")
-        others = {field.name for field in fields(self)} - {"dssim", "smooth_noise"}
+        shares = {"smooth_noise", "full_contrast"}
+        others = {field.name for field in fields(self)} - {"dssim", *shares}
         require_within(self, sorted(others), 0, MOST_WEIGHT)
-        if self.smooth_noise is not None:
-            require_within(self, ["smooth_noise"], 1e-6, 1)
+        given = [name for name in sorted(shares) if getattr(self, name) is not None]
+        require_within(self, given, 1e-6, 1)
 
 
 @operation

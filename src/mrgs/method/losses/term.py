@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from statistics import fmean
+from statistics import fmean, median
 from typing import NamedTuple
 
 import torch
@@ -35,7 +35,10 @@ INTERPOLATED_PX = 3
 """Pixels of a thermal photo this far apart come from detector pixels of their own."""
 
 NOISE_PHOTOS = 16
-"""Largest number of photos from which the noise is read, evenly spread."""
+"""Largest number of photos from which noise and contrast are read, evenly spread."""
+
+MOST_PIXELS = 200_000
+"""Largest number of a photo's pixels that its contrast is read from."""
 
 MEDIAN_OF_NORMAL = 0.6745
 """The median of the absolute value of a standard normal variable."""
@@ -47,6 +50,7 @@ class SceneScale(NamedTuple):
     Attributes:
         temperature: scale of the thermal values; None if the scene has no known °C.
         thermal_noise: standard deviation of the thermal photos' noise, normalised temperature.
+        thermal_contrast: of the thermal photos, see ``photo_contrast``, normalised temperature.
         rgb_per_thermal: number of RGB photos per thermal photo; 0 where there are none, so that
             nothing is learned of colours.
     """
@@ -54,6 +58,7 @@ class SceneScale(NamedTuple):
     extent: float
     temperature: TemperatureRange | None
     thermal_noise: float = 0.0
+    thermal_contrast: float = 1.0
     rgb_per_thermal: float = 1.0
 
     @classmethod
@@ -66,7 +71,8 @@ class SceneScale(NamedTuple):
         coarseness = math.sqrt(_pixel_density(rgb) / _pixel_density(thermal)) if rgb else 1.0
         distance_px = max(1, round(INTERPOLATED_PX / max(coarseness, 1.0)))
         noise = photo_noise(thermal, distance_px)
-        return cls(scene.extent, scene.temperature, noise, len(rgb) / len(thermal))
+        contrast = photo_contrast(thermal)
+        return cls(scene.extent, scene.temperature, noise, contrast, len(rgb) / len(thermal))
 
 
 def photo_noise(photos: Sequence[PosedImage], distance_px: int = 1) -> float:
@@ -85,6 +91,22 @@ def photo_noise(photos: Sequence[PosedImage], distance_px: int = 1) -> float:
     responses = [_second_differences(photo, distance_px).abs() for photo in chosen]
     found = torch.cat([torch.empty(0), *(each[each.isfinite()] for each in responses)])
     return found.median().item() / MEDIAN_OF_NORMAL / 6 if len(found) > 0 else 0.0
+
+
+def photo_contrast(photos: Sequence[PosedImage]) -> float:
+    """What nine tenths of a photo's valid pixels span, in units of the photos' values, the median
+    over the photos; 0 without photos.
+
+    A lamp or a drifting detector widens the scale of the scene, and not this.
+    """
+    spans = []
+    for photo in (photos[index].load() for index in evenly_spaced(len(photos), NOISE_PHOTOS)):
+        values = photo.values if photo.valid is None else photo.values[photo.valid]
+        few = values.flatten()[:: values.numel() // MOST_PIXELS + 1]
+        if len(few) > 0:
+            low, high = few.quantile(few.new_tensor([0.05, 0.95])).tolist()
+            spans.append(high - low)
+    return median(spans) if spans else 0.0
 
 
 def _second_differences(photo: Pixels, distance_px: int) -> Float[Tensor, " n"]:

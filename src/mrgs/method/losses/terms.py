@@ -69,8 +69,13 @@ class Photometric(Term):
         if photo is None:
             return None
         image = context.observed[self._modality].image
-        width = self._config.huber_width(self._modality, context.scale.thermal_noise)
-        return photometric_loss(image, photo.values, photo.valid, self._config.dssim, width)
+        config, scale = self._config, context.scale
+        gain = config.gain(self._modality, scale.thermal_contrast, scale.thermal_noise)
+        width = gain * config.huber_width(self._modality, scale.thermal_noise)
+        target = photo.values
+        if gain != 1:
+            image, target = gain * image, gain * target
+        return photometric_loss(image, target, photo.valid, config.dssim, width)
 
 
 class Smoothness(Term):
@@ -90,6 +95,7 @@ class Smoothness(Term):
 
     def _of(self, modality: Modality, context: LossContext) -> Float[Tensor, ""]:
         blend, scale = context.rendering[modality], context.scale
+        gain = self._config.gain(modality, scale.thermal_contrast, scale.thermal_noise)
         everywhere, alike = self._config.smooth_image(
             modality, scale.thermal_noise, scale.rgb_per_thermal
         )
@@ -102,7 +108,7 @@ class Smoothness(Term):
             blend.depth,
             context.photos[modality].valid,
             scale.extent,
-            everywhere + alike,
+            gain * (everywhere + alike),
             self._config,
             similarity,
         )

@@ -48,6 +48,10 @@ DISTANT_OPACITY = 0.9
 """Nothing is behind a distant point; and were it not opaque, the nearer surfaces would grow to fill
 the sky."""
 
+NEARER_OPACITY = 0.5
+"""Of the scene's points where there are distant ones. Started with 3DGS's they hide little of what
+is opaque behind them, and surfaces stay full of holes: docs/decisions."""
+
 DISTANT_SIZE = 2.0
 """Largest standard deviation of a distant point at the start, in spacings: one or two of them
 behind a small hole have the scene's points as neighbours, and would start as a blob that reaches up
@@ -131,7 +135,8 @@ def _as_published(cloud: PointCloud, modalities: tuple[Modality, ...]) -> StartP
 
 
 def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
-    """Points far away behind them, in the photos' colours."""
+    """Points far away behind them, in the photos' colours; if there are any, the scene's are opaque
+    enough to hide them."""
     distant = distant_points(points.positions, scene.train_cameras, scene.world.north)
     count = len(distant.positions)
     if count == 0:
@@ -145,7 +150,8 @@ def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
         {modality: torch.full_like(like, DISTANT_OPACITY) for modality in points.opacities},
         torch.full_like(like, DISTANT_SIZE * distant.spacing),
     )
-    return points.followed_by(added)
+    hiding = {each: o.clamp_min(NEARER_OPACITY) for each, o in points.opacities.items()}
+    return points._replace(opacities=hiding).followed_by(added)
 
 
 def _with_photo_values(points: StartPoints, scene: Scene, modality: Modality) -> StartPoints:
