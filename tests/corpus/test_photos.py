@@ -151,7 +151,7 @@ def test_a_clock_that_is_months_off_or_was_never_set(photos, days):
     assert found.warnings == ()
 
 
-@pytest.mark.parametrize("suffix", [".DNG", ".dng", ".NEF", ".cr2"])
+@pytest.mark.parametrize("suffix", [".DNG", ".GPR", ".NEF", ".cr2"])
 def test_a_raw_file_beside_its_photo_is_skipped_and_alone_refused(photos, suffix):
     files = {f"{name}_T.tif": "celsius" for name in ("1", "2", "3")}
     files |= {f"{name}_W.JPG": "jpg" for name in ("1", "2", "3")}
@@ -170,6 +170,7 @@ def test_a_raw_file_beside_its_photo_is_skipped_and_alone_refused(photos, suffix
         ("MAX_{:04d}.JPG", "IRX_{:04d}.JPG", "jpg"),
         ("{:04d}.JPG", "{:04d}_IR.TIFF", "celsius"),
         ("20240501_{:06d}_VIS.jpg", "20240501_{:06d}_RAD.tiff", "celsius"),
+        ("house{:d}b_VIS.jpg", "house{:d}b_RAD.tiff", "celsius"),
         ("HM20240501{:06d}_VL.jpeg", "HM20240501{:06d}.tif", "celsius"),
     ],
 )
@@ -186,6 +187,7 @@ def test_names_of_makers(photos, rgb, thermal, kind):
         "{thermal},{rgb}\n",
         "{rgb};{thermal};;\n",
         "{rgb}\t{thermal}\t\n",
+        "{thermal}   {rgb}\n",
     ],
 )
 def test_pair_tables_of_spreadsheets_in_either_order(photos, tmp_path, lines):

@@ -167,6 +167,7 @@ def test_an_angle_of_view_in_place_of_a_focal_length(tmp_path, angles, focal):
         ("k5", 0.1),
         ("fisheye_crop_radius", 400.0),
         ("from_na", True),
+        ("distortion_params", [0, 0.1, 0, 0, 0, 0]),
     ],
 )
 def test_a_key_that_changes_the_others_is_refused(writer, key, value):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 import warnings
 
 import numpy as np
@@ -175,3 +176,11 @@ def test_counts_in_a_scene_are_not_taken_for_shades_in_silence(tmp_path):
         Image.fromarray(counts).save(path)
     found = fast_problems(load_scene(writer.root))
     assert any("counts" in problem.text for problem in found)
+
+
+def test_a_tiff_that_only_rasterio_reads_says_so_where_it_is_missing(tmp_path, monkeypatch):
+    pytest.importorskip("rasterio")
+    path = write_by_gdal(tmp_path / "a.tif", SCENE_C.astype(np.float64))
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(SceneError, match=r"a\.tif: .*mrgs\[export\]"):
+        probe(path)

@@ -71,7 +71,7 @@ _LENS_KEYS = (
 )  # fmt: skip
 _REFUSED = (
     "k5", "k6", "ftheta_p0", "latlong", "equirectangular", "rolling_shutter", "fisheye_crop_radius",
-    "transform_matrix_start", "from_na",
+    "transform_matrix_start", "from_na", "distortion_params",
 )  # fmt: skip
 """Keys of nerfstudio, instant-ngp and their relatives that change what the others mean, and are not
 read."""

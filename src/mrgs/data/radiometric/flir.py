@@ -354,38 +354,27 @@ def order_of(record: bytes) -> ByteOrder | None:
     return "<" if record[0] else ">"
 
 
-class _Entry(NamedTuple):
-    type: int
-    offset: int
-    length: int
-
-
 class Records:
     """The records of an FFF file by type; the first of each type counts."""
 
     def __init__(self, data: bytes, path: Path) -> None:
-        self._data = data
-        self._path = path
-        self._entries = {entry.type: entry for entry in reversed(_directory(data, path))}
+        self._data, self._path, self._places = data, path, _directory(data, path)
 
     def get(self, type_: int) -> bytes | None:
         """The content of a record; None if there is none, or it is cut off."""
-        entry = self._entries.get(type_)
-        if entry is None or entry.length == 0 or entry.offset + entry.length > len(self._data):
-            return None
-        return self._data[entry.offset : entry.offset + entry.length]
+        place = self._places.get(type_, slice(0))
+        return None if place.stop > len(self._data) else self._data[place] or None
 
     def require(self, type_: int, what: str) -> bytes:
         """The content of a record. SceneError if there is none, or it is cut off."""
-        entry = self._entries.get(type_)
-        if entry is None:
+        if type_ not in self._places:
             raise scene_error(
                 self._path,
                 f"its thermal record holds no {what}; use the photo as the camera saved it",
             )
         found = self.get(type_)
         if found is None:
-            raise cut_off(self._path, what, len(self._data), entry.offset + entry.length)
+            raise cut_off(self._path, what, len(self._data), self._places[type_].stop)
         return found
 
 
@@ -398,9 +387,9 @@ def cut_off(path: Path, what: str, there: int, wanted: int) -> SceneError:
     )
 
 
-def _directory(data: bytes, path: Path) -> list[_Entry]:
-    """All records but the free ones. SceneError if the header or the directory is damaged or cut
-    off."""
+def _directory(data: bytes, path: Path) -> dict[int, slice]:
+    """Where the first record of each type lies; free ones are left out. SceneError if the header or
+    the directory is damaged or cut off."""
     if len(data) < _HEADER_BYTES or data[:4] not in FFF_SIGNATURES:
         raise scene_error(
             path,
@@ -415,9 +404,9 @@ def _directory(data: bytes, path: Path) -> list[_Entry]:
     end = offset + count * _ENTRY_BYTES
     if end > len(data):
         raise cut_off(path, "directory", len(data), end)
-    entries = []
+    places: dict[int, slice] = {}
     for start in range(offset, end, _ENTRY_BYTES):
         type_, at, length = struct.unpack_from(f"{order}H10xII", data, start)
         if type_ != 0:
-            entries.append(_Entry(type_, at, length))
-    return entries
+            places.setdefault(type_, slice(at, at + length))
+    return places

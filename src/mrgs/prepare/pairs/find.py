@@ -241,7 +241,7 @@ def by_table(table: Path, inventory: Inventory) -> Match:
 
     The RGB photo may be left empty: then it is embedded in the thermal photo's file, or there is
     none. A first line with headings (``rgb``, ``thermal``) gives the order of the columns. Columns
-    are separated by commas, semicolons or tabs; see ``decoded_text`` for the encodings.
+    are separated by semicolons, tabs, commas or blanks; see ``decoded_text`` for the encodings.
 
     Raises:
         SceneError: the table cannot be read, or a line names something other than two photos of the
@@ -277,11 +277,13 @@ def by_table(table: Path, inventory: Inventory) -> Match:
 def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
     """Number of the line, and the names of its photos by modality."""
     lines = decoded_text(read_bytes(table, _MAX_BYTES)).splitlines()
-    separator = next((sign for sign in ";\t" if any(sign in line for line in lines)), ",")
+    separator = next((sign for sign in ";\t," if any(sign in line for line in lines)), " ")
     columns: tuple[Modality, ...] = _COLUMNS
     for number, line in enumerate(lines, 1):
         try:
-            row = next(csv.reader([line], delimiter=separator), [])
+            row = next(
+                csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True), []
+            )
         except csv.Error as error:
             raise scene_error(
                 table, f"line {number} cannot be read ({error}); {_EXAMPLE}"

@@ -29,8 +29,8 @@ _TABLE_COLUMNS = 8
 """A table of temperatures has a line of at least so many cells."""
 
 _UNSUPPORTED = {
-    ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw",
-    ".raf", ".orf", ".rw2",
+    ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef",
+    ".nrw", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq",
 }  # fmt: skip
 
 

@@ -48,7 +48,7 @@ _LAST_LETTER = re.compile(
 """After a number any of these letters; after a word only the T: ``house_w`` may well be the west
 side."""
 
-_LAST_R = re.compile(r"(?<=\d)[_\-]r(?:ad)?$", re.IGNORECASE)
+_LAST_R = re.compile(r"(?:(?<=\d)[_\-]r|[_\-]rad)$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)
 """DJI's newer names: ``DJI_20240131120000_0001_T_Waypoint1``."""
 
