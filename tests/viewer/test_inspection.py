@@ -269,6 +269,7 @@ def test_without_celsius_values_are_called_normalised(small_run, balls, camera, 
     assert inspection.drawn.scales[THERMAL].unit == "normalised"
 
 
+@pytest.mark.filterwarnings("ignore:scene. No view has any")
 @pytest.mark.parametrize(
     ("options", "modes"),
     [
