@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import logging
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -17,25 +19,44 @@ os.environ.setdefault(
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # nor do small matrices gain by threads
 
 import pytest
-import torch
 from hypothesis import settings
-
-from tests.helpers.array_checks import check_arrays
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C
 
-if not torch.cuda.is_available():
-    os.environ.setdefault(
-        "TRITON_INTERPRET", "1"
-    )  # before Triton is loaded: its kernels then run on CPU tensors
-
-if os.environ.get("CHECK_ARRAYS"):  # a fifth of the time: `make test-all` sets it
-    check_arrays()
-
 # The same examples on every machine, and no verdict from how busy it is.
-settings.register_profile("mrgs", deadline=None, derandomize=True)
-settings.load_profile("mrgs")
+settings.register_profile("whole", deadline=None, derandomize=True)
+settings.register_profile("short", settings.get_profile("whole"), max_examples=50)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Where tests run, and not in the process that only hands them out."""
+    if getattr(config.option, "numprocesses", None):
+        return
+    settings.load_profile("short" if config.option.markexpr == "not slow" else "whole")
+    import torch
+
+    # Else pytest would add a handler to some forty loggers of torch in each phase of each test.
+    for logger in logging.Logger.manager.loggerDict.values():
+        if isinstance(logger, logging.Logger):
+            logger.propagate = True
+    if not torch.cuda.is_available():  # before Triton is loaded: its kernels then run on the CPU
+        os.environ.setdefault("TRITON_INTERPRET", "1")
+    if os.environ.get("CHECK_ARRAYS"):  # a fifth of the time: `make test-all` sets it
+        from tests.helpers.array_checks import check_arrays
+
+        check_arrays()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What is collected stays until the end: no search for garbage looks at it."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 SLOW_FOLDERS = ("benchmarks", "synth")
@@ -52,6 +73,8 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Without a GPU, leaves out what needs one, and counts interpreted kernels as slow."""
+    import torch
+
     tests = Path(__file__).parent
     has_gpu = torch.cuda.is_available()
     for item in items:
@@ -97,6 +120,8 @@ def kernels_are_compared_once(
 def gpu_device() -> Iterator[str]:
     """Where the Triton kernels run: "cuda"; or, without a CUDA device, "cpu", where they are
     interpreted."""
+    import torch
+
     pytest.importorskip("triton")
     if torch.cuda.is_available():
         yield "cuda"

@@ -65,6 +65,7 @@ def metadata_of(dist: Path) -> Message:
         return message_from_bytes(archive.read(name))
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_the_package_and_the_bundled_scene_alone(dist: Path) -> None:
     modules = {
         f"mrgs/{path.relative_to(ROOT / 'src' / 'mrgs').as_posix()}"
@@ -81,6 +82,7 @@ def test_the_wheel_holds_the_package_and_the_bundled_scene_alone(dist: Path) -> 
     assert "mrgs/py.typed" in found
 
 
+@pytest.mark.slow
 def test_the_sdist_builds_the_wheel_and_holds_nothing_else(dist: Path) -> None:
     (sdist,) = dist.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
@@ -98,12 +100,14 @@ def test_the_sdist_builds_the_wheel_and_holds_nothing_else(dist: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_both_are_small(dist: Path) -> None:
     sizes = {path.name: path.stat().st_size / 2**20 for path in dist.iterdir()}
     assert len(sizes) == 2
     assert max(sizes.values()) < LARGEST_MIB
 
 
+@pytest.mark.slow
 def test_the_metadata_is_whole(dist: Path) -> None:
     metadata = metadata_of(dist)
     assert metadata["Version"] == mrgs.__version__
@@ -120,6 +124,7 @@ def test_the_metadata_is_whole(dist: Path) -> None:
     assert versions == {"3.10", "3.11", "3.12", "3.13"}
 
 
+@pytest.mark.slow
 def test_the_readme_names_every_extra_of_users(dist: Path) -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     table = readme.split("| extra | for |")[1].split("\n\n")[0]
@@ -127,6 +132,7 @@ def test_the_readme_names_every_extra_of_users(dist: Path) -> None:
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == extras - FOR_DEVELOPERS
 
 
+@pytest.mark.slow
 def test_the_readme_leads_somewhere_from_a_package_index(dist: Path) -> None:
     readme = str(metadata_of(dist).get_payload())
     targets = re.findall(r"\]\(([^)]+)\)", readme)
@@ -135,6 +141,7 @@ def test_the_readme_leads_somewhere_from_a_package_index(dist: Path) -> None:
     assert not re.search(r"<img[^>]+src=\"(?!https:)", readme)
 
 
+@pytest.mark.slow
 def test_extras_do_not_repeat_what_the_core_brings(dist: Path) -> None:
     required = metadata_of(dist).get_all("Requires-Dist", [])
     names = {bool("extra ==" in text): set() for text in required}  # of the core, and of the extras

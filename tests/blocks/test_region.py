@@ -43,6 +43,7 @@ def test_cells_end_at_quantiles(count, parts):
     assert found == [*expected, math.inf]
 
 
+@pytest.mark.slow
 def test_more_places_than_torch_finds_quantiles_of():
     count = 2**24 + 1
     places = torch.arange(count, dtype=torch.float64)[:, None].expand(count, 2)

@@ -48,7 +48,7 @@ def test_photos_are_laid_where_they_were_taken():
     assert error is not None
     assert error.found.is_wrong
     assert error.photo_px == pytest.approx(2.0, rel=0.2)
-    for view, camera in zip(views[:6], right[:6], strict=True):
+    for view, camera in zip(views[:2], right[:2], strict=True):
         found = aligned_view(BALL, view)
         assert offset_px(view.camera, camera) > 1.5
         assert offset_px(found.camera, camera) < 0.1

@@ -28,7 +28,8 @@ def trained(config: TrainConfig, output: Path) -> tuple[Parts, float]:
     return parts, whole.mean[THERMAL]["psnr"]
 
 
-@pytest.mark.parametrize("alive", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("alive", [True, False])
 def test_a_dead_thermal_branch_is_noticed(tmp_path, alive):
     config = make_config("mrgs", "fast", max_steps=15, max_gaussians=1_000, resolution=64)
     if alive:  # as in a training of the preset's length

@@ -42,7 +42,7 @@ def damaged_copies(good: bytes) -> Iterator[bytes]:
     """A file with one bit changed, in the header and anywhere, and cut at several places."""
     rng = random.Random(1)
     header = 8 + int.from_bytes(good[:8], "little")
-    ends = [8, header, header, *[len(good)] * 12]
+    ends = [8, header, header, *[len(good)] * 6]
     for end in ends:
         data = bytearray(good)
         data[rng.randrange(end)] ^= 1 << rng.randrange(8)
@@ -177,7 +177,7 @@ def test_a_tensor_of_another_form_is_refused_although_the_digests_are_right(kind
 def test_missing_and_unknown_tensors_are_refused(kind, folder):
     path = folder.newest_checkpoint()
     good = load_file(path)
-    for name in list(good)[::3]:
+    for name in list(good)[::6]:
         if name != "neighbours":  # right after a densification there are none
             rewrite(path, {key: tensor for key, tensor in good.items() if key != name})
             with pytest.raises(RunError, match="does not fit"):
@@ -235,7 +235,7 @@ def test_values_that_are_not_finite_count_as_damage(value, kind, folder):
     path = folder.newest_checkpoint()
     good = load_file(path)
     names = [name for name, each in good.items() if each.is_floating_point() and each.numel()]
-    for name in names[::5]:
+    for name in names[::10]:
         wrong = good[name].clone()
         wrong.view(-1)[-1] = value
         rewrite_unchecked(path, {**good, name: wrong})

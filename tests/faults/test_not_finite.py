@@ -60,6 +60,14 @@ def at_5(gaussians_run: RunFolder) -> RunFolder:
     return gaussians_run
 
 
+@pytest.fixture
+def nerf_at_5(nerf_run: RunFolder) -> RunFolder:
+    """The run of a radiance field as it was after step 5."""
+    nerf_run.newest_checkpoint().unlink()
+    assert saved(nerf_run) == [5]
+    return nerf_run
+
+
 def go_on(scene: Path, run: RunFolder) -> None:
     """Train to step 10."""
     train(scene, run.path, GAUSSIANS, options=TrainOptions(resume=True))
@@ -119,12 +127,12 @@ def test_photos(value, small_scene, at_5, monkeypatch):
         ("adam.field.geometry.output.weight.exp_avg_sq", math.inf),
     ],
 )
-def test_radiance_fields(name, value, small_scene, tmp_path, monkeypatch):
+def test_radiance_fields(name, value, small_scene, nerf_at_5, monkeypatch):
     where = lambda state, *rest: nerf_tensors(state)  # noqa: E731
     inject(monkeypatch, nerf_run, where, name, value, True)
     with pytest.raises(TrainingError, match=r"last good .*step_000005"):
-        train_thermonerf(small_scene, tmp_path / "run", NERF)
-    assert saved(RunFolder(tmp_path / "run")) == [5]
+        train_thermonerf(small_scene, nerf_at_5.path, NERF, TrainOptions(resume=True))
+    assert saved(nerf_at_5) == [5]
 
 
 def test_what_shows_in_no_gradient_is_found_before_it_is_saved(small_scene, at_5, monkeypatch):

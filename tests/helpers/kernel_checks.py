@@ -13,9 +13,10 @@ from mrgs.system.operation_check import members
 
 
 def form_of(value: Any) -> Hashable:
-    """Types, shapes and settings; not the numbers in tensors."""
+    """Types and settings; of tensors neither the numbers nor the sizes."""
     if isinstance(value, Tensor):
-        return value.dtype, value.shape, value.stride(), value.device, value.requires_grad
+        empty = value.numel() == 0
+        return value.dtype, value.dim(), empty, value.device, value.requires_grad
     if isinstance(value, nn.Module):  # its own repr has the settings of the layers
         settings = repr(value), repr(getattr(value, "config", None))
         return type(value), settings, form_of(dict(value.named_parameters()))

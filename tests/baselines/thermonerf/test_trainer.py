@@ -52,7 +52,7 @@ def test_training_lowers_the_loss_of_both_modalities(small_scene, tmp_path):
     train_thermonerf(
         small_scene,
         tmp_path / "run",
-        small_config(50, rays_per_batch=128),
+        small_config(35, rays_per_batch=128),
         hooks=Hooks(on_step=lambda s: seen.append(s.terms)),
     )
     for name, factor in (("rgb", 0.5), ("thermal", 0.5)):
