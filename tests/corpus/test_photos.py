@@ -215,6 +215,19 @@ def test_names_in_which_both_photos_have_a_word_of_the_other_camera(photos):
     assert len(find_pairs(root).pairs) == 3
 
 
+def test_words_in_the_middle_of_names_tell_series_apart(photos):
+    names = [f"{lens}_{index:04d}" for lens in ("wide", "zoom") for index in range(4)]
+    files = {f"{name}_rgb.jpg": "jpg" for name in names}
+    root = photos(files | {f"{name}_ir.tif": "celsius" for name in names})
+    assert [pair.name for pair in find_pairs(root).pairs] == names
+
+
+def test_a_table_may_be_padded_with_empty_cells(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("".join(f"20.5;21.25;{row}.5{';' * 16_000}\n" for row in (20, 21, 22)))
+    np.testing.assert_allclose(read_thermal_photo(path).temperature_c[:, 2], [20.5, 21.5, 22.5])
+
+
 @pytest.mark.parametrize("kelvin_per_count", [0.04, 0.1])
 def test_the_unit_of_counts_that_fit_several_is_asked_for(tmp_path, kelvin_per_count):
     """Numbers of 1,000 to 10,000 may be hundredths of a degree, or tenths or fortieths of a K."""

@@ -86,6 +86,16 @@ def test_the_reconstruction_with_the_most_images_is_used(writer, binary):
     assert any("sparse" in note and "14" in note for note in scene.notes)
 
 
+@pytest.mark.parametrize("content", [b"", b"\x01" * 9])
+def test_a_reconstruction_that_was_interrupted_is_none(writer, content):
+    write_pairs(writer, "rgb", "thermal", NAMES)
+    writer.colmap([f"{name}.png" for name in NAMES], True, folder="sparse/0")
+    for stem in ("cameras", "images"):
+        (writer.root / "sparse/1").mkdir(exist_ok=True)
+        (writer.root / f"sparse/1/{stem}.bin").write_bytes(content)
+    assert len(load_scene(writer.root).views) == len(NAMES)
+
+
 @pytest.mark.parametrize("name", ["north/day/{}.png", "north\\day\\{}.png", "{}.png"])
 def test_colmap_names_two_folders_deep(writer, name):
     write_pairs(writer, "rgb/north/day", "thermal/north/day", NAMES)
@@ -164,8 +174,8 @@ def test_an_angle_of_view_in_place_of_a_focal_length(tmp_path, angles, focal):
         ("ftheta_p0", 0.1),
         ("latlong", True),
         ("rolling_shutter", [0, 0, 1, 0]),
+        ("rolling_shutter", [[1], [2, 3]]),
         ("k5", 0.1),
-        ("fisheye_crop_radius", 400.0),
         ("from_na", True),
         ("distortion_params", [0, 0.1, 0, 0, 0, 0]),
     ],
@@ -224,6 +234,12 @@ def test_colours_of_a_point_cloud_in_floats(tmp_path, kind, white):
         pytest.skip("bytes span 0 to 255")
     path = write_colours(tmp_path / "points.ply", colours * white, kind)
     np.testing.assert_allclose(read_ply(path)[1], colours, atol=0.003)
+
+
+def test_a_colour_that_is_infinite_leaves_the_others(tmp_path):
+    colours = np.array([[0.5, 0.5, 0.5], [np.inf, 0.25, 0.5]])
+    found = read_ply(write_colours(tmp_path / "points.ply", colours, "float"))[1]
+    np.testing.assert_allclose(found, [[0.5, 0.5, 0.5], [1, 0.25, 0.5]])
 
 
 def test_the_pixels_of_a_turned_image_are_those_that_colmap_saw(writer):

@@ -14,7 +14,7 @@ from mrgs.data.radiometric import read_thermal_photo
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.prepare.rgb_photo import read_rgb
 from mrgs.scene import THERMAL
-from tests.corpus.tiffs import scaled_by_gdal, write_by_gdal, write_tiff
+from tests.corpus.tiffs import METADATA, scaled_by_gdal, write_by_gdal, write_tiff
 from tests.helpers.layouts import HEIGHT, WIDTH, SceneWriter
 
 SCENE_C = np.linspace(5, 30, HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
@@ -137,6 +137,40 @@ def test_the_scale_and_offset_of_gdal_count(tmp_path, offset):
     celsius, _, _ = ThermalScene(tmp_path, counts, **tag).loaded(0, 40)
     np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.0051)
     np.testing.assert_allclose(celsius, SCENE_C, atol=0.0051)
+
+
+@pytest.mark.parametrize("mode", ["1", "LA", "P", "RGB", "RGBA", "CMYK"])
+def test_a_scale_says_nothing_of_colours(tmp_path, mode):
+    """Nor does a tag that has no end."""
+    plain, tagged = (tmp_path / name for name in ("plain.tif", "tagged.tif"))
+    picture = Image.fromarray(COLOURS).convert(mode)
+    picture.save(plain)
+    for text in (scaled_by_gdal(0.5, 0), '<Item role="scale"' * 2_000):
+        picture.save(tagged, tiffinfo={METADATA: text})
+        np.testing.assert_array_equal(stored(tagged), stored(plain))
+        found, expected = read_thermal_photo(tagged), read_thermal_photo(plain)
+        np.testing.assert_array_equal(found.relative, expected.relative)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_integers_are_shades_however_they_are_packed(tmp_path, dtype):
+    pytest.importorskip("rasterio")
+    shades = (7 * SCENE_C).astype(dtype)
+    paths = [tmp_path / "plain.tif", tmp_path / "lerc.tif"]
+    for path, options in zip(paths, ({}, {"compress": "lerc"}), strict=True):
+        write_by_gdal(path, shades, nodata=shades[0, 0], **options)
+    plain, lerc = map(decode, paths)
+    assert plain.kind == lerc.kind == "grey"
+    np.testing.assert_array_equal(plain.values, lerc.values)
+    np.testing.assert_array_equal(plain.valid, lerc.valid)
+    np.testing.assert_array_equal(plain.valid, shades != shades[0, 0])
+
+
+def test_complex_numbers_are_no_temperatures(tmp_path):
+    pytest.importorskip("rasterio")
+    path = write_by_gdal(tmp_path / "a.tif", SCENE_C.astype(np.complex64))
+    with pytest.raises(SceneError, match="complex64"):
+        decode(path)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,15 @@ import pytest
 import torch
 from PIL import Image
 
-from mrgs.marks.photo_readings import OF_ONE_VALUE, PhotoReadings, block_variances, rounding_of_mean
+from mrgs.marks.photo_readings import (
+    OF_ONE_VALUE,
+    PhotoReadings,
+    _step_of,
+    block_variances,
+    rounding_of_mean,
+)
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, ideal_cameras
+from tests.corpus.tiffs import METADATA, scaled_by_gdal
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
 STEP_C = RANGE.span_c / 255
@@ -60,3 +67,14 @@ def part_of_photos(noise: float, folder: Path) -> float:
 def test_coarse_steps_count_for_a_mark_where_noise_does_not_average_them(tmp_path):
     assert part_of_photos(0.05, tmp_path) > 0.9 * rounding_of_mean(0.05**2) * STEP_C
     assert part_of_photos(0.8, tmp_path) < 0.5 * OF_ONE_VALUE * STEP_C
+
+
+def test_integers_with_a_scale_are_as_fine_as_it(tmp_path):
+    camera, file = camera_before_wall(0.0), tmp_path / "0.tif"
+    tag = {METADATA: scaled_by_gdal(0.5, 0)}
+    Image.fromarray(np.full((4, 5), 40, np.uint16)).save(file, tiffinfo=tag)
+    view = View(
+        "v", {THERMAL: PosedImage(camera, lambda: Pixels(torch.zeros(4, 5, 1)), files=(file,))}
+    )
+    assert _step_of([view], RANGE.span_c) == 0.5
+    assert _step_of([], RANGE.span_c) == 0

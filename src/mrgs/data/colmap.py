@@ -34,6 +34,7 @@ from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.poses import viewmat_from_colmap
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
 from mrgs.data.transforms import BOUNDS_FILES
+from mrgs.errors import SceneError
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system.wording import Message, shown
 
@@ -105,13 +106,22 @@ def largest_model(root: Path, notes: ReadingNotes) -> ColmapModel | None:
     models = [model for name in names if (model := find_model(root, [f"{below / name}"]))]
     if len(models) == 1:
         return first
-    counts = [len(read_images(model)) for model in models]
+    counts = [_registered(model) for model in models]
     largest = models[counts.index(max(counts))]
     notes.decide(
         f"COLMAP has made {len(models)} reconstructions in {below}, each in a world of its own: "
         f"{largest.folder.name} is used, with {max(counts)} images."
     )
     return largest
+
+
+def _registered(model: ColmapModel) -> int:
+    """The number of images of a reconstruction; 0 for one that cannot be read, as COLMAP leaves
+    where it is interrupted."""
+    try:
+        return len(read_images(model))
+    except SceneError:
+        return 0
 
 
 def read_images(model: ColmapModel) -> list[RegisteredImage]:

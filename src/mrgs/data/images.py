@@ -44,7 +44,8 @@ Kind = Literal["grey", "colour", "float"]
 or of integers with a scale."""
 
 _GDAL_METADATA, _GDAL_NODATA = 42112, 42113
-_GDAL_ITEM = re.compile(r'<Item[^>]*role="(scale|offset)"[^>]*>([^<]*)<')
+_GDAL_ITEM = re.compile(r"<Item\b([^<>]*)>([^<]*)<")
+_GDAL_ROLE = re.compile(r"""\brole=["'](scale|offset)["']""")
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 _TURNS = {
@@ -105,22 +106,31 @@ def numbers_of(image: Image.Image) -> Shaped[np.ndarray, "h w"]:
     scale and the offset that the tags of GDAL give, and NaN where they say that a pixel is missing.
     The type is the file's, unless a tag needs a float."""
     values = np.array(as_stored(image))
-    tags = getattr(image, "tag_v2", {})
+    tags = getattr(image, "tag_v2", {_GDAL_NODATA: image.info.get("nodata")})
     nodata = _number(tags.get(_GDAL_NODATA))
     with np.errstate(over="ignore"):
         missing = values == (np.float32(nodata) if values.dtype == np.float32 else nodata)
     if scaling := scaling_of(image):
         factor, offset = scaling
-        values = (values * np.float64(factor) + offset).astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = (values * np.float64(factor) + offset).astype(np.float32)
     return np.where(missing, np.float32(np.nan), values) if missing.any() else values
 
 
+def holds_numbers(image: Image.Image) -> bool:
+    """Whether the pixels are numbers rather than shades: floats, or integers with a scale."""
+    mode = image.mode
+    return mode == "F" or ((mode == "L" or mode.startswith("I")) and scaling_of(image) is not None)
+
+
 def scaling_of(image: Image.Image) -> tuple[float, float] | None:
-    """The factor and the offset that the tags of GDAL give; None if they change nothing."""
+    """The factor and the offset that the tags of GDAL give; None if they change nothing, or are
+    none."""
     text = getattr(image, "tag_v2", {}).get(_GDAL_METADATA)
-    items = dict(_GDAL_ITEM.findall(text)) if isinstance(text, str) else {}
-    found = _number(items.get("scale", 1)), _number(items.get("offset", 0))
-    return None if found == (1.0, 0.0) or not np.isfinite(found).all() else found
+    items = _GDAL_ITEM.findall(text) if isinstance(text, str) else []
+    given = {role[1]: value for keys, value in items if (role := _GDAL_ROLE.search(keys))}
+    found = _number(given.get("scale", 1)), _number(given.get("offset", 0))
+    return None if found == (1.0, 0.0) or found[0] == 0 or not np.isfinite(found).all() else found
 
 
 def _number(text: object) -> float:
@@ -160,12 +170,13 @@ def decode(path: Path, least_width: int | None = None) -> Decoded:
             if (width * share, height * share) == image.size and width >= (least_width or 0):
                 image.draft(None, (width, height))
                 break
-        if kind == "float" or image.mode.startswith("I"):
+        is_grey = image.mode == "L" and "transparency" not in image.info
+        if kind == "float" or image.mode.startswith("I") or is_grey:
             values = numbers_of(image).astype(np.float32)
             finite = np.isfinite(values)
             known = np.where(finite, values, np.float32(0))
             if kind != "float":
-                known /= np.float32(65535)
+                known /= np.float32(255 if is_grey else 65535)
             return Decoded(torch.from_numpy(known[..., None]), _mask(finite), kind)
         mode = "L" if kind == "grey" else "RGB"
         if image.mode.endswith(("A", "a")) or "transparency" in image.info:
@@ -223,7 +234,7 @@ def _mask(usable: np.ndarray) -> Bool[Tensor, "h w"] | None:
 
 def _kind(image: Image.Image, path: Path) -> Kind:
     mode = image.mode
-    if mode == "F" or ((mode == "L" or mode.startswith("I")) and scaling_of(image)):
+    if holds_numbers(image):
         return "float"
     # Older Pillow versions open a 16-bit PNG with mode I; in a TIFF that mode means 32 bits, whose
     # range is unknown.
@@ -284,8 +295,9 @@ def opened(
 
 
 def _opened_by_gdal(path: Path, content: bytes | None, most_pixels: int) -> Image.Image:
-    """A TIFF of one channel that Pillow does not know (floats of 64 bits, LERC), as 32-bit floats;
-    ``UnidentifiedImageError`` if it is no TIFF at all."""
+    """A TIFF of one channel that Pillow does not know (floats of 64 bits, LERC): integers of 8 and
+    16 bits without a scale as they are, others as 32-bit floats; ``UnidentifiedImageError`` if it
+    is no TIFF at all."""
     data = read_bytes(path) if content is None else content
     if not data.startswith(TIFF_SIGNATURES):
         raise UnidentifiedImageError
@@ -295,12 +307,18 @@ def _opened_by_gdal(path: Path, content: bytes | None, most_pixels: int) -> Imag
         remedy = "install mrgs[export], or save it as 32-bit float without LERC compression"
         raise scene_error(path, f"is a TIFF that only rasterio reads; {remedy}") from None
     with rasterio.MemoryFile(data) as memory, memory.open(driver="GTiff") as dataset:
-        if dataset.count > 1:
-            bands = f"{dataset.count} bands of {dataset.dtypes[0]}"
-            raise scene_error(path, f"has {bands}; save the band of the temperatures alone")
+        dtype, scaling = dataset.dtypes[0], (dataset.scales[0], dataset.offsets[0])
+        if dataset.count > 1 or dtype.startswith("complex"):
+            bands = f"{dataset.count} bands of {dtype}"
+            raise scene_error(path, f"has {bands}; save the temperatures alone, as one band")
         if dataset.width * dataset.height > most_pixels:
             raise Image.DecompressionBombError
-        band = dataset.read(1, masked=True) * dataset.scales[0] + dataset.offsets[0]
-    image = Image.fromarray(band.astype(np.float32).filled(np.nan))
+        band, nodata = dataset.read(1, masked=True), str(dataset.nodata)
+    if dtype in ("uint8", "uint16") and scaling == (1, 0):
+        image = Image.fromarray(band.data)
+        image.info["nodata"] = nodata
+    else:
+        numbers = (band * scaling[0] + scaling[1]).astype(np.float32)
+        image = Image.fromarray(numbers.filled(np.nan))
     image.format = "TIFF"
     return image

@@ -70,7 +70,7 @@ _LENS_KEYS = (
     "is_fisheye", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov",
 )  # fmt: skip
 _REFUSED = (
-    "k5", "k6", "ftheta_p0", "latlong", "equirectangular", "rolling_shutter", "fisheye_crop_radius",
+    "k5", "k6", "ftheta_p0", "latlong", "equirectangular", "rolling_shutter",
     "transform_matrix_start", "from_na", "distortion_params",
 )  # fmt: skip
 """Keys of nerfstudio, instant-ngp and their relatives that change what the others mean, and are not
@@ -332,7 +332,8 @@ class _TransformsReader:
         """The lens of an image; ``own`` wins, and what it lacks comes from the top level if the
         lens is shared. What many images share is read once."""
         whole = {**self.top, **own} if shared else own
-        if changing := [name for name in _REFUSED if name in whole and np.any(whole[name] or 0)]:
+        given = {name: value for name in _REFUSED if (value := whole.get(name))}
+        if changing := [n for n, v in given.items() if not isinstance(v, list) or any(v)]:
             raise scene_error(
                 self.file,
                 f"{changing[0]} of {what} is not read, and changes what the other keys mean; "

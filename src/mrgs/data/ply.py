@@ -198,7 +198,7 @@ def _colors(vertices: np.ndarray) -> NDArray[np.float64] | None:
     if names is None:
         return None
     colors = np.stack([vertices[name].astype(np.float64) for name in names], axis=1)
-    brightest = float(np.nanmax(colors, initial=0.0))
+    brightest = float(np.max(colors, where=np.isfinite(colors), initial=0.0))
     if vertices.dtype[names[0]].kind != "f" or brightest > _BRIGHTEST_FLOAT:
         colors /= 65535 if vertices.dtype[names[0]].itemsize == 2 else 255
     return np.clip(np.nan_to_num(colors, nan=0.5), 0.0, 1.0)

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int64
-from PIL import Image
 
+from mrgs.data.images import opened, scaling_of
+from mrgs.errors import SceneError
 from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
 from mrgs.scene import THERMAL, CameraResponse, TemperatureRange, View, evenly_spaced
 from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
@@ -177,7 +178,7 @@ class PhotoReadings:
         self._respond = respond
         self._span = 1.0 if temperature is None else temperature.span_c
         self._least = 0.0 if temperature is None else temperature.min_c
-        self._step = self._span * _step_of(self._views)
+        self._step = _step_of(self._views, self._span)
         self._maps: dict[int, DepthMap] = {}
 
     def __getitem__(self, index: int) -> DepthMap:
@@ -292,13 +293,16 @@ def _blurring(
     return change
 
 
-def _step_of(views: Sequence[View]) -> float:
-    """The step between normalised values of the photos, from the bits of the first one's file; 0
+def _step_of(views: Sequence[View], span: float) -> float:
+    """The step between values of the photos, from the scale or the bits of the first one's file; 0
     if they are not rounded, or that is not known."""
     files = views[0].images[THERMAL].files if views else ()
     try:
-        with Image.open(files[0]) as image:
+        with opened(files[0]) as image:
+            scaling = scaling_of(image)
             bits = {"F": 0, "I": 16, "I;16": 16, "I;16B": 16}.get(image.mode, 8)
-    except (IndexError, OSError, ValueError, Image.DecompressionBombError):
+    except (IndexError, SceneError):
         return 0.0
-    return 1 / (2**bits - 1) if bits else 0.0
+    if scaling is not None:
+        return abs(scaling[0])
+    return span / (2**bits - 1) if bits else 0.0

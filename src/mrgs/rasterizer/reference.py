@@ -172,9 +172,7 @@ def depth_slopes(
 
 
 def project(
-    geometry: Geometry,
-    projection: Projection,
-    means2d_offset: Float[Tensor, "n 2"] | None = None,
+    geometry: Geometry, projection: Projection, means2d_offset: Float[Tensor, "n 2"] | None = None
 ) -> Splats:
     """Drop what lies before the near plane or reaches the plane of the camera, sort the rest by
     depth (ties by index) and project it."""

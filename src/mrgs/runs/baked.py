@@ -204,7 +204,7 @@ def bake(
         for modality in gaussians.modalities
         if modality != THERMAL
     }
-    # t of degree 0, plus t̂; of a model without t̂ clamped at 0, as it is rendered.
+    # t of degree 0, plus t̂, clamped as it is rendered.
     temperatures = model.values(THERMAL, gaussians.means.new_zeros(3), sh_degree=0)[:, 0]
     return BakedModel(
         means=gaussians.means.detach(),

@@ -75,9 +75,7 @@ class Trainer:
             check_kernels(self.state, self.scene, self.config, self._scale)
 
     def run(
-        self,
-        stop_at: int | None = None,
-        on_step: Callable[[StepStatistics], object] | None = None,
+        self, stop_at: int | None = None, on_step: Callable[[StepStatistics], object] | None = None
     ) -> None:
         """Train until the end of the schedule, the step ``stop_at``, or until ``on_step`` returns
         True.

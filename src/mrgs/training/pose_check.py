@@ -82,10 +82,7 @@ class PoseCheck:
     shows by now; ``load`` gives a training view with its photos, by its number."""
 
     def __init__(
-        self,
-        state: TrainingState,
-        load: Callable[[int], PhotographedView],
-        config: TrainConfig,
+        self, state: TrainingState, load: Callable[[int], PhotographedView], config: TrainConfig
     ) -> None:
         assert state.image_model.poses is not None
         self._state, self._load, self._config = state, load, config

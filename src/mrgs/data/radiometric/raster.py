@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from mrgs.data.files import scene_error
-from mrgs.data.images import LUMINANCE, as_stored, numbers_of, opened, scaling_of
+from mrgs.data.images import LUMINANCE, as_stored, holds_numbers, numbers_of, opened
 from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.measurement import masked
 from mrgs.data.radiometric.photo import MAX_PIXELS, Overrides, PhotoFacts, ThermalPhoto
@@ -39,7 +39,7 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     scale, or given bounds without being grey."""
     with opened(path, data, most_pixels=MAX_PIXELS) as image:
         kind, mode, xmp = str(image.format), image.mode, image.info.get("xmp", b"")
-        has_numbers = mode == "F" or scaling_of(image) is not None
+        has_numbers = holds_numbers(image)
         if has_numbers or mode.startswith("I"):
             pixels = numbers_of(image)
         else:

@@ -117,11 +117,15 @@ def _picture(
 def numbers_in(cells: list[str]) -> int:
     """How many numbers a line holds, without a text in front and empty cells behind; 0 if others
     are among them."""
-    while cells and not cells[-1]:
-        cells = cells[:-1]
+    cells = _without_empty_end(cells, 0)
     if cells and not _NUMBER.fullmatch(cells[0]):
         cells = cells[1:]
     return len(cells) if all(_NUMBER.fullmatch(cell) for cell in cells) else 0
+
+
+def _without_empty_end(cells: list[str], least: int) -> list[str]:
+    filled = (n for n in range(len(cells), least, -1) if cells[n - 1])
+    return cells[: next(filled, least)]
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -162,8 +166,7 @@ def _row(cells: list[str], width: int, is_labelled: bool) -> Float64[np.ndarray,
     """The numbers of a line of so many, NaN where a cell holds none; None if most hold none."""
     if is_labelled:
         cells = cells[1:]
-    while len(cells) > width and not cells[-1]:
-        cells = cells[:-1]
+    cells = _without_empty_end(cells, width)
     values = [float(cell) if _NUMBER.fullmatch(cell) else np.nan for cell in cells]
     if len(values) != width or 2 * np.isnan(values).sum() > width:
         return None

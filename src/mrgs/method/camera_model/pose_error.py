@@ -89,9 +89,7 @@ def alignables(
 
 @torch.no_grad()
 def pose_error(
-    images: Sequence[Alignable],
-    centre: Float64[Tensor, "3"],
-    axes_px: Float64[Tensor, "6 6"],
+    images: Sequence[Alignable], centre: Float64[Tensor, "3"], axes_px: Float64[Tensor, "6 6"]
 ) -> Float64[Tensor, "6"]:
     """The small motion of the world that a view's cameras seem to have seen.
 
@@ -124,9 +122,7 @@ def pose_error(
 
 
 def halves_px(
-    images: Sequence[Alignable],
-    centre: Float64[Tensor, "3"],
-    axes_px: Float64[Tensor, "6 6"],
+    images: Sequence[Alignable], centre: Float64[Tensor, "3"], axes_px: Float64[Tensor, "6 6"]
 ) -> Float64[Tensor, "2 6"]:
     """``pose_error`` by either half of the images alone: the squares of a chessboard."""
     halves = [

@@ -3,12 +3,7 @@
 from typing import TypeAlias
 
 from mrgs.method.density.adaptive import AdaptiveDensityControl
-from mrgs.method.density.strategy import (
-    DensityStep,
-    DensityUpdate,
-    Strategy,
-    StrategyState,
-)
+from mrgs.method.density.strategy import DensityStep, DensityUpdate, Strategy, StrategyState
 
 ConfiguredStrategy: TypeAlias = AdaptiveDensityControl
 """The strategies that ``densification`` in a config.yaml can name: a union, told apart by the field

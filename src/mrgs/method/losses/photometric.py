@@ -28,8 +28,6 @@ LEAST_CONTRAST = 50
 """Contrast, in standard deviations of the noise, from which on temperatures are multiplied no
 further: their noise would count as much as colours: docs/decisions."""
 
-SMALLEST_CONTRAST = 1e-3
-
 BEFORE = 0.1
 """Weight of a thermal surface before the colours', which fog may be, or glass."""
 
@@ -96,7 +94,7 @@ class LossConfig:
         for temperatures of little contrast that is yet well above their noise."""
         if modality != THERMAL or self.full_contrast is None:
             return 1.0
-        contrast = max(thermal_contrast, LEAST_CONTRAST * thermal_noise, SMALLEST_CONTRAST)
+        contrast = max(thermal_contrast, LEAST_CONTRAST * thermal_noise, 1e-3)
         return max(1.0, self.full_contrast / contrast)
 
     def huber_width(self, modality: Modality, thermal_noise: float) -> float:
@@ -172,8 +170,7 @@ def opaqueness_loss(
 
 
 def total_loss(
-    terms: Mapping[str, Float[Tensor, ""]],
-    weights: Mapping[str, float | Float[Tensor, ""]],
+    terms: Mapping[str, Float[Tensor, ""]], weights: Mapping[str, float | Float[Tensor, ""]]
 ) -> Float[Tensor, ""]:
     """Eq. 20 (final_loss), Sec. Total Loss: L_c + L_t + λ_smooth L_smooth + λ_boltz L_boltz, of the
     terms that a view and a method have.

@@ -10,6 +10,7 @@ from functools import cached_property
 from statistics import fmean, median
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -36,9 +37,6 @@ INTERPOLATED_PX = 3
 
 NOISE_PHOTOS = 16
 """Largest number of photos from which noise and contrast are read, evenly spread."""
-
-MOST_PIXELS = 200_000
-"""Largest number of a photo's pixels that its contrast is read from."""
 
 MEDIAN_OF_NORMAL = 0.6745
 """The median of the absolute value of a standard normal variable."""
@@ -102,10 +100,8 @@ def photo_contrast(photos: Sequence[PosedImage]) -> float:
     spans = []
     for photo in (photos[index].load() for index in evenly_spaced(len(photos), NOISE_PHOTOS)):
         values = photo.values if photo.valid is None else photo.values[photo.valid]
-        few = values.flatten()[:: values.numel() // MOST_PIXELS + 1]
-        if len(few) > 0:
-            low, high = few.quantile(few.new_tensor([0.05, 0.95])).tolist()
-            spans.append(high - low)
+        if values.numel() > 0:
+            spans.append(float(np.ptp(np.quantile(values.numpy(), (0.05, 0.95)))))
     return median(spans) if spans else 0.0
 
 

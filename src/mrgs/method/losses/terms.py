@@ -31,9 +31,7 @@ from mrgs.scene import RGB, THERMAL, Modality
 
 
 def configured_terms(
-    config: TrainConfig,
-    extra: Sequence[Term] = (),
-    modalities: Sequence[Modality] = (RGB, THERMAL),
+    config: TrainConfig, extra: Sequence[Term] = (), modalities: Sequence[Modality] = (RGB, THERMAL)
 ) -> tuple[Term, ...]:
     """The terms of a training: those of its configuration, with a photometric term of each
     modality, and ``extra``, where one with the name of a configured term takes its place."""

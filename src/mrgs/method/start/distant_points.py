@@ -78,8 +78,7 @@ def distant_points(
 
 
 def _share_of_empty(
-    positions: Float64[Tensor, "m 3"],
-    empty: Sequence[tuple[Camera, Bool[Tensor, "rows columns"]]],
+    positions: Float64[Tensor, "m 3"], empty: Sequence[tuple[Camera, Bool[Tensor, "rows columns"]]]
 ) -> Float64[Tensor, " m"]:
     """The share of the photos with a position in their frame that show nothing there; NaN where
     none has it."""

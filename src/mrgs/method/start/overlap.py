@@ -48,9 +48,8 @@ ALIKE = 25.0
 
 ITERATIONS, CONVERGED_C = 30, 1e-3
 
-CONTRADICTION_C, CONTRADICTION_SIGMAS = 0.3, 4.0
-"""A flat field contradicts the photos' overlap where the shading differs by more, RMS over the
-image, and by more than so many standard deviations of what the overlap says."""
+CONTRADICTION_C = 0.3
+"""A flat field contradicts the photos' overlap where the shading differs by more, RMS."""
 
 
 def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | None = None) -> None:
@@ -80,7 +79,7 @@ def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | N
         shading.begin(_of_flat_field(Path(flat_field), photos[0]) / span_c)
         known = shading.coefficients.double().numpy() * span_c
         seen = replace(seen, value=seen.value - seen.terms @ known)
-        _warn_of_contradiction(*_fitted(seen, priors, minutes))
+        _warn_of_contradiction(_fitted(seen, priors, minutes)[0][count:])
         priors[count:] = NOT_MODELLED_C
     found, covariance = _fitted(seen, priors, minutes)
     covariance += LEAST_ERROR_C**2 * np.eye(len(covariance))
@@ -93,16 +92,12 @@ def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | N
         shading.begin(coefficients, torch.from_numpy(precision))
 
 
-def _warn_of_contradiction(
-    found: Float[np.ndarray, " c"], covariance: Float[np.ndarray, "c c"]
-) -> None:
-    """Warn where the photos' overlap asks for more shading than the flat field has: ``found`` ends
-    with its coefficients, °C."""
-    left, own = found[-TERMS:], covariance[-TERMS:, -TERMS:] + LEAST_ERROR_C**2 * np.eye(TERMS)
-    x, y = image_places(24, 32, torch.from_numpy(left))
-    apart_c = float((shading_terms(x, y) @ torch.from_numpy(left)).std())
-    sigmas = np.sqrt(left @ np.linalg.solve(own, left) / TERMS)
-    if apart_c > CONTRADICTION_C and sigmas > CONTRADICTION_SIGMAS:
+def _warn_of_contradiction(left_c: Float[np.ndarray, "6"]) -> None:
+    """Warn where the photos' overlap asks for more shading than the flat field has, by these
+    coefficients."""
+    left = torch.from_numpy(left_c)
+    apart_c = float((shading_terms(*image_places(24, 32, left)) @ left).std())
+    if apart_c > CONTRADICTION_C:
         warn_user(
             f"the flat field differs by {apart_c:.1f} °C (RMS) from the shading that shows where "
             f"the photos overlap: the camera shades as on another day, or through another lens. "

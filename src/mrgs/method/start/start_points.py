@@ -274,10 +274,7 @@ SMALLEST_DISTANCE = 1e-7
 
 
 def initial_gaussians(
-    points: StartPoints,
-    field: RadianceField,
-    apart: Sequence[Modality],
-    temperature_sh_degree: int,
+    points: StartPoints, field: RadianceField, apart: Sequence[Modality], temperature_sh_degree: int
 ) -> Gaussians:
     """One isotropic Gaussian per start point, as large as the RMS distance to its three nearest
     points (3DGS), but no larger than ``max_scales``: a distant point may have the scene's own

@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
 from mrgs.data.files import composed, decoded_text, read_bytes, scene_error, visible_files
-from mrgs.data.images import opened, stored_size
+from mrgs.data.images import holds_numbers, opened, stored_size
 from mrgs.data.kept import Stamp, digest, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, RECORD_MARKS, flir_record
@@ -168,10 +168,10 @@ _PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {
 def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     try:
         with opened(path, data) as image:
-            size, mode = stored_size(image), image.mode
+            size, has_numbers = stored_size(image), holds_numbers(image)
+            kind: Kind = "numbers" if has_numbers or image.mode.startswith("I") else "image"
     except SceneError as error:
         return str(error).removeprefix(f"{path}: ")
-    kind: Kind = "numbers" if mode == "F" or mode.startswith("I") else "image"
     exif = read_exif(data)
     view_deg = exif.field_of_view_deg if kind == "numbers" else None
     return Photo(

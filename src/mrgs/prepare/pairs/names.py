@@ -95,7 +95,7 @@ def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
         if modality is not None:
             rest = [*parts[:index], number, *parts[index + 1 :]]
             # Autel's MAX_0001_IR belongs to MAX_0001.
-            key = "_".join(part for part in rest if part and part.lower() not in _RGB_WORDS)
+            key = "_".join(part for part in rest if part and part.lower() != "max")
             return StemFacts(key, modality, word.lower())
     return StemFacts(stem)
 

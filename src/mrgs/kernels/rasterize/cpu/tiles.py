@@ -14,12 +14,7 @@ import numpy as np
 from numba import prange
 
 from mrgs.errors import MrgsError
-from mrgs.kernels.jit import (
-    address,
-    strict_inner_function,
-    strict_kernel,
-    strict_parallel_kernel,
-)
+from mrgs.kernels.jit import address, strict_inner_function, strict_kernel, strict_parallel_kernel
 from mrgs.kernels.simd import load, prefetch, store
 from mrgs.rasterizer import splat
 
