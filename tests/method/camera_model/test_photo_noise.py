@@ -7,8 +7,12 @@ from torch import Tensor
 from mrgs.method.config import make_config
 from mrgs.method.losses.photometric import LossConfig
 from mrgs.method.losses.term import NOISE_PHOTOS, SceneScale, photo_contrast, photo_noise
-from mrgs.scene import RGB, THERMAL, PointCloud, PosedImage, Scene, View
+from mrgs.scene import RGB, THERMAL, Pixels, PointCloud, PosedImage, Scene, View
 from tests.helpers.views import posed_image
+
+
+def pixels(values: Tensor, valid: Tensor | None = None) -> Pixels:
+    return posed_image(values, valid).load()
 
 
 def edges_and_slopes() -> Tensor:
@@ -25,7 +29,7 @@ def noisy(sigma: float, seed: int = 0) -> Tensor:
 
 @pytest.mark.parametrize("sigma", [0.0, 0.002, 0.03])
 def test_the_noise_is_told_from_the_scene(sigma):
-    photos = [posed_image(noisy(sigma, seed)) for seed in range(3)]
+    photos = [pixels(noisy(sigma, seed)) for seed in range(3)]
     assert photo_noise(photos) == pytest.approx(sigma, rel=0.05, abs=1e-6)
 
 
@@ -34,20 +38,20 @@ def test_interpolated_noise_is_noise():
     generator = torch.Generator().manual_seed(0)
     detector = 0.02 * torch.randn(1, 1, 60, 80, generator=generator)
     written = torch.nn.functional.interpolate(detector, scale_factor=2, mode="bilinear")
-    photo, sigma = posed_image(0.5 + written[0, 0, :, :, None]), written.std().item()
+    photo, sigma = pixels(0.5 + written[0, 0, :, :, None]), written.std().item()
     assert photo_noise([photo], 3) == pytest.approx(sigma, rel=0.1)
     assert photo_noise([photo]) < 0.6 * sigma
 
 
 def test_photos_too_small_to_tell_have_no_noise():
-    assert photo_noise([posed_image(torch.rand(6, 80, 1))], 3) == 0
+    assert photo_noise([pixels(torch.rand(6, 80, 1))], 3) == 0
 
 
 def test_invalid_pixels_do_not_count():
     values, valid = noisy(0.002), torch.ones(60, 80, dtype=torch.bool)
     values[:40], valid[:40] = noisy(0.3)[:40], False
-    assert photo_noise([posed_image(values, valid)]) == pytest.approx(0.002, rel=0.1)
-    assert photo_noise([posed_image(values, torch.zeros_like(valid))]) == 0
+    assert photo_noise([pixels(values, valid)]) == pytest.approx(0.002, rel=0.1)
+    assert photo_noise([pixels(values, torch.zeros_like(valid))]) == 0
 
 
 def test_without_photos_there_is_no_noise():
@@ -60,9 +64,9 @@ def test_neither_a_lamp_nor_drift_is_contrast():
     lamp[:5, :5] = 0.9
     drifted, valid = rows + 0.3, torch.ones(60, 80, dtype=torch.bool)
     drifted[40:], valid[40:] = 7.0, False
-    contrast = photo_contrast([posed_image(rows), posed_image(lamp), posed_image(drifted, valid)])
+    contrast = photo_contrast([pixels(rows), pixels(lamp), pixels(drifted, valid)])
     assert contrast == pytest.approx(0.09, rel=0.03)
-    assert photo_contrast([]) == photo_contrast([posed_image(rows, torch.zeros_like(valid))]) == 0
+    assert photo_contrast([]) == photo_contrast([pixels(rows, torch.zeros_like(valid))]) == 0
 
 
 def test_some_photos_tell_for_all():
@@ -72,7 +76,8 @@ def test_some_photos_tell_for_all():
         image = posed_image(noisy(0.01))
         return PosedImage(image.camera, lambda: read.append(index) or image.load())
 
-    photo_noise([noted(index) for index in range(100)])
+    views = [View(str(index), {THERMAL: noted(index)}) for index in range(100)]
+    SceneScale.of(Scene("scene", tuple(views), (), PointCloud(*torch.zeros(2, 4, 3)), None))
     assert len(read) == NOISE_PHOTOS
     assert (read[0], read[-1]) == (0, 99)
 
@@ -126,4 +131,4 @@ def test_the_coarser_photos_are_the_less_are_they_taken_to_be_interpolated(width
     views = [View("0", {RGB: posed_image(torch.zeros(48, 64, 3)), THERMAL: posed_image(heat)})]
     points = PointCloud(torch.zeros(4, 3), torch.zeros(4, 3))
     noise = SceneScale.of(Scene("scene", tuple(views), (), points, None)).thermal_noise
-    assert noise == photo_noise([posed_image(heat)], distance_px)
+    assert noise == photo_noise([pixels(heat)], distance_px)

@@ -36,7 +36,7 @@ INTERPOLATED_PX = 3
 """Pixels of a thermal photo this far apart come from detector pixels of their own."""
 
 NOISE_PHOTOS = 16
-"""Largest number of photos from which noise and contrast are read, evenly spread."""
+"""Largest number of photos from which noise and contrast are read."""
 
 MEDIAN_OF_NORMAL = 0.6745
 """The median of the absolute value of a standard normal variable."""
@@ -68,12 +68,12 @@ class SceneScale(NamedTuple):
         # Of photos as fine as the colours', neighbouring pixels may be interpolated from one.
         coarseness = math.sqrt(_pixel_density(rgb) / _pixel_density(thermal)) if rgb else 1.0
         distance_px = max(1, round(INTERPOLATED_PX / max(coarseness, 1.0)))
-        noise = photo_noise(thermal, distance_px)
-        contrast = photo_contrast(thermal)
+        some = [thermal[index].load() for index in evenly_spaced(len(thermal), NOISE_PHOTOS)]
+        noise, contrast = photo_noise(some, distance_px), photo_contrast(some)
         return cls(scene.extent, scene.temperature, noise, contrast, len(rgb) / len(thermal))
 
 
-def photo_noise(photos: Sequence[PosedImage], distance_px: int = 1) -> float:
+def photo_noise(photos: Sequence[Pixels], distance_px: int = 1) -> float:
     """Standard deviation of the noise of a pixel, in units of the photos' values; 0 without photos.
 
     A second difference along the rows and then along the columns removes whatever is locally a
@@ -85,20 +85,19 @@ def photo_noise(photos: Sequence[PosedImage], distance_px: int = 1) -> float:
     The difference is between pixels at ``distance_px``: cameras with few detector pixels write more
     by interpolation, and neighbours then share the noise of one detector pixel.
     """
-    chosen = [photos[index].load() for index in evenly_spaced(len(photos), NOISE_PHOTOS)]
-    responses = [_second_differences(photo, distance_px).abs() for photo in chosen]
+    responses = [_second_differences(photo, distance_px).abs() for photo in photos]
     found = torch.cat([torch.empty(0), *(each[each.isfinite()] for each in responses)])
     return found.median().item() / MEDIAN_OF_NORMAL / 6 if len(found) > 0 else 0.0
 
 
-def photo_contrast(photos: Sequence[PosedImage]) -> float:
+def photo_contrast(photos: Sequence[Pixels]) -> float:
     """What nine tenths of a photo's valid pixels span, in units of the photos' values, the median
     over the photos; 0 without photos.
 
     A lamp or a drifting detector widens the scale of the scene, and not this.
     """
     spans = []
-    for photo in (photos[index].load() for index in evenly_spaced(len(photos), NOISE_PHOTOS)):
+    for photo in photos:
         values = photo.values if photo.valid is None else photo.values[photo.valid]
         if values.numel() > 0:
             spans.append(float(np.ptp(np.quantile(values.numpy(), (0.05, 0.95)))))
