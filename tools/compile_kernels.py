@@ -15,27 +15,39 @@ from pathlib import Path
 from filelock import FileLock
 
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
-METHODS = ("mrgs-plus", "mrgs", "thermonerf")
-"""Between them, these run every kernel of a training; the scores of one run the others."""
 
 
-def mrgs(*arguments: str) -> None:
+def start(*arguments: str) -> subprocess.Popen:
     """Run a command of the program in silence."""
-    command = [sys.executable, "-m", "mrgs", *arguments]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return subprocess.Popen([sys.executable, "-m", "mrgs", *arguments], stdout=subprocess.DEVNULL)
+
+
+def start_training(method: str, runs: str) -> subprocess.Popen:
+    """Two steps on photos so small that nearly all of their time is compiling."""
+    options = ("--max-steps", "2", "--resolution", "32", "--output", f"{runs}/{method}")
+    return start("train", str(SCENE), "--method", method, *options)
+
+
+def wait(process: subprocess.Popen) -> None:
+    """RuntimeError if it failed."""
+    if process.wait():
+        raise RuntimeError(f"{process.args!r} failed")
 
 
 def compile_kernels(stamp: Path) -> None:
-    """Train each method for two steps and score one of them, unless another process did so while
-    this one waited."""
+    """Train three methods, which between them run every kernel of a training, and score a run,
+    which runs the others; unless another process did so while this one waited. What shares kernels
+    follows one another, all else runs beside it."""
     began = time.time()
-    with FileLock(f"{stamp}.lock"), tempfile.TemporaryDirectory() as folder:
+    with FileLock(f"{stamp}.lock"), tempfile.TemporaryDirectory() as runs:
         if stamp.exists() and stamp.stat().st_mtime > began:
             return
-        for method in METHODS:
-            options = ("--method", method, "--max-steps", "2", "--output", f"{folder}/{method}")
-            mrgs("train", str(SCENE), *options)
-        mrgs("eval", f"{folder}/{METHODS[0]}")
+        baseline = start_training("thermonerf", runs)
+        wait(start_training("mrgs-plus", runs))
+        scores = start("eval", f"{runs}/mrgs-plus")
+        wait(start_training("mrgs", runs))
+        for each in (baseline, scores):
+            wait(each)
         stamp.touch()
 
 

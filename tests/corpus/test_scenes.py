@@ -86,6 +86,16 @@ def test_the_reconstruction_with_the_most_images_is_used(writer, binary):
     assert any("sparse" in note and "14" in note for note in scene.notes)
 
 
+def test_what_a_mac_writes_beside_its_photos_is_no_photo(writer):
+    write_pairs(writer, "rgb", "thermal", NAMES)
+    for name in NAMES:
+        (writer.root / f"rgb/._{name}.png").write_bytes(b"\x00\x05\x16\x07" + bytes(60))
+    writer.colmap([f"{name}.png" for name in NAMES], binary=True)
+    scene = load_scene(writer.root)
+    assert len(scene.views) == len(NAMES)
+    assert not any("left out" in note for note in scene.notes)
+
+
 @pytest.mark.parametrize("content", [b"", b"\x01" * 9])
 def test_a_reconstruction_that_was_interrupted_is_none(writer, content):
     write_pairs(writer, "rgb", "thermal", NAMES)

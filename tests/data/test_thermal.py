@@ -38,6 +38,16 @@ def test_bounds_in_the_scene_or_in_thermal(tmp_path, folder):
     assert notes.all == []
 
 
+@pytest.mark.parametrize("unit", ["K", "kelvin", "degK", "°C", "Celsius", "F"])
+def test_bounds_may_name_their_unit(tmp_path, unit):
+    scale = {"k": (273.15, 1.0), "c": (0.0, 1.0), "f": (32.0, 1.8)}
+    zero, degree = scale[unit.removeprefix("deg").removeprefix("°")[0].lower()]
+    low, high = (zero + degree * celsius for celsius in (-4.5, 30.0))
+    bounds(tmp_path, unit=unit, absolute_min_temperature=low, absolute_max_temperature=high)
+    found = read_bounds(tmp_path, ReadingNotes())
+    assert (found.min_c, found.max_c) == pytest.approx((-4.5, 30.0))
+
+
 def test_swapped_bounds(tmp_path):
     bounds(tmp_path, absolute_min_temperature=30, absolute_max_temperature=-4.5)
     notes = ReadingNotes()
@@ -61,6 +71,10 @@ def test_swapped_bounds(tmp_path):
         (
             {"absolute_min_temperature": 3, "absolute_max_temperature": float("nan")},
             "absolute_max_temperature is nan",
+        ),
+        (
+            {"unit": "mK", "absolute_min_temperature": 3, "absolute_max_temperature": 5},
+            "unit is 'mK'",
         ),
     ],
 )

@@ -242,7 +242,7 @@ class ImageFinder:
             by_stem: dict[str, list[str]] = {}
             for entry in entries:
                 stem = without_image_suffix(entry.name)
-                if stem != entry.name and is_file(entry):
+                if stem != entry.name and entry.name[0] != "." and is_file(entry):
                     links[entry.name] = entry.is_symlink()
                     by_stem.setdefault(composed(stem), []).append(entry.name)
             for names in by_stem.values():

@@ -22,6 +22,7 @@ from mrgs.data.files import Number, contained, json_value, on_disk, read_json_ob
 from mrgs.data.images import Decoded, Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.radiometric.measurement import masked
+from mrgs.data.radiometric.table import units_named
 from mrgs.data.radiometric.units import CELSIUS, FLOAT_UNITS, Unit, everyday, typical
 from mrgs.data.sources import (
     Decoder,
@@ -38,7 +39,7 @@ from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 from mrgs.scene.view import evenly_spaced
 from mrgs.system.memory import collector_paused
-from mrgs.system.wording import Message
+from mrgs.system.wording import Message, shown
 
 
 def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0) -> Scene:
@@ -303,7 +304,8 @@ def _by_lists(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) ->
 
 def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
     """The scale from ``temperature_bounds.json`` in the scene's folder or in its ``thermal/``; None
-    without a file. SceneError if the file does not have two different temperatures in °C."""
+    without a file. SceneError if the file does not have two different temperatures, in °C or in the
+    ``unit`` that it names."""
     paths = [contained(root, on_disk(root, name), root) for name in BOUNDS_FILES]
     path = next((path for path in paths if os.path.lexists(path)), None)
     if path is None:
@@ -313,6 +315,11 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         json_value(Number, content.get(name), name, path)
         for name in ("absolute_min_temperature", "absolute_max_temperature")
     )
+    if "unit" in content:
+        named = units_named([f"unit {content['unit']}"])
+        if len(named) != 1:
+            raise scene_error(path, f"unit is {shown(content['unit'])}; use celsius or kelvin")
+        low, high = Unit.parse(named[0]).celsius(np.array([low, high])).tolist()
     if low > high:
         low, high = high, low
         used = f"{low:g} °C to {high:g} °C".replace("-", "−")

@@ -70,7 +70,8 @@ def test_photos_at_regular_times_may_be_shifted():
     thermal = [5.0 * index for index in range(12)]
     found = clock_offset([time + 1002.4 for time in thermal], thermal, 2.0)
     assert found.seconds == pytest.approx(1002.4)
-    assert found.rival_s is not None
+    assert found.rival is not None
+    assert found.rival.pairs == found.pairs - 1
 
 
 def test_few_photos_prove_no_offset():

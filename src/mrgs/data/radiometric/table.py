@@ -78,7 +78,7 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
         values = values[:, 1:]
     if values.shape[1] > 2 and _counts(values[0]):
         values = values[1:]
-    candidates = _units_named(beside) or FLOAT_UNITS
+    candidates = units_named(beside) or FLOAT_UNITS
     return finished(values, candidates, path, PhotoFacts("table of temperatures"), overrides)
 
 
@@ -173,7 +173,7 @@ def _row(cells: list[str], width: int, is_labelled: bool) -> Float64[np.ndarray,
     return np.array(values, dtype=np.float64)
 
 
-def _units_named(lines: list[str]) -> tuple[str, ...]:
+def units_named(lines: list[str]) -> tuple[str, ...]:
     """The units that texts name: those that they say are of the numbers, else all that they
     mention."""
     for patterns in ((_STATED,), _MENTIONED):

@@ -32,12 +32,12 @@ class ClockOffset:
     Attributes:
         seconds: time on the first clock minus time on the second, at the same moment.
         pairs: number of pairs with this offset.
-        rival_s: another offset with nearly as many pairs; None if there is none.
+        rival: another offset with nearly as many pairs; None if there is none.
     """
 
     seconds: float
     pairs: int
-    rival_s: float | None = None
+    rival: ClockOffset | None = None
 
 
 def match_times(
@@ -83,7 +83,7 @@ def clock_offset(
     if best.pairs < max(_FEWEST, smaller / 2) or in_step.pairs >= _NEARLY * best.pairs:
         return in_step
     others = [one for one in found[1:] if abs(one.seconds - best.seconds) > 2 * window_s]
-    rival = others[0].seconds if others and others[0].pairs >= _NEARLY * best.pairs else None
+    rival = others[0] if others and others[0].pairs >= _NEARLY * best.pairs else None
     return ClockOffset(best.seconds, best.pairs, rival)
 
 

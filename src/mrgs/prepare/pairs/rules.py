@@ -340,10 +340,16 @@ def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Matc
             f"{rule[:-1]}, after aligning the clocks: the {PARTNER.title} camera's is "
             f"{abs(offset.seconds):.1f} s {side} the {REFERENCE.title} camera's."
         )
-    doubt = () if offset.rival_s is None else (
-        f"The clock offset may also be {offset.rival_s:.1f} s instead of {offset.seconds:.1f} s: "
-        f"check the first pairs, and give a table of pairs if they are wrong.",
-    )  # fmt: skip
+    doubt: tuple[str, ...] = ()
+    if rival := offset.rival:
+        also = (
+            f"The clock offset may also be {rival.seconds:.1f} s instead of {offset.seconds:.1f} s"
+        )
+        if rival.pairs < offset.pairs:
+            rule = f"{rule} {also}, but fewer photos would find a partner."
+        else:
+            remedy = "check the first pairs, and give a table of pairs if they are wrong."
+            doubt = (f"{also}: {remedy}",)
     pairs = in_order(Pair(*pair) for pair in matched)
     return Match(pairs, rule, f"within {tolerance_s:g} s", unknown, doubt)
 
