@@ -10,46 +10,75 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from filelock import FileLock
 
 SCENE = Path(__file__).parents[1] / "examples" / "tabletop"
 
-
-def start(*arguments: str) -> subprocess.Popen:
-    """Run a command of the program in silence."""
-    return subprocess.Popen([sys.executable, "-m", "mrgs", *arguments], stdout=subprocess.DEVNULL)
+SMALL = ("--max-steps", "2", "--resolution", "32")
+"""Steps and photos so small that nearly all of their time is compiling."""
 
 
-def start_training(method: str, runs: str) -> subprocess.Popen:
-    """Two steps on photos so small that nearly all of their time is compiling."""
-    options = ("--max-steps", "2", "--resolution", "32", "--output", f"{runs}/{method}")
-    return start("train", str(SCENE), "--method", method, *options)
+def differentiate_published() -> None:
+    """Colours, temperatures and ψ as published, and their gradients: what mrgs-plus does not call.
+    Without the rasterizer, which it compiles at the same time."""
+    import torch
+
+    from mrgs.field import FieldConfig, RadianceField
+    from mrgs.method.losses.radiation import convolve
+    from mrgs.scene import RGB, THERMAL, Gaussians
+
+    field, rows, camera = RadianceField(FieldConfig()), torch.arange(50), torch.zeros(3)
+    means, quats, scales, radiation = (torch.randn(len(rows), n) for n in (3, 4, 3, 50))
+    gaussians = Gaussians(
+        means, quats, scales,
+        opacity_logits={modality: torch.zeros(len(rows), 1) for modality in (RGB, THERMAL)},
+        sh_dc={RGB: torch.randn(len(rows), 1, 3), THERMAL: torch.randn(len(rows), 1, 1)},
+        sh_rest={RGB: torch.randn(len(rows), 15, 3), THERMAL: torch.randn(len(rows), 0, 1)},
+        embedding=field.initial_embedding(means),
+    )  # fmt: skip
+    neighbours = field.neighbours_of(means)
+    for tensor in (*gaussians.tensors().values(), radiation):
+        tensor.requires_grad_()
+    colors = field.colors(gaussians, camera, 3, rows)
+    temperatures = field.temperatures(gaussians, neighbours, camera, 3, rows)
+    psi = convolve(radiation, torch.ones(3, 3), torch.zeros(1))
+    (colors.sum() + temperatures.sum() + psi.sum()).backward()
 
 
-def wait(process: subprocess.Popen) -> None:
-    """RuntimeError if it failed."""
-    if process.wait():
-        raise RuntimeError(f"{process.args!r} failed")
+def run(*commands: tuple[str, ...]) -> None:
+    """Run Python with these arguments, one after another, in silence. CalledProcessError if one
+    fails."""
+    for arguments in commands:
+        subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def training(method: str, output: str) -> tuple[str, ...]:
+    """The command that trains a method for some steps."""
+    return ("-m", "mrgs", "train", str(SCENE), "--method", method, *SMALL, "--output", output)
 
 
 def compile_kernels(stamp: Path) -> None:
-    """Train three methods, which between them run every kernel of a training, and score a run,
-    which runs the others; unless another process did so while this one waited. What shares kernels
-    follows one another, all else runs beside it."""
+    """In two processes, which share few kernels; not if another did so while this one waited."""
     began = time.time()
     with FileLock(f"{stamp}.lock"), tempfile.TemporaryDirectory() as runs:
         if stamp.exists() and stamp.stat().st_mtime > began:
             return
-        baseline = start_training("thermonerf", runs)
-        wait(start_training("mrgs-plus", runs))
-        scores = start("eval", f"{runs}/mrgs-plus")
-        wait(start_training("mrgs", runs))
-        for each in (baseline, scores):
-            wait(each)
+        plus, baseline = f"{runs}/mrgs-plus", f"{runs}/thermonerf"
+        with ThreadPoolExecutor(2) as pool:
+            chains = (
+                pool.submit(run, training("mrgs-plus", plus), ("-m", "mrgs", "eval", plus)),
+                pool.submit(run, (__file__,), training("thermonerf", baseline)),
+            )
+        for chain in chains:
+            chain.result()
         stamp.touch()
 
 
 if __name__ == "__main__":
-    compile_kernels(Path(sys.argv[1]))
+    if len(sys.argv) > 1:
+        compile_kernels(Path(sys.argv[1]))
+    else:
+        differentiate_published()
