@@ -54,6 +54,7 @@ def test_psnr_clamps_the_rendering() -> None:
     assert psnr(target * 3, target) == math.inf
 
 
+@pytest.mark.slow
 def test_psnr_agrees_with_torchmetrics(theirs) -> None:
     image, target = pair()
     expected = theirs.peak_signal_noise_ratio(as_batch(image), as_batch(target), data_range=1.0)
@@ -121,6 +122,7 @@ def test_mean_absolute_error_by_hand() -> None:
     assert mean_absolute_error(image, target, torch.tensor([[True, False]])) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", [1, 3])
 def test_ssim_pair_range_is_torchmetrics_default_away_from_the_border(
     channels: int, theirs
@@ -133,6 +135,7 @@ def test_ssim_pair_range_is_torchmetrics_default_away_from_the_border(
     assert ssim_pair_range(image, target) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_ssim_is_torchmetrics_at_range_one_but_for_the_padding(theirs) -> None:
     _, target = pair()
     image, target = (

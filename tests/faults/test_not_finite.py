@@ -117,6 +117,7 @@ def test_photos(value, small_scene, at_5, monkeypatch):
     assert saved(at_5) == [5, 10]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value"),
     [

@@ -88,6 +88,7 @@ class NoKernel:
         return lambda *args, **kwargs: None
 
 
+@pytest.mark.slow
 def test_the_search_does_not_make_the_host_wait(monkeypatch):
     pytest.importorskip("triton")
     from mrgs.kernels.neighbours import gpu as neighbours

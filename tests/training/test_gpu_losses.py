@@ -125,6 +125,7 @@ def test_a_value_that_is_not_finite_is_not_hidden(gpu_device):
     assert losses.photometric_loss(spoilt, torch.zeros_like(spoilt), None, 0.2).isnan()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("masked", [False, True])
 def test_no_loss_makes_the_host_wait(masked):
     """On a device whose tensors have no values: what asks for one fails, as on a GPU it would make

@@ -25,6 +25,7 @@ def test_a_view_is_rendered_from_each_of_its_cameras(small_scene):
     torch.testing.assert_close(alone[THERMAL].image, both[THERMAL].image)
 
 
+@pytest.mark.slow
 def test_the_size_of_the_chunks_does_not_show(small_scene):
     scene = load_scene(small_scene)
     model = new_model(0, frame_of(scene))

@@ -106,6 +106,7 @@ def test_the_number_of_threads_does_not_change_the_bits(small_scene, tmp_path):
     assert all(torch.equal(results[0][name], results[1][name]) for name in results[0])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:scene. No view has any")
 @pytest.mark.parametrize("options", [{"two_cameras": True}, {"rgb": False}, {"thermal": False}])
 def test_other_kinds_of_scenes_train_too(tmp_path, options):

@@ -67,6 +67,7 @@ def test_ssim_agrees_with_the_naive_formula():
     torch.testing.assert_close(ssim_map(x, y), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("data_range", [1.0, None])
 def test_ssim_agrees_with_torchmetrics(channels, data_range):

@@ -59,6 +59,7 @@ def test_scale_turn_and_shift_are_found(focal, turn_deg, shift):
     assert found.best.score > 1.5 * found.chance
 
 
+@pytest.mark.slow
 def test_an_unknown_field_of_view_is_found():
     found = first_guess(pairs(1.2, 0.0, (0.03, 0.0))[:2], None)
     assert found.best.focal_widths == pytest.approx(1.2, rel=0.03)
