@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import pytest
 import torch
 
 from mrgs.baselines.thermonerf.model import ALL_ROWS, CHUNK_RAYS

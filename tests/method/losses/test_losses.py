@@ -17,9 +17,7 @@ from mrgs.method.losses.ssim import ssim_map
 
 
 def image(height: int, width: int, channels: int, seed: int = 0) -> torch.Tensor:
-    return torch.rand(
-        height, width, channels, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
-    )
+    return torch.rand(height, width, channels, generator=torch.Generator().manual_seed(seed))
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -35,7 +33,7 @@ def test_photometric_loss_is_l1_and_dssim(channels):
 
 def test_equal_images_cost_nothing():
     target = image(20, 25, 3)
-    assert photometric_loss(target, target, None, 0.2).abs() < 1e-12
+    assert photometric_loss(target, target, None, 0.2).abs() < 1e-6
 
 
 def test_all_pixels_valid_is_the_same_as_no_mask():
@@ -51,11 +49,9 @@ def test_invalid_pixels_neither_cost_nor_pull():
     target = image(20, 25, 3, seed=1)
     valid = torch.zeros(20, 25, dtype=torch.bool)
     valid[:, :10] = True
-    render = torch.where(
-        valid[:, :, None], target, torch.tensor(9.0, dtype=torch.float64)
-    ).requires_grad_()
+    render = torch.where(valid[:, :, None], target, torch.tensor(9.0)).requires_grad_()
     loss = photometric_loss(render, target, valid, 0.2)
-    assert loss.abs() < 1e-12
+    assert loss.abs() < 1e-6
 
     shifted = (target + 0.1).requires_grad_()
     (gradient,) = torch.autograd.grad(photometric_loss(shifted, target, valid, 0.2), shifted)
@@ -73,8 +69,9 @@ def test_nothing_valid_costs_nothing():
     assert (gradient == 0).all()
 
 
+@pytest.mark.slow
 def test_photometric_gradient():
-    render, target = image(6, 7, 2).requires_grad_(), image(6, 7, 2, seed=1)
+    render, target = image(6, 7, 2).double().requires_grad_(), image(6, 7, 2, seed=1).double()
     assert torch.autograd.gradcheck(
         lambda render: photometric_loss(render, target, None, 0.2), render
     )
@@ -86,8 +83,8 @@ def test_constants_are_smooth():
 
 
 def test_smoothness_is_the_mean_of_first_differences():
-    ramp = 0.1 * torch.arange(6, dtype=torch.float64).expand(5, 6)
-    depth = 4 * torch.arange(5, dtype=torch.float64)[:, None].expand(5, 6)
+    ramp = 0.1 * torch.arange(6).expand(5, 6)
+    depth = 4 * torch.arange(5)[:, None].expand(5, 6)
     config = LossConfig(smooth_depth=0.5)
     loss = smoothness_loss(ramp[:, :, None], depth, None, 8.0, 2.0, config)
     assert loss.item() == pytest.approx(2.0 * 0.1 + 0.5 * 4 / 8)
@@ -138,12 +135,12 @@ def test_the_photometric_loss_is_that_of_plain_torch(masked, dssim, width):
 @pytest.mark.parametrize("loss", [photometric_loss, photometric_loss.plain])
 def test_a_huber_loss_is_quadratic_below_its_width_and_linear_above(loss):
     """δ = 0.1: 0.05² / 0.2 and 0.3 − 0.05; the same slope on both sides of δ."""
-    target = torch.zeros(1, 2, 1, dtype=torch.float64)
-    render = torch.tensor([[[0.05], [-0.3]]], dtype=torch.float64, requires_grad=True)
+    target = torch.zeros(1, 2, 1)
+    render = torch.tensor([[[0.05], [-0.3]]], requires_grad=True)
     value = loss(render, target, None, 0.0, 0.1)
     assert value.item() == pytest.approx((0.0125 + 0.25) / 2)
     (gradient,) = torch.autograd.grad(value, render)
-    torch.testing.assert_close(2 * gradient.flatten(), torch.tensor([0.5, -1.0]).double())
+    torch.testing.assert_close(2 * gradient.flatten(), torch.tensor([0.5, -1.0]))
 
 
 def test_flat_images_have_no_step():
