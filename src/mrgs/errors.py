@@ -5,11 +5,28 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import unicodedata
 import warnings
 from pathlib import Path
 
 _INSIDE = (str(Path(__file__).parent) + os.sep, contextlib.__file__)
 """Files of this package, and what is between a ``with`` and the block that it opens."""
+
+
+_JOINERS = "\u200c\u200d"
+"""Parts of words of many languages, and of emoji."""
+
+
+def printable(text: str) -> str:
+    """The text on one line, with escapes for what is not printable: names of files may end a line,
+    write in colour on a terminal, or turn the direction of reading."""
+
+    def shown(each: str) -> str:
+        if each.isprintable() or each in _JOINERS or unicodedata.category(each) == "Zs":
+            return each
+        return each.encode("unicode_escape").decode().replace("\\x", "\\u00")
+
+    return text if text.isprintable() else "".join(map(shown, text))
 
 
 class MrgsError(Exception):
@@ -21,8 +38,8 @@ class MrgsError(Exception):
     """
 
     def __init__(self, message: str, *, options: tuple[str, ...] = ()) -> None:
-        super().__init__(message)
-        self.message = message
+        self.message = printable(message)
+        super().__init__(self.message)
         self.options = options
 
 
@@ -92,4 +109,4 @@ def warn_user(text: str, category: type[MrgsWarning] = MrgsWarning) -> None:
     frame, level = sys._getframe(), 1
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_INSIDE):
         frame, level = frame.f_back, level + 1
-    warnings.warn(text, category, stacklevel=level)
+    warnings.warn(printable(text), category, stacklevel=level)

@@ -116,5 +116,5 @@ def test_files_are_read_up_to_a_limit(tmp_path):
         read_bytes(tmp_path / "a", limit=4)
     with pytest.raises(SceneError, match="b: cannot"):
         read_bytes(tmp_path / "b")
-    with pytest.raises(SceneError, match="not a file"):
+    with pytest.raises(SceneError, match="cannot be read"):
         read_bytes(tmp_path)

@@ -25,7 +25,7 @@ def bounds(root: Path, **content) -> None:
 
 def test_bounds_that_are_no_file_are_not_passed_over(tmp_path):
     (tmp_path / "temperature_bounds.json").mkdir()
-    with pytest.raises(SceneError, match=r"bounds\.json: .*a file"):
+    with pytest.raises(SceneError, match=r"bounds\.json: cannot be read"):
         read_bounds(tmp_path, ReadingNotes())
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import difflib
 import inspect
 import os
-import shlex
 import sys
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -51,8 +50,9 @@ from mrgs.app.terminal import (
     styled,
 )
 from mrgs.app.training import train
-from mrgs.errors import ConfigError, MrgsError, TrainingError
+from mrgs.errors import ConfigError, MrgsError, TrainingError, printable
 from mrgs.runs.registry import imported
+from mrgs.system.wording import quoted
 
 if TYPE_CHECKING:
     from mrgs.comparison.table import Table
@@ -222,9 +222,7 @@ def _prepare(command: Prepare) -> None:
     except KeyboardInterrupt:
         print("intermediate results are kept; re-run the same command to resume")
         raise
-    print(
-        f"scene: {made.scene}\nopen:  {made.page}\nnext:  mrgs train {shlex.quote(str(made.scene))}"
-    )
+    print(f"scene: {made.scene}\nopen:  {made.page}\nnext:  mrgs train {quoted(made.scene)}")
 
 
 def _check(command: Check) -> int:
@@ -232,10 +230,9 @@ def _check(command: Check) -> int:
 
     with PrepareProgress() as progress:
         found = check_scene(command.scene, progress.step)
-    for line in found.lines:
-        print(line)
-    for problem in found.problems:
-        print(f"{problem.severity}: {problem.text} {problem.remedy}".rstrip())
+    problems = (f"{each.severity}: {each.text} {each.remedy}" for each in found.problems)
+    for line in (*found.lines, *problems):
+        print(printable(line.rstrip()))
     print(f"open: {found.page}")
     return 0 if found.usable else EXIT_BAD_SCENE
 

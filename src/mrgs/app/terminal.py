@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from mrgs.errors import ConfigError, MrgsError, MrgsWarning, SceneError
+from mrgs.errors import ConfigError, MrgsError, MrgsWarning, SceneError, printable
+from mrgs.system import disk
 
 if TYPE_CHECKING:
     import torch
@@ -39,7 +40,7 @@ def styled(text: str, style: str, stream: TextIO) -> str:
 
 def print_note(text: str, kind: str = "note", style: str = "yellow") -> None:
     """Print a note on one line."""
-    print(f"{styled(f'mrgs: {kind}:', style, sys.stderr)} {text}", file=sys.stderr)
+    print(f"{styled(f'mrgs: {kind}:', style, sys.stderr)} {printable(text)}", file=sys.stderr)
 
 
 def print_error(text: str) -> None:
@@ -62,7 +63,7 @@ def flags_of(error: MrgsError) -> str:
 def read_text(path: Path) -> str:
     """The text of a file that an option names. ConfigError if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        return disk.read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"{path}: cannot be read as text ({getattr(error, 'strerror', 'not UTF-8')})"

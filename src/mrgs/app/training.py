@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -16,6 +15,7 @@ from mrgs.app.interrupts import Interrupted
 from mrgs.app.progress import TrainingProgress
 from mrgs.app.terminal import note_gpu, print_viewer_address, read_text
 from mrgs.errors import ConfigError, DeviceError
+from mrgs.system.wording import quoted
 
 if TYPE_CHECKING:
     from mrgs.run_files.folder import RunFolder
@@ -196,15 +196,13 @@ _OWN_SETTINGS = ("max_steps", "max_gaussians", "resolution", "seed", "batch")
 def _print_next(command: Train, output: Path, progress: TrainingProgress) -> None:
     """Print how to resume an unfinished run, or what to do with a finished one."""
     if progress.unfinished:
-        go_on = shlex.join(
-            ["mrgs", "train", str(command.scene), "--output", str(output), "--resume"]
-        )
+        go_on = f"mrgs train {quoted(command.scene)} --output {quoted(output)} --resume"
         print(f"checkpoint saved; resume with: {go_on}", file=progress.sink)
         raise Interrupted
     if command.resume and not progress.has_stepped:
         print(f"already finished at step {progress.max_steps:,}")
-    quoted = shlex.quote(str(output))
-    print(f"run:  {output}\nnext: mrgs eval {quoted}\n      mrgs render {quoted}")
+    run = quoted(output)
+    print(f"run:  {output}\nnext: mrgs eval {run}\n      mrgs render {run}")
 
 
 def _train_in_blocks(command: Train, folder: RunFolder, config: Any, device: DeviceName) -> None:
@@ -232,14 +230,14 @@ def _train_in_blocks(command: Train, folder: RunFolder, config: Any, device: Dev
         training.train_all()
     else:
         training.train_block(command.block)
-    quoted = shlex.quote(str(folder.path))
+    run = quoted(folder.path)
     if left := training.unfinished():
         numbers = ", ".join(map(str, left))
         print(f"blocks left: {numbers}; they are joined by the same command without --block")
     elif command.block is not None:
         print("all blocks are trained; run again without --block to join them")
     else:
-        print(f"run:  {folder.path}\nnext: mrgs eval {quoted}\n      mrgs export {quoted}")
+        print(f"run:  {folder.path}\nnext: mrgs eval {run}\n      mrgs export {run}")
 
 
 @contextmanager

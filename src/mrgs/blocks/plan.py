@@ -26,6 +26,7 @@ from mrgs.method.config import TrainConfig
 from mrgs.render import Model
 from mrgs.scene import Scene
 from mrgs.system.atomic import write_text
+from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import flat
 from mrgs.system.typed_json import Count, NotNegative, from_json
 from mrgs.system.wording import counted
@@ -158,10 +159,10 @@ def make_plan(
 def read_plan(path: Path) -> BlockPlan | None:
     """The plan in a file; None if there is none. RunError if the file is no plan, or that of
     another version of the program."""
-    if not path.is_file():
+    if not path.exists():
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
         if content["format"] != FORMAT:
             raise RunError(
                 f"{path} was written by another version of the program: choose another folder",

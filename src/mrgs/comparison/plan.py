@@ -22,6 +22,7 @@ from mrgs.errors import ConfigError, SceneError
 from mrgs.run_files.folder import RunConfig
 from mrgs.runs.registry import find_method
 from mrgs.system.atomic import write_text
+from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import parse_yaml
 from mrgs.training import make_config
 
@@ -210,7 +211,7 @@ def _claim(file: Path, named: dict[str, str]) -> None:
     known: dict[str, str] = {}
     if file.exists():
         try:
-            known = dict(json.loads(file.read_text(encoding="utf-8")))
+            known = dict(json.loads(read_text(file)))
         except (OSError, ValueError, TypeError):
             raise ConfigError(
                 f"{file} cannot be read: choose another folder, or remove the file",

@@ -20,6 +20,7 @@ from mrgs.run_files.folder import RunConfig, RunFolder
 from mrgs.runs.open import method_of, open_run
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
+from mrgs.system.disk import read_text
 from mrgs.system.gpu import DeviceName
 from mrgs.system.strict_yaml import first_difference, flat
 from mrgs.training.start import Hooks, TrainOptions
@@ -87,7 +88,7 @@ def run_scores(folder: Path) -> Scores | None:
 def read_metrics(folder: Path) -> Scores | None:
     """The content of a folder's ``metrics.json``; None if it is missing or unreadable."""
     try:
-        document = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        document = json.loads(read_text(folder / "metrics.json"))
     except (OSError, ValueError, RecursionError):
         return None
     return document if isinstance(document, dict) else None

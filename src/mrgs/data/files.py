@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 
 from mrgs.errors import SceneError
+from mrgs.system.disk import read_regular
 from mrgs.system.typed_json import from_json
 from mrgs.system.wording import shown
 
@@ -78,17 +79,11 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     """The file's content. SceneError if it cannot be read, is not a regular file, or is larger than
     ``limit`` bytes."""
     try:
-        if path.exists() and not path.is_file():  # reading a pipe would wait forever
-            raise scene_error(path, "is not a file; check that the path is right")
-        size = path.stat().st_size
-        if size > limit:
-            raise scene_error(
-                path, f"is {size} bytes long, more than the limit of {limit}; this cannot be right"
-            )
-        return path.read_bytes()
+        return read_regular(path, limit)
     except OSError as error:
         raise scene_error(
-            path, f"cannot be read ({error.strerror}); check that it exists and is readable"
+            path,
+            f"cannot be read ({error.strerror}); check that it is the right file and readable",
         ) from None
 
 

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.errors import SceneError
+from mrgs.system.disk import open_regular
 
 MAX_PIXELS = 80_000_000
 """Larger images are refused unread. Below Pillow's own limit, so that its global setting need not
@@ -270,7 +271,7 @@ def opened(
     too_large = f"has more than {most_pixels // 10**6} megapixels; reduce it before use"
     try:
         # Not by its path: Pillow would map a TIFF into memory, and scramble one on its side.
-        with open(path, "rb") if content is None else io.BytesIO(content) as file:
+        with open_regular(path) if content is None else io.BytesIO(content) as file:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of large images, and of damaged tags
                 try:

@@ -20,6 +20,7 @@ from mrgs.marks.mark import Mark, Marks
 from mrgs.runs.open import TrainedRun
 from mrgs.scene import Scene
 from mrgs.system.atomic import require_folder, write_error, write_text
+from mrgs.system.disk import read_text
 from mrgs.system.typed_json import from_json
 
 FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
@@ -27,7 +28,6 @@ VERSION = 2
 """2 has proposals and severities; files of version 1 are read too."""
 
 STEPS_KEPT = 50
-LARGEST_BYTES = 32 * 2**20
 PATIENCE_S = 10.0
 SAME = 1e-3
 """Share of the extent by which the cameras of one scene may seem to differ."""
@@ -139,9 +139,7 @@ class MarkStore:
         try:
             if not path.exists():
                 return []
-            if path.stat().st_size > LARGEST_BYTES:
-                raise ConfigError("it is too large")
-            document = json.loads(path.read_text(encoding="utf-8"))
+            document = json.loads(read_text(path))
             self._require_own(path, from_json(_Head, document))
             states = from_json(list[dict[str, Any]], document.get("states", [document]))
             return [_marks_of(from_json(_State, state)) for state in states]

@@ -330,11 +330,7 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
 
 def with_flat_field(config: TrainConfig, folder: Path) -> TrainConfig:
     """The configuration with the camera's shading as in a folder of thermal photos of a uniform
-    target.
-
-    Raises:
-        ConfigError: not a folder, or the image model has no shading.
-    """
+    target. ConfigError if that is no folder, or the image model has no shading."""
     model = config.image_model
     if not model.thermal_shading:
         raise ConfigError(

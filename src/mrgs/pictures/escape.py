@@ -11,9 +11,9 @@ _ACTIVE = re.compile(r"[\\`*\[\]|~$@]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|(?<=:)/
 _AT_START = re.compile(r"^\s*(#|[-+=]|\d+(?=[.)]))")
 """What makes a line a heading or an item of a list."""
 
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-"""How cells begin that a spreadsheet runs as a formula; the last four are as wide as letters of
-Chinese and Japanese."""
+_FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
+"""How cells begin, after blanks, that a spreadsheet runs as a formula; the last four are as wide as
+letters of Chinese and Japanese."""
 
 
 def escape_markdown(text: str) -> str:
@@ -25,4 +25,4 @@ def escape_markdown(text: str) -> str:
 
 def escape_cell(text: str) -> str:
     """Text for a cell that no spreadsheet runs as a formula."""
-    return f"'{text}" if text.startswith(_FORMULA) else text
+    return f"'{text}" if text.lstrip().startswith(_FORMULA) else text

@@ -34,11 +34,7 @@ _ASPECT_TOLERANCE = 0.01
 
 def state_of_poses(folder: Path) -> tuple[Any, ...]:
     """What changes with the files that ``existing_poses`` reads in a folder, or with a transforms
-    file.
-
-    Raises:
-        SceneError: the folder cannot be listed, or the transforms file is damaged.
-    """
+    file. SceneError if the folder cannot be listed, or the transforms file is damaged."""
     if folder.is_dir():
         return stamps(folder)
     points = find_points(folder.parent.resolve(), folder) if _is_transforms(folder) else None
@@ -55,16 +51,14 @@ def existing_poses(
     """The poses in a folder for images with the same names (extensions and folders may differ).
 
     The folder has a ``transforms.json`` with its images, or a COLMAP model. Where an image is
-    larger or smaller than the one in the file, the lens is scaled.
+    larger or smaller than the one in the file, the lens is scaled. SceneError if no poses are
+    found, they are damaged, or fewer than three belong to the images.
 
     Args:
         folder: with the poses, or a transforms file.
         images: files by the views' names, without folders and extension.
         pairs: of the views, if the poses' images have the names of the photos.
         two_cameras: whether there is a thermal camera to be found, which needs points.
-
-    Raises:
-        SceneError: no poses are found, they are damaged, or fewer than three belong to the images.
     """
     given = _read(folder)
     counts = Counter(pose.name for pose in given.poses)

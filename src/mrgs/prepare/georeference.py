@@ -68,6 +68,7 @@ def georeference(
     as_given: bool = False,
 ) -> Georeference:
     """The similarity to a world with z up, in metres and with x east and y north where possible.
+    SceneError if the known distance cannot be measured in the reconstruction.
 
     Args:
         reconstruction: poses in any world.
@@ -75,9 +76,6 @@ def georeference(
         known: a length in a photo; it overrides the scale from GPS.
         as_given: the poses come from the user. Their axes stay where their file says where on Earth
             they lie, where GPS agrees with them, and where there is no usable GPS.
-
-    Raises:
-        SceneError: the known distance cannot be measured in the reconstruction.
     """
     scale = None if known is None else known.metres / length_of(known, reconstruction)
     level = levelled(reconstruction)
@@ -162,10 +160,8 @@ def _by_gps(
 
     Without heights, and where the cameras stand on a line about which the positions leave the
     rotation open, ``level`` gives the vertical, and the positions the rest. Of given poses that are
-    in metres and have these axes, as far as GPS knows, only the origin moves.
-
-    Raises:
-        UnusableGpsError: too few positions, or too much noise for how far the cameras are apart.
+    in metres and have these axes, as far as GPS knows, only the origin moves. UnusableGpsError for
+    too few positions, or too much noise for how far the cameras are apart.
     """
     if len(gps) < MIN_POSITIONS:
         raise UnusableGpsError(

@@ -37,11 +37,8 @@ def length_of(known: KnownDistance, reconstruction: Reconstruction) -> float:
     """The known distance in the reconstruction's units.
 
     Each end lies on its pixel's ray, at the depth of the surface through the triangulated points
-    around it.
-
-    Raises:
-        SceneError: the view has no pose, a pixel is outside of its image, no points are near one,
-            they lie at many depths, or the length is 0 or not finite.
+    around it. SceneError if the view has no pose, a pixel is outside of its image, no points are
+    near one, they lie at many depths, or the length is 0 or not finite.
     """
     if not (math.isfinite(known.metres) and known.metres > 0):
         raise SceneError(f"the known distance is {known.metres:g} m; it must be longer than 0 m")

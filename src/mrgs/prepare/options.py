@@ -15,7 +15,8 @@ from mrgs.prepare.rig.contract import ChessboardTarget
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """Options of ``prepare``; by default everything is determined from the photos.
+    """Options of ``prepare``; by default everything is determined from the photos. ConfigError for
+    an invalid value, or two options that exclude each other.
 
     Attributes:
         overrides: values that replace those stored in the thermal photos.
@@ -31,9 +32,6 @@ class PrepareOptions:
         target: a chessboard that both cameras see.
         known_distance: between two points in a photo.
         eval_every: hold out every Nth view for evaluation; 0 holds out none.
-
-    Raises:
-        ConfigError: an invalid value, or two options that exclude each other.
     """
 
     overrides: Overrides = field(default_factory=Overrides)
@@ -71,10 +69,7 @@ class PrepareOptions:
 
 def parse_target(corners: str, square_m: float) -> ChessboardTarget:
     """A chessboard from its inner corners, such as ``7x6``, and the side of its squares.
-
-    Raises:
-        ConfigError: not two numbers, or no chessboard.
-    """
+    ConfigError if that is not two numbers, or no chessboard."""
     if not (counts := re.fullmatch(r"(\d{1,3})[x×](\d{1,3})", corners)):
         raise ConfigError(
             f"the target '{corners}': write the inner corners along and across, for instance 7x6",
@@ -84,11 +79,8 @@ def parse_target(corners: str, square_m: float) -> ChessboardTarget:
 
 
 def parse_known_distance(first: str, second: str, metres: float) -> KnownDistance:
-    """A distance between two pixels of a view, each such as ``IR_0001:120,85.5``.
-
-    Raises:
-        ConfigError: no view with a pixel, two views, or no distance.
-    """
+    """A distance between two pixels of a view, each such as ``IR_0001:120,85.5``. ConfigError if
+    there is no view with a pixel, two views, or no distance."""
     (view, a), (other, b) = _view_and_pixel(first), _view_and_pixel(second)
     if view != other:
         raise ConfigError(

@@ -33,10 +33,8 @@ def read_rgb(path: Path, orientation: int) -> ImageFile:
     """A photo, rotated upright by the given EXIF orientation; its own orientation is ignored.
 
     A photo that needs no rotation keeps its bytes. Any other keeps its format and quality, and of
-    its EXIF data the camera, the focal length and the time.
-
-    Raises:
-        SceneError: not a JPEG, PNG or TIFF image, damaged, cut off or too large.
+    its EXIF data the camera, the focal length and the time. SceneError for anything but a JPEG, PNG
+    or TIFF image, or one that is damaged, cut off or too large.
     """
     probe(path)
     data = read_bytes(path)
@@ -50,11 +48,7 @@ def read_rgb(path: Path, orientation: int) -> ImageFile:
 
 
 def read_embedded(visible: VisibleImage, orientation: int) -> ImageFile:
-    """The RGB photo embedded in a thermal photo's file.
-
-    Raises:
-        SceneError: it is damaged.
-    """
+    """The RGB photo embedded in a thermal photo's file. SceneError if it is damaged."""
     image = Image.fromarray(visible.pixels())
     if orientation == 1 and visible.data.startswith(b"\xff\xd8\xff"):
         return ImageFile(visible.data, ".jpg", image.size)

@@ -139,11 +139,8 @@ def _is_unclaimed(folder: Path) -> bool:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder against other processes; it is created if it is missing.
-
-    Raises:
-        RunError: the folder cannot be made, or another process works in it.
-    """
+    """Lock a folder against other processes; it is created if it is missing. RunError if the folder
+    cannot be made, or another process works in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = FileLock(folder / LOCK, timeout=0)

@@ -50,10 +50,8 @@ def read_thermal_camera(path: Path) -> ThermalCamera:
     JSON object.
 
     The keys are those of the ``transforms.json`` of a prepared scene, so that such a file can be
-    given as it is.
-
-    Raises:
-        SceneError: the file cannot be read, has neither, or a camera that cannot be used.
+    given as it is. SceneError if the file cannot be read, has neither, or a camera that cannot be
+    used.
     """
     content = read_json_object(path)
     own, motion = content.get("thermal_camera"), content.get(EXTRINSICS)

@@ -27,6 +27,7 @@ from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Modality, Scene, View, WorldFrame, in_order
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.survey import LABELS, Survey
+from mrgs.system.disk import read_text
 
 LEAST_DIFFERENCE_K = 10.0
 MOST_PIXEL_CM = 3.0
@@ -325,7 +326,7 @@ def read_scores(run: Run, t: Texts) -> Scores | None:
     if not path.is_file():
         return None
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path))
         poses = document.get("poses") or {}
         aligned = poses.get("aligned")
         titles = {each.name: capitalised(each.title) for each in (*REPORTED, *run.modalities)}

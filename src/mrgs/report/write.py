@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shlex
 import warnings
 from collections.abc import Callable
 from datetime import date
@@ -42,6 +41,7 @@ from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
 from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.system.atomic import replacing
+from mrgs.system.wording import quoted
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
@@ -119,7 +119,7 @@ def report_run(
         conditions=conditions_of(survey, thermal_pixel_m(scene)),
         styles=[PAGE_STYLE, "report/report.css"],
         run_folder=run.folder.path,
-        quoted=lambda text: shlex.quote(str(text)),
+        quoted=quoted,
         step=run.facts.step,
         has_thermal=has_thermal,
         temperature=scene.temperature,

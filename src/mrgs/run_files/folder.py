@@ -23,6 +23,7 @@ from mrgs.errors import (
     warn_user,
 )
 from mrgs.system.atomic import remove_abandoned, write_error, write_text
+from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import flat, parse_yaml, write_yaml
 from mrgs.system.wording import listed
 
@@ -196,7 +197,7 @@ class RunFolder:
         its configuration cannot be used."""
         self._require_config()
         try:
-            return read(self.config_file.read_text(encoding="utf-8"), str(self.config_file))
+            return read(read_text(self.config_file), str(self.config_file))
         except ConfigError as error:
             raise RunError(f"{error}; fix the file or retrain") from error
         except (OSError, UnicodeDecodeError) as error:
@@ -278,7 +279,7 @@ class RunFolder:
         """Drop the lines after a step, which a resumed run writes again."""
         if not self.log_file.exists():
             return
-        lines = self.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = read_text(self.log_file, "replace").splitlines()
         kept = [line for line in lines if _step_of(line) <= step]
         write_text(self.log_file, "".join(line + "\n" for line in kept))
 

@@ -14,13 +14,12 @@ import yaml
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.system.atomic import write_text
+from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import convert, parse_yaml, read_yaml
 from mrgs.system.wording import shown
 
 SURVEY_FILE = "survey.yaml"
 LONGEST_TEXT = 2_000
-LARGEST_FILE = 100_000
-"""Bytes."""
 
 Standard = Literal["EN 13187", "ISO 6781-3", "IEC TS 62446-3"]
 Side = Literal["inside", "outside"]
@@ -153,9 +152,7 @@ def read_survey(path: Path) -> Survey:
     try:
         if not path.exists():
             return Survey()
-        if path.stat().st_size > LARGEST_FILE:
-            raise RunError(f"{path} has more than {LARGEST_FILE:,} bytes: it is no survey")
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise RunError(f"{path} cannot be read ({error}): write it again") from None
     if parse_yaml(text, str(path)) is None:

@@ -1,11 +1,47 @@
-"""Free disk space, and whether it is enough for what a long run will write."""
+"""Files that strangers may have made, and free disk space for what a long run will write."""
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from mrgs.errors import warn_user
+
+MAX_TEXT_BYTES = 64 * 2**20
+"""Longer than any configuration, survey or list of marks."""
+
+
+@contextmanager
+def open_regular(path: Path) -> Iterator[BinaryIO]:
+    """A regular file, to be read. OSError for anything else: a pipe would wait for ever, and some
+    devices never end."""
+    at_once = getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "not a regular file")
+        yield file
+
+
+def read_regular(path: Path, limit: int) -> bytes:
+    """The content of a regular file. OSError if it cannot be read, or has more than ``limit``
+    bytes."""
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > limit:
+            raise OSError(errno.EFBIG, f"{size:,} bytes, more than the limit of {limit:,}")
+        return file.read()
+
+
+def read_text(path: Path, errors: str = "strict") -> str:
+    """The text of a regular file. OSError if it cannot be read, or has more than
+    ``MAX_TEXT_BYTES``; ValueError if it is not UTF-8 and ``errors`` are strict."""
+    return read_regular(path, MAX_TEXT_BYTES).decode("utf-8", errors)
 
 
 def free_disk(folder: Path) -> int:

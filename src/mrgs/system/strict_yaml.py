@@ -19,6 +19,9 @@ from mrgs.system.wording import shown
 
 Config = TypeVar("Config")
 
+LONGEST_TEXT = 100_000
+"""Characters; a configuration with every field has some thousands."""
+
 
 def write_yaml(config: Any) -> str:
     """A dataclass as YAML, every field written out."""
@@ -53,12 +56,18 @@ def read_yaml(cls: type[Config], text: str, source: str, base: Config | None = N
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Parse YAML with plain values only. ConfigError if it is not YAML, or has a key twice in a
-    mapping."""
+    """Parse YAML with plain values only. ConfigError if it is not YAML, has a key twice in a
+    mapping, an alias or a merge, or is longer than ``LONGEST_TEXT``."""
+    if len(text) > LONGEST_TEXT:
+        raise ConfigError(f"{source} has more than {LONGEST_TEXT:,} characters")
     try:
         return deepcopy(_parsed(text))
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{source} is not valid YAML: {str(error).splitlines()[0]}") from error
+    # Tags such as !!int and !!timestamp, and what YAML takes for them, make PyYAML raise almost
+    # anything where the text is not of that type.
+    except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError,
+            TypeError, ValueError) as error:  # fmt: skip
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise ConfigError(f"{source} is not valid YAML: {reason}") from error
 
 
 @lru_cache(maxsize=4)
@@ -68,7 +77,17 @@ def _parsed(text: str) -> Any:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Refuses keys that stand twice in a mapping, of which others take the last."""
+    """Refuses keys that stand twice in a mapping, of which others take the last, and what makes a
+    large value of a short text: aliases and merges."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has an alias (*name); write out what it stands for")
+        return super().compose_node(parent, index)
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        if any(key.value == "<<" for key, _ in node.value):
+            raise yaml.YAMLError("it merges mappings (<<); write out what it merges")
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
+import shlex
 from collections.abc import Iterable, Sequence
 from typing import Any
+
+from mrgs.errors import printable
 
 
 def shown(value: Any) -> str:
@@ -13,6 +17,15 @@ def shown(value: Any) -> str:
         return reprlib.repr(value)
     except ValueError:  # an integer of thousands of digits
         return "a number of too many digits"
+
+
+def quoted(text: object) -> str:
+    """A word of a command to be pasted into a shell, as Bash's $'…' where not all is printable."""
+    word = str(text)
+    if word.isprintable():
+        return shlex.quote(word)
+    escaped = printable(word.replace("\\", r"\\").replace("'", r"\'"))
+    return "$'" + re.sub(r"\\udc([89a-f].)", r"\\x\1", escaped) + "'"
 
 
 def counted(number: int, noun: str) -> str:

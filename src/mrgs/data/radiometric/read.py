@@ -127,16 +127,13 @@ def reader_of(data: bytes, path: Path) -> Reader | None:
 
 def read_thermal_photo(path: str | Path, overrides: Overrides | None = None) -> ThermalPhoto:
     """The temperatures of a thermal photo, and what its file says besides. The content decides the
-    kind, not the name.
+    kind, not the name. SceneError if the file cannot be read: empty, damaged, cut off, of an
+    unknown kind or scale, or a DJI R-JPEG that DJI's tool does not read.
 
     Args:
         path: a FLIR radiometric JPEG or FFF file; a DJI R-JPEG; a TIFF, PNG or JPEG image; a table
             (``.csv``, ``.txt``, ``.tsv``); or the bare numbers of DJI's tool (``.raw``).
         overrides: what the user knows better than the file.
-
-    Raises:
-        SceneError: the file cannot be read: empty, damaged, cut off, of an unknown kind or scale,
-            or a DJI R-JPEG that DJI's tool does not read.
     """
     path, overrides = Path(path), overrides or Overrides()
     data = read_bytes(path, MAX_BYTES)

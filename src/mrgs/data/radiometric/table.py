@@ -30,7 +30,7 @@ _MENTIONED = (
 )
 """How texts beside the numbers mention a unit."""
 
-_STATED = re.compile(r"\bunits?\b[\s\"':=;,(\[]*[°º]?\s*([CFK])\b", re.IGNORECASE)
+_STATED = re.compile(r"\bunits?\b[\s\"':=;,(\[]*(?:[°º]\s*)?([CFK])\b", re.IGNORECASE)
 """How they say that it is that of the numbers."""
 
 _SEPARATORS = (";", "\t", ",", " ")

@@ -98,11 +98,8 @@ def setting_rows(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
 
 
 def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: str) -> Markup:
-    """SVG of the number of pixels by temperature.
-
-    Args:
-        counts: one per equal step from ``low`` to ``high``; not all 0.
-    """
+    """SVG of the number of pixels by temperature: ``counts`` are one per equal step from ``low`` to
+    ``high``, not all 0."""
     width = (_RIGHT - _LEFT) / len(counts)
     heights = (_BOTTOM - _TOP) * counts / counts.max()
     colors = palette_table("inferno")[np.linspace(20, 235, len(counts)).astype(int)]
@@ -126,10 +123,7 @@ def spread_chart(
     spreads: Mapping[str, Float[np.ndarray, "5"]], low: float, high: float, unit: str
 ) -> Markup:
     """SVG with a column per photo: a line from minimum to maximum, a bar over 90 % of the pixels.
-
-    Args:
-        spreads: by the view's name minimum, 5 %, median, 95 % and maximum; at least one.
-    """
+    ``spreads`` are minimum, 5 %, median, 95 % and maximum by the view's name; at least one."""
     step = (_RIGHT - _LEFT) / len(spreads)
     columns = [
         (

@@ -171,7 +171,8 @@ def edge_layer(values: Float32[np.ndarray, "h w"]) -> Image.Image:
     """The steepest edges of an image as thin lines on a transparent palette image."""
     known = np.isfinite(values)
     filled = np.where(known, values, np.median(values[known]) if known.any() else 0.0)
-    down, right = np.gradient(gaussian_filter(filled.astype(np.float64), _EDGE_BLUR_PX))
+    blurred = gaussian_filter(filled.astype(np.float64), _EDGE_BLUR_PX)
+    down, right = (each[1:-1, 1:-1] for each in np.gradient(np.pad(blurred, 1, mode="edge")))
     strength = np.hypot(down, right) * (
         gaussian_filter(known.astype(np.float64), 2.0, mode="nearest") > 0.98
     )
@@ -294,14 +295,8 @@ class MeasuredPhoto(NamedTuple):
 
 
 def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[MeasuredPhoto]:
-    """Some of the photos, evenly distributed, with the lens distortion of the file.
-
-    Args:
-        views: those with a pose and an RGB image.
-
-    Raises:
-        SceneError: a photo cannot be read.
-    """
+    """Some of the photos of ``views``, which have a pose and an RGB image, evenly distributed, with
+    the lens distortion of the file. SceneError if a photo cannot be read."""
     photos = []
     for index in evenly_spaced(len(views), MOST_PHOTOS):
         name, file = views[index].name, scene / views[index].images[RGB].file

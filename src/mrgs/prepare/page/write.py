@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import date
@@ -40,7 +39,7 @@ from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.scene.camera import field_of_view
 from mrgs.scene.view import evenly_spaced
-from mrgs.system.wording import counted
+from mrgs.system.wording import counted, quoted
 
 PAGE = "prepare.html"
 SCRIPTS = (
@@ -102,7 +101,7 @@ def write_page(
             "total": len(work.images.views),
         },
         has_celsius=has_celsius,
-        folder=shlex.quote(str(work.scene)),
+        folder=quoted(work.scene),
         trains=work.trains,
         warnings=list(dict.fromkeys((*warnings, *notes))),
         stages=[(stage.title, " ".join(stage.lines), _time(stage)) for stage in work.reports],
@@ -125,10 +124,7 @@ def write_scene_page(
     path: Path, template: str, title: str, world: World | None, **values: Any
 ) -> Path:
     """Write a page that shows a scene, by a template that extends ``scene.html``; returns its path.
-
-    Raises:
-        RunError: the file cannot be written.
-    """
+    RunError if the file cannot be written."""
     return write_html(
         path,
         template,

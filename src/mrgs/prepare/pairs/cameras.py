@@ -24,11 +24,8 @@ _OTHER_LENS = 1.2
 
 
 def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...]:
-    """Warnings about the cameras of the pairs.
-
-    Raises:
-        SceneError: the photos of a modality are of two models of camera, two lenses or two sizes.
-    """
+    """Warnings about the cameras of the pairs. SceneError if the photos of a modality are of two
+    models of camera, two lenses or two sizes."""
     partners = [pair.partner for pair in pairs if pair.partner is not None]
     embedded = [pair.reference for pair in pairs if pair.partner is None]
     if partners and embedded:

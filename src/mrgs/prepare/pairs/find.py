@@ -242,10 +242,8 @@ def by_table(table: Path, inventory: Inventory) -> Match:
     The RGB photo may be left empty: then it is embedded in the thermal photo's file, or there is
     none. A first line with headings (``rgb``, ``thermal``) gives the order of the columns. Columns
     are separated by semicolons, tabs, commas or blanks; see ``decoded_text`` for the encodings.
-
-    Raises:
-        SceneError: the table cannot be read, or a line names something other than two photos of the
-            folder.
+    SceneError if the table cannot be read, or a line names something other than two photos of the
+    folder.
     """
     photos = {photo.path.resolve(): photo for photo in inventory.photos}
     pairs, used = [], dict[Photo, int]()

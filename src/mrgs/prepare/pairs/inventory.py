@@ -73,11 +73,8 @@ class Photo:
 
 
 def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
-    """The photo in a file, or why it is none (half a sentence).
-
-    Args:
-        relative: its path below the folder of photos.
-    """
+    """The photo in a file, or why it is none (half a sentence); ``relative`` is its path below the
+    folder of photos."""
     suffix, origin = path.suffix.lower(), relative.with_suffix("")
     try:
         data = _head(path)
@@ -206,11 +203,8 @@ def below(root: Path, path: Path) -> str:
 
 
 def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
-    """All files below a folder.
-
-    Raises:
-        SceneError: the folder cannot be listed, or has no file that can be a photo.
-    """
+    """All files below a folder. SceneError if the folder cannot be listed, or has no file that can
+    be a photo."""
     if not root.is_dir():
         raise scene_error(root, "not a folder; give the photos' folder")
     photos, skipped = [], []

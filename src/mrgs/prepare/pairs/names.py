@@ -73,12 +73,8 @@ def printable(name: str) -> str:
 
 
 def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
-    """The facts in a stem.
-
-    Args:
-        radiometric: whether the file is thermal by content: then an ``_R`` or ``_RAD`` at the end
-            says so, too (FLIR Duo, DJI XT2, Workswell).
-    """
+    """The facts in a stem. If the file is ``radiometric``, thermal by content, then an ``_R`` or
+    ``_RAD`` at the end says so, too (FLIR Duo, DJI XT2, Workswell)."""
     if radiometric and (found := _LAST_R.search(stem)):
         return StemFacts(stem[: found.start()], THERMAL, "r")
     if (found := _STAMPED.fullmatch(stem)) and (modality := _modality_of(found[4])) is not None:
@@ -145,11 +141,8 @@ def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
 
 def view_names(paths: Sequence[PurePosixPath]) -> list[str]:
     """Names of views: short, unique even where case is ignored, and valid file stems on every
-    system. Folders are part of a name only where two names would be equal.
-
-    Args:
-        paths: of the photos, relative to the folder of photos, without extension.
-    """
+    system. Folders are part of a name only where two names would be equal. ``paths`` are those of
+    the photos, relative to their folder, without extension."""
     short = [_safe(path.name) for path in paths]
     long = [_safe("_".join(path.parts)) for path in paths]
     counts = Counter(name.lower() for name in short)

@@ -91,11 +91,8 @@ def candidate_by_name(photo: Photo) -> Candidate:
 
 
 def candidate_by_folder(photo: Photo, root_name: str = "") -> Candidate:
-    """Modality by content and folder; the folder named after a modality is not part of the key.
-
-    Args:
-        root_name: of the folder of all photos, where it counts; see ``needed_root_name``.
-    """
+    """Modality by content and folder; the folder named after a modality is not part of the key. The
+    name of the folder of all photos is given where it counts; see ``needed_root_name``."""
     return _candidate(photo, *folder_modality([root_name, *photo.origin.parts[:-1]]))
 
 

@@ -78,16 +78,14 @@ def calibrate_rig(
     (``target``). Then, from coarse to fine (``refine``), each photo is warped through its depth
     into the thermal camera, patches of it are matched in the thermal image, and a bundle adjustment
     over all pairs updates the cameras (``adjust``). Every pair has a small motion of its own
-    besides the rig's, because two shutters rarely fire together.
+    besides the rig's, because two shutters rarely fire together. SceneError for too few pairs or
+    points, thermal images of different sizes, images that do not determine the camera, or a target
+    that is not found or cannot be located.
 
     Args:
         pairs: photos with poses, and their thermal images; all thermal images of one size.
         points: triangulated by structure from motion, in the world of the poses.
         options: known quantities; None if nothing is known.
-
-    Raises:
-        SceneError: too few pairs or points, thermal images of different sizes, images that do not
-            determine the camera, or a target that is not found or cannot be located.
     """
     options = options or RigOptions()
     report = progress or (lambda stage, done, total: None)

@@ -37,15 +37,13 @@ class RigPair:
 @dataclass(frozen=True)
 class ChessboardTarget:
     """A chessboard that both cameras see in some pairs, stationary or moved from pair to pair.
+    ConfigError for fewer than 3 or more than 50 corners, or a width that is not positive.
 
     Attributes:
         inner: number of inner corners, where four squares meet, in a row and in a column; a board
             of 7×6 squares has 6×5.
         square_m: width of a square in metres; None if not known. With it, a stationary
             target gives the scale of the scene.
-
-    Raises:
-        ConfigError: fewer than 3 or more than 50 corners, or a width that is not positive.
     """
 
     inner: tuple[int, int]
@@ -164,10 +162,7 @@ class RigCalibration:
 
     def viewmat(self, name: str, photo_viewmat: Float64[Tensor, "4 4"]) -> Float64[Tensor, "4 4"]:
         """World to the thermal camera of a pair [4, 4], from world to its photo's camera [4, 4].
-
-        Raises:
-            SceneError: the pair was not calibrated.
-        """
+        SceneError if the pair was not calibrated."""
         for view in self.views:
             if view.name == name:
                 return view.correction @ self.extrinsics @ photo_viewmat

@@ -142,14 +142,11 @@ def reduced_pair(
     pair: RigPair, points: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "k 3"]
 ) -> tuple[ReducedPair | None, tuple[int, int]]:
     """The pair at working size, None if its photo sees too few points; and the thermal file's width
-    and height.
+    and height. SceneError if an image cannot be read.
 
     Args:
         points: sparse points of the scene, in the world.
         target: points of a target in this photo, in the world.
-
-    Raises:
-        SceneError: an image cannot be read.
     """
     thermal = pair.load_thermal()
     height, width = thermal.values.shape[:2]
@@ -169,11 +166,8 @@ def reduced_pair(
 
 
 def grey_plane(pixels: Pixels, name: str) -> Plane:
-    """The luma of a photo, or the only channel; unusable pixels get the median.
-
-    Raises:
-        SceneError: no pixel is usable.
-    """
+    """The luma of a photo, or the only channel; unusable pixels get the median. SceneError if no
+    pixel is usable."""
     values: Tensor = pixels.values
     grey = values[..., 0] if values.shape[-1] == 1 else (values * LUMINANCE).sum(dim=-1)
     valid = torch.isfinite(grey) if pixels.valid is None else pixels.valid & torch.isfinite(grey)

@@ -226,14 +226,12 @@ def refine(
     report: Progress,
     corners: Observations | None = None,
 ) -> tuple[Adjusted, Observations]:
-    """The cameras that fit all pairs best, and the observations of the last level.
+    """The cameras that fit all pairs best, and the observations of the last level. SceneError if
+    hardly any patch is matched.
 
     Args:
         size: width and height of the thermal files.
         corners: of a target, with which the initial cameras agree.
-
-    Raises:
-        SceneError: hardly any patch is matched.
     """
     width = pairs[0].thermal.values.shape[1]
     levels = [level for level in LEVELS if level.width_px <= width] or [LEVELS[0]]

@@ -84,11 +84,8 @@ class LocatedTarget:
         return np.zeros((0, 3))
 
     def observations(self, names: Sequence[str]) -> Observations:
-        """The corners in the thermal images.
-
-        Args:
-            names: of the pairs, in the order in which the cameras are counted.
-        """
+        """The corners in the thermal images; ``names`` are those of the pairs, in the order in
+        which the cameras are counted."""
         views, points, pixels = [], [np.zeros((0, 3))], [np.zeros((0, 2))]
         for sighting, corners in zip(self.sightings, self.points, strict=True):
             if sighting.thermal is not None and sighting.name in names:
@@ -136,15 +133,12 @@ def find_target(
     metres_per_unit: float | None,
     report: Progress,
 ) -> LocatedTarget:
-    """Detect a target in all pairs and locate its corners.
+    """Detect a target in all pairs and locate its corners. SceneError if no pair shows it in both
+    images, its distance is ambiguous, or an image cannot be read.
 
     Args:
         pairs: photos and thermal images, with the same side up.
         metres_per_unit: of the scene; None if not known.
-
-    Raises:
-        SceneError: no pair shows it in both images, its distance is ambiguous, or an image cannot
-            be read.
     """
     found, in_thermal = [], 0
     for index, pair in enumerate(pairs):
@@ -206,12 +200,10 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Loca
     width of its squares; a target that is moved, by its perspective. Each corner is on the ray on
     which its photo shows it, at the depth of the board. So an error of the photo's pose moves it
     along that ray only, which hardly moves it in the image of the thermal camera beside it.
+    SceneError if the target is not stationary, and the width of its squares is not known.
 
     Args:
         square: width of a square in scene units; None if not known.
-
-    Raises:
-        SceneError: the target is not stationary, and the width of its squares is not known.
     """
     rows, columns, _ = sightings[0].photo.grid.shape
     plane = board_points(columns, rows)

@@ -140,11 +140,7 @@ def installed_version() -> str | None:
 
 
 def check_version(version: str | None) -> None:
-    """Check pycolmap's version.
-
-    Raises:
-        ConfigError: it is not installed, or too old.
-    """
+    """Check pycolmap's version. ConfigError if it is not installed, or too old."""
     install = 'pip install "mrgs[sfm]"'
     if version is None:
         raise ConfigError(
@@ -161,14 +157,9 @@ _NAMED = 6
 
 
 def read_result(folder: Path, images: Modality) -> Reconstruction:
-    """The largest model, with the reason for each image that is not in it.
-
-    Args:
-        folder: in which ``mrgs.prepare.sfm`` completed its job.
-
-    Raises:
-        TooFewPosesError: fewer than ``MIN_VIEWS`` images have a pose.
-    """
+    """The largest model in a folder in which ``mrgs.prepare.sfm`` completed its job, with the
+    reason for each image that is not in it. TooFewPosesError if fewer than ``MIN_VIEWS`` images
+    have a pose."""
     job = msgspec.json.decode((folder / JOB_FILE).read_bytes(), type=JobFile)
     names = {image.file: image.name for image in job.images}
     model = folder / MODEL_FOLDER

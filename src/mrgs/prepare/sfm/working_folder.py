@@ -96,11 +96,8 @@ RANGE = 3.0
 
 def evened(file: Path) -> UInt8[np.ndarray, "h w"]:
     """The image in grey, with the same contrast everywhere: that of a thermal image varies, as well
-    as its level, from place to place, and the level from photo to photo.
-
-    Raises:
-        SceneError: it cannot be read.
-    """
+    as its level, from place to place, and the level from photo to photo. SceneError if it cannot be
+    read."""
     decoded = decode(file)
     values = decoded.values.mean(dim=-1).numpy()
     if decoded.valid is not None and not (valid := decoded.valid.numpy()).all():
