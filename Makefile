@@ -71,11 +71,13 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PIP) --no-build-isolation --editable .
 	@touch $@
 
-# uv takes a fifth of pip's time; where it cannot reach what pip's configuration names, pip does it.
+# uv takes a fifth of pip's time. It does not read pip's configuration: where that names an index, and
+# where uv fails, pip does it.
 $(VENV)/.%-installed: $(VENV)/.installed
-	$(PIP) uv
-	$(BIN)/uv pip install --quiet --no-cache --python $(BIN)/python --constraint $(CONSTRAINTS) \
-		--no-build-isolation --editable ".[$*]" || $(PIP) --no-build-isolation --editable ".[$*]"
+	{ ! $(BIN)/python -m pip config list | grep -Eq '[.](index-url|no-index)=' \
+		&& $(PIP) uv && $(BIN)/uv pip install --quiet --no-cache --python $(BIN)/python \
+		--constraint $(CONSTRAINTS) --no-build-isolation --editable ".[$*]"; } \
+		|| $(PIP) --no-build-isolation --editable ".[$*]"
 	@touch $@
 
 # Else each of the tests' processes would compile the same kernels, for a minute or more.
@@ -85,7 +87,8 @@ $(VENV)/.kernels-compiled: $(VENV)/.installed $(KERNELS)
 
 # Pins every package that `make` can install, the indirect ones too, for every supported Python.
 # What is pinned stays; `make pins ARGS=--upgrade` takes the newest versions that pyproject.toml allows.
-pins: $(VENV)/.dev-installed
+pins: $(VENV)/.installed
+	$(PIP) uv
 	$(BIN)/uv pip compile pyproject.toml --quiet --extra dev --extra docs --extra bench $(ARGS) \
 		--universal --python-version 3.10 --no-header --no-annotate --no-emit-index-url \
 		--output-file constraints.txt

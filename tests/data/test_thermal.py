@@ -38,10 +38,10 @@ def test_bounds_in_the_scene_or_in_thermal(tmp_path, folder):
     assert notes.all == []
 
 
-@pytest.mark.parametrize("unit", ["K", "kelvin", "degK", "°C", "Celsius", "F"])
+@pytest.mark.parametrize("unit", ["K", "kelvin", "degK", "°C", "℃", "Celsius", "F"])
 def test_bounds_may_name_their_unit(tmp_path, unit):
     scale = {"k": (273.15, 1.0), "c": (0.0, 1.0), "f": (32.0, 1.8)}
-    zero, degree = scale[unit.removeprefix("deg").removeprefix("°")[0].lower()]
+    zero, degree = scale[unit.replace("℃", "C").removeprefix("deg").removeprefix("°")[0].lower()]
     low, high = (zero + degree * celsius for celsius in (-4.5, 30.0))
     bounds(tmp_path, unit=unit, absolute_min_temperature=low, absolute_max_temperature=high)
     found = read_bounds(tmp_path, ReadingNotes())

@@ -14,9 +14,11 @@ from mrgs.app.cli import main
 from mrgs.app.terminal import print_note, read_text
 from mrgs.data.files import read_json_object
 from mrgs.data.images import opened
+from mrgs.data.kept import Digests
 from mrgs.data.radiometric.read import read_thermal_photo
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, SceneError, warn_user
-from mrgs.pictures.escape import escape_cell
+from mrgs.pictures.escape import escape_cell, escape_markdown
+from mrgs.prepare.pairs.inventory import take_inventory
 from mrgs.survey import read_survey
 from mrgs.system.strict_yaml import parse_yaml
 from mrgs.system.wording import quoted
@@ -43,16 +45,24 @@ def doubling(levels: int) -> str:
         "a: !!float ''",
         "a: " + ":".join(["59"] * 400) + ".5",
         "a: !!binary ö",
+        "a: !" + 40_000 * "x",
+        "a: !!float " + 40_000 * "x",
+        2 * ("- &" + 20_000 * "a" + " x\n"),
+        f"? [{20_000 * 'x,'}]\n: 1",
         "{[]: 1}",
         "[" * 5_000,
-        "a: " + "1" * 99_990,
-        "a: 1\n" * 50_000,
+        "a: " + "1" * 40_000,
+        "a: 1\n" * 20_000,
     ],
 )
 def test_yaml_that_costs_much_or_is_no_value_is_one_line(text):
     with pytest.raises(ConfigError, match=r"^file\.yaml ") as error:
         parse_yaml(text, "file.yaml")
     assert len(error.value.message) < 400
+
+
+def raise_error(path: Path) -> None:
+    raise SceneError(f"{path} has no digest")
 
 
 def image_of(path: Path) -> None:
@@ -66,6 +76,7 @@ READERS = {
     "transforms.json": read_json_object,
     "photo.tiff": read_thermal_photo,
     "photo.jpg": image_of,
+    "digests.json": lambda path: Digests(path).of(path) or raise_error(path),
 }
 
 
@@ -76,6 +87,14 @@ def test_only_regular_files_are_read(tmp_path, name, make):
     make(tmp_path / name)
     with pytest.raises(MrgsError, match=name):
         READERS[name](tmp_path / name)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs POSIX")
+@pytest.mark.parametrize("make", [os.mkfifo, partial(os.symlink, "/dev/zero")])
+def test_a_pipe_among_photos_is_no_photo(tmp_path, make):
+    make(tmp_path / "photo.JPG")
+    with pytest.raises(SceneError, match=r"photo\.JPG"):
+        take_inventory(tmp_path)
 
 
 EVIL = "a\nmrgs: error: send money\x1b[31m\u202etxt.gpj\u2028b\x85"
@@ -92,7 +111,7 @@ def test_names_cannot_forge_messages(capsys):
 
 
 def test_names_cannot_forge_what_check_prints_and_writes(tmp_path, capsys):
-    writer = SceneWriter(tmp_path / "scene")
+    writer = SceneWriter(tmp_path / EVIL)
     content = writer.thermoscenes()
     frame = content["frames"][0]
     stem = Path(frame["file_path"]).stem
@@ -110,7 +129,9 @@ def test_names_cannot_forge_what_check_prints_and_writes(tmp_path, capsys):
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
-@pytest.mark.parametrize("name", [EVIL, "it's", "a b", "a\\n'\n", "café", "\udcff.jpg"])
+@pytest.mark.parametrize(
+    "name", [EVIL, "\\udc80\n", "\\udcff'\n", "it's", "a b", "a\\n'\n", "café", "\udcff.jpg"]
+)
 def test_commands_can_be_pasted_whatever_names_they_hold(name):
     said = subprocess.run(
         ["bash", "-c", f"printf %s {quoted(name)}"],
@@ -125,14 +146,29 @@ def test_what_can_be_printed_stays():
         assert SceneError(text).message == text
 
 
+def test_a_number_of_too_many_digits_is_one_line(tmp_path):
+    path = tmp_path / "survey.yaml"
+    for text in ("date: 0x" + 9_000 * "f", "? 0x" + 9_000 * "f" + "\n: 1"):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=r"survey\.yaml"):
+            read_survey(path)
+
+
+def test_what_markdown_and_cells_show_can_be_printed():
+    for shown in (escape_markdown(EVIL), escape_cell(EVIL.replace("\n", " "))):
+        assert shown.isprintable()
+
+
 @pytest.mark.parametrize("blank", ["", " ", "\t", "\r", "\n", "\u00a0", " \t\n"])
 @pytest.mark.parametrize("formula", ["=1+1", "+1", "-1", "@SUM(A1)", "\uff1d1"])
 def test_no_cell_is_a_formula(blank, formula):
     assert escape_cell(blank + formula).startswith("'")
-    assert escape_cell(f"{blank}H1") == f"{blank}H1"
+    assert escape_cell(f"{blank}H1").endswith("H1")
 
 
-@pytest.mark.parametrize("line", ["unit" + 400_000 * " ", 100_000 * "unit ", 200_000 * "° "])
+@pytest.mark.parametrize(
+    "line", ["unit" + 400_000 * " ", "temp(" + 400_000 * " ", 100_000 * "unit ", 200_000 * "° "]
+)
 def test_a_long_line_beside_a_table_costs_little(tmp_path, line):
     """A pattern of quadratic cost would take minutes."""
     path = tmp_path / "photo.csv"

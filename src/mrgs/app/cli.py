@@ -46,11 +46,12 @@ from mrgs.app.terminal import (
     print_metrics,
     print_viewer_address,
     read_text,
+    say,
     scene_if_there,
     styled,
 )
 from mrgs.app.training import train
-from mrgs.errors import ConfigError, MrgsError, TrainingError, printable
+from mrgs.errors import ConfigError, MrgsError, TrainingError
 from mrgs.runs.registry import imported
 from mrgs.system.wording import quoted
 
@@ -222,7 +223,7 @@ def _prepare(command: Prepare) -> None:
     except KeyboardInterrupt:
         print("intermediate results are kept; re-run the same command to resume")
         raise
-    print(f"scene: {made.scene}\nopen:  {made.page}\nnext:  mrgs train {quoted(made.scene)}")
+    say(f"scene: {made.scene}", f"open:  {made.page}", f"next:  mrgs train {quoted(made.scene)}")
 
 
 def _check(command: Check) -> int:
@@ -231,9 +232,7 @@ def _check(command: Check) -> int:
     with PrepareProgress() as progress:
         found = check_scene(command.scene, progress.step)
     problems = (f"{each.severity}: {each.text} {each.remedy}" for each in found.problems)
-    for line in (*found.lines, *problems):
-        print(printable(line.rstrip()))
-    print(f"open: {found.page}")
+    say(*found.lines, *map(str.rstrip, problems), f"open: {found.page}")
     return 0 if found.usable else EXIT_BAD_SCENE
 
 
@@ -265,7 +264,7 @@ def _eval(command: Eval) -> None:
         with counter("scoring") as progress:
             metrics = evaluate_run(run, command.lpips_weights, progress)
         print_metrics(run, metrics)
-    print(f"scores:   {folder / 'eval/metrics.md'}\npictures: {folder / 'eval/contact_sheet.png'}")
+    say(f"scores:   {folder / 'eval/metrics.md'}", f"pictures: {folder / 'eval/contact_sheet.png'}")
 
 
 def _render(command: Render) -> None:
@@ -275,7 +274,7 @@ def _render(command: Render) -> None:
     run = open_run(command.run, command.scene, command.device)
     with counter("rendering") as progress:
         folder = render_run(run, command.split, command.palette, command.frames, progress)
-    print(f"images: {folder}")
+    say(f"images: {folder}")
 
 
 def _view(command: ViewRun) -> None:
@@ -332,9 +331,7 @@ def _report(command: Report) -> None:
         path = report_run(
             run, command.output, command.language, command.pdf, scene=scene, progress=progress
         )
-    print(f"report: {path}")
-    if command.pdf:
-        print(f"pdf: {path.with_suffix('.pdf')}")
+    say(f"report: {path}", *([f"pdf: {path.with_suffix('.pdf')}"] if command.pdf else []))
 
 
 def _state_survey(command: Report) -> None:
@@ -379,7 +376,7 @@ def compare(command: CompareMethods) -> None:
             jobs=command.jobs,
             device=command.device,
             lpips_weights=command.lpips_weights,
-            say=lambda line: print(line, flush=True),
+            say=say,
         )
     except KeyboardInterrupt:
         print("interrupted runs keep their checkpoints; re-run the same command to resume")
@@ -388,7 +385,7 @@ def compare(command: CompareMethods) -> None:
         print("\n" + to_plain(table), end="")
     for line in how_to_read(comparison.tables, command.seeds):
         print(line)
-    print(f"tables: {command.output / 'tables'}\nfigures: {command.output / 'figures'}")
+    say(f"tables: {command.output / 'tables'}", f"figures: {command.output / 'figures'}")
     if comparison.failures:
         name, reason = next(iter(comparison.failures.items()))
         raise TrainingError(

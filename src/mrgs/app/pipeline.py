@@ -13,14 +13,14 @@ from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
 from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
 from mrgs.app.terminal import flags_of, print_note, styled
-from mrgs.errors import MrgsError
+from mrgs.errors import MrgsError, printable
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.prepare import PrepareOptions, StageReport
 from mrgs.run_files.folder import RunConfig
 from mrgs.run_files.record import StepStatistics
 from mrgs.scene import Scene
 from mrgs.system.disk import free_disk
-from mrgs.system.wording import counted
+from mrgs.system.wording import counted, quoted
 
 GIGABYTE = 1e9
 
@@ -65,8 +65,9 @@ def what_to_open(results: PipelineResults) -> str:
         results.renders: "images, temperatures as float32 TIFF, depth",
         results.exports: "point cloud, mesh and splats for other programs",
     }
-    lines = [f"  {path}\n      {text}" for path, text in files.items() if path is not None]
-    return "\n".join(["open:", *lines, f"explore: mrgs view {results.run}"])
+    there = {printable(str(path)): text for path, text in files.items() if path is not None}
+    lines = [f"  {path}\n      {text}" for path, text in there.items()]
+    return "\n".join(["open:", *lines, f"explore: mrgs view {quoted(results.run)}"])
 
 
 class PipelineTerminal(Monitor):
@@ -85,7 +86,7 @@ class PipelineTerminal(Monitor):
     def planned(self, plan: PipelinePlan) -> None:  # noqa: D102
         self.pause()
         for name, text in _plan_lines(plan).items():
-            print(f"{styled(f'{name}:', 'bold', sys.stdout)}{'':{9 - len(name)}}{text}")
+            print(f"{styled(f'{name}:', 'bold', sys.stdout)}{'':{9 - len(name)}}{printable(text)}")
         for note in plan.notes:
             print_note(note)
         sys.stdout.flush()

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
 from mrgs.app.interrupts import CTRL_C, Interruption, interrupts
-from mrgs.app.terminal import print_note
+from mrgs.app.terminal import print_note, say
 from mrgs.errors import warn_user
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ class TrainingProgress:
         self._postponed.enter_context(interrupts.postponed(self._interrupt))
         self.max_steps = config.max_steps
         self._span_c = None if scene.temperature is None else scene.temperature.span_c
-        print(
+        say(
             f"{scene.name}: {len(scene.train)} training views, {len(scene.eval)} held out, "
             f"{len(scene.points.positions):,} start points"
         )
@@ -279,10 +279,7 @@ class PrepareProgress:
         self.pause()
         took = "as before" if report.reused else f"{report.seconds:.1f} s"
         first, *others = report.lines
-        print(f"{report.title + ':':17}{first} ({took})")
-        for line in others:
-            print(f"{'':17}{line}")
-        sys.stdout.flush()
+        say(f"{report.title + ':':17}{first} ({took})", *(f"{'':17}{line}" for line in others))
         if warn:
             self._warnings += [f"{report.title}: {text}" for text in report.warnings]
 

@@ -43,6 +43,11 @@ def print_note(text: str, kind: str = "note", style: str = "yellow") -> None:
     print(f"{styled(f'mrgs: {kind}:', style, sys.stderr)} {printable(text)}", file=sys.stderr)
 
 
+def say(*lines: str) -> None:
+    """Print lines, names in them with escapes for what is not printable."""
+    print("\n".join(map(printable, lines)), flush=True)
+
+
 def print_error(text: str) -> None:
     """Print an error, on one line."""
     print_note(text, "error", "bold red")
@@ -123,8 +128,10 @@ def print_exported(folder: Path, paths: Sequence[Path]) -> None:
     """How much an export wrote, and which file to open first."""
     page = next((path for path in paths if path.suffix == ".html"), None)
     size = sum(path.stat().st_size for path in paths)
-    print(f"files: {folder} ({len(paths):,} files, {size / 1e6:,.1f} MB)")
-    print(f"open:  {page} (in a browser)" if page is not None else f"open:  {paths[0]}")
+    say(
+        f"files: {folder} ({len(paths):,} files, {size / 1e6:,.1f} MB)",
+        f"open:  {page} (in a browser)" if page is not None else f"open:  {paths[0]}",
+    )
 
 
 def scene_if_there(run: Run) -> Scene | None:

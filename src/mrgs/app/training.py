@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from mrgs.app.commands import Train
 from mrgs.app.interrupts import Interrupted
 from mrgs.app.progress import TrainingProgress
-from mrgs.app.terminal import note_gpu, print_viewer_address, read_text
+from mrgs.app.terminal import note_gpu, print_viewer_address, read_text, say
 from mrgs.errors import ConfigError, DeviceError
 from mrgs.system.wording import quoted
 
@@ -202,7 +202,7 @@ def _print_next(command: Train, output: Path, progress: TrainingProgress) -> Non
     if command.resume and not progress.has_stepped:
         print(f"already finished at step {progress.max_steps:,}")
     run = quoted(output)
-    print(f"run:  {output}\nnext: mrgs eval {run}\n      mrgs render {run}")
+    say(f"run:  {output}", f"next: mrgs eval {run}", f"      mrgs render {run}")
 
 
 def _train_in_blocks(command: Train, folder: RunFolder, config: Any, device: DeviceName) -> None:
@@ -237,7 +237,7 @@ def _train_in_blocks(command: Train, folder: RunFolder, config: Any, device: Dev
     elif command.block is not None:
         print("all blocks are trained; run again without --block to join them")
     else:
-        print(f"run:  {folder.path}\nnext: mrgs eval {run}\n      mrgs export {run}")
+        say(f"run:  {folder.path}", f"next: mrgs eval {run}", f"      mrgs export {run}")
 
 
 @contextmanager

@@ -29,6 +29,7 @@ from mrgs.data.files import visible_files
 from mrgs.errors import MrgsError
 from mrgs.scene import Modality, modality_named
 from mrgs.system.atomic import replacing, write_text
+from mrgs.system.disk import open_regular, read_text
 
 Result = TypeVar("Result")
 
@@ -209,7 +210,7 @@ def digest(path: Path) -> str:
     """SHA-256 of a file's content; empty if it cannot be read: the next reader raises the error."""
     try:
         found = hashlib.sha256()
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             while block := file.read(2**20):
                 found.update(block)
         return found.hexdigest()
@@ -231,7 +232,7 @@ class Digests:
         self._saved: dict[str, _Digest] = {}
         if _CTIME_SHOWS_CHANGES:
             with suppress(OSError, msgspec.MsgspecError, RecursionError):
-                self._saved = msgspec.json.decode(file.read_bytes(), type=dict[str, _Digest])
+                self._saved = msgspec.json.decode(read_text(file), type=dict[str, _Digest])
         self._known = dict(self._saved)
         self._asked: set[str] = set()
 

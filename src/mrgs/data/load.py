@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from functools import cache, partial
@@ -315,10 +316,11 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         json_value(Number, content.get(name), name, path)
         for name in ("absolute_min_temperature", "absolute_max_temperature")
     )
-    if "unit" in content:
-        named = units_named([f"unit {content['unit']}"])
-        if len(named) != 1:
-            raise scene_error(path, f"unit is {shown(content['unit'])}; use celsius or kelvin")
+    if unit := content.get("unit"):
+        named = units_named([unicodedata.normalize("NFKC", f"unit {unit}")])
+        if len(named) != 1 or not isinstance(unit, str):
+            known = "celsius, kelvin or fahrenheit"
+            raise scene_error(path, f"unit is {shown(unit)}; use {known}")
         low, high = Unit.parse(named[0]).celsius(np.array([low, high])).tolist()
     if low > high:
         low, high = high, low

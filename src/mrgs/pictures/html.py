@@ -18,7 +18,7 @@ import jinja2
 from markupsafe import Markup
 from PIL import Image
 
-from mrgs.errors import printable
+from mrgs.pictures.escape import without_controls
 from mrgs.system.atomic import write_texts
 
 PAGE_STYLE = "pictures/templates/page.css"
@@ -111,11 +111,10 @@ def write_html(path: Path, template: str, **values: Any) -> Path:
     return write_texts(path, _environment().get_template(template).generate(_filled(**values)))
 
 
-def _without_controls(value: Any) -> Any:
-    """Texts and paths with escapes for what is not printable; line breaks stay."""
-    if isinstance(value, Markup) or not isinstance(value, (str, Path)):
-        return value
-    return "\n".join(map(printable, str(value).split("\n")))
+def _finalized(value: Any) -> Any:
+    """What a template shows of a value: texts and paths without controls."""
+    is_text = isinstance(value, (str, Path)) and not isinstance(value, Markup)
+    return without_controls(str(value)) if is_text else value
 
 
 @cache
@@ -123,7 +122,7 @@ def _environment() -> jinja2.Environment:
     return jinja2.Environment(
         loader=jinja2.PackageLoader("mrgs", "."),
         autoescape=True,
-        finalize=_without_controls,
+        finalize=_finalized,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

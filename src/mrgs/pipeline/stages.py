@@ -34,6 +34,7 @@ from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
 from mrgs.survey import SURVEY_FILE
 from mrgs.system.atomic import write_text
+from mrgs.system.disk import read_text
 from mrgs.system.gpu import DeviceName
 from mrgs.system.strict_yaml import write_yaml
 from mrgs.system.wording import counted
@@ -286,7 +287,7 @@ class Ledger:
         self._digests = Digests(folder / CONTENTS)
         self._stages: dict[str, _Entry] = {}
         with suppress(OSError, msgspec.MsgspecError, RecursionError):
-            self._stages = msgspec.json.decode(self._file.read_bytes(), type=dict[str, _Entry])
+            self._stages = msgspec.json.decode(read_text(self._file), type=dict[str, _Entry])
 
     def open(self) -> None:
         """Make the file if there is none: it marks the folder as a pipeline's. RunError if it

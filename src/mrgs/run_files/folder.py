@@ -23,7 +23,7 @@ from mrgs.errors import (
     warn_user,
 )
 from mrgs.system.atomic import remove_abandoned, write_error, write_text
-from mrgs.system.disk import read_text
+from mrgs.system.disk import open_regular, read_text
 from mrgs.system.strict_yaml import flat, parse_yaml, write_yaml
 from mrgs.system.wording import listed
 
@@ -279,8 +279,9 @@ class RunFolder:
         """Drop the lines after a step, which a resumed run writes again."""
         if not self.log_file.exists():
             return
-        lines = read_text(self.log_file, "replace").splitlines()
-        kept = [line for line in lines if _step_of(line) <= step]
+        with open_regular(self.log_file) as file:
+            lines = (line.decode("utf-8", "replace").rstrip("\r\n") for line in file)
+            kept = [line for line in lines if _step_of(line) <= step]
         write_text(self.log_file, "".join(line + "\n" for line in kept))
 
     @contextmanager

@@ -19,7 +19,7 @@ from mrgs.system.wording import shown
 
 Config = TypeVar("Config")
 
-LONGEST_TEXT = 100_000
+LONGEST_TEXT = 50_000
 """Characters; a configuration with every field has some thousands."""
 
 
@@ -66,7 +66,7 @@ def parse_yaml(text: str, source: str) -> Any:
     # anything where the text is not of that type.
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError,
             TypeError, ValueError) as error:  # fmt: skip
-        reason = str(error).partition("\n")[0] or type(error).__name__
+        reason = str(error).partition("\n")[0][:200] or type(error).__name__
         raise ConfigError(f"{source} is not valid YAML: {reason}") from error
 
 
@@ -92,9 +92,11 @@ class _StrictLoader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and (key.tag, key.value) in seen:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.YAMLError("a key is no plain value")
+            if (key.tag, key.value) in seen:
                 raise yaml.YAMLError(f"the key {shown(key.value)} stands twice")
-            seen.add((key.tag, str(key.value)))
+            seen.add((key.tag, key.value))
         return super().construct_mapping(node, deep)
 
 
@@ -113,10 +115,10 @@ def _build(cls: type[Config], values: Any, source: str) -> Config:
     if not isinstance(values, dict):
         raise ConfigError(f"{source} must hold the fields of a configuration")
     hints = typing.get_type_hints(cls)
-    unknown = sorted(set(map(str, values)) - set(hints))
-    if unknown:
+    unknown = next((name for name in values if name not in hints), None)
+    if unknown is not None:
         raise ConfigError(
-            f"{source}: there is no field {shown(unknown[0])}; known are {', '.join(hints)}"
+            f"{source}: there is no field {shown(unknown)}; known are {', '.join(hints)}"
         )
     fields = {
         name: convert(hints[name], value, f"{source}: {name}") for name, value in values.items()
@@ -171,7 +173,8 @@ def _day(value: Any, source: str) -> datetime.date:
         return datetime.date.fromisoformat(value)
     except (TypeError, ValueError):
         raise ConfigError(
-            f"{source} must be a day such as 2026-05-01, without a time, not {shown(str(value))}"
+            f"{source} must be a day such as 2026-05-01, without a time, not "
+            f"{shown(value if isinstance(value, int) else str(value))}"
         ) from None
 
 

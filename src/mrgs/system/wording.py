@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import reprlib
 import shlex
 from collections.abc import Iterable, Sequence
@@ -24,8 +23,13 @@ def quoted(text: object) -> str:
     word = str(text)
     if word.isprintable():
         return shlex.quote(word)
-    escaped = printable(word.replace("\\", r"\\").replace("'", r"\'"))
-    return "$'" + re.sub(r"\\udc([89a-f].)", r"\\x\1", escaped) + "'"
+    escaped = (
+        f"\\{each}" if each in "\\'"
+        else f"\\x{ord(each) - 0xDC00:02x}" if "\udc80" <= each <= "\udcff"
+        else printable(each)
+        for each in word
+    )  # fmt: skip
+    return f"$'{''.join(escaped)}'"
 
 
 def counted(number: int, noun: str) -> str:

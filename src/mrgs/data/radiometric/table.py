@@ -25,7 +25,7 @@ _NUMBER = re.compile(
 _QUANTITIES = {"c": "celsius", "f": "fahrenheit", "k": "kelvin"}
 _MENTIONED = (
     re.compile(r"(?:[°º]|\bdeg(?:rees?)?\b\.?|\bdeg(?=[CFK]\b))\s*([CFK])\b"),
-    re.compile(r"\btemp\w*[\s.]*[(\[]\s*[°º]?\s*([CFK])\s*[)\]]", re.IGNORECASE),
+    re.compile(r"\btemp\w*[\s.]*[(\[]\s*(?:[°º]\s*)?([CFK])\s*[)\]]", re.IGNORECASE),
     re.compile(r"\b(celsius|fahrenheit|kelvin)\b", re.IGNORECASE),
 )
 """How texts beside the numbers mention a unit."""

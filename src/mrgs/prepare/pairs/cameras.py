@@ -9,8 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mrgs.data.files import scene_error
+from mrgs.errors import printable
 from mrgs.prepare.pairs.inventory import Inventory, Photo
-from mrgs.prepare.pairs.names import PARTNER, REFERENCE, printable
+from mrgs.prepare.pairs.names import PARTNER, REFERENCE
 from mrgs.prepare.pairs.rules import NEARLY, Pair
 from mrgs.scene import Modality
 

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes, scene_error
-from mrgs.errors import ConfigError, SceneError
+from mrgs.errors import ConfigError, SceneError, printable
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras, shifted
 from mrgs.prepare.pairs.inventory import Inventory, Photo, take_inventory
@@ -18,7 +18,6 @@ from mrgs.prepare.pairs.names import (
     PARTNER,
     REFERENCE,
     natural,
-    printable,
     read_stem,
     view_names,
 )

@@ -14,10 +14,11 @@ from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, RECORD_MARKS, flir_record
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.data.radiometric.table import numbers_in
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, printable
 from mrgs.prepare.contract import Progress, Skipped
-from mrgs.prepare.pairs.names import folder_modality, natural, printable
+from mrgs.prepare.pairs.names import folder_modality, natural
 from mrgs.scene import Modality
+from mrgs.system.disk import open_regular
 
 _PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image")
 """In this order one file is preferred where several show the same."""
@@ -96,7 +97,7 @@ def _head(path: Path) -> bytes:
     """The beginning of a file, from which its kind is recognised; the whole file for a JPEG with
     FLIR's record, which may be longer."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             start = file.read(_HEAD_BYTES)
     except OSError as error:
         raise SceneError(

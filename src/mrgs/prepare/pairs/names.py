@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import unicodedata
 from collections import Counter
@@ -65,11 +64,6 @@ class StemFacts:
     modality: Modality | None = None
     mark: str = ""
     moment: datetime | None = None
-
-
-def printable(name: str) -> str:
-    """The name of a file for messages: bytes that are not UTF-8 can be neither shown nor saved."""
-    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def read_stem(stem: str, radiometric: bool = False) -> StemFacts:

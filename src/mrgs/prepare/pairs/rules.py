@@ -14,6 +14,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from mrgs.data.files import composed
+from mrgs.errors import printable
 from mrgs.prepare.pairs.clocks import clock_offset, match_times
 from mrgs.prepare.pairs.inventory import Photo
 from mrgs.prepare.pairs.names import (
@@ -22,7 +23,6 @@ from mrgs.prepare.pairs.names import (
     REFERENCE,
     folder_modality,
     natural,
-    printable,
     read_stem,
 )
 from mrgs.scene import Modality
