@@ -141,13 +141,8 @@ class ReducedPair:
 def reduced_pair(
     pair: RigPair, points: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "k 3"]
 ) -> tuple[ReducedPair | None, tuple[int, int]]:
-    """The pair at working size, None if its photo sees too few points; and the thermal file's width
-    and height. SceneError if an image cannot be read.
-
-    Args:
-        points: sparse points of the scene, in the world.
-        target: points of a target in this photo, in the world.
-    """
+    """The pair at working size, None if its photo sees too few of the scene's sparse points and a
+    target's; and the thermal file's width and height. SceneError if an image cannot be read."""
     thermal = pair.load_thermal()
     height, width = thermal.values.shape[:2]
     camera = pair.photo.camera.with_width(min(PHOTO_WIDTH_PX, pair.photo.camera.width))

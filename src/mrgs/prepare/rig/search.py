@@ -16,6 +16,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -33,8 +34,11 @@ LEAST_CORRELATION = 0.35
 the root of the number of pairs. Pairs that belong together reached 1.5 and 0.7 at the least; pairs
 that do not, never both."""
 
-WIDTH_PX = 96
-_BLUR_PX = 1.5
+WIDTHS_PX = (96, 160)
+"""Of the thermal images; the larger one where nothing stands out. It takes more than twice as long,
+and told eight faint pairs of a room apart from exchanged ones where the smaller did not."""
+
+_BLUR_WIDTHS = 1 / 64
 _SCALE_STEP = 1.07
 _NARROWEST_DEG, _WIDEST_DEG = 15.0, 100.0
 _FINE_STEPS = (0.95, 0.975, 1.0, 1.025, 1.05)
@@ -45,6 +49,9 @@ _KNOWN_WITHIN = 1.1
 _NEAR_SCALE = 1.25
 _NEAR_SHIFT = 0.06
 _FARTHEST_SHIFT = 0.4
+
+
+Structures: TypeAlias = Float32[np.ndarray, "pairs c h w"]
 
 
 @dataclass(frozen=True)
@@ -87,43 +94,47 @@ def first_guess(
 ) -> Found:
     """Search fields of view from 15° to 100° (or around a given one), rotations up to 6°, and
     shifts up to 0.4 widths; without what all images of a camera have in common, and if nothing
-    stands out, with it. If still nothing does, the same about each quarter turn: one of the cameras
-    may be mounted on its side, or only one may note how it was held.
+    stands out, with it; then at the larger width. If still nothing does, the same about each
+    quarter turn: one camera may be mounted on its side, or only one may note how it was held.
 
     Args:
         field_of_view_deg: horizontal, of the thermal camera; None if not known.
         report: counts the cameras that were tried, of all that are planned so far.
     """
-    height, width = pairs[0].thermal.values.shape
-    size = WIDTH_PX, max(1, round(height * WIDTH_PX / width))
-    planes = [pair.thermal.resized(*size) for pair in pairs]
-    thermal = np.stack([structure(plane.values, _BLUR_PX, plane.valid) for plane in planes])
-    of_form = {True: thermal - thermal.mean(axis=0), False: thermal}
     focals = _focals(field_of_view_deg)
     each = len(focals) + len(_FINE_STEPS) * len(_TURNS_DEG)
     counts = itertools.count()
+    forms = [(_structures(pairs, width), own) for width in WIDTHS_PX for own in (True, False)]
 
-    def about(about_deg: float, own: bool, rounds: int) -> Found:
+    def about(about_deg: float, form: tuple[Structures, bool], rounds: int) -> Found:
         def correlated(focal: float, turn_deg: float) -> Found:
             if report is not None:
                 report("searching the thermal camera", next(counts), rounds * each)
-            return _correlated(pairs, of_form[own], own, focal, turn_deg)
+            return _correlated(pairs, *form, focal, turn_deg)
 
         return _best_about(about_deg, focals, correlated)
 
     upright = []
-    for rounds, own in enumerate(of_form, start=1):
-        upright.append(about(0.0, own, rounds))
+    for rounds, form in enumerate(forms, start=1):
+        upright.append(about(0.0, form, rounds))
         if upright[-1].stands_out:
             return upright[-1]
-    rounds = len(of_form) * (1 + len(_QUARTERS_DEG))
+    rounds += 2 * len(_QUARTERS_DEG)
     best = []
-    for own, first in zip(of_form, upright, strict=True):
-        found = [first, *(about(turn_deg, own, rounds) for turn_deg in _QUARTERS_DEG)]
+    for form, first in zip(forms[:2], upright[:2], strict=True):
+        found = [first, *(about(turn_deg, form, rounds) for turn_deg in _QUARTERS_DEG)]
         found.sort(key=lambda one: -one.best.score)
         chance = max(found[0].chance, found[1].best.score)
         best.append(Found(found[0].best, chance, len(pairs)))
     return max(best, key=lambda one: one.best.score / max(one.chance, 1e-9))
+
+
+def _structures(pairs: Sequence[ReducedPair], width: int) -> Structures:
+    """The structure of the thermal images at a width in pixels."""
+    height = max(1, round(width / pairs[0].thermal.values.shape[1] * len(pairs[0].thermal.values)))
+    planes = [pair.thermal.resized(width, height) for pair in pairs]
+    blur_px = _BLUR_WIDTHS * width
+    return np.stack([structure(plane.values, blur_px, plane.valid) for plane in planes])
 
 
 def _best_about(
@@ -157,15 +168,17 @@ def _focals(field_of_view_deg: float | None) -> list[float]:
 
 def _correlated(
     pairs: Sequence[ReducedPair],
-    thermal: Float32[np.ndarray, "pairs c h w"],
+    thermal: Structures,
     own: bool,
     focal_widths: float,
     turn_deg: float,
 ) -> Found:
     """The best shift for a focal length and a rotation, and the best that is far from it; ``own``
-    takes from each photo what all have in common, as was done with the thermal images."""
+    takes from each image what all have in common."""
+    if own:
+        thermal = thermal - thermal.mean(axis=0)
     height, width = thermal[0].shape[1:]
-    scales = [focal_widths * WIDTH_PX / pair.camera.K[0, 0].item() for pair in pairs]
+    scales = [focal_widths * width / pair.camera.K[0, 0].item() for pair in pairs]
     sides = [
         2 * round(scale * max(p.camera.width, p.camera.height) / 2)
         for p, scale in zip(pairs, scales, strict=True)
@@ -173,11 +186,12 @@ def _correlated(
     side = max(sides)
     size = (next_fast_len(side + height), next_fast_len(side + width))
     total = np.zeros(size, dtype=np.float32)
-    photos = [_photo(pair, s, turn_deg, side) for pair, s in zip(pairs, scales, strict=True)]
+    blur_px = _BLUR_WIDTHS * width
+    photos = [_photo(p, s, turn_deg, side, blur_px) for p, s in zip(pairs, scales, strict=True)]
     common = sum(photo for photo, _ in photos) / len(photos) if own else np.float32(0)
     for channels, (photo, seen) in zip(thermal, photos, strict=True):
         total += _correlation(channels, photo - common * seen, seen, size) / len(pairs)
-    right, down = (_shifts(n, t, side) for n, t in ((size[1], width), (size[0], height)))
+    right, down = (_shifts(n, t, side) / width for n, t in ((size[1], width), (size[0], height)))
     total[np.abs(down) > _FARTHEST_SHIFT] = 0.0
     total[:, np.abs(right) > _FARTHEST_SHIFT] = 0.0
     row, column = np.unravel_index(total.argmax(), size)
@@ -191,15 +205,15 @@ def _correlated(
 
 
 def _shifts(count: int, thermal: int, side: int) -> Float[np.ndarray, " n"]:
-    """The shift of the photo's middle from the thermal image's, in widths, for each place of a
+    """The shift of the photo's middle from the thermal image's, in pixels, for each place of a
     cyclic correlation."""
     places = np.arange(count)
     places = np.where(places < count - thermal, places, places - count)
-    return (side / 2 - places - thermal / 2) / WIDTH_PX
+    return side / 2 - places - thermal / 2
 
 
 def _photo(
-    pair: ReducedPair, scale: float, turn_deg: float, side: int
+    pair: ReducedPair, scale: float, turn_deg: float, side: int, blur_px: float
 ) -> tuple[Float32[np.ndarray, "c s s"], Float32[np.ndarray, "s s"]]:
     """The structure of the photo, scaled and rotated about its principal point, in the middle of a
     square."""
@@ -213,7 +227,7 @@ def _photo(
     seen = (u > 0) & (u < pair.camera.width) & (v > 0) & (v < pair.camera.height)
     if pair.photo.valid is not None:
         seen &= sampled(pair.photo.valid.astype(np.float32), u, v) > 0.5
-    return structure(sampled(values, u, v), _BLUR_PX, seen), seen.astype(np.float32)
+    return structure(sampled(values, u, v), blur_px, seen), seen.astype(np.float32)
 
 
 def _correlation(
