@@ -13,16 +13,13 @@ _INSIDE = (str(Path(__file__).parent) + os.sep, contextlib.__file__)
 """Files of this package, and what is between a ``with`` and the block that it opens."""
 
 
-_JOINERS = "\u200c\u200d"
-"""Parts of words of many languages, and of emoji."""
-
-
 def printable(text: str) -> str:
     """The text on one line, with escapes for what is not printable: names of files may end a line,
     write in colour on a terminal, or turn the direction of reading."""
 
     def shown(each: str) -> str:
-        if each.isprintable() or each in _JOINERS or unicodedata.category(each) == "Zs":
+        # Joiners are parts of words of many languages, and of emoji.
+        if each.isprintable() or each in "\u200c\u200d" or unicodedata.category(each) == "Zs":
             return each
         return each.encode("unicode_escape").decode().replace("\\x", "\\u00")
 

@@ -94,8 +94,8 @@ def test_a_file_that_is_no_survey(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(RunError, match="cannot be read"):
         read_survey(path)
-    path.write_text("x" * 50_001, encoding="utf-8")
-    with pytest.raises(ConfigError, match="50,000"):
+    path.write_text("x" * 100_001, encoding="utf-8")
+    with pytest.raises(ConfigError, match="100,000"):
         read_survey(path)
     path.write_text("weather: sun\nclouds: 3\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"'clouds'; .*title, object"):

@@ -65,8 +65,8 @@ def what_to_open(results: PipelineResults) -> str:
         results.renders: "images, temperatures as float32 TIFF, depth",
         results.exports: "point cloud, mesh and splats for other programs",
     }
-    there = {printable(str(path)): text for path, text in files.items() if path is not None}
-    lines = [f"  {path}\n      {text}" for path, text in there.items()]
+    there = [(printable(str(path)), text) for path, text in files.items() if path is not None]
+    lines = [f"  {path}\n      {text}" for path, text in there]
     return "\n".join(["open:", *lines, f"explore: mrgs view {quoted(results.run)}"])
 
 

@@ -3,6 +3,7 @@ step."""
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -144,9 +145,11 @@ class MarkStore:
             states = from_json(list[dict[str, Any]], document.get("states", [document]))
             return [_marks_of(from_json(_State, state)) for state in states]
         except OSError as error:
-            raise RunError(
-                f"{path} cannot be read ({error.strerror}): check its permissions"
-            ) from error
+            if error.errno != errno.EFBIG:
+                raise RunError(
+                    f"{path} cannot be read ({error.strerror}): check its permissions"
+                ) from error
+            self._set_aside(path, "it is too large")
         except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
             self._set_aside(path, f"it is not JSON, {error}")
         except (ConfigError, ValueError) as error:

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from mrgs.errors import warn_user
 
-MAX_TEXT_BYTES = 64 * 2**20
+MAX_TEXT_BYTES = 32 * 2**20
 """Longer than any configuration, survey or list of marks."""
 
 
@@ -39,10 +39,10 @@ def read_regular(path: Path, limit: int) -> bytes:
     return data
 
 
-def read_text(path: Path, errors: str = "strict") -> str:
+def read_text(path: Path) -> str:
     """The text of a regular file. OSError if it cannot be read, or has more than
-    ``MAX_TEXT_BYTES``; ValueError if it is not UTF-8 and ``errors`` are strict."""
-    return read_regular(path, MAX_TEXT_BYTES).decode("utf-8", errors)
+    ``MAX_TEXT_BYTES``; UnicodeDecodeError if it is not UTF-8."""
+    return read_regular(path, MAX_TEXT_BYTES).decode("utf-8")
 
 
 def free_disk(folder: Path) -> int:

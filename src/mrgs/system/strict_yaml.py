@@ -19,8 +19,8 @@ from mrgs.system.wording import shown
 
 Config = TypeVar("Config")
 
-LONGEST_TEXT = 50_000
-"""Characters; a configuration with every field has some thousands."""
+LONGEST_TEXT = 100_000
+"""Characters; a configuration has some thousands, a survey full of quotes 80,000."""
 
 
 def write_yaml(config: Any) -> str:
@@ -62,8 +62,7 @@ def parse_yaml(text: str, source: str) -> Any:
         raise ConfigError(f"{source} has more than {LONGEST_TEXT:,} characters")
     try:
         return deepcopy(_parsed(text))
-    # Tags such as !!int and !!timestamp, and what YAML takes for them, make PyYAML raise almost
-    # anything where the text is not of that type.
+    # PyYAML raises almost anything of what is not of its tag's type, such as !!int without a value.
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError,
             TypeError, ValueError) as error:  # fmt: skip
         reason = str(error).partition("\n")[0][:200] or type(error).__name__

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -104,7 +104,6 @@ def first_guess(
     focals = _focals(field_of_view_deg)
     each = len(focals) + len(_FINE_STEPS) * len(_TURNS_DEG)
     counts = itertools.count()
-    forms = [(_structures(pairs, width), own) for width in WIDTHS_PX for own in (True, False)]
 
     def about(about_deg: float, form: tuple[Structures, bool], rounds: int) -> Found:
         def correlated(focal: float, turn_deg: float) -> Found:
@@ -115,26 +114,30 @@ def first_guess(
         return _best_about(about_deg, focals, correlated)
 
     upright = []
-    for rounds, form in enumerate(forms, start=1):
-        upright.append(about(0.0, form, rounds))
-        if upright[-1].stands_out:
-            return upright[-1]
+    for rounds, form in enumerate(_forms(pairs), start=1):
+        found = about(0.0, form, rounds)
+        if found.stands_out:
+            return found
+        upright.append((form, found))
     rounds += 2 * len(_QUARTERS_DEG)
     best = []
-    for form, first in zip(forms[:2], upright[:2], strict=True):
-        found = [first, *(about(turn_deg, form, rounds) for turn_deg in _QUARTERS_DEG)]
-        found.sort(key=lambda one: -one.best.score)
-        chance = max(found[0].chance, found[1].best.score)
-        best.append(Found(found[0].best, chance, len(pairs)))
+    for form, first in upright[:2]:
+        turned = [first, *(about(turn_deg, form, rounds) for turn_deg in _QUARTERS_DEG)]
+        turned.sort(key=lambda one: -one.best.score)
+        chance = max(turned[0].chance, turned[1].best.score)
+        best.append(Found(turned[0].best, chance, len(pairs)))
     return max(best, key=lambda one: one.best.score / max(one.chance, 1e-9))
 
 
-def _structures(pairs: Sequence[ReducedPair], width: int) -> Structures:
-    """The structure of the thermal images at a width in pixels."""
-    height = max(1, round(width / pairs[0].thermal.values.shape[1] * len(pairs[0].thermal.values)))
-    planes = [pair.thermal.resized(width, height) for pair in pairs]
-    blur_px = _BLUR_WIDTHS * width
-    return np.stack([structure(plane.values, blur_px, plane.valid) for plane in planes])
+def _forms(pairs: Sequence[ReducedPair]) -> Iterator[tuple[Structures, bool]]:
+    """The structure of thermal images at each width, without (True) and with what all share."""
+    rows, columns = pairs[0].thermal.values.shape
+    for width in WIDTHS_PX:
+        size, blur_px = (width, max(1, round(rows * width / columns))), _BLUR_WIDTHS * width
+        planes = [pair.thermal.resized(*size) for pair in pairs]
+        thermal = np.stack([structure(plane.values, blur_px, plane.valid) for plane in planes])
+        yield thermal - thermal.mean(axis=0), True
+        yield thermal, False
 
 
 def _best_about(
@@ -174,9 +177,7 @@ def _correlated(
     turn_deg: float,
 ) -> Found:
     """The best shift for a focal length and a rotation, and the best that is far from it; ``own``
-    takes from each image what all have in common."""
-    if own:
-        thermal = thermal - thermal.mean(axis=0)
+    takes from each photo what all have in common, as was done with the thermal images."""
     height, width = thermal[0].shape[1:]
     scales = [focal_widths * width / pair.camera.K[0, 0].item() for pair in pairs]
     sides = [
