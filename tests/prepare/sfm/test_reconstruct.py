@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -39,8 +40,8 @@ def noise(path: Path, seed: int) -> Path:
 
 @needs_pycolmap
 def test_poses_of_the_table_top_after_an_interruption(tmp_path):
-    """Stopped after the features, continued with the matches; one photo belongs to something
-    else."""
+    """Stopped after the features, continued with the matches, and the same bits as without a stop;
+    one photo belongs to something else."""
     truth = {view.name: view.camera.viewmat for view in load_scene(TABLETOP).train[:6]}
     images = {name: TABLETOP / "images" / f"{name}.jpg" for name in truth}
     images["elsewhere"] = noise(tmp_path / "elsewhere.png", 1)
@@ -58,6 +59,10 @@ def test_poses_of_the_table_top_after_an_interruption(tmp_path):
     found = reconstruct(images, tmp_path, lambda *step: steps.append(step), modality=RGB)
     assert steps[0] == ("features", 7, 7)
     assert steps[-1] == ("mapping", 6, 7)
+    whole = reconstruct(images, tmp_path / "whole", lambda *step: None, modality=RGB)
+    assert whole.lenses == found.lenses
+    assert torch.equal(whole.points.positions, found.points.positions)
+    assert all(torch.equal(whole.viewmats[name], found.viewmats[name]) for name in truth)
     assert [left.name for left in found.failed] == ["elsewhere"]
     assert found.reprojection_px < 1
     assert len(found.points.positions) > 100

@@ -29,7 +29,7 @@ _PLAUSIBLE_FOCAL_LENGTHS = (0.3, 4.0)
 
 def find_features(job: ReconstructionJob, report: Report) -> None:
     """Features of all images that have none yet; an image that cannot be read stays without."""
-    _write_camera(job)
+    _write_images(job)
     with pycolmap.Database.open(job.database) as database:
         found = {
             image.name
@@ -64,12 +64,29 @@ def find_features(job: ReconstructionJob, report: Report) -> None:
         report("features", min(done + start + batch, total), total)
 
 
-def _write_camera(job: ReconstructionJob) -> None:
-    """The camera with its known focal length, the median one in its images' EXIF data, or else
-    COLMAP's guess."""
+def _write_images(job: ReconstructionJob) -> None:
+    """The images in their order, else COLMAP would number them as its threads happen to finish,
+    and the poses would differ from run to run; and their camera."""
     with pycolmap.Database.open(job.database) as database:
         if database.exists_camera(CAMERA):
             return
+        camera = _camera(job)
+        rig = pycolmap.Rig(rig_id=CAMERA)
+        rig.add_ref_sensor(camera.sensor_id)
+        with pycolmap.DatabaseTransaction(database):
+            database.write_camera(camera, use_camera_id=True)
+            database.write_rig(rig, use_rig_id=True)
+            for number, file in enumerate(job.files, 1):
+                image = pycolmap.Image(name=file, camera_id=CAMERA, image_id=number)
+                frame = pycolmap.Frame(frame_id=number, rig_id=CAMERA)
+                frame.add_data_id(image.data_id)
+                database.write_image(image, use_image_id=True)
+                database.write_frame(frame, use_frame_id=True)
+
+
+def _camera(job: ReconstructionJob) -> pycolmap.Camera:
+    """The camera with its known focal length, the median one in its images' EXIF data, or else
+    COLMAP's guess."""
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = CAMERA_MODEL
     guesses = [pycolmap.infer_camera_from_image(job.root / file, reader) for file in job.files]
@@ -83,8 +100,7 @@ def _write_camera(job: ReconstructionJob) -> None:
     guess = 1.2 * max(camera.width, camera.height)
     camera.focal_length = statistics.median(known) if known else guess
     camera.camera_id = CAMERA
-    with pycolmap.Database.open(job.database) as database:
-        database.write_camera(camera, use_camera_id=True)
+    return camera
 
 
 PAIRS_AT_A_TIME = 100
@@ -94,11 +110,10 @@ SIFT_LENGTH = 128
 
 def match(job: ReconstructionJob, report: Report) -> None:
     """Match all pairs that are not in the database yet."""
-    numbers = pairs_to_match(len(job.files), lambda: _descriptors(job), job.positions)
-    pairs = [(job.files[first], job.files[second]) for first, second in numbers]
+    pairs = pairs_to_match(len(job.files), lambda: _descriptors(job), job.positions)
     with pycolmap.Database.open(job.database) as database:
         matched = matched_pairs(database)
-    waiting = [pair for pair in pairs if frozenset(pair) not in matched]
+    waiting = [pair for pair in pairs if pair not in matched]
     report("matching", len(pairs) - len(waiting), len(pairs))
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
@@ -107,7 +122,10 @@ def match(job: ReconstructionJob, report: Report) -> None:
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = job.folder / "pairs.txt"
     for start in range(0, len(waiting), PAIRS_AT_A_TIME):
-        lines = [f"{a} {b}\n" for a, b in waiting[start : start + PAIRS_AT_A_TIME]]
+        lines = [
+            f"{job.files[first]} {job.files[second]}\n"
+            for first, second in waiting[start : start + PAIRS_AT_A_TIME]
+        ]
         pairing.match_list_path.write_text("".join(lines), encoding="utf-8")
         pycolmap.match_image_pairs(
             job.database,
@@ -121,16 +139,15 @@ def match(job: ReconstructionJob, report: Report) -> None:
 
 def _descriptors(job: ReconstructionJob) -> list[np.ndarray]:
     with pycolmap.Database.open(job.database) as database:
-        ids = {image.name: image.image_id for image in database.read_all_images()}
         none = np.zeros((0, SIFT_LENGTH), dtype=np.uint8)
         return [
-            database.read_descriptors(ids[file]).data if file in ids else none for file in job.files
+            database.read_descriptors(number).data if database.exists_descriptors(number) else none
+            for number, _ in enumerate(job.files, 1)
         ]
 
 
-def matched_pairs(database: pycolmap.Database) -> dict[frozenset[str], tuple[int, int]]:
-    """The names of the images of each pair with matches, and their ids."""
-    names = {image.image_id: image.name for image in database.read_all_images()}
+def matched_pairs(database: pycolmap.Database) -> set[tuple[int, int]]:
+    """The pairs of images with matches, by their places in the job; the smaller first."""
     pairs, _ = database.read_two_view_geometry_num_inliers()
-    ids = map(pycolmap.pair_id_to_image_pair, pairs)
-    return {frozenset((names[first], names[second])): (first, second) for first, second in ids}
+    numbers = map(pycolmap.pair_id_to_image_pair, pairs)
+    return {(first - 1, second - 1) for first, second in numbers}

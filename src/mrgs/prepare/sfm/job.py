@@ -20,7 +20,7 @@ MODEL_FOLDER = "model"
 POINTS_FILE = "points.npz"
 REPORT_FILE = "report.json"
 
-FORMAT = 4
+FORMAT = 5
 """Raise it when features or matches are found in another way: older ones are then discarded."""
 
 

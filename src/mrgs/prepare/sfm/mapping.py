@@ -99,14 +99,10 @@ def _database_nearby(job: ReconstructionJob) -> Path:
     assert job.positions is not None
     copy = job.folder / "nearby.db"
     shutil.copyfile(job.database, copy)
-    kept = {
-        frozenset((job.files[first], job.files[second]))
-        for first, second in pairs_nearby(job.positions)
-    }
+    kept = set(pairs_nearby(job.positions))
     with pycolmap.Database.open(copy) as database:
-        for pair, (first, second) in matched_pairs(database).items():
-            if pair not in kept:
-                database.delete_two_view_geometry(first, second)
+        for first, second in matched_pairs(database) - kept:
+            database.delete_two_view_geometry(first + 1, second + 1)
     return copy
 
 
@@ -167,23 +163,22 @@ def _report(
     job: ReconstructionJob, models: Sequence[pycolmap.Reconstruction], nearby: bool
 ) -> ModelReport:
     with pycolmap.Database.open(job.database) as database:
-        ids = {image.name: image.image_id for image in database.read_all_images()}
-        features = {
-            file: database.num_keypoints_for_image(ids[file]) if file in ids else None
-            for file in job.files
-        }
+        features = [
+            database.num_keypoints_for_image(number) if database.exists_keypoints(number) else None
+            for number, _ in enumerate(job.files, 1)
+        ]
         pairs, inliers = database.read_two_view_geometry_num_inliers()
     best: dict[int, tuple[int, int]] = {}
     for pair, count in zip(pairs, inliers, strict=True):
         first, second = pycolmap.pair_id_to_image_pair(pair)
         for own, other in ((first, second), (second, first)):
             best[own] = max(best.get(own, (0, 0)), (count, other))
-    names = {number: file for file, number in ids.items()}
     groups = [{model.images[number].name for number in model.reg_image_ids()} for model in models]
     images = []
-    for file in job.files:
-        matches, other = best.get(ids.get(file, 0), (0, 0))
+    for number, file in enumerate(job.files, 1):
+        matches, other = best.get(number, (0, 0))
         group = next((index for index, members in enumerate(groups) if file in members), None)
-        images.append(ImageReport(features[file], matches, names.get(other), group))
+        name = job.files[other - 1] if other else None
+        images.append(ImageReport(features[number - 1], matches, name, group))
     error_px = models[0].compute_mean_reprojection_error() if models else None
     return ModelReport(tuple(images), tuple(map(len, groups)), error_px, nearby)
