@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from mrgs.errors import ConfigError
 from mrgs.marks import Mark
 from mrgs.marks.store import MarkStore
 from mrgs.viewer.board import MarkBoard
+from mrgs.viewer.browser import MOST_CHANGES, Browser
 from mrgs.viewer.server import open_viewer, start_at, title_of
 from mrgs.viewer.web import Viewer
 from tests.helpers.browsers import wait_until
@@ -118,6 +120,29 @@ def test_nobody_gets_in_without_the_token(viewer):
     for query in ("", "token=wrong"):
         with pytest.raises(websockets.InvalidStatus):
             browse(viewer, picture, query)
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [("/?token=é", 403), ("/?token=%FF", 403), ("//[x", 404), ("/?token=a&[", 403)],
+)
+def test_odd_addresses_are_answered(viewer, path, status):
+    with socket.create_connection(("127.0.0.1", viewer.port), timeout=60) as connection:
+        connection.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        assert connection.recv(12) == f"HTTP/1.1 {status}".encode()
+
+
+def test_wrong_tokens_wait_for_each_other_and_right_ones_do_not(viewer, monkeypatch):
+    monkeypatch.setattr("mrgs.viewer.web.GUESS_S", 3600.0)
+    guesses = [socket.create_connection(("127.0.0.1", viewer.port)) for _ in range(20)]
+    for guess in guesses:
+        guess.sendall(b"GET /?token=guess HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert ask(viewer, f"/?{token(viewer)}")[0].status == 303
+    for guess in guesses:
+        guess.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            guess.recv(1)
+        guess.close()
 
 
 def test_the_token_leaves_the_address_for_a_cookie(viewer):
@@ -423,6 +448,17 @@ def test_a_drive_that_does_not_answer_stops_no_browser(subject, camera):
     finally:
         go.set()
         viewer.close()
+
+
+def test_nobody_changes_marks_faster_than_hands_can(viewer):
+    refused = []
+    browser = Browser(viewer._subject, viewer._start, "", viewer._worker, lambda data: Future())
+    browser.report = lambda text, failed=False: refused.append(text)
+    for _ in range(MOST_CHANGES + 50):
+        browser.receive('{"type": "refer_to", "mark": null}')
+    assert [text for text in refused if "too many" in text] == refused
+    assert len(refused) == 50
+    browser.close()
 
 
 def test_a_port_that_is_taken_is_named(small_run):

@@ -93,3 +93,13 @@ def test_it_ends(worker, held, how):
     worker.put("later", lambda: done.append(1))
     assert not worker._thread.is_alive()
     assert done == []
+
+
+def test_a_browser_with_many_jobs_does_not_keep_others_waiting(worker, held):
+    done = []
+    for number in range(3):
+        worker.put(("a", "change", number), lambda number=number: done.append(f"a{number}"))
+    worker.put(("b", "picture"), lambda: done.append("b"))
+    worker.put(("c", "picture"), lambda: done.append("c"))
+    finish(worker, held)
+    assert done[:3] == ["a0", "b", "c"]

@@ -22,7 +22,7 @@ from mrgs.runs.open import TrainedRun
 from mrgs.scene import Scene
 from mrgs.system.atomic import require_folder, write_error, write_text
 from mrgs.system.disk import read_text
-from mrgs.system.typed_json import from_json
+from mrgs.system.typed_json import Finite, from_json
 
 FILE, UNDO_FILE, LOCK_FILE = "marks.json", "marks.undo.json", ".marks.lock"
 VERSION = 2
@@ -42,8 +42,8 @@ class CameraSpread:
     their mean and the largest distance from it, scene units."""
 
     images: int
-    centre: tuple[float, float, float]
-    extent: float
+    centre: tuple[Finite, Finite, Finite]
+    extent: Finite
 
     @classmethod
     def of(cls, positions: Float[np.ndarray, "n 3"]) -> CameraSpread:

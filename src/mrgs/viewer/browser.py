@@ -7,6 +7,7 @@ import logging
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from pathlib import Path
@@ -50,6 +51,9 @@ LARGEST_MESSAGE = 65_536
 CHANGE = "change of marks"
 """Name of jobs that change marks: none replaces another, and they outlive their browser."""
 
+MOST_CHANGES, CHANGES_S = 20, 2.0
+"""So many changes of marks in so many seconds are taken from one browser: more than hands make."""
+
 _log = logging.getLogger(__name__)
 
 Send = Callable[[str | bytes], "Future[None]"]
@@ -71,6 +75,7 @@ class Browser:
         self._look: Look | None = None
         self._sending = False
         self._changes = itertools.count()
+        self._changed_s: deque[float] = deque(maxlen=MOST_CHANGES)
         self._moving_side_px = float(subject.source.most_pixels["moving"])
         self.send("hello", **hello_facts(self.inspection, start), note=note)
         if subject.board is not None:
@@ -82,6 +87,8 @@ class Browser:
         answered, and has no effect."""
         try:
             message = decode(data)
+            if message.job == CHANGE:
+                self._require_rest()
             if message.job:
                 # A mark that a change is about has its refusal beside it in the list.
                 mark = getattr(message, "mark", None)
@@ -92,6 +99,13 @@ class Browser:
         except (ValueError, RecursionError, MrgsError) as error:
             self.report(str(error) or repr(error), failed=True)
         self.subject.source.charge()
+
+    def _require_rest(self) -> None:
+        """ConfigError if the browser changes marks faster than hands can."""
+        now_s = time.monotonic()
+        if len(self._changed_s) == MOST_CHANGES and now_s - self._changed_s[0] < CHANGES_S:
+            raise ConfigError("too many changes of marks at once: wait a second, then go on")
+        self._changed_s.append(now_s)
 
     def close(self) -> None:
         """Drop the browser's waiting jobs, but not its changes of marks."""

@@ -32,15 +32,16 @@ Job = Callable[[], object]
 
 
 class Worker:
-    """One thread that does the jobs of all browsers in turn.
+    """One thread that does the jobs of all browsers in turn, one of each before a second of any.
 
-    A job that waits is replaced by a newer one with the same key: of a camera that moves, only the
-    newest place is drawn.
+    A job that waits is replaced by a newer one with the same key, a tuple that begins with the
+    browser: of a camera that moves, only the newest place is drawn.
     """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._jobs: dict[Hashable, Job] = {}
+        self._served: list[Hashable] = []  # browsers with waiting jobs, the last served last
         self._working = False
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="mrgs-viewer", daemon=True)
@@ -53,7 +54,7 @@ class Worker:
             return self._working or bool(self._jobs)
 
     def put(self, key: Hashable, job: Job) -> None:
-        """Do a job after the waiting ones, in place of a waiting one with the same key."""
+        """Do a job after the browser's waiting ones, in place of one with the same key."""
         with self._changed:
             if not self._closed:
                 self._jobs[key] = job
@@ -75,6 +76,16 @@ class Worker:
         """Wait until the thread has ended, at most for some seconds."""
         self._thread.join(timeout_s)
 
+    def _next_key(self) -> Hashable:
+        """The oldest job of the browser that has waited longest since its last one."""
+        owners = {key: key[0] if isinstance(key, tuple) else key for key in self._jobs}
+        waiting = set(owners.values())
+        served = [owner for owner in self._served if owner in waiting]
+        turns = {owner: turn for turn, owner in enumerate(served)}
+        key = min(owners, key=lambda key: turns.get(owners[key], -1))
+        self._served = [*(owner for owner in served if owner != owners[key]), owners[key]]
+        return key
+
     def _work(self) -> None:
         while True:
             with self._changed:
@@ -82,7 +93,7 @@ class Worker:
                 self._changed.wait_for(lambda: self._closed or self._jobs)
                 if self._closed:
                     return
-                job = self._jobs.pop(next(iter(self._jobs)))
+                job = self._jobs.pop(self._next_key())
                 self._working = True
             try:
                 job()

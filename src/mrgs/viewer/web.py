@@ -36,6 +36,9 @@ SECONDS_TO_CLOSE = 2.0
 WATCH_S = 1.0
 """Between two looks at the files that other programs may change, while a browser is connected."""
 
+GUESS_S = 0.5
+"""Before a wrong token is answered; one at a time."""
+
 MOST_WAITING = 64
 """Messages that a browser has not taken; one that lets more wait is cut off."""
 
@@ -87,11 +90,12 @@ class Gate:
 
     def knows(self, token: str | None) -> bool:
         """Whether a token is the server's."""
-        return token is not None and secrets.compare_digest(token.encode(), self.token.encode())
+        guess = b"" if token is None else token.encode("utf-8", "replace")
+        return secrets.compare_digest(guess, self.token.encode())
 
     def token_in(self, path: str) -> str | None:
         """The token in the query of a request's path; None without one."""
-        return parse_qs(urlsplit(path).query).get("token", [None])[0]
+        return parse_qs(path.partition("?")[2]).get("token", [None])[0]
 
     def has_cookie(self, cookies: Sequence[str], port: int) -> bool:
         """Whether a request's ``Cookie`` headers have the token. Other servers of this computer may
@@ -200,6 +204,7 @@ class Viewer:
     async def _serve(self, host: str, port: int, ready: futures.Future[int]) -> None:
         """The network's thread: serve until the viewer is closed."""
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        self._guess = asyncio.Lock()
         try:
             server = await serve(
                 self._serve_browser,
@@ -260,20 +265,24 @@ class Viewer:
                 del self._browsers[connection]
             browser.close()
 
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """What a request gets; None lets it become a browser's socket."""
+    async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """What a request gets; None lets it become a browser's socket. Wrong tokens wait for each
+        other, so that nobody can try many."""
         headers, gate = request.headers, self._gate
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if not gate.is_own_host(hosts) or not gate.is_own_origin(origins, hosts):
             return _text(HTTPStatus.FORBIDDEN, "This address belongs to another page.")
         token = gate.token_in(request.path)
         allowed = gate.knows(token) or gate.has_cookie(headers.get_all("Cookie"), self.port)
-        path = urlsplit(request.path).path
+        path = request.path.partition("?")[0]
         if path == "/favicon.ico":
             return _text(HTTPStatus.NO_CONTENT, "")
         if path not in ("/", SOCKET_PATH):
             return _text(HTTPStatus.NOT_FOUND, "There is nothing here.")
         if not allowed:
+            if token is not None:
+                async with self._guess:
+                    await asyncio.sleep(GUESS_S)
             if path == SOCKET_PATH:
                 return _text(HTTPStatus.FORBIDDEN, "The token is missing.")
             return _html(HTTPStatus.FORBIDDEN, self._question)
