@@ -30,6 +30,7 @@ from tests.faults import (
     messages,
     places,
     soak,
+    texts,
 )
 from tests.faults.program import SMALL, run, small_scene
 from tests.faults.tally import Tally
@@ -60,6 +61,7 @@ def attacks() -> Iterator[tuple[str, Attack]]:
     yield "unusual names", lambda at: places.names(at, commands=("eval", "report", "export"))
     yield "fuzzed thermal photos", lambda at: fuzz.radiometric(at, 5000)
     yield "fuzzed poses", lambda at: fuzz.poses(at, 2000)
+    yield "fuzzed texts", lambda at: texts.attacks(at, 100_000)
     yield "fuzzed messages to the viewer", lambda at: messages.messages(at, _trained(at), 5000)
     yield "values put into trainings", lambda at: injections.values(at, 100)
     yield "memory estimates", memory.estimates

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.faults import fuzz, interruptions, kills, messages, places
+from tests.faults import fuzz, interruptions, kills, messages, places, texts
 from tests.faults.tally import Tally
 
 on_linux = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's signals and /proc")
@@ -53,6 +53,10 @@ def test_a_name_that_is_not_text_is_printed_in_ascii(tmp_path):
 
 def test_damaged_thermal_photos(tmp_path):
     assert holds(fuzz.radiometric(tmp_path, 60))
+
+
+def test_texts_that_are_almost_right(tmp_path):
+    assert holds(texts.attacks(tmp_path, 300))
 
 
 @pytest.mark.filterwarnings("ignore::mrgs.errors.MrgsWarning")

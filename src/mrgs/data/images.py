@@ -1,5 +1,5 @@
-"""Decoding image files. Pillow reads them; only PNG, JPEG and TIFF are let in, and nothing larger
-than 80 megapixels.
+"""Decoding image files. Pillow reads them; only PNG, JPEG and TIFF are let in, and none with more
+pixels than its bytes can hold.
 
 The EXIF orientation is ignored on purpose: structure-from-motion tools work on the pixels as
 stored. What the tags of GDAL say of the numbers of a TIFF counts: the value of missing pixels, the
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import re
 import warnings
 from collections.abc import Iterator
@@ -26,12 +27,19 @@ from PIL.ExifTags import Base
 from torch import Tensor
 
 from mrgs.data.files import read_bytes, scene_error
-from mrgs.errors import SceneError
+from mrgs.errors import ConfigError, SceneError
 from mrgs.system.disk import open_regular
+from mrgs.system.wording import quoted
 
 MAX_PIXELS = 80_000_000
-"""Larger images are refused unread. Below Pillow's own limit, so that its global setting need not
-be touched."""
+"""Larger images are refused unread."""
+
+FREE_PIXELS, PIXELS_PER_BYTE = 16_000_000, 40
+"""So are images larger than this with more pixels for each byte of their file: a photo has ten at
+most, and a small file that unfolds to many pixels would take minutes and gigabytes."""
+
+LIMIT_VARIABLE = "MRGS_MAX_MEGAPIXELS"
+"""An environment variable that replaces these limits."""
 
 DRAFT_SHARES = (8, 4, 2)
 """Reductions that a JPEG decoder offers in each direction, by transforming fewer frequencies."""
@@ -258,7 +266,6 @@ def opened(
     path: Path,
     content: bytes | None = None,
     formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF"),
-    most_pixels: int = MAX_PIXELS,
 ) -> Iterator[Image.Image]:
     """Pillow's image; every failure of opening or decoding it is a SceneError.
 
@@ -266,12 +273,17 @@ def opened(
         path: of the file, or of the one that ``content`` was found in.
         content: an image in memory; None reads the file.
         formats: Pillow's names of the formats that are let in.
-        most_pixels: larger images are refused before they are decoded.
     """
-    too_large = f"has more than {most_pixels // 10**6} megapixels; reduce it before use"
+    too_large = ""
     try:
         # Not by its path: Pillow would map a TIFF into memory, and scramble one on its side.
         with open_regular(path) if content is None else io.BytesIO(content) as file:
+            size = os.fstat(file.fileno()).st_size if content is None else len(content)
+            most_pixels = _most_pixels(size)
+            too_large = (
+                f"has more than {most_pixels / 1e6:.3g} megapixels, too many for a file of "
+                f"{size / 1e6:.3g} MB; reduce it, or set {LIMIT_VARIABLE}"
+            )
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of large images, and of damaged tags
                 try:
@@ -282,7 +294,7 @@ def opened(
                 if image.width * image.height > most_pixels:
                     raise scene_error(path, too_large)
                 yield image
-    except SceneError:
+    except (ConfigError, SceneError):
         raise
     except Image.DecompressionBombError:
         raise scene_error(path, too_large) from None
@@ -293,6 +305,18 @@ def opened(
         raise scene_error(
             path, f"cannot be decoded as an image ({reason}); copy or export it again"
         ) from None
+
+
+def _most_pixels(size: int) -> int:
+    """Of an image in a file of ``size`` bytes. ConfigError if the variable is no number."""
+    if (stated := os.environ.get(LIMIT_VARIABLE)) is None:
+        return min(MAX_PIXELS, max(FREE_PIXELS, PIXELS_PER_BYTE * size))
+    try:
+        most = round(1e6 * float(stated))
+    except (ValueError, OverflowError):
+        raise ConfigError(f"{LIMIT_VARIABLE}={quoted(stated)} is no number") from None
+    Image.MAX_IMAGE_PIXELS = max(most, Image.MAX_IMAGE_PIXELS or 0)  # Pillow refuses twice as many
+    return most
 
 
 def _opened_by_gdal(path: Path, content: bytes | None, most_pixels: int) -> Image.Image:

@@ -173,7 +173,7 @@ def _ascii_vertices(
         numbers = np.array(tokens, dtype=np.float64)
     except ValueError as error:
         raise scene_error(
-            path, f"holds something that is not a number ({error}); export the points again"
+            path, f"holds something that is not a number ({error!s:.99}); export the points again"
         ) from None
     if numbers.size < wanted:
         raise _too_short(path, vertex.count)

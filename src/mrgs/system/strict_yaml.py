@@ -114,10 +114,9 @@ def _build(cls: type[Config], values: Any, source: str) -> Config:
     if not isinstance(values, dict):
         raise ConfigError(f"{source} must hold the fields of a configuration")
     hints = typing.get_type_hints(cls)
-    unknown = next((name for name in values if name not in hints), None)
-    if unknown is not None:
+    if unknown := [name for name in values if name not in hints]:
         raise ConfigError(
-            f"{source}: there is no field {shown(unknown)}; known are {', '.join(hints)}"
+            f"{source}: there is no field {shown(unknown[0])}; known are {', '.join(hints)}"
         )
     fields = {
         name: convert(hints[name], value, f"{source}: {name}") for name, value in values.items()

@@ -214,7 +214,7 @@ def test_an_image_that_is_cut_off(save):
 
 def test_an_image_that_is_too_large(save):
     path = save("a.png", np.zeros((4001, 5000), dtype=np.uint8))
-    with pytest.raises(SceneError, match="20 megapixels"):
+    with pytest.raises(SceneError, match="16 megapixels"):
         read_thermal_photo(path)
 
 

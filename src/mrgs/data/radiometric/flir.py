@@ -26,7 +26,6 @@ from mrgs.data.radiometric.measurement import (
     object_temperature,
 )
 from mrgs.data.radiometric.photo import (
-    MAX_PIXELS,
     Alignment,
     Overrides,
     PhotoFacts,
@@ -138,12 +137,12 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
         )
     width, height = int(size[0]), int(size[1])
     content = record[_IMAGE_OFFSET:]
-    if width * height == 0 or width * height > MAX_PIXELS:
+    if width * height == 0:
         raise scene_error(
             path, f"its raw image of {width} x {height} pixels cannot be; copy the photo again"
         )
     if content.startswith(b"\x89PNG"):
-        with opened(path, content, ("PNG",), MAX_PIXELS) as image:
+        with opened(path, content, ("PNG",)) as image:
             if image.size != (width, height) or not image.mode.startswith("I"):
                 raise scene_error(
                     path,

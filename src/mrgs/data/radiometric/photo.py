@@ -18,10 +18,6 @@ from mrgs.data.radiometric.units import Unit
 from mrgs.errors import ConfigError
 from mrgs.scene.radiometry import PARAMETER_LIMITS, ObjectParameters, PhotoRecord, Planck
 
-MAX_PIXELS = 20_000_000
-"""Larger images are refused before they are decoded; thermal cameras have up to 3 megapixels, times
-4 if enhanced."""
-
 
 @dataclass(frozen=True)
 class Overrides:
@@ -125,7 +121,7 @@ class VisibleImage:
 
         Cameras that store it as PNG put luma and chroma (JPEG's YCbCr) into the channels for red,
         green and blue. SceneError if the photo is damaged."""
-        with opened(self.source, self.data, ("JPEG", "PNG"), MAX_PIXELS) as image:
+        with opened(self.source, self.data, ("JPEG", "PNG")) as image:
             if image.format == "PNG" and image.mode == "RGB":
                 image = Image.merge("YCbCr", image.split())
             return np.array(image.convert("RGB"), dtype=np.uint8)

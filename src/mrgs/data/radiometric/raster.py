@@ -12,7 +12,7 @@ from mrgs.data.files import scene_error
 from mrgs.data.images import LUMINANCE, as_stored, holds_numbers, numbers_of, opened
 from mrgs.data.radiometric.exif import ExifFacts
 from mrgs.data.radiometric.measurement import masked
-from mrgs.data.radiometric.photo import MAX_PIXELS, Overrides, PhotoFacts, ThermalPhoto
+from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.units import (
     FLOAT_UNITS,
     INTEGER_UNITS,
@@ -37,7 +37,7 @@ _RELATIVE = "relative values from 0 to 1 are used"
 def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
     """The photo in an image file, given its content. SceneError if it is damaged, of an unknown
     scale, or given bounds without being grey."""
-    with opened(path, data, most_pixels=MAX_PIXELS) as image:
+    with opened(path, data) as image:
         kind, mode, xmp = str(image.format), image.mode, image.info.get("xmp", b"")
         has_numbers = holds_numbers(image)
         if has_numbers or mode.startswith("I"):
