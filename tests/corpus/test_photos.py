@@ -100,11 +100,22 @@ def test_parts_of_a_flir_record_in_another_order(tmp_path):
         ("2024:05:01 12:00:07+02:00", None, 7200),
         ("2024-05-01T12:00:07Z", None, 0),
         ("2024:05:01 12:00:07.00 -0100", None, -3600),
+        ("2024/05/01 12:00:07 UTC", None, 0),
+        ("2024: 5: 1 12: 0: 7", None, None),
+        ("2024:05:01  12:00:07,00 +02", None, 7200),
+        ("2024:05:01 12:00:07 CEST", None, None),
     ],
 )
 def test_the_time_of_a_photo_with_a_zone_is_that_of_the_photo(original, zone, zone_s):
     found = read_exif(timed_jpeg(original, "2024:11:30 08:00:00", zone))
     assert (found.taken, found.zone_s) == (datetime(2024, 5, 1, 12, 0, 7), zone_s)
+
+
+def test_a_time_that_cannot_be_read_is_not_that_of_an_edit():
+    edited = "2024:11:30 08:00:00"
+    assert read_exif(timed_jpeg("2024:05:01 24:00:07", edited)).taken is None
+    for nothing in ("0000:00:00 00:00:00", "    :  :     :  :  ", None):
+        assert read_exif(timed_jpeg(nothing, edited)).taken == datetime(2024, 11, 30, 8)
 
 
 def clock(moment: datetime) -> str:
@@ -151,7 +162,7 @@ def test_a_clock_that_is_months_off_or_was_never_set(photos, days):
     assert found.warnings == ()
 
 
-@pytest.mark.parametrize("suffix", [".DNG", ".GPR", ".NEF", ".cr2"])
+@pytest.mark.parametrize("suffix", [".DNG", ".GPR", ".NEF", ".cr2", ".ERF"])
 def test_a_raw_file_beside_its_photo_is_skipped_and_alone_refused(photos, suffix):
     files = {f"{name}_T.tif": "celsius" for name in ("1", "2", "3")}
     files |= {f"{name}_W.JPG": "jpg" for name in ("1", "2", "3")}
@@ -188,17 +199,36 @@ def test_names_of_makers(photos, rgb, thermal, kind):
         "{rgb};{thermal};;\n",
         "{rgb}\t{thermal}\t\n",
         "{thermal}   {rgb}\n",
+        "# made by hand\n{thermal},{rgb}\n",
     ],
 )
 def test_pair_tables_of_spreadsheets_in_either_order(photos, tmp_path, lines):
     files = {f"t/{index}.tif": "celsius" for index in range(3)}
     root = photos(files | {f"v/{index + 4}.jpg": "jpg" for index in range(3)})
-    head = "sep=;\n" if ";" in lines else ""
+    head = "SEP=;\n" if ";" in lines else ""
     table = "".join(lines.format(rgb=f"v/{i + 4}.jpg", thermal=f"t/{i}.tif") for i in range(3))
     (tmp_path / "pairs.csv").write_text(head + table)
     found = find_pairs(root, table=tmp_path / "pairs.csv")
     pairs = [(pair.photos[RGB].name, pair.photos[THERMAL].name) for pair in found.pairs]
     assert pairs == [(f"{i + 4}.jpg", f"{i}.tif") for i in range(3)]
+
+
+def test_pair_tables_with_further_columns(photos, tmp_path):
+    files = {f"t/{index}.tif": "celsius" for index in range(3)}
+    root = photos(files | {f"v/{index + 4}.jpg": "jpg" for index in range(3)})
+    lines = [f"{index},t/{index}.tif,12:00,v/{index + 4}.jpg" for index in range(3)]
+    table = tmp_path / "pairs.csv"
+    table.write_text("\n".join(["id,IR image,time,rgb_path", *lines]))
+    pairs = [(pair.photos[RGB].stem, pair.name) for pair in find_pairs(root, table=table).pairs]
+    assert pairs == [(f"{index + 4}", f"{index}") for index in range(3)]
+
+
+def test_a_pair_table_of_plain_photos_follows_their_folders(photos, tmp_path):
+    root = photos({f"{at}/{index}.jpg": "jpg" for at in ("ir", "daylight") for index in range(3)})
+    table = tmp_path / "pairs.csv"
+    table.write_text("".join(f"ir/{index}.jpg,daylight/{index}.jpg\n" for index in range(3)))
+    for pair in find_pairs(root, table=table).pairs:
+        assert pair.photos[RGB].parent.name == "daylight"
 
 
 def test_a_table_separated_by_blanks_is_a_thermal_photo(photos):

@@ -13,8 +13,10 @@ from PIL import Image
 from mrgs.check.rules import warn_of_problems
 from mrgs.data import load_scene
 from mrgs.data.files import on_disk
+from mrgs.data.load import read_bounds
 from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.ply import read_ply
+from mrgs.data.sources import ReadingNotes
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.scene import RGB, THERMAL
 from tests.corpus.scenes import LENS, write_colours, write_pairs
@@ -28,10 +30,11 @@ def writer(tmp_path):
     return SceneWriter(tmp_path / "scene")
 
 
-@pytest.mark.parametrize("thermal", ["thermal", "Thermal", "THERMAL"])
+@pytest.mark.parametrize("thermal", ["thermal", "Thermal", "THERMAL", "infrared", "TIR"])
 def test_the_thermal_folder_of_a_colmap_scene_in_any_case(writer, thermal):
     write_pairs(writer, "images", thermal, NAMES)
-    writer.bounds(10, 30, f"{thermal}/temperature_bounds.json")
+    folder = f"{thermal}/" if thermal.lower() == "thermal" else ""
+    writer.bounds(10, 30, f"{folder}temperature_bounds.json")
     writer.colmap([f"{name}.png" for name in NAMES], binary=True)
     scene = load_scene(writer.root)
     assert scene.modalities == (RGB, THERMAL)
@@ -48,7 +51,7 @@ def test_the_thermal_folder_of_a_nerfstudio_scene_in_any_case(writer):
 
 
 def test_training_says_where_no_thermal_image_is_found(writer):
-    write_pairs(writer, "images", "infrared", NAMES)
+    write_pairs(writer, "images", "second_camera", NAMES)
     writer.colmap([f"{name}.png" for name in NAMES], binary=False)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", MrgsWarning)
@@ -178,10 +181,30 @@ def test_an_angle_of_view_in_place_of_a_focal_length(tmp_path, angles, focal):
     np.testing.assert_allclose((lens.fx, lens.fy), focal)
 
 
+@pytest.mark.parametrize("given", [{"camera_angle_x": 60.0}, {"fov": 60.0}, {}])
+def test_a_missing_focal_length_is_asked_for(tmp_path, given):
+    with pytest.raises(SceneError, match=r"no focal length.*camera_angle_x \(radians"):
+        lens_from_json({"w": 24, "h": 16, **given}, "all", tmp_path)
+
+
+def test_images_of_two_sizes_do_not_share_a_focal_length_in_pixels(writer):
+    content = writer.thermoscenes()
+    for path in (writer.root / "thermal").iterdir():
+        image = Image.open(path)
+        image.resize((image.width // 2, image.height // 2)).save(path)
+    for key in ("w", "h"):
+        del content[key]
+    writer.transforms(content)
+    with pytest.raises(SceneError, match="same fl_x; add w and h"):
+        load_scene(writer.root)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
         ("ftheta_p0", 0.1),
+        ("ftheta_p1", 0.05),
+        ("orthographic", True),
         ("latlong", True),
         ("rolling_shutter", [0, 0, 1, 0]),
         ("rolling_shutter", [[1], [2, 3]]),
@@ -234,6 +257,44 @@ def test_camera_models_that_are_not_read_are_named(writer, model, parameters):
     writer.colmap(["a.png"], True, model, parameters)
     with pytest.raises(SceneError, match=f"{model}.*undistort"):
         load_scene(writer.root)
+
+
+@pytest.mark.parametrize(
+    ("text", "range_c"),
+    [
+        ('"min": 10', None),
+        ('"units": "F"', (-12.2222, -1.1111)),
+        ('"Unit": "kelvin"', (-263.15, -243.15)),
+        ('"unit": "K*100"', None),
+    ],
+)
+def test_the_unit_of_the_bounds(writer, text, range_c):
+    ends = '"absolute_min_temperature": 10, "absolute_max_temperature": 30'
+    if "min" in text:
+        ends = '"max": 30'
+    (writer.root / "temperature_bounds.json").write_text(f"{{{ends}, {text}}}")
+    if range_c is None:
+        with pytest.raises(SceneError, match=r"temperature_bounds\.json"):
+            read_bounds(writer.root, ReadingNotes())
+        return
+    found = read_bounds(writer.root, ReadingNotes())
+    np.testing.assert_allclose((found.min_c, found.max_c), range_c, atol=1e-3)
+
+
+def test_bounds_that_look_like_kelvin_are_doubted(writer):
+    writer.bounds(283, 303)
+    notes = ReadingNotes()
+    read_bounds(writer.root, notes)
+    assert "looks like K" in notes.repaired[0]
+
+
+def test_colours_of_a_point_cloud_in_sixteen_bits(tmp_path):
+    colours = np.array([[0, 0.2, 1], [0.4, 0.6, 0.8]])
+    path = write_colours(tmp_path / "points.ply", colours * 65535, "float")
+    np.testing.assert_allclose(read_ply(path)[1], colours, atol=1e-4)
+    text = path.read_bytes().replace(b"property float red", b"property float Red")
+    path.write_bytes(text.replace(b"\nelement", b"\ncomment no end_header\nelement", 1))
+    np.testing.assert_allclose(read_ply(path)[1], colours, atol=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["float", "double", "uchar"])

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 import sys
 import warnings
 
@@ -11,6 +12,7 @@ from mrgs.check.rules import fast_problems
 from mrgs.data import load_scene
 from mrgs.data.images import decode, probe, upright
 from mrgs.data.radiometric import read_thermal_photo
+from mrgs.data.radiometric.exif import read_exif
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.prepare.rgb_photo import read_rgb
 from mrgs.scene import THERMAL
@@ -179,6 +181,8 @@ def test_complex_numbers_are_no_temperatures(tmp_path):
         (np.float64, {}),
         (np.float32, {"compress": "lerc"}),
         (np.float32, {"compress": "deflate", "predictor": 3}),
+        (np.float32, {"compress": "lzw", "ENDIANNESS": "BIG"}),
+        (np.float32, {"ENDIANNESS": "BIG"}),
     ],
 )
 def test_floats_that_pillow_does_not_know(tmp_path, dtype, options):
@@ -190,6 +194,52 @@ def test_floats_that_pillow_does_not_know(tmp_path, dtype, options):
     photo = read_thermal_photo(path)
     np.testing.assert_allclose(photo.temperature_c[photo.valid], SCENE_C.ravel()[1:], atol=1e-4)
     assert (photo.valid.sum(), decode(path).kind) == (SCENE_C.size - 1, "float")
+
+
+@pytest.mark.parametrize("dtype", [np.int16, np.int32, np.uint16])
+@pytest.mark.parametrize("compress", ["none", "lzw"])
+def test_integers_in_either_order_of_bytes(tmp_path, dtype, compress):
+    pytest.importorskip("rasterio")
+    counts = np.rint(100 * (SCENE_C + 273.15)).astype(dtype)
+    for order in ("BIG", "LITTLE"):
+        path = write_by_gdal(tmp_path / f"{order}.tif", counts, compress=compress, ENDIANNESS=order)
+        np.testing.assert_allclose(read_thermal_photo(path).temperature_c, SCENE_C, atol=0.006)
+
+
+@pytest.mark.parametrize(("unit", "factor", "zero"), [("K", 1, 273.15), ("degF", 1.8, 32)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_unit_that_gdal_names(tmp_path, unit, factor, zero, dtype):
+    pytest.importorskip("rasterio")
+    path = write_by_gdal(tmp_path / "a.tif", (factor * SCENE_C + zero).astype(dtype), unit)
+    np.testing.assert_allclose(read_thermal_photo(path).temperature_c, SCENE_C, atol=1e-4)
+    np.testing.assert_allclose(stored(path)[..., 0], SCENE_C, atol=1e-4)
+
+
+def test_tags_of_a_tiff_that_pillow_does_not_know(tmp_path):
+    data = write_tiff(tmp_path / "a.tif", SCENE_C, t274=6, t306="2024:05:01 12:00:07").read_bytes()
+    unknown = data.replace(struct.pack("<HHII", 258, 3, 1, 32), struct.pack("<HHII", 258, 3, 1, 64))
+    assert unknown != data
+    assert read_exif(unknown) == read_exif(data)
+    assert read_exif(data).orientation == 6
+
+
+def test_shares_of_the_bounds_are_doubted(tmp_path):
+    shares = (SCENE_C - 5) / np.float32(25)
+    _, _, said = ThermalScene(tmp_path, shares).loaded(0, 40)
+    assert any("from 0 to 1" in text for text in said)
+
+
+def test_kelvin_among_celsius_are_said(tmp_path):
+    scene = ThermalScene(tmp_path, SCENE_C)
+    write_tiff(min((scene.writer.root / "thermal").iterdir()), SCENE_C + np.float32(273.15))
+    assert any("some like K" in text for text in scene.loaded()[2])
+
+
+def test_minus_999_is_a_missing_pixel(tmp_path):
+    numbers = SCENE_C.copy()
+    numbers[2, 3:6] = -999
+    photo = read_thermal_photo(write_tiff(tmp_path / "a.tif", numbers))
+    np.testing.assert_array_equal(photo.valid, numbers == SCENE_C)
 
 
 def test_several_bands_are_refused_by_their_number(tmp_path):

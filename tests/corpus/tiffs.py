@@ -33,7 +33,7 @@ def scaled_by_gdal(scale: float, offset: float) -> str:
     )
 
 
-def write_by_gdal(path: Path, pixels: np.ndarray, **options: Any) -> Path:
+def write_by_gdal(path: Path, pixels: np.ndarray, unit: str = "", **options: Any) -> Path:
     """A TIFF of one or more bands, [H, W] or [B, H, W], by GDAL itself."""
     import rasterio
 
@@ -44,4 +44,6 @@ def write_by_gdal(path: Path, pixels: np.ndarray, **options: Any) -> Path:
         warnings.simplefilter("ignore")  # of a file without a place on Earth
         with rasterio.open(path, "w", driver="GTiff", **shape, **options) as dataset:
             dataset.write(bands)
+            if unit:
+                dataset.units = (unit,) * count
     return path

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from mrgs.data import load_scene
-from mrgs.errors import SceneError
+from mrgs.errors import MrgsWarning, SceneError
 from mrgs.scene import RGB, THERMAL
 
 
@@ -84,7 +84,8 @@ def test_bounds_make_the_only_images_thermal(writer):
     writer.image("images/a.png")
     writer.bounds(0.0, 50.0)
     writer.colmap(["a.png"], binary=True)
-    scene = load_scene(writer.root)
+    with pytest.warns(MrgsWarning, match="images/ are taken for thermal"):
+        scene = load_scene(writer.root)
     assert scene.modalities == (THERMAL,)
     assert scene.temperature.max_c == 50.0
 

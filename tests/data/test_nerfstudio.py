@@ -331,7 +331,7 @@ def put_frame(**values):
         (set_pose(3.0), "not a rotation"),
         (put_frame(thermal_transform_matrix=np.diag([1.0, 1, -1, 1]).tolist()), "not a rotation"),
         (put(fl_x="20"), "fl_x .* is '20'"),
-        (put(fl_x=None, fl_y=None), "fl_x .* is None"),
+        (put(fl_x=None, fl_y=None), "no focal length; .*fl_x"),
         (put(fl_x=True), "fl_x .* is True"),
         (put(fl_x=math.nan), "fl_x .* is nan"),
         (put(fl_y=10**400), "fl_y .*range"),

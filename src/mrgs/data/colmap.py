@@ -29,7 +29,7 @@ from mrgs.data.files import (
     scene_error,
     without_image_suffix,
 )
-from mrgs.data.images import probe
+from mrgs.data.images import decode, probe
 from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.poses import viewmat_from_colmap
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
@@ -40,7 +40,9 @@ from mrgs.system.wording import Message, shown
 
 Row = TypeVar("Row")
 
-MODEL_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "colmap/sparse", "colmap")
+MODEL_FOLDERS = (
+    "sparse/0", "sparse/1", "colmap/sparse/0", "dense/sparse", "sparse", "colmap/sparse", "colmap",
+)  # fmt: skip
 
 _PARAMETER_COUNTS = {
     "SIMPLE_PINHOLE": 3,
@@ -249,7 +251,7 @@ def _binary_points(file: Path) -> Iterator[tuple[float, ...]]:
 
 def _text_rows(file: Path, read: Callable[[str], Row], lines_each: int = 1) -> Iterator[Row]:
     """What is read from the first line of each record; comments and empty lines are left out."""
-    text = read_bytes(file).decode("utf-8", "replace").split("\n")
+    text = read_bytes(file).decode("utf-8-sig", "replace").split("\n")
     lines = (each for each in enumerate(text, 1) if not each[1].startswith("#"))
     for number, line in lines:
         if not line.strip():
@@ -279,7 +281,10 @@ def _text_point(line: str) -> tuple[float, ...]:
     return tuple(float(words[index]) for index in range(1, 7))
 
 
-FOLDERS = {RGB: ("rgb", "images"), THERMAL: ("thermal",)}
+FOLDERS = {
+    RGB: ("rgb", "images"),
+    THERMAL: ("thermal", "infrared", "ir", "tir", "lwir", "thermal_images"),
+}
 """Possible folders of each modality's images; the first that exists is used."""
 
 Registered = dict[tuple[Modality, str], RegisteredImage]
@@ -344,8 +349,13 @@ def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list
     if [each.modality for each in images] != [RGB]:
         return images
     has_bounds = any(is_file(root / on_disk(root, bounds)) for bounds in BOUNDS_FILES)
-    if has_bounds or all(probe(path).kind != "colour" for path in images[0].files.values()):
-        notes.decide(f"The images in {images[0].folder}/ are taken for thermal ones.")
+    colours = [path for path in images[0].files.values() if probe(path).kind == "colour"]
+    if has_bounds or not colours:
+        is_coloured = any(
+            float(decode(path).values.std(dim=-1).mean()) > 0.01 for path in colours[:1]
+        )
+        note = notes.repair if is_coloured else notes.decide
+        note(f"The images in {images[0].folder}/ are taken for thermal ones.")
         return [replace(images[0], modality=THERMAL)]
     return images
 
@@ -366,7 +376,9 @@ def _match(
         for each in sorted(images, key=lambda each: (each.folder,) != folder):
             key = each.key_of(image.name)
             if key is not None:
-                found[each.modality, key] = image
+                if (before := found.setdefault((each.modality, key), image)) is not image:
+                    names = f"{shown(before.name)} and {shown(image.name)}"
+                    raise scene_error(file, f"has two poses of one image, {names}; remove one")
                 named = PurePosixPath(each.folder, key).with_name(PurePosixPath(image.name).name)
                 each.files[key] = finder.find(named.as_posix(), file) or each.files[key]
                 break

@@ -24,10 +24,12 @@ import torch
 from jaxtyping import Bool, Float32, Shaped, UInt8
 from PIL import Image, UnidentifiedImageError
 from PIL.ExifTags import Base
+from PIL.TiffImagePlugin import TiffImageFile
 from torch import Tensor
 
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.errors import ConfigError, SceneError
+from mrgs.scene.radiometry import ZERO_CELSIUS_K
 from mrgs.system.disk import open_regular
 from mrgs.system.wording import quoted
 
@@ -54,7 +56,7 @@ or of integers with a scale."""
 
 _GDAL_METADATA, _GDAL_NODATA = 42112, 42113
 _GDAL_ITEM = re.compile(r"<Item\b([^<>]*)>([^<]*)<")
-_GDAL_ROLE = re.compile(r"""\brole=["'](scale|offset)["']""")
+_GDAL_ROLE = re.compile(r"""\brole=["'](scale|offset|unittype)["']""")
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 _TURNS = {
@@ -133,13 +135,24 @@ def holds_numbers(image: Image.Image) -> bool:
 
 
 def scaling_of(image: Image.Image) -> tuple[float, float] | None:
-    """The factor and the offset that the tags of GDAL give; None if they change nothing, or are
-    none."""
+    """The factor and the offset that the tags of GDAL give, to °C where they name K or °F; None if
+    they change nothing, or are none."""
     text = getattr(image, "tag_v2", {}).get(_GDAL_METADATA)
     items = _GDAL_ITEM.findall(text) if isinstance(text, str) else []
     given = {role[1]: value for keys, value in items if (role := _GDAL_ROLE.search(keys))}
     found = _number(given.get("scale", 1)), _number(given.get("offset", 0))
+    found = _in_celsius(found, given.get("unittype", ""))
     return None if found == (1.0, 0.0) or found[0] == 0 or not np.isfinite(found).all() else found
+
+
+def _in_celsius(scaling: tuple[float, float], unit: str) -> tuple[float, float]:
+    """A factor and an offset to a temperature in a unit, K or °F, as those to °C."""
+    (factor, offset), name = scaling, unit.lower().strip(" °")
+    if name in ("k", "kelvin"):
+        return factor, offset - ZERO_CELSIUS_K
+    if name in ("f", "degf", "deg f", "fahrenheit"):
+        return factor / 1.8, (offset - 32) / 1.8
+    return scaling
 
 
 def _number(text: object) -> float:
@@ -257,7 +270,8 @@ def _kind(image: Image.Image, path: Path) -> Kind:
         return "colour"
     raise scene_error(
         path,
-        f"has pixels of type {mode}; save it with 8 or 16 bits per channel, or as 32-bit float",
+        f"has pixels of type {mode}; save it with 8 or 16 bits without a sign per channel, or as "
+        f"32-bit float",
     )
 
 
@@ -288,7 +302,10 @@ def opened(
                 warnings.simplefilter("ignore")  # of large images, and of damaged tags
                 try:
                     image: Image.Image = Image.open(file, formats=formats)
+                    is_known = not _is_misread(image)
                 except UnidentifiedImageError:
+                    is_known = False
+                if not is_known:
                     image = _opened_by_gdal(path, content, most_pixels)
             with image:
                 if image.width * image.height > most_pixels:
@@ -305,6 +322,13 @@ def opened(
         raise scene_error(
             path, f"cannot be decoded as an image ({reason}); copy or export it again"
         ) from None
+
+
+def _is_misread(image: Image.Image) -> bool:
+    """Whether Pillow swaps the bytes of a TIFF twice: of compressed numbers in big-endian order."""
+    if not isinstance(image, TiffImageFile) or image.mode not in ("F", "I"):
+        return False
+    return image.tag_v2.prefix == b"MM" and image.info.get("compression") != "raw"
 
 
 def _most_pixels(size: int) -> int:
@@ -338,9 +362,10 @@ def _opened_by_gdal(path: Path, content: bytes | None, most_pixels: int) -> Imag
             raise scene_error(path, f"has {bands}; save the temperatures alone, as one band")
         if dataset.width * dataset.height > most_pixels:
             raise Image.DecompressionBombError
+        scaling = _in_celsius(scaling, dataset.units[0] or "")
         band, nodata = dataset.read(1, masked=True), str(dataset.nodata)
-    if dtype in ("uint8", "uint16") and scaling == (1, 0):
-        image = Image.fromarray(band.data)
+    if dtype in ("uint8", "uint16", "int16", "int32") and scaling == (1, 0):
+        image = Image.fromarray(band.data if dtype[0] == "u" else band.data.astype(np.int32))
         image.info["nodata"] = nodata
     else:
         numbers = (band * scaling[0] + scaling[1]).astype(np.float32)

@@ -177,7 +177,16 @@ def _unit_of(source: SceneSource, temperature: TemperatureRange | None) -> Unit:
     known = [row for row in rows if np.isfinite(row).all()]
     numbers = np.median(known or np.full((1, 3), np.nan), axis=0)
     likely = everyday(FLOAT_UNITS, numbers)
+    if {("kelvin",), ("celsius",)} <= {tuple(everyday(FLOAT_UNITS, row)) for row in known}:
+        source.notes.repair(
+            "Some thermal images look like °C and some like K; write all of them in °C."
+        )
     if temperature is not None:
+        if known and numbers[0] >= 0 and numbers[2] <= 1 and temperature.span_c > 3:
+            source.notes.repair(
+                "The thermal images hold numbers from 0 to 1, which are taken for °C; if they are "
+                "shares of the scale in temperature_bounds.json, save them with 16 bits."
+            )
         middles = {text: Unit.parse(text).celsius(numbers)[1] for text in FLOAT_UNITS}
         near = [text for text, c in middles.items() if -1 <= temperature.from_celsius(c) <= 2]
         if "celsius" in near and likely == ["kelvin"]:
@@ -316,12 +325,16 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         json_value(Number, content.get(name), name, path)
         for name in ("absolute_min_temperature", "absolute_max_temperature")
     )
-    if unit := content.get("unit"):
+    if unit := next((value for name, value in content.items() if "unit" in name.lower()), None):
         named = units_named([unicodedata.normalize("NFKC", f"unit {unit}")])
-        if len(named) != 1 or not isinstance(unit, str):
+        if len(named) != 1 or not isinstance(unit, str) or any(map(str.isdigit, unit)):
             known = "celsius, kelvin or fahrenheit"
             raise scene_error(path, f"unit is {shown(unit)}; use {known}")
         low, high = Unit.parse(named[0]).celsius(np.array([low, high])).tolist()
+    elif everyday(FLOAT_UNITS, np.linspace(low, high, 3)) == ["kelvin"]:
+        notes.repair(
+            f'{path.name} is taken for °C, though it looks like K; if it is, add "unit": "kelvin".'
+        )
     if low > high:
         low, high = high, low
         used = f"{low:g} °C to {high:g} °C".replace("-", "−")

@@ -70,8 +70,8 @@ _LENS_KEYS = (
     "is_fisheye", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov",
 )  # fmt: skip
 _REFUSED = (
-    "k5", "k6", "ftheta_p0", "latlong", "equirectangular", "rolling_shutter",
-    "transform_matrix_start", "from_na", "distortion_params",
+    "k5", "k6", "ftheta_p0", "ftheta_p1", "ftheta_p2", "latlong", "equirectangular",
+    "orthographic", "rolling_shutter", "transform_matrix_start", "from_na", "distortion_params",
 )  # fmt: skip
 """Keys of nerfstudio, instant-ngp and their relatives that change what the others mean, and are not
 read."""
@@ -160,8 +160,13 @@ def lens_from_json(
         return pixels / (2 * math.tan(angle / 2)) if 0 < angle < math.pi else None
 
     fx, fy = focal("x", width), focal("y", height)
+    fx = fy if fx is None else fx
     if fx is None:
-        fx = number("fl_x") if fy is None else fy
+        raise scene_error(
+            file,
+            f"{what} has no focal length; add fl_x (pixels), camera_angle_x (radians, below π) or "
+            f"x_fov (degrees)",
+        )
     flag = json_value(bool | None, values.get("is_fisheye"), f"is_fisheye of {what}", file)
     fisheye = bool(flag) or model == _FISHEYE
     k1, k2, k3, k4, p1, p2 = (number(name, 0.0) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
@@ -341,7 +346,15 @@ class _TransformsReader:
             )
         values = {name: whole[name] for name in _LENS_KEYS if name in whole}
         if values.get("w") is None or values.get("h") is None:  # each image has a size of its own
-            return lens_from_json(values, what, self.file, image)
+            lens = lens_from_json(values, what, self.file, image)
+            if shared and values.get("fl_x") is not None:
+                first = self._lenses.setdefault(repr(values), lens)
+                if (first.width, first.height) != (lens.width, lens.height):
+                    size = f"{lens.width}×{lens.height} px, others {first.width}×{first.height}"
+                    raise scene_error(
+                        self.file, f"{what} has {size}, with the same fl_x; add w and h to each"
+                    )
+            return lens
         key = repr(values)
         if key not in self._lenses:
             self._lenses[key] = lens_from_json(values, what, self.file)

@@ -104,8 +104,8 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | Non
     if it is not a PLY file with vertices x, y, z, or shorter than its header says.
     """
     data = read_bytes(path)
-    end = data.find(b"end_header", 0, MAX_HEADER_BYTES)
-    newline = data.find(b"\n", end, end + 16) if end >= 0 else -1
+    end = data.find(b"\nend_header", 0, MAX_HEADER_BYTES) + 1
+    newline = data.find(b"\n", end, end + 16) if end > 0 else -1
     if not data.startswith(b"ply") or newline < 0:
         raise scene_error(path, "is not a PLY file (no header found); export the points again")
     lines = data[:end].decode("latin-1").splitlines()[1:]
@@ -193,14 +193,14 @@ def _too_short(path: Path, count: int) -> SceneError:
 
 
 def _colors(vertices: np.ndarray) -> NDArray[np.float64] | None:
-    available = vertices.dtype.names or ()
+    available = {name.lower(): name for name in vertices.dtype.names or ()}
     names = next((names for names in _COLOR_NAMES if set(names) <= set(available)), None)
     if names is None:
         return None
-    colors = np.stack([vertices[name].astype(np.float64) for name in names], axis=1)
+    colors = np.stack([vertices[available[name]] for name in names], axis=1).astype(np.float64)
     brightest = float(np.max(colors, where=np.isfinite(colors), initial=0.0))
-    if vertices.dtype[names[0]].kind != "f" or brightest > _BRIGHTEST_FLOAT:
-        colors /= 65535 if vertices.dtype[names[0]].itemsize == 2 else 255
+    if vertices.dtype[available[names[0]]].kind != "f" or brightest > _BRIGHTEST_FLOAT:
+        colors /= 65535 if brightest > 255 else 255
     return np.clip(np.nan_to_num(colors, nan=0.5), 0.0, 1.0)
 
 

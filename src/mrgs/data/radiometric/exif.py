@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 from PIL.ExifTags import IFD, Base
 
 from mrgs.data.files import scene_error
@@ -29,8 +29,8 @@ _TIMES = (
 whose clock was not set fills one with zeros or blanks, and the last may be that of an edit."""
 
 _CLOCK = re.compile(
-    r"(\d{4})[:-](\d\d?)[:-](\d\d?)[ T](\d\d?):(\d\d?):(\d\d?)"
-    r"(?:\.(\d+))?\s*(Z|[+-]\d\d:?\d\d)?"
+    r"(\d{4})[:/.-] ?(\d\d?)[:/.-] ?(\d\d?)(?: +|T)(\d\d?): ?(\d\d?): ?(\d\d?)"
+    r"(?:[.,](\d+))?(?: ?(Z|UTC|GMT|[+-]\d\d:?(?:\d\d)?)| [A-Z]{3,4})?"
 )
 
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE = range(1, 7)
@@ -74,18 +74,24 @@ def read_exif(data: bytes) -> ExifFacts:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns of damaged tags; what is left is used
-            with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
-                exif = image.getexif()
-                gps = exif.get_ifd(IFD.GPSInfo)
-                return _facts({**exif, **exif.get_ifd(IFD.Exif)}, gps, stored_size(image)[0])
+            try:
+                with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "TIFF")) as image:
+                    exif, width = image.getexif(), stored_size(image)[0]
+            except UnidentifiedImageError:  # a TIFF whose pixels Pillow does not know
+                exif = Image.Exif()
+                exif.load(data)
+                width = exif.get(Base.ImageWidth, 0)
+            gps = exif.get_ifd(IFD.GPSInfo)
+            return _facts({**exif, **exif.get_ifd(IFD.Exif)}, gps, width)
     except Exception:  # Pillow's readers of damaged tags raise almost anything
         return ExifFacts()
 
 
 def _facts(tags: Mapping[int, Any], gps: Mapping[int, Any], width: int) -> ExifFacts:
     """From the tags of the main and of the Exif directory, which some cameras do not tell apart."""
-    times = (_time(*map(tags.get, each)) for each in _TIMES)
-    taken, zone_s = next((time for time in times if time is not None), (None, None))
+    # Where the first is there and cannot be read, the others may be those of a later edit.
+    times = (map(tags.get, each) for each in _TIMES if _is_stated(tags.get(each[0])))
+    taken, zone_s = _time(*next(times, (None, None, None))) or (None, None)
     orientation: Any = tags.get(Base.Orientation)
     focal_mm = _positive(tags.get(Base.FocalLength))
     serial = tags.get(Base.BodySerialNumber) or tags.get(Base.CameraSerialNumber)
@@ -136,6 +142,11 @@ def clean_text(value: object) -> str | None:
     return text.strip()[:64] or None
 
 
+def _is_stated(value: object) -> bool:
+    """Whether a time is more than blanks and zeros."""
+    return bool(re.search("[1-9]", clean_text(value) or ""))
+
+
 def _time(
     value: object, subseconds: object, offset: object
 ) -> tuple[datetime, float | None] | None:
@@ -149,7 +160,8 @@ def _time(
         return None
     zone_s = None
     with suppress(ValueError):
-        zone = parts[8] or clean_text(offset)
+        zone = {"UTC": "Z", "GMT": "Z"}.get(parts[8], parts[8]) or clean_text(offset) or ""
+        zone += "00" if len(zone.rstrip(":")) == 3 else ""
         zone_s = -datetime.strptime(f"1970 {zone}", "%Y %z").timestamp()
     digits, _, whole = (clean_text(subseconds) or parts[7] or "").partition("/")
     if not (digits.isascii() and digits.isdigit()):
@@ -180,7 +192,7 @@ def _position(gps: Mapping[int, Any]) -> GpsPosition | None:
 def _degrees(
     value: Any, reference: object, positive: str, negative: str, limit: float
 ) -> float | None:
-    side = clean_text(reference)
+    side = (clean_text(reference) or "")[:1].upper()
     try:
         degrees, minutes, seconds = (float(part) for part in value)
     except (TypeError, ValueError, ZeroDivisionError):
@@ -249,7 +261,7 @@ def flir_record(data: bytes, path: Path) -> bytes | None:
         whole = sum(part.whole for part in parts)
         raise scene_error(
             path,
-            f"its thermal record is cut off or damaged ({whole} of {last + 1} parts are whole); "
+            f"its thermal record is cut off or damaged ({whole} whole parts of {last + 1}); "
             "copy the photo from the camera again, without editing it",
         )
     return b"".join(part.content[_FLIR_HEADER:] for part in parts)

@@ -106,7 +106,9 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     if not valid.any() or not low <= float(np.median(celsius[valid])) <= high:
         raise scene_error(
             path,
-            "its Planck constants are absurd: they give no plausible temperature; copy it again",
+            f"its Planck constants, with {parameters.reflected_c:g} °C reflected, give no "
+            f"plausible temperature; give the true reflected_c, or copy it again",
+            options=("reflected_c",),
         )
     note = f"The air lets {100 * measurement.transmission:.1f} % of the radiation pass."
     facts = replace(

@@ -161,9 +161,9 @@ def _in(text: str, numbers: Float[np.ndarray, "3"]) -> str:
     return f"{text} ({low:.1f} to {high:.1f} °C)".replace("-", "−")
 
 
-_TLINEAR = re.compile(rb"TlinearGain(?:=[\"']|>)\s*([+-]?\d+(?:\.\d*)?)")
+_TLINEAR = re.compile(rb"TlinearGain(?:=[\"']|>)\s*([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)")
 _BAND = re.compile(rb"BandName(?:=[\"']|>.{0,200}?<rdf:li>|>)\s*([^<>\"']+)", re.DOTALL)
-_THERMAL_BAND = "LWIR"
+_THERMAL_BANDS = re.compile("LWIR|TIR|THERMAL.*")
 _TLINEAR_K = (1e-4, 10.0)
 """Temperatures of one count that can be; cameras have 0.01, 0.04, 0.1 or 0.4 K."""
 
@@ -186,10 +186,10 @@ def camera_units(
     the tags say that the numbers are no temperatures. ``xmp`` is the metadata in the file, empty if
     there is none."""
     band = (match[1].decode("latin-1").strip() if (match := _BAND.search(xmp)) else "").upper()
-    if band and band != _THERMAL_BAND:
+    if band and not _THERMAL_BANDS.fullmatch(band):
         raise scene_error(path, f"is the band {band} of a multispectral camera, no thermal photo")
     if gain := _TLINEAR.search(xmp):
-        kelvin = float(gain[1])
+        kelvin = float(gain[1].replace(b",", b"."))
         if not _TLINEAR_K[0] <= kelvin <= _TLINEAR_K[1]:
             raise scene_error(
                 path,

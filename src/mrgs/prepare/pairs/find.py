@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Literal
@@ -17,6 +18,7 @@ from mrgs.prepare.pairs.names import (
     HEADINGS,
     PARTNER,
     REFERENCE,
+    folder_modality,
     natural,
     read_stem,
     view_names,
@@ -251,7 +253,7 @@ def by_table(table: Path, inventory: Inventory) -> Match:
         partner = None
         if names[PARTNER]:
             partner = _photo(names[PARTNER], photos, inventory, table, number)
-            if partner.is_thermal and not reference.is_thermal:  # no headings, the other order
+            if _looks_thermal(partner) and not _looks_thermal(reference):  # the other order
                 partner, reference = reference, partner
         for photo in filter(None, (partner, reference)):
             if (before := used.setdefault(photo, number)) != number:
@@ -275,8 +277,11 @@ def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
     """Number of the line, and the names of its photos by modality."""
     lines = decoded_text(read_bytes(table, _MAX_BYTES)).splitlines()
     separator = next((sign for sign in ";\t," if any(sign in line for line in lines)), " ")
-    columns: tuple[Modality, ...] = _COLUMNS
+    columns = {modality: index for index, modality in enumerate(_COLUMNS)}
+    has_headings = False
     for number, line in enumerate(lines, 1):
+        if line.lstrip().startswith("#"):
+            continue
         try:
             row = next(
                 csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True), []
@@ -288,20 +293,31 @@ def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
         cells = [cell.strip() for cell in row]
         while len(cells) > 2 and not cells[-1]:
             cells.pop()
-        if not any(cells) or cells[0].startswith("sep="):  # by Excel
+        if not any(cells) or cells[0].lower().startswith("sep="):  # by Excel
             continue
-        words = [cell.lower() for cell in cells]
-        headings = [each for word in words for each in _COLUMNS if word in HEADINGS[each]]
-        if len(cells) == 2 and set(headings) == set(_COLUMNS):
-            columns = tuple(headings)
-        elif len(cells) == 2 and cells[columns.index(REFERENCE)]:
-            yield number, dict(zip(columns, cells, strict=True))
+        headings = {each: index for index, cell in enumerate(cells) if (each := _heading(cell))}
+        if headings.keys() == columns.keys() and not has_headings:
+            columns, has_headings = headings, True
+        elif (has_headings or len(cells) == 2) and any(cells[columns[REFERENCE] :][:1]):
+            yield number, {each: "".join(cells[at:][:1]) for each, at in columns.items()}
         else:
             raise scene_error(
                 table,
                 f"line {number} does not name an {PARTNER.title} and a {REFERENCE.title} photo; "
                 f"{_EXAMPLE}",
             )
+
+
+def _heading(cell: str) -> Modality | None:
+    """The modality that a heading names; None for the name of a photo."""
+    words = set() if re.search(r"[./\\]", cell) else {*re.findall("[a-z]+", cell.lower())}
+    return next((each for each in (REFERENCE, PARTNER) if words & HEADINGS[each]), None)
+
+
+def _looks_thermal(photo: Photo) -> bool:
+    """Whether a photo is thermal by its content, its name or its folder."""
+    named = read_stem(photo.origin.name).modality or folder_modality(photo.origin.parts[:-1])[0]
+    return photo.is_thermal or named == REFERENCE
 
 
 def _photo(

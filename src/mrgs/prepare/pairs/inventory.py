@@ -31,7 +31,8 @@ _TABLE_COLUMNS = 8
 
 _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef",
-    ".nrw", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq",
+    ".nrw", ".arw", ".raf", ".orf", ".rw2", ".rwl", ".pef", ".srw", ".sr2", ".3fr", ".iiq", ".erf",
+    ".kdc", ".dcr", ".mos",
 }  # fmt: skip
 
 

@@ -29,10 +29,10 @@ _PHOTO_WORDS = {"image", "images", "photo", "photos"}
 """Folders with these names hold RGB photos, unless something else in the name says thermal."""
 
 HEADINGS = {
-    RGB: {"rgb", "visible", "visual", "color", "colour", "image"},
-    THERMAL: {"thermal", "ir", "infrared"},
+    RGB: {"rgb", "visible", "vis", "visual", "optical", "color", "colour", "image"},
+    THERMAL: {"thermal", "ir", "tir", "infrared"},
 }
-"""Headings of the columns in a table of pairs."""
+"""Words in the headings of the columns in a table of pairs; the thermal ones count first."""
 
 _LETTERS = {"t": THERMAL, **dict.fromkeys("wvzs", RGB)}
 """The last letter of DJI's names: thermal, wide, visible, zoom, screenshot."""
