@@ -73,12 +73,8 @@ _COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
 
 
 def parse(argv: Sequence[str]) -> Any:
-    """The command, one of the types in ``COMMANDS``, with its options.
-
-    Raises:
-        SystemExit: with 0 after a help text, a version or a completion script was printed; with 2
-            after an error.
-    """
+    """The command, one of the types in ``COMMANDS``, with its options. SystemExit with 0 after a
+    help text, a version or a completion script was printed, with 2 after an error."""
     first = argv[0] if argv else "--help"
     if first in COMMANDS:
         return tyro.cli(COMMANDS[first], prog=f"mrgs {first}", args=argv[1:], config=_CONFIG)

@@ -136,12 +136,8 @@ class PlannedRun:
 
 def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[PlannedRun]:
     """All runs in their order of execution: every table is complete after the first seed.
-
-    Raises:
-        SceneError: a scene cannot be read, or has no held-out views.
-        ConfigError: an option is not allowed, two scenes have one name, or a run's folder has
-            another run, or one of other data.
-    """
+    SceneError if a scene cannot be read, or has no held-out views; ConfigError if an option is not
+    allowed, two scenes have one name, or a run's folder has another run, or one of other data."""
     if options.seeds < 1:
         raise ConfigError(
             f"the number of seeds must be at least 1, not {options.seeds}", options=("seeds",)

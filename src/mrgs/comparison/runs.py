@@ -95,12 +95,9 @@ def read_metrics(folder: Path) -> Scores | None:
 
 
 def require_same_config(folder: Path, config: RunConfig, scores: Scores | None) -> None:
-    """Check that the run or the scores in a folder have this configuration.
-
-    Raises:
-        ConfigError: it was trained with another; the message names the first value that differs.
-        RunError: its configuration cannot be read.
-    """
+    """Check that the run or the scores in a folder have this configuration. ConfigError if it was
+    trained with another, whose message names the first value that differs; RunError if its
+    configuration cannot be read."""
     run = RunFolder(folder)
     if not run.config_file.exists() or not (run.checkpoints() or scores):
         return
@@ -154,12 +151,9 @@ class SceneData:
 def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> None:
     """Check that the run in a folder was trained on the present data of its scene.
 
-    Held-out images may differ if there is a checkpoint, which can be scored again.
-
-    Raises:
-        ConfigError: it was trained, or scored, on other data; the message says what has changed.
-        SceneError: a photo cannot be read.
-    """
+    Held-out images may differ if there is a checkpoint, which can be scored again. ConfigError if
+    it was trained, or scored, on other data, which says what has changed; SceneError if a photo
+    cannot be read."""
     facts = None  # of the newest readable checkpoint; the run itself reports others
     for checkpoint in RunFolder(folder).checkpoints():
         with suppress(RunError):

@@ -287,7 +287,8 @@ def score_views(
     poses: HeldOutPoses = NOT_KNOWN,
 ) -> Metrics:
     """Score renderings of a scene's eval views, and write the scores and the contact sheet into a
-    folder.
+    folder. SceneError if the scene has no eval views, or an image cannot be read; RunError if the
+    weights cannot be read, or a file cannot be written.
 
     Args:
         truth: the scene's exact truth; None if there is none.
@@ -296,10 +297,6 @@ def score_views(
         parts: for the report; None if the model has none.
         data: of the scores, for the report; None for another program's renderings.
         poses: of the eval views; aligned ones are scored too, and shown on the contact sheet.
-
-    Raises:
-        SceneError: the scene has no eval views, or an image cannot be read.
-        RunError: the weights cannot be read, or a file cannot be written.
     """
     if not scene.eval:
         remedy = (
@@ -365,13 +362,9 @@ def render_run(
     folder.
 
     Per view: what ``write_rendering`` writes. For ``path``, a camera path around the scene: frames
-    of each modality as PNG, and as mp4 where the extra ``video`` is installed.
-
-    Raises:
-        SceneError: the scene cannot be read.
-        ConfigError: an unknown split, or one without views.
-        RunError: a file cannot be written.
-    """
+    of each modality as PNG, and as mp4 where the extra ``video`` is installed. SceneError if the
+    scene cannot be read, ConfigError for an unknown split, or one without views, RunError if a file
+    cannot be written."""
     if split not in get_args(Split):
         raise ConfigError(
             f"unknown split {split!r}; choose one of {', '.join(get_args(Split))}",

@@ -39,12 +39,8 @@ def require(
 
 
 def require_indices(name: str, indices: Tensor, shape: Sequence[int | None], count: int) -> None:
-    """A tensor must hold int64 indices of ``count`` rows.
-
-    Raises:
-        ValueError: it is of another shape or type.
-        IndexError: an index is negative, or not below ``count``.
-    """
+    """A tensor must hold int64 indices of ``count`` rows. ValueError if it is of another shape or
+    type; IndexError if an index is negative, or not below ``count``."""
     require(name, indices, shape, (torch.int64,))
     if indices.numel() == 0:
         return
@@ -77,12 +73,8 @@ def _short(dtype: torch.dtype) -> str:
 
 
 def listed(rows: Tensor | None, count: int) -> Tensor:
-    """The rows, on the CPU; all ``count`` of them if None.
-
-    Raises:
-        ValueError: not a list of int64.
-        IndexError: rows that do not exist.
-    """
+    """The rows, on the CPU; all ``count`` of them if None. ValueError if they are no list of int64,
+    IndexError for rows that do not exist."""
     if rows is None:
         return torch.arange(count)
     require_indices("rows", rows, (None,), count)

@@ -85,16 +85,13 @@ def is_scene(folder: Path) -> bool:
 
 
 def take_in(source: Path, options: PrepareOptions, progress: Progress | None = None) -> Intake:
-    """Look at a folder of photos, or at a scene; nothing is written.
+    """Look at a folder of photos, or at a scene; nothing is written. SceneError if the folder
+    cannot be used: not there, no photos, too few pairs, or a thermal photo that cannot be read.
+    ConfigError for an option that does not fit the photos, or one for photos where this is a scene.
 
     Args:
         source: the folder, or a scene's transforms file.
         progress: called with a step's name, the number of files that are done, and of all.
-
-    Raises:
-        SceneError: the folder cannot be used: not there, no photos, too few pairs, or a thermal
-            photo that cannot be read.
-        ConfigError: an option that does not fit the photos; or one for photos, and this is a scene.
     """
     if not is_scene(source):
         if not source.is_dir():

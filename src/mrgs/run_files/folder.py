@@ -287,12 +287,8 @@ class RunFolder:
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Within this block no other process uses the folder; the system releases the lock when the
-        process ends, however it ends.
-
-        Raises:
-            FolderInUseError: another process uses it.
-            RunError: the folder cannot be made.
-        """
+        process ends, however it ends. FolderInUseError if another process uses it, RunError if the
+        folder cannot be made."""
         lock = FileLock(self.path / ".lock", timeout=0)
         try:
             with self._writing():

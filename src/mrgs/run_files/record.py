@@ -137,13 +137,9 @@ class RunRecord:
         self._save_at = self._started + SAVE_EVERY_S
 
     def add(self, statistics: StepStatistics) -> None:
-        """Count a step, and log it if it is its turn.
-
-        Raises:
-            TrainingError: three steps in a row were skipped.
-            NotFiniteError: the state has a NaN or an infinity.
-            RunError: the log cannot be written.
-        """
+        """Count a step, and log it if it is its turn. TrainingError if three steps in a row were
+        skipped, NotFiniteError if the state has a NaN or an infinity, RunError if the log cannot be
+        written."""
         self.step = statistics.step
         self._unchecked.append(statistics)
         if self.step % self._check_every == 0:
@@ -175,12 +171,8 @@ class RunRecord:
             self.save()
 
     def save(self) -> None:
-        """Write a checkpoint of the last step; Ctrl-C waits for its end.
-
-        Raises:
-            NotFiniteError: the state has a NaN or an infinity.
-            RunError: the checkpoint cannot be written.
-        """
+        """Write a checkpoint of the last step; Ctrl-C waits for its end. NotFiniteError if the
+        state has a NaN or an infinity, RunError if the checkpoint cannot be written."""
         with ctrl_c_waits():
             began = self._clock()
             self._count_skipped()

@@ -74,12 +74,8 @@ class Run(TrainedRun):
 
     @contextmanager
     def _computing(self) -> Iterator[None]:
-        """Around what is computed.
-
-        Raises:
-            DeviceError: the GPU's memory does not suffice.
-            MrgsError: this process was forked from one that has computed, or torch's default type
-                is not float32.
+        """Around what is computed. DeviceError if the GPU's memory does not suffice; MrgsError if
+        this process was forked from one that has computed, or torch's default type is not float32.
         """
         will_compute()
         try:

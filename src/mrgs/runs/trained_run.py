@@ -167,13 +167,9 @@ class TrainedRun(ABC):
         return maps
 
     def load_scene(self) -> Scene:
-        """The scene that the run was trained on, at the run's resolution.
-
-        Raises:
-            SceneError: the scene is no longer where it was, or cannot be used.
-            RunError: the scene has other cameras or another temperature range than the run was
-                trained with.
-        """
+        """The scene that the run was trained on, at the run's resolution. SceneError if the scene
+        is no longer where it was, or cannot be used; RunError if the scene has other cameras or
+        another temperature range than the run was trained with."""
         if self.scene is not None:
             require_same_scene(self.facts, self.scene)
             return self.scene

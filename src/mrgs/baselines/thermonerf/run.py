@@ -113,12 +113,8 @@ def train_thermonerf(
     *,
     stop_at: int | None = None,
 ) -> RunFolder:
-    """Train a ThermoNeRF of a scene into a run folder; see ``mrgs.train``.
-
-    Raises:
-        DeviceError: the GPU was asked for.
-        MrgsError: as ``mrgs.train``.
-    """
+    """Train a ThermoNeRF of a scene into a run folder; see ``mrgs.train``. DeviceError if the GPU
+    was asked for; other errors as for ``mrgs.train``."""
     require_cpu(options.device)
     folder = RunFolder(output)
     if options.resume and folder.method != METHOD:
@@ -199,11 +195,8 @@ def open_thermonerf(
     path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto"
 ) -> ThermoNerfRun:
     """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU; see ``open_run``.
-
-    Raises:
-        RunError: the folder is not a run, or its checkpoint cannot be used.
-        DeviceError: the GPU was asked for.
-    """
+    RunError if the folder is not a run, or its checkpoint cannot be used; DeviceError if the GPU
+    was asked for."""
     require_cpu(device)
     folder = RunFolder(path)
     config = folder.read_whole_config(from_yaml)

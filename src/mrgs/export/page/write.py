@@ -211,11 +211,8 @@ def write_page(
     The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
     It takes about 7 MB for 100,000 splats with RGB and thermal. A model of more than
     ``content.part_size`` splats is shown coarsely first, and finely as its parts are read.
-
-    Raises:
-        ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
-        RunError: the file cannot be written.
-    """
+    ConfigError if there are no cameras, splats or modalities, or an option is out of its range;
+    RunError if the file cannot be written."""
     content = content or PageContent()
     modalities = baked.modalities if content.modalities is None else content.modalities
     shown = metric_first(in_order(modalities))

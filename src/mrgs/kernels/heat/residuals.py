@@ -200,6 +200,8 @@ def exchange(
     weights: tuple[float, float],
 ) -> Float[Tensor, " v"]:
     """Eq. 12 in the direction w of the output layer, w · F' + b, with the flux of Eq. 11.
+    ValueError for tensors of other sizes or types, IndexError for neighbours or rows that do not
+    exist.
 
     Args:
         projected: a_1 · F … a_K · F and w · F of each Gaussian F (see ``readout_rows``).
@@ -208,10 +210,6 @@ def exchange(
         neighbours: u_1 … u_K of all Gaussians.
         rows: the anchors i.
         weights: w_a and w_s.
-
-    Raises:
-        ValueError: tensors of other sizes or types.
-        IndexError: neighbours or rows that do not exist.
     """
     count, k = neighbours.shape
     require("projected", projected, (count, k + 1))
@@ -226,12 +224,8 @@ def exchange(
 def with_neighbours(
     rows: Int64[Tensor, " v"], neighbours: Int64[Tensor, "n k"]
 ) -> Int64[Tensor, " m"]:
-    """These Gaussians and all their neighbours, each once, in ascending order.
-
-    Raises:
-        ValueError: not int64.
-        IndexError: neighbours or rows that do not exist.
-    """
+    """These Gaussians and all their neighbours, each once, in ascending order. ValueError if they
+    are not int64, IndexError for neighbours or rows that do not exist."""
     count = len(neighbours)
     require_indices("rows", rows, (None,), count)
     require_indices("neighbours", neighbours, (count, None), count)

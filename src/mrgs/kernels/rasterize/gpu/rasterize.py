@@ -287,12 +287,8 @@ def rasterize(
     """``reference.rasterize`` for float32 tensors on a GPU.
 
     The camera may be on any device; where it is not on that of the means it is copied there.
-
-    Raises:
-        ValueError: no layer, or tensors of other types, sizes or devices.
-        MrgsError: there are more Gaussians, or they reach more tiles together, than the kernels can
-            number.
-    """
+    ValueError for no layer, or tensors of other types, sizes or devices; MrgsError if there are
+    more Gaussians, or they reach more tiles together, than the kernels can number."""
     means = geometry.means
     if len(means) > _MOST_GAUSSIANS:
         raise MrgsError(
