@@ -161,13 +161,9 @@ def _caption(exhibit: Exhibit, method: str, modality: Modality) -> str:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The results of a comparison.
-
-    Attributes:
-        tables: without empty ones.
-        failures: reason of each run or set of renders without scores.
-        folder: of ``tables/``, ``figures/``, ``results.json`` and ``runs/``.
-    """
+    """The results of a comparison: its tables without empty ones, why each run or set of renders
+    without scores has none, and the folder of ``tables/``, ``figures/``, ``results.json`` and
+    ``runs/``."""
 
     tables: tuple[Table, ...]
     failures: Mapping[str, str]

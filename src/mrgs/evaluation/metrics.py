@@ -214,12 +214,8 @@ def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | 
 
 @dataclass(frozen=True)
 class Foreground:
-    """Which temperatures are the object's.
-
-    Attributes:
-        threshold: between object and background, normalised temperature.
-        is_warm: whether the object is what is warmer; an ice cup is not.
-    """
+    """Which temperatures are the object's: above the threshold (normalised) if the object
+    ``is_warm``, else below it, as of an ice cup."""
 
     threshold: float
     is_warm: bool

@@ -54,13 +54,9 @@ CELSIUS_FOLDER = "temperature_c"
 
 @dataclass(frozen=True)
 class Renders:
-    """The image files of one folder.
-
-    Attributes:
-        images: of each modality that the folder has, by view name; the name of a file's folder
-            determines how it is read.
-        depths: of the thermal camera, by view name; may be empty.
-    """
+    """The image files of one folder: of each modality that it has, by view name, where the name of
+    a file's folder determines how it is read; and depths of the thermal camera, by view name, which
+    may be empty."""
 
     images: Mapping[Modality, Mapping[str, Path]]
     depths: Mapping[str, Path]

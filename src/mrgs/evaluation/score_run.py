@@ -69,12 +69,8 @@ MOST_POINTS = 1000
 
 
 class HeldOutError(NamedTuple):
-    """Distance of typical held-out photos from what the model shows.
-
-    Attributes:
-        found: in the inspected pixels.
-        pixel_size: of these, in pixels of the photos.
-    """
+    """Distance of typical held-out photos from what the model shows, in the inspected pixels, and
+    the size of these in pixels of the photos."""
 
     found: PoseAgreement
     pixel_size: float

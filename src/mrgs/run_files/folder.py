@@ -116,15 +116,10 @@ class RunFolder:
         return found[-1]
 
     def load_newest(self, load: Callable[[Path], T], *, set_aside: bool = False) -> T:
-        """Load the newest checkpoint, or an older one if it is damaged. RunError if there is no
-        checkpoint, all are damaged, or the newest undamaged one cannot be used. MrgsWarning if an
-        older one is used.
-
-        Args:
-            load: reads a checkpoint; raises DamagedCheckpointError.
-            set_aside: rename damaged checkpoints to ``*.damaged``, because newer ones will be
-                written.
-        """
+        """Load the newest checkpoint, or an older one where ``load`` raises DamagedCheckpointError,
+        with a MrgsWarning. Damaged ones are renamed to ``*.damaged`` if they are to be
+        ``set_aside``, because newer ones will be written. RunError if there is no checkpoint, all
+        are damaged, or the newest undamaged one cannot be used."""
         self.newest_checkpoint()
         damaged: list[DamagedCheckpointError] = []
         for path in reversed(self.checkpoints()):

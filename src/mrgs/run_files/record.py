@@ -37,13 +37,9 @@ SAVE_SHARE = 0.02
 
 
 class StepStatistics:
-    """The measurements of a training step of any method. On a GPU the numbers are fetched when the
-    first of them is read, which waits for the GPU.
-
-    Attributes:
-        step: number of the step, from 1.
-        gaussians: number of Gaussians; None for a method without Gaussians.
-    """
+    """The measurements of a training step of any method, counted from 1, with the number of
+    Gaussians, None for a method without. On a GPU the numbers are fetched when the first of them is
+    read, which waits for the GPU."""
 
     def __init__(
         self,

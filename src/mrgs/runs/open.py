@@ -35,14 +35,9 @@ __all__ = ["Run", "TrainedRun", "load_run", "method_of", "open_gaussians", "open
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(TrainedRun):
-    """A run with Gaussians. It may render on a GPU; its model and its images are in the host's
-    memory in any case.
-
-    Attributes:
-        model: the trained model, with t̂ computed once for all views.
-        image_model: what the cameras do to the images, as learned.
-        device: where it renders.
-    """
+    """A run with Gaussians: its model, with t̂ computed once for all views, and what the cameras do
+    to the images, as learned. It may render on a GPU, its ``device``; model and images are in the
+    host's memory in any case."""
 
     config: TrainConfig
     model: Model

@@ -98,14 +98,9 @@ def _by_slot(arrays: Sequence[np.ndarray]) -> tuple[LayerImages, LayerImages]:
 def _listed_splats(
     gaussians: GaussianArrays, projection: Projection, offset: np.ndarray, for_gradients: bool
 ) -> tuple[np.ndarray, TileLists, np.ndarray]:
-    """The projected Gaussians in depth order [V, 16], the tiles' lists of them, and the radii [N].
-
-    Args:
-        gaussians: to be projected.
-        projection: into the image.
-        offset: of the projected centres, [N, 2].
-        for_gradients: whether the lists have the pairs of each Gaussian too.
-    """
+    """The projected Gaussians in depth order [V, 16], the tiles' lists of them, with the pairs of
+    each Gaussian where gradients are wanted, and the radii [N]. ``offset`` [N, 2] is that of the
+    projected centres."""
     count = len(gaussians.means)
     if for_gradients:
         splats, radii = empty_splats(count), np.empty(count, np.float32)
