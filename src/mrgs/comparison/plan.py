@@ -114,13 +114,9 @@ def _method_in(text: str, source: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class PlannedRun:
-    """A run of a comparison, before it is trained.
-
-    Attributes:
-        scene: absolute path of the scene's folder or transforms file.
-        method: its name in tables; unique among the methods of a comparison.
-        scores: of an earlier call; None if there are none, or of other held-out images.
-    """
+    """A run of a comparison, before it is trained: ``scene`` is the absolute path of the scene's
+    folder or transforms file, ``method`` the name in tables, unique among the methods, and
+    ``scores`` those of an earlier call; None if there are none, or of other held-out images."""
 
     scene: Path
     scene_name: str

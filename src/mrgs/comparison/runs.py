@@ -43,15 +43,11 @@ def run_one(
     on_step: OnStep | None = None,
     on_score: Callable[[int, int], None] | None = None,
 ) -> bool:
-    """Train, continue, or only score one run, depending on its state. MrgsError if the scene or the
-    folder cannot be used, or the training had to stop. Returns whether it is scored; False if
-    ``on_step`` stopped it.
-
-    Args:
-        device: where it is trained and rendered, if its method can use a GPU.
-        on_step: called after every training step; returning True stops with a checkpoint.
-        on_score: called with the numbers of scored views and of all.
-    """
+    """Train, continue, or only score one run, depending on its state; returns whether it is scored,
+    not so if ``on_step``, called after every training step, has stopped it by returning True, with
+    a checkpoint. ``on_score`` is called with the numbers of scored views and of all. A GPU is used
+    if the method can. MrgsError if the scene or the folder cannot be used, or the training had to
+    stop."""
     method = find_method(config.method)
     device = device if method.uses_gpu else "cpu"
     if not _is_trained(folder, config):

@@ -73,13 +73,10 @@ def to_json(figure: Figure) -> tuple[float | None, str | None]:
         return None, figure.reason
     if math.isnan(figure):
         return None, "not a number: the rendering holds NaN"
-    if math.isinf(figure):
-        return (
-            None,
-            "infinite: the images are identical"
-            if figure > 0
-            else "not finite: the rendering overflows",
-        )
+    if figure == math.inf:
+        return None, "infinite: the images are identical"
+    if figure == -math.inf:
+        return None, "not finite: the rendering overflows"
     return float(figure), None
 
 

@@ -166,8 +166,7 @@ def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str
     if missing:
         raise RunError(
             f"{folder} has no image of {len(missing)} of {len(names)} eval views "
-            f"({listed(missing)}): "
-            "add them, named like the views"
+            f"({listed(missing)}): add them, named like the views"
         )
     for name in names:
         if len(found[name]) > 1:
@@ -252,7 +251,6 @@ def _temperatures(
     if (values.amax(dim=2) - values.amin(dim=2)).max() > GREY_TOLERANCE:
         raise RunError(
             f"{path} is pseudo-coloured, and temperatures cannot be read from colours: save 8-bit "
-            f"or 16-bit grey over "
-            "the scene's temperature range, or a float32 TIFF in °C"
+            f"or 16-bit grey over the scene's temperature range, or a float32 TIFF in °C"
         )
     return values[..., :1]
