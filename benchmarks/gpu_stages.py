@@ -284,7 +284,7 @@ def training(order: Order) -> Iterator[Row]:
             scene.eval,
             run.render_view,
             scene.temperature,
-            truth=Truth.find(SCENE),
+            truth=Truth(SCENE / "truth"),
             camera_response=run.camera_response,
         )
         figures = {

@@ -200,7 +200,7 @@ def test_against_the_truth(tmp_path: Path) -> None:
         tmp_path / "truth" / "temperature" / "a.tiff", exact_c, "temperature, degrees Celsius"
     )
     write_float_tiff(tmp_path / "truth" / "depth" / "a.tiff", exact_c * 0 + 1.6, "depth, metres")
-    metrics = evaluate([view], render_with_error, CELSIUS, truth=Truth.find(tmp_path))
+    metrics = evaluate([view], render_with_error, CELSIUS, truth=Truth(tmp_path / "truth"))
     assert metrics.truth == {
         "mae_c": pytest.approx(1.5, abs=1e-5),
         "camera_mae_c": pytest.approx(0.5, abs=1e-5),

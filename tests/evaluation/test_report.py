@@ -36,7 +36,7 @@ def metrics(tmp_path: Path) -> Metrics:
             images[THERMAL][0, 0] = torch.nan
         return rendering_of(images)
 
-    return evaluate(views, render, CELSIUS, truth=Truth.find(tmp_path))
+    return evaluate(views, render, CELSIUS, truth=Truth(tmp_path / "truth"))
 
 
 def strict(text: str) -> Any:

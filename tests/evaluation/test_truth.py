@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,15 +30,13 @@ def score(
     depth: torch.Tensor | None,
     valid: torch.Tensor | None = None,
 ) -> Figures:
-    truth = Truth.find(scene)
-    assert truth is not None
-    return truth.score(
+    return Truth(scene / "truth").score(
         "v", thermal[..., None] / 100, Pixels(thermal[..., None] / 100, valid), depth, RANGE
     )
 
 
 def test_a_scene_without_truth(tmp_path: Path) -> None:
-    assert Truth.find(tmp_path) is None
+    assert Truth.of(SimpleNamespace(path=str(tmp_path))) is None
 
 
 def test_the_sky_has_no_depth(tmp_path: Path) -> None:
@@ -57,7 +56,7 @@ def test_only_sky_is_missing(tmp_path: Path) -> None:
 
 def test_without_temperature_scale_or_depth(tmp_path: Path) -> None:
     write(tmp_path, "temperature", np.zeros((2, 2)))
-    truth = Truth.find(tmp_path)
+    truth = Truth(tmp_path / "truth")
     figures = truth.score("v", torch.zeros(2, 2, 1), None, None, None)
     assert all(isinstance(figure, Missing) for figure in figures.values())
 
@@ -89,7 +88,7 @@ def test_a_name_that_leaves_the_scene(tmp_path: Path) -> None:
     (tmp_path / "truth").mkdir()
     write(tmp_path, "elsewhere", np.zeros((2, 2)))
     with pytest.raises(SceneError, match="lies outside"):
-        Truth.find(tmp_path).score("../../../v", torch.zeros(2, 2, 1), None, None, RANGE)
+        Truth(tmp_path / "truth").score("../../../v", torch.zeros(2, 2, 1), None, None, RANGE)
 
 
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:

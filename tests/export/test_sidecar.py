@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.export.job import comment_lines, facts_of, write_sidecar
+from mrgs.export.job import comment_lines, described, facts_of
 from mrgs.maps.surfaces import up_direction
 from mrgs.rasterizer.contract import Dilation
 from mrgs.scene import RGB, THERMAL, Camera, View
@@ -42,7 +42,7 @@ def test_what_is_not_known_is_null(scene):
 
 
 def test_the_sidecar_is_json_beside_the_file(tmp_path):
-    path = write_sidecar(tmp_path / "rgb.spz", {"unit": "°C"})
+    _, path = described(tmp_path / "rgb.spz", {"unit": "°C"})
     assert path == tmp_path / "rgb.spz.json"
     assert json.loads(path.read_text(encoding="utf-8")) == {"file": "rgb.spz", "unit": "°C"}
 

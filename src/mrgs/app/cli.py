@@ -16,23 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from mrgs.app.commands import (
-    COMMANDS,
-    Check,
-    CompareMethods,
-    Demo,
-    Eval,
-    Export,
-    Measure,
-    PhotoOptions,
-    Prepare,
-    Render,
-    Report,
-    RunAll,
-    Synth,
-    Train,
-    ViewRun,
-)
+from mrgs.app import commands
+from mrgs.app.commands import COMMANDS
 from mrgs.app.interrupts import BY_CTRL_C, interrupts
 from mrgs.app.progress import PrepareProgress, counter
 from mrgs.app.terminal import (
@@ -73,12 +58,8 @@ _COMPLETION = ("--tyro-print-completion", "--tyro-write-completion")
 
 
 def parse(argv: Sequence[str]) -> Any:
-    """The command, one of the types in ``COMMANDS``, with its options.
-
-    Raises:
-        SystemExit: with 0 after a help text, a version or a completion script was printed; with 2
-            after an error.
-    """
+    """The command, one of the types in ``COMMANDS``, with its options. SystemExit with 0 after a
+    help text, a version or a completion script was printed, with 2 after an error."""
     first = argv[0] if argv else "--help"
     if first in COMMANDS:
         return tyro.cli(COMMANDS[first], prog=f"mrgs {first}", args=argv[1:], config=_CONFIG)
@@ -156,29 +137,29 @@ def _run(argv: list[str] | None) -> int:
         command = parse(sys.argv[1:] if argv is None else argv)
     finally:
         sys.stdout.flush()
-    if isinstance(command, (RunAll, Demo, Prepare, Check)):
+    if isinstance(command, (commands.RunAll, commands.Demo, commands.Prepare, commands.Check)):
         # For thousands of small matrices BLAS threads only wait for each other. Read once, when
         # NumPy is loaded.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     follow_pipeline = imported("mrgs.app.pipeline", "follow_pipeline")
     handlers: dict[type, Callable[[Any], int | None]] = {
-        RunAll: lambda given: follow_pipeline(
+        commands.RunAll: lambda given: follow_pipeline(
             given.photos, given, given.photo.options(), given.yes, given.flat_field
         ),
-        Prepare: _prepare,
-        Check: _check,
-        Train: train,
-        CompareMethods: compare,
-        Eval: _eval,
-        Render: _render,
-        ViewRun: _view,
-        Measure: imported("mrgs.app.measuring", "measure"),
-        Export: _export,
-        Report: _report,
-        Demo: lambda given: follow_pipeline(
-            _bundled_scene(), given, PhotoOptions().options(), True
+        commands.Prepare: _prepare,
+        commands.Check: _check,
+        commands.Train: train,
+        commands.CompareMethods: compare,
+        commands.Eval: _eval,
+        commands.Render: _render,
+        commands.ViewRun: _view,
+        commands.Measure: imported("mrgs.app.measuring", "measure"),
+        commands.Export: _export,
+        commands.Report: _report,
+        commands.Demo: lambda given: follow_pipeline(
+            _bundled_scene(), given, commands.PhotoOptions().options(), True
         ),
-        Synth: _synth,
+        commands.Synth: _synth,
     }
     return handlers[type(command)](command) or 0
 
@@ -209,7 +190,7 @@ def _line(error: Exception) -> str | None:
     return None
 
 
-def _prepare(command: Prepare) -> None:
+def _prepare(command: commands.Prepare) -> None:
     from mrgs.pipeline.forecast import expect_prepare
     from mrgs.prepare import prepare
 
@@ -226,7 +207,7 @@ def _prepare(command: Prepare) -> None:
     say(f"scene: {made.scene}", f"open:  {made.page}", f"next:  mrgs train {quoted(made.scene)}")
 
 
-def _check(command: Check) -> int:
+def _check(command: commands.Check) -> int:
     from mrgs.prepare.page.check import check_scene
 
     with PrepareProgress() as progress:
@@ -236,7 +217,7 @@ def _check(command: Check) -> int:
     return 0 if found.usable else EXIT_BAD_SCENE
 
 
-def _eval(command: Eval) -> None:
+def _eval(command: commands.Eval) -> None:
     if command.renders is not None:
         if command.scene is not None:
             raise ConfigError("with --renders, give the scene instead of the run and omit --scene")
@@ -267,7 +248,7 @@ def _eval(command: Eval) -> None:
     say(f"scores:   {folder / 'eval/metrics.md'}", f"pictures: {folder / 'eval/contact_sheet.png'}")
 
 
-def _render(command: Render) -> None:
+def _render(command: commands.Render) -> None:
     from mrgs.evaluation import render_run
     from mrgs.runs.open import open_run
 
@@ -277,7 +258,7 @@ def _render(command: Render) -> None:
     say(f"images: {folder}")
 
 
-def _view(command: ViewRun) -> None:
+def _view(command: commands.ViewRun) -> None:
     from mrgs.runs.open import load_run
     from mrgs.viewer import view
 
@@ -286,7 +267,7 @@ def _view(command: ViewRun) -> None:
     view(run, scene_if_there(run), command.host, command.port, on_ready=print_viewer_address)
 
 
-def _export(command: Export) -> None:
+def _export(command: commands.Export) -> None:
     from mrgs.export import export
     from mrgs.maps.options import MapOptions, parse_plane
     from mrgs.pipeline.forecast import expect_export
@@ -315,7 +296,7 @@ def _export(command: Export) -> None:
     print_exported(folder, paths)
 
 
-def _report(command: Report) -> None:
+def _report(command: commands.Report) -> None:
     from mrgs.pipeline.forecast import expect_report
     from mrgs.report import report_run
     from mrgs.report.write import require_weasyprint
@@ -334,7 +315,7 @@ def _report(command: Report) -> None:
     say(f"report: {path}", *([f"pdf: {path.with_suffix('.pdf')}"] if command.pdf else []))
 
 
-def _state_survey(command: Report) -> None:
+def _state_survey(command: commands.Report) -> None:
     """Write the survey that the options state to the run's folder, or an empty one to fill in."""
     from mrgs.survey import SURVEY_FILE, read_survey, write_survey
 
@@ -349,7 +330,7 @@ def _state_survey(command: Report) -> None:
         print(f"survey: fill in {own}, and write the report again")
 
 
-def compare(command: CompareMethods) -> None:
+def compare(command: commands.CompareMethods) -> None:
     """Train and score methods side by side."""
     from mrgs.comparison import Options, Variant
     from mrgs.comparison import compare as compare_methods
@@ -430,7 +411,7 @@ def _bundled_scene() -> Path:
     )
 
 
-def _synth(command: Synth) -> None:
+def _synth(command: commands.Synth) -> None:
     try:
         from mrgs_synth import synthesize
         from mrgs_synth.solar_plant import PlantOptions, synthesize_plant

@@ -127,13 +127,9 @@ def counter(
 
 
 class TrainingProgress:
-    """Progress of a training. Once it has begun, an interruption ends it after the current step;
-    a second Ctrl-C at once.
-
-    Attributes:
-        unfinished: whether it was interrupted before its last step.
-        max_steps: training steps; 0 before the start.
-    """
+    """Progress of a training: ``max_steps``, 0 before the start, and whether it is ``unfinished``,
+    interrupted before the last of them. Once it has begun, an interruption ends it after the
+    current step; a second Ctrl-C at once."""
 
     def __init__(self, clock: Clock = time.perf_counter) -> None:
         self.unfinished = False

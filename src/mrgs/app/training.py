@@ -26,12 +26,8 @@ if TYPE_CHECKING:
 
 
 def train(command: Train) -> None:
-    """Train.
-
-    Raises:
-        MrgsError: an option cannot be followed, or as the training.
-        Interrupted: the training was interrupted, and has saved a checkpoint.
-    """
+    """Train. MrgsError if an option cannot be followed, or as the training; Interrupted if the
+    training was interrupted, and has saved a checkpoint."""
     from mrgs.run_files.folder import RunFolder
     from mrgs.runs.open import method_of
     from mrgs.runs.registry import find_method

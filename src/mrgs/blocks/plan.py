@@ -41,13 +41,8 @@ OVERLAP = 0.15
 
 
 class BlockOptions(NamedTuple):
-    """How a scene is to be cut.
-
-    Attributes:
-        blocks: ``auto`` or ``ROWSxCOLUMNS``.
-        overlap: width of the margin about each block that is trained with it, scene units; None for
-            a share of the smallest block.
-    """
+    """How a scene is to be cut: ``auto`` or ``ROWSxCOLUMNS``, and the width of the margin about
+    each block that is trained with it, scene units; None for a share of the smallest block."""
 
     blocks: str = "auto"
     overlap: float | None = None

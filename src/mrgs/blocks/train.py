@@ -85,13 +85,9 @@ class BlockTraining:
     def plan(self) -> BlockPlan:
         """The plan of the blocks; made, after the coarse model, if it is not there.
 
-        Where another process makes it, this one waits.
-
-        Raises:
-            ConfigError: the scene cannot be cut like this.
-            RunError: the folder holds something else, or blocks made otherwise.
-            MrgsError: as ``train``.
-        """
+        Where another process makes it, this one waits. ConfigError if the scene cannot be cut like
+        this, RunError if the folder holds something else, or blocks made otherwise; other errors as
+        for ``train``."""
         path = self._below / "plan.json"
         parse_grid(self.options.blocks)
         if self.config.batch != 1:
@@ -138,13 +134,8 @@ class BlockTraining:
         return [n for n in numbers if not _is_finished(self.block_folder(n), self.config)]
 
     def train_block(self, number: int) -> None:
-        """Train a block, or continue it.
-
-        Raises:
-            ConfigError: there is no such block.
-            FolderInUseError: another process trains it.
-            MrgsError: as ``train``.
-        """
+        """Train a block, or continue it. ConfigError if there is no such block, FolderInUseError if
+        another process trains it; other errors as for ``train``."""
         count = len(self.plan.cells)
         if not 1 <= number <= count:
             raise ConfigError(

@@ -62,13 +62,9 @@ WITHOUT_BOLTZ, WITH_BOLTZ = "mrgs-fourier", "mrgs"
 
 @dataclass(frozen=True, eq=False)
 class Exhibit:
-    """One view of one scene as every method shows it.
-
-    Attributes:
-        folder: the scene's folder, for its exact depths.
-        shown: images by method, with the depth from the thermal camera, on which L_boltz acts.
-        figures: by method, this view's entry in ``metrics.json``.
-    """
+    """One view of one scene as every method shows it: ``folder`` is the scene's, for its exact
+    depths, ``shown`` the images by method, with the depth from the thermal camera, on which L_boltz
+    acts, and ``figures``, by method, this view's entry in ``metrics.json``."""
 
     scene: Scene
     folder: Path
@@ -161,13 +157,9 @@ def _caption(exhibit: Exhibit, method: str, modality: Modality) -> str:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The results of a comparison.
-
-    Attributes:
-        tables: without empty ones.
-        failures: reason of each run or set of renders without scores.
-        folder: of ``tables/``, ``figures/``, ``results.json`` and ``runs/``.
-    """
+    """The results of a comparison: its tables without empty ones, why each run or set of renders
+    without scores has none, and the folder of ``tables/``, ``figures/``, ``results.json`` and
+    ``runs/``."""
 
     tables: tuple[Table, ...]
     failures: Mapping[str, str]

@@ -114,13 +114,9 @@ def _method_in(text: str, source: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class PlannedRun:
-    """A run of a comparison, before it is trained.
-
-    Attributes:
-        scene: absolute path of the scene's folder or transforms file.
-        method: its name in tables; unique among the methods of a comparison.
-        scores: of an earlier call; None if there are none, or of other held-out images.
-    """
+    """A run of a comparison, before it is trained: ``scene`` is the absolute path of the scene's
+    folder or transforms file, ``method`` the name in tables, unique among the methods, and
+    ``scores`` those of an earlier call; None if there are none, or of other held-out images."""
 
     scene: Path
     scene_name: str
@@ -136,12 +132,8 @@ class PlannedRun:
 
 def plan(scenes: Sequence[Path], output: Path, options: Options) -> list[PlannedRun]:
     """All runs in their order of execution: every table is complete after the first seed.
-
-    Raises:
-        SceneError: a scene cannot be read, or has no held-out views.
-        ConfigError: an option is not allowed, two scenes have one name, or a run's folder has
-            another run, or one of other data.
-    """
+    SceneError if a scene cannot be read, or has no held-out views; ConfigError if an option is not
+    allowed, two scenes have one name, or a run's folder has another run, or one of other data."""
     if options.seeds < 1:
         raise ConfigError(
             f"the number of seeds must be at least 1, not {options.seeds}", options=("seeds",)

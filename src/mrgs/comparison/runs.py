@@ -43,15 +43,11 @@ def run_one(
     on_step: OnStep | None = None,
     on_score: Callable[[int, int], None] | None = None,
 ) -> bool:
-    """Train, continue, or only score one run, depending on its state. MrgsError if the scene or the
-    folder cannot be used, or the training had to stop. Returns whether it is scored; False if
-    ``on_step`` stopped it.
-
-    Args:
-        device: where it is trained and rendered, if its method can use a GPU.
-        on_step: called after every training step; returning True stops with a checkpoint.
-        on_score: called with the numbers of scored views and of all.
-    """
+    """Train, continue, or only score one run, depending on its state; returns whether it is scored,
+    not so if ``on_step``, called after every training step, has stopped it by returning True, with
+    a checkpoint. ``on_score`` is called with the numbers of scored views and of all. A GPU is used
+    if the method can. MrgsError if the scene or the folder cannot be used, or the training had to
+    stop."""
     method = find_method(config.method)
     device = device if method.uses_gpu else "cpu"
     if not _is_trained(folder, config):
@@ -95,12 +91,9 @@ def read_metrics(folder: Path) -> Scores | None:
 
 
 def require_same_config(folder: Path, config: RunConfig, scores: Scores | None) -> None:
-    """Check that the run or the scores in a folder have this configuration.
-
-    Raises:
-        ConfigError: it was trained with another; the message names the first value that differs.
-        RunError: its configuration cannot be read.
-    """
+    """Check that the run or the scores in a folder have this configuration. ConfigError if it was
+    trained with another, whose message names the first value that differs; RunError if its
+    configuration cannot be read."""
     run = RunFolder(folder)
     if not run.config_file.exists() or not (run.checkpoints() or scores):
         return
@@ -154,12 +147,9 @@ class SceneData:
 def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> None:
     """Check that the run in a folder was trained on the present data of its scene.
 
-    Held-out images may differ if there is a checkpoint, which can be scored again.
-
-    Raises:
-        ConfigError: it was trained, or scored, on other data; the message says what has changed.
-        SceneError: a photo cannot be read.
-    """
+    Held-out images may differ if there is a checkpoint, which can be scored again. ConfigError if
+    it was trained, or scored, on other data, which says what has changed; SceneError if a photo
+    cannot be read."""
     facts = None  # of the newest readable checkpoint; the run itself reports others
     for checkpoint in RunFolder(folder).checkpoints():
         with suppress(RunError):

@@ -20,12 +20,8 @@ Mark = Literal["best", "second", ""]
 
 
 class Kind(NamedTuple):
-    """Properties of a figure.
-
-    Attributes:
-        decimals: as printed; ``paper_decimals`` as the paper prints it.
-        better: which direction is better; None where neither is (the camera's own error).
-    """
+    """Properties of a figure: the decimals it is printed with, here and in the paper, and which
+    direction is better; None where neither is (the camera's own error)."""
 
     heading: str
     unit: str
@@ -61,13 +57,8 @@ RUN_KINDS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of one run, or of one set of another program's renders.
-
-    Attributes:
-        seed: of the run; None for renders.
-        document: the content of ``metrics.json``; None where there is none.
-        failure: why there is none.
-    """
+    """The result of one run, or of one set of another program's renders, which has no seed: the
+    content of ``metrics.json``, or None and why there is none."""
 
     scene: str
     method: str
@@ -83,12 +74,8 @@ class Outcome:
 
 
 class Cell(NamedTuple):
-    """Mean and sample standard deviation over seeds.
-
-    Attributes:
-        std: None for fewer than two seeds.
-        note: why it is missing, or what it leaves out.
-    """
+    """Mean and sample standard deviation over seeds, None for fewer than two; ``note`` says why the
+    mean is missing, or what it leaves out."""
 
     mean: float | None
     std: float | None = None
@@ -241,13 +228,9 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the table.
-
-    Attributes:
-        cells: one per figure of every group, in order.
-        block: rows of one block are ranked against each other.
-        published: the figures are the paper's: printed with its decimals, and not ranked.
-    """
+    """A line of the table, with a cell for each figure of every group, in order. Rows of one block
+    are ranked against each other, but ``published`` ones: their figures are the paper's, and
+    printed with its decimals."""
 
     labels: tuple[str, ...]
     cells: tuple[Cell, ...]

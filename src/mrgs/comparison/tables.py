@@ -68,13 +68,9 @@ ALIGNED_REMARKS = (
 
 @dataclass(frozen=True)
 class Outcomes:
-    """All outcomes of a comparison, by scene and method.
-
-    Attributes:
-        scenes: names in the order of the columns.
-        methods: in the order of the rows, without those of the table of neighbours alone.
-        neighbours: the method of each n of the table of neighbours.
-    """
+    """All outcomes of a comparison, by scene and method: scenes in the order of the columns,
+    methods in that of the rows, without those of the table of neighbours alone, of which
+    ``neighbours`` has the method of each n."""
 
     all: tuple[Outcome, ...]
     scenes: tuple[str, ...]

@@ -65,13 +65,9 @@ class ViewImages:
         ball: SceneBounds | None = None,
         depth_of: Modality | None = None,
     ) -> ViewImages:
-        """The images of a view with its photos, and of a rendering that is compared with them.
-        SceneError if a photo cannot be read.
-
-        Args:
-            ball: how far the scene reaches; depth beyond it is the background's. None if unbounded.
-            depth_of: the modality whose depth is shown if known; None for the first.
-        """
+        """The images of a view with its photos, and of a rendering that is compared with them, with
+        its depth of the modality ``depth_of`` if known, else of the first; beyond ``ball`` depth is
+        the background's. SceneError if a photo cannot be read."""
         seen = rendering.with_depth(depth_of or next(iter(rendering)))
         photos = {each: image.load() for each, image in view.images.items()}
         rendered = {each: Pixels(blend.image.detach().cpu()) for each, blend in rendering.items()}

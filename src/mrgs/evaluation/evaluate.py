@@ -69,18 +69,12 @@ class Truth:
     folder: Path
 
     @classmethod
-    def find(cls, scene: Path) -> Truth | None:
-        """The exact truth in a scene's folder; None if there is none, as for every real capture."""
-        folder = scene / "truth"
-        return cls(folder) if folder.is_dir() else None
-
-    @classmethod
     def of(cls, scene: Scene) -> Truth | None:
-        """The exact truth of a scene; None if there is none, or if it was made from arrays."""
+        """The exact truth of a scene; None if there is none, as for every real capture, or if it
+        was made from arrays."""
         path = Path(scene.path)
-        if not scene.path:
-            return None
-        return cls.find(path.parent if path.is_file() else path)
+        folder = (path.parent if path.is_file() else path) / "truth"
+        return cls(folder) if scene.path and folder.is_dir() else None
 
     def score(
         self,
@@ -187,13 +181,8 @@ def read_float_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
 
 @dataclass(frozen=True)
 class ViewMetrics:
-    """The figures of one view.
-
-    Attributes:
-        figures: of each modality, by the names of ``figure_names``.
-        truth: against the exact truth, by the names of ``TRUTH_FIGURES``; None where the scene has
-            none.
-    """
+    """The figures of one view: of each modality, by the names of ``figure_names``, and against the
+    exact truth, by those of ``TRUTH_FIGURES``; None where the scene has none."""
 
     name: str
     figures: Mapping[Modality, Figures]
@@ -238,7 +227,7 @@ def evaluate(
     Args:
         render: the model, from a view to its images.
         temperature: the scene's scale; None leaves the figures in °C out.
-        truth: exact temperatures and depths, compared with the rendering; see ``Truth.find``.
+        truth: exact temperatures and depths, compared with the rendering; see ``Truth.of``.
         visit: called after each view with the images that were compared with its photos.
         camera_response: from the rendering to what the cameras record, which is compared with the
             photos.

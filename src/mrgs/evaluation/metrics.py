@@ -73,13 +73,10 @@ def to_json(figure: Figure) -> tuple[float | None, str | None]:
         return None, figure.reason
     if math.isnan(figure):
         return None, "not a number: the rendering holds NaN"
-    if math.isinf(figure):
-        return (
-            None,
-            "infinite: the images are identical"
-            if figure > 0
-            else "not finite: the rendering overflows",
-        )
+    if figure == math.inf:
+        return None, "infinite: the images are identical"
+    if figure == -math.inf:
+        return None, "not finite: the rendering overflows"
     return float(figure), None
 
 
@@ -214,12 +211,8 @@ def otsu_threshold(values: Float[np.ndarray, " n"], bins: int = 256) -> float | 
 
 @dataclass(frozen=True)
 class Foreground:
-    """Which temperatures are the object's.
-
-    Attributes:
-        threshold: between object and background, normalised temperature.
-        is_warm: whether the object is what is warmer; an ice cup is not.
-    """
+    """Which temperatures are the object's: above the threshold (normalised) if the object
+    ``is_warm``, else below it, as of an ice cup."""
 
     threshold: float
     is_warm: bool

@@ -21,13 +21,8 @@ KNOCK_OUT_FIGURES = ("thermal_psnr", "rgb_psnr", "truth_mae_c")
 
 @dataclass(frozen=True)
 class Parts:
-    """The parts of a run's model.
-
-    Attributes:
-        spreads: how much they differ from Gaussian to Gaussian.
-        knock_out: mean figures of the held-out views for each copy of ``knock_outs``, by the names
-            in ``KNOCK_OUT_FIGURES``.
-    """
+    """The parts of a run's model: how much they differ from Gaussian to Gaussian, and mean figures
+    of the held-out views for each copy of ``knock_outs``, by the names in ``KNOCK_OUT_FIGURES``."""
 
     spreads: PartSpreads
     knock_out: Mapping[str, Mapping[str, Figure]]

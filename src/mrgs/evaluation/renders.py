@@ -54,13 +54,9 @@ CELSIUS_FOLDER = "temperature_c"
 
 @dataclass(frozen=True)
 class Renders:
-    """The image files of one folder.
-
-    Attributes:
-        images: of each modality that the folder has, by view name; the name of a file's folder
-            determines how it is read.
-        depths: of the thermal camera, by view name; may be empty.
-    """
+    """The image files of one folder: of each modality that it has, by view name, where the name of
+    a file's folder determines how it is read; and depths of the thermal camera, by view name, which
+    may be empty."""
 
     images: Mapping[Modality, Mapping[str, Path]]
     depths: Mapping[str, Path]
@@ -170,8 +166,7 @@ def _files(folder: Path, names: list[str], suffixes: frozenset[str]) -> dict[str
     if missing:
         raise RunError(
             f"{folder} has no image of {len(missing)} of {len(names)} eval views "
-            f"({listed(missing)}): "
-            "add them, named like the views"
+            f"({listed(missing)}): add them, named like the views"
         )
     for name in names:
         if len(found[name]) > 1:
@@ -256,7 +251,6 @@ def _temperatures(
     if (values.amax(dim=2) - values.amin(dim=2)).max() > GREY_TOLERANCE:
         raise RunError(
             f"{path} is pseudo-coloured, and temperatures cannot be read from colours: save 8-bit "
-            f"or 16-bit grey over "
-            "the scene's temperature range, or a float32 TIFF in °C"
+            f"or 16-bit grey over the scene's temperature range, or a float32 TIFF in °C"
         )
     return values[..., :1]

@@ -34,16 +34,15 @@ COLUMNS = {
 """Heading and decimals of each figure."""
 
 CONVENTIONS = (
-    "Full frame, undistorted images, mean over the views. PSNR has the range 1; 'matched' "
-    "gives each channel of the rendering the gain and the offset that suit the photo best, for "
-    "cameras that expose or "
-    "scale every photo by itself; 'after offset' gives the temperatures the offset that suits the "
-    "photo best, for cameras that drift. SSIM uses an 11×11 Gaussian window "
-    "(σ 1.5) with the data range 1, as the 3DGS family does; 'pair range' takes the range of the "
-    "image pair and whole "
-    "windows only, as torchmetrics does by default up to 1.4.1. The foreground is the side of "
-    "Otsu's threshold (averaged over the views) that covers less of the images' borders. LPIPS is "
-    "VGG's on [-1, 1]; the 3DGS family feeds it [0, 1], so its numbers do not compare."
+    "Full frame, undistorted images, mean over the views. PSNR has the range 1; 'matched' gives "
+    "each channel of the rendering the gain and the offset that suit the photo best, for cameras "
+    "that expose or scale every photo by itself; 'after offset' gives the temperatures the offset "
+    "that suits the photo best, for cameras that drift. SSIM uses an 11×11 Gaussian window (σ 1.5) "
+    "with the data range 1, as the 3DGS family does; 'pair range' takes the range of the image "
+    "pair and whole windows only, as torchmetrics does by default up to 1.4.1. The foreground is "
+    "the side of Otsu's threshold (averaged over the views) that covers less of the images' "
+    "borders. LPIPS is VGG's on [-1, 1]; the 3DGS family feeds it [0, 1], so its numbers do not "
+    "compare."
 )
 
 NO_POSE_ERROR = (
@@ -152,7 +151,12 @@ def to_document(
         document["truth"] = _split(metrics.truth, "truth", reasons)
     if parts is not None:
         document["parts"] = parts.to_document()
-    document["poses"] = _poses(metrics, reasons)
+    if metrics.pose_error_px is None:
+        reasons["poses.error_px"] = NO_POSE_ERROR
+    document["poses"] = {"error_px": metrics.pose_error_px}
+    if (aligned := metrics.aligned) is not None:
+        found = _groups(aligned.mean, aligned.truth, "poses.aligned.", reasons)
+        document["poses"]["aligned"] = found
     document["reasons"] = reasons
     document["views"] = []
     for view in metrics.views:
@@ -161,16 +165,6 @@ def to_document(
         document["views"].append({"name": view.name, **entry, "reasons": own})
     if data is not None:
         document["data"] = data.to_json()
-    return document
-
-
-def _poses(metrics: Metrics, reasons: dict[str, str]) -> dict[str, Any]:
-    """The object ``poses`` of ``metrics.json``."""
-    if metrics.pose_error_px is None:
-        reasons["poses.error_px"] = NO_POSE_ERROR
-    document: dict[str, Any] = {"error_px": metrics.pose_error_px}
-    if (aligned := metrics.aligned) is not None:
-        document["aligned"] = _groups(aligned.mean, aligned.truth, "poses.aligned.", reasons)
     return document
 
 

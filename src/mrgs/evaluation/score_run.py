@@ -69,12 +69,8 @@ MOST_POINTS = 1000
 
 
 class HeldOutError(NamedTuple):
-    """Distance of typical held-out photos from what the model shows.
-
-    Attributes:
-        found: in the inspected pixels.
-        pixel_size: of these, in pixels of the photos.
-    """
+    """Distance of typical held-out photos from what the model shows, in the inspected pixels, and
+    the size of these in pixels of the photos."""
 
     found: PoseAgreement
     pixel_size: float
@@ -84,26 +80,6 @@ class HeldOutError(NamedTuple):
         """The distance in pixels of the photos; None if the model is not clear enough."""
         known = self.found.is_right or self.found.is_wrong
         return self.found.agreed_px * self.pixel_size if known else None
-
-
-class HeldOutPoses(NamedTuple):
-    """Result of checking the poses of eval views.
-
-    At a wrong pose a sharp model scores no better than a blurred one. So where the poses of
-    held-out photos are wrong, the photos are aligned with the model and scored there as well, as is
-    usual where poses are learned (Lin et al., BARF, 2021).
-
-    Attributes:
-        error_px: how far off what the model shows a typical photo is, pixels of the photo;
-            None where that is not known.
-        aligned: the views with their photos aligned; None where the poses are right.
-    """
-
-    error_px: float | None
-    aligned: tuple[View, ...] | None = None
-
-
-NOT_KNOWN = HeldOutPoses(None)
 
 
 def looked_at_first(views: Sequence[View]) -> list[View]:
@@ -209,25 +185,18 @@ def _seen(image: Alignable) -> Bool[Tensor, "h w"]:
 def evaluate_run(
     run: TrainedRun, lpips_weights: Path | None = None, progress: Progress | None = None
 ) -> Metrics:
-    """Score the run on its scene's eval views.
+    """Score the run on its scene's eval views; without ``lpips_weights`` LPIPS is left out, with
+    the reason.
 
     Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png`` into the run's folder
-    ``eval``.
-
-    Args:
-        lpips_weights: weights for LPIPS; without them it is left out, with the reason.
-        progress: called with finished and all steps: a view is inspected, and scored. There are
-            more steps if the poses turn out to be wrong.
-
-    Raises:
-        SceneError: the scene cannot be read, or has no eval views.
-        RunError: the weights cannot be read, or a file cannot be written.
-    """
+    ``eval``. The progress is called with finished and all steps: a view is inspected, and scored.
+    There are more steps if the poses turn out to be wrong. SceneError if the scene cannot be read,
+    or has no eval views; RunError if the weights cannot be read, or a file cannot be written."""
     scene = run.load_scene()
     truth = Truth.of(scene)
     counted = Counted(progress, len(scene.eval) + len(looked_at_first(scene.eval)))
-    poses = _held_out_poses(run, scene, counted)
-    views = poses.aligned or scene.eval
+    pose_error_px, aligned = _held_out_poses(run, scene, counted)
+    views = aligned or scene.eval
     parts = score_parts(run, views, truth) if isinstance(run, Run) and views else None
     return score_views(
         scene,
@@ -240,7 +209,8 @@ def evaluate_run(
         run.camera_response,
         parts,
         ScoredData.of(scene, run.facts.images),
-        poses,
+        pose_error_px,
+        aligned,
     )
 
 
@@ -257,12 +227,18 @@ class Counted:
             self._progress(self._done, self.total)
 
 
-def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutPoses:
-    """The poses of the held-out views, checked, and corrected with a warning where they are
-    wrong."""
+def _held_out_poses(
+    run: TrainedRun, scene: Scene, counted: Counted
+) -> tuple[float | None, tuple[View, ...] | None]:
+    """How far off what the model shows a typical held-out photo is, pixels of the photo, None if
+    not known; and where the poses are wrong, with a warning, the views with their photos aligned.
+
+    At a wrong pose a sharp model scores no better than a blurred one. So such photos are aligned
+    with the model and scored there as well, as is usual where poses are learned (Lin et al., BARF,
+    2021)."""
     error = held_out_error(run, looked_at_first(scene.eval), counted.one_more)
     if error is None or not error.found.is_wrong:
-        return HeldOutPoses(None if error is None else error.photo_px)
+        return None if error is None else error.photo_px, None
     warn_user(
         f"{scene.name}: the held-out photos are about {error.photo_px:.1f} pixels off what the "
         f"model shows: poses, theirs or those trained on, seem to be wrong, so they are scored "
@@ -270,7 +246,7 @@ def _held_out_poses(run: TrainedRun, scene: Scene, counted: Counted) -> HeldOutP
     )
     counted.total += 2 * len(scene.eval)
     aligned = tuple(aligned_view(run, view, counted.one_more) for view in scene.eval)
-    return HeldOutPoses(error.photo_px, aligned)
+    return error.photo_px, aligned
 
 
 def score_views(
@@ -284,10 +260,12 @@ def score_views(
     camera_response: CameraResponse = ideal_cameras,
     parts: Parts | None = None,
     data: ScoredData | None = None,
-    poses: HeldOutPoses = NOT_KNOWN,
+    pose_error_px: float | None = None,
+    aligned: Sequence[View] | None = None,
 ) -> Metrics:
     """Score renderings of a scene's eval views, and write the scores and the contact sheet into a
-    folder.
+    folder. SceneError if the scene has no eval views, or an image cannot be read; RunError if the
+    weights cannot be read, or a file cannot be written.
 
     Args:
         truth: the scene's exact truth; None if there is none.
@@ -295,11 +273,9 @@ def score_views(
         camera_response: from a rendering to what the cameras record, which the photos show.
         parts: for the report; None if the model has none.
         data: of the scores, for the report; None for another program's renderings.
-        poses: of the eval views; aligned ones are scored too, and shown on the contact sheet.
-
-    Raises:
-        SceneError: the scene has no eval views, or an image cannot be read.
-        RunError: the weights cannot be read, or a file cannot be written.
+        pose_error_px: of the eval views, see ``Metrics``.
+        aligned: the eval views with aligned poses, which are scored too, and shown on the contact
+            sheet; None where the poses are right.
     """
     if not scene.eval:
         remedy = (
@@ -328,12 +304,12 @@ def score_views(
         shown.add(next(numbers), metrics, images)
         on_view()
 
-    if poses.aligned is None:
+    if aligned is None:
         metrics = score(scene.eval, visit=visit)
     else:
         given = score(scene.eval, visit=lambda *_: on_view())
-        metrics = replace(given, aligned=score(poses.aligned, visit=visit))
-    metrics = replace(metrics, pose_error_px=poses.error_px)
+        metrics = replace(given, aligned=score(aligned, visit=visit))
+    metrics = replace(metrics, pose_error_px=pose_error_px)
     write_report(output, facts, metrics, parts, data)
     write_png(
         output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
@@ -365,13 +341,9 @@ def render_run(
     folder.
 
     Per view: what ``write_rendering`` writes. For ``path``, a camera path around the scene: frames
-    of each modality as PNG, and as mp4 where the extra ``video`` is installed.
-
-    Raises:
-        SceneError: the scene cannot be read.
-        ConfigError: an unknown split, or one without views.
-        RunError: a file cannot be written.
-    """
+    of each modality as PNG, and as mp4 where the extra ``video`` is installed. SceneError if the
+    scene cannot be read, ConfigError for an unknown split, or one without views, RunError if a file
+    cannot be written."""
     if split not in get_args(Split):
         raise ConfigError(
             f"unknown split {split!r}; choose one of {', '.join(get_args(Split))}",

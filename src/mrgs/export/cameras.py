@@ -16,18 +16,8 @@ import numpy as np
 from jaxtyping import Float64
 from PIL import Image
 
+from mrgs.data import transforms
 from mrgs.data.ply import write_points
-from mrgs.data.transforms import (
-    BOUNDS,
-    POINTS,
-    RECORD,
-    TRANSFORMS,
-    frame_json,
-    pinhole_lens,
-    world_json,
-    write_bounds,
-    write_transforms,
-)
 from mrgs.export.job import ExportJob
 from mrgs.export.splats import to_bytes
 from mrgs.pictures.files import to_array, write_float_tiff, write_png
@@ -62,10 +52,10 @@ def write_cameras(folder: Path, scene: Scene) -> list[Path]:
     ]
     if scene.temperature is not None and THERMAL in scene.modalities:
         bounds = scene.temperature.min_c, scene.temperature.max_c
-        paths.append(write_bounds(folder / BOUNDS, *bounds))
+        paths.append(transforms.write_bounds(folder / transforms.BOUNDS, *bounds))
     colors = to_bytes(scene.points.colors.numpy())
-    paths.append(write_points(folder / POINTS, scene.points.positions.numpy(), colors))
-    paths.append(_write_transforms(folder / TRANSFORMS, scene))
+    paths.append(write_points(folder / transforms.POINTS, scene.points.positions.numpy(), colors))
+    paths.append(_write_transforms(folder / transforms.TRANSFORMS, scene))
     return [*paths, *_write_colmap(folder / COLMAP_FOLDER, scene)]
 
 
@@ -74,11 +64,11 @@ def _write_transforms(path: Path, scene: Scene) -> Path:
     frames = [_frame(view, scene.temperature is not None) for view in scene.views]
     names = [frame["file_path"] for frame in frames]
     count = len(scene.train)
-    facts = {"applied_transform": np.eye(4)[:3].tolist(), **world_json(scene.world)}
-    return write_transforms(
+    facts = {"applied_transform": np.eye(4)[:3].tolist(), **transforms.world_json(scene.world)}
+    return transforms.write_transforms(
         path,
         frames,
-        points=POINTS,
+        points=transforms.POINTS,
         split=(names[:count], names[count:]),
         modalities=scene.modalities,
         facts=facts,
@@ -89,16 +79,16 @@ def _frame(view: View, has_celsius: bool) -> dict[str, Any]:
     first, *others = view.images
     apart = [each for each in others if not view.shares_camera(first, each)]
     camera, cameras = view.camera, view.cameras
-    frame = frame_json(
+    frame = transforms.frame_json(
         camera.viewmat,
         _image_path(view, first, has_celsius),
         {each: _image_path(view, each, has_celsius) for each in others},
-        lens=pinhole_lens(camera),
+        lens=transforms.pinhole_lens(camera),
         viewmats={each: cameras[each].viewmat for each in apart},
-        lenses={each: pinhole_lens(cameras[each]) for each in apart},
+        lenses={each: transforms.pinhole_lens(cameras[each]) for each in apart},
     )
     return frame | {
-        f"{modality}_{RECORD}": image.record.to_json()
+        f"{modality}_{transforms.RECORD}": image.record.to_json()
         for modality, image in view.images.items()
         if image.record is not None
     }
@@ -113,7 +103,7 @@ def _image_path(view: View, modality: Modality, has_celsius: bool) -> str:
 def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
     """COLMAP's text model; points have no tracks, images no observations."""
     registered = _registered(scene)
-    used = dict.fromkeys(pinhole_lens(camera) for _, camera in registered)
+    used = dict.fromkeys(transforms.pinhole_lens(camera) for _, camera in registered)
     lenses = {lens: number for number, lens in enumerate(used, start=1)}
     cameras = [f"{number} PINHOLE {_row(astuple(lens)[:6])}" for lens, number in lenses.items()]
     images = []
@@ -121,7 +111,7 @@ def _write_colmap(folder: Path, scene: Scene) -> list[Path]:
         quaternion = quaternion_from_matrix(camera.viewmat[:3, :3].numpy()).tolist()
         pose = _row([*quaternion, *camera.viewmat[:3, 3].tolist()])
         images.append(
-            f"{number} {pose} {lenses[pinhole_lens(camera)]} {name}\n"
+            f"{number} {pose} {lenses[transforms.pinhole_lens(camera)]} {name}\n"
         )  # and an empty line: no observations
     positions = scene.points.positions.double().tolist()
     colors = to_bytes(scene.points.colors.numpy()).tolist()

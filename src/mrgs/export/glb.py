@@ -61,13 +61,9 @@ def write_glb(
 ) -> Path:
     """Write a glb file; returns the path. RunError if it cannot be written.
 
-    Args:
-        up: the up direction of the scene's frame, unit length; the node is rotated so that it
-            becomes glTF's +y. None leaves it.
-        extras: facts for the file's ``asset.extras``.
-        properties: more numbers per splat by name, float32; glTF keeps them under ``_NAME`` in
-            capitals.
-    """
+    The node is rotated so that the ``up`` direction of the scene's frame, unit length, becomes
+    glTF's +y; None leaves it. ``extras`` are facts for the file's ``asset.extras``, ``properties``
+    more numbers per splat by name, float32, which glTF keeps under ``_NAME`` in capitals."""
     attributes = _attributes(splats)
     attributes |= {
         f"_{name.upper()}": values.astype(np.float32) for name, values in (properties or {}).items()

@@ -175,8 +175,10 @@ class ExportJob:
 
 
 def described(path: Path, facts: Mapping[str, Any]) -> list[Path]:
-    """Write the facts about a file as its sidecar; returns the paths of both."""
-    return [path, write_sidecar(path, facts)]
+    """Write the facts about a file beside it, as ``NAME.SUFFIX.json``; returns the paths of both.
+    RunError if the file cannot be written."""
+    content = json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False)
+    return [path, write_text(path.with_name(f"{path.name}.json"), content)]
 
 
 def facts_of(
@@ -208,10 +210,8 @@ def facts_of(
         "dilation": asdict(baked.dilation),
         "baking_loss_db": None if loss is None else loss_facts(loss),
         "baking": "the view-dependent colour residual is folded into spherical harmonics of "
-        "degree 3; what depends on "
-        "the view in the temperatures is left out; baking_loss_db is the mean PSNR over the "
-        "held-out views that this "
-        "costs (null: not measured)",
+        "degree 3; what depends on the view in the temperatures is left out; baking_loss_db is the "
+        "mean PSNR over the held-out views that this costs (null: not measured)",
     }
 
 
@@ -251,13 +251,6 @@ def comment_lines(facts: Mapping[str, Any]) -> list[str]:
         f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)}"
         for name, value in facts.items()
     ]
-
-
-def write_sidecar(path: Path, facts: Mapping[str, Any]) -> Path:
-    """Write the facts about a file beside it, as ``NAME.SUFFIX.json``; returns that path. RunError
-    if the file cannot be written."""
-    content = json.dumps({"file": path.name, **facts}, indent=1, ensure_ascii=False)
-    return write_text(path.with_name(f"{path.name}.json"), content)
 
 
 def _temperature_facts(baked: BakedModel) -> dict[str, Any]:

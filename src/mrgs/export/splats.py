@@ -88,9 +88,8 @@ def require_exportable(baked: BakedModel) -> None:
         broken += int((~finite).sum())
     if broken:
         raise RunError(
-            f"{broken} of {len(baked)} splats hold NaN or infinity, so the model "
-            f"cannot be exported: "
-            "retrain it, or go on from an older checkpoint"
+            f"{broken} of {len(baked)} splats hold NaN or infinity, so the model cannot be "
+            f"exported: retrain it, or go on from an older checkpoint"
         )
 
 

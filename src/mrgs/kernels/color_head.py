@@ -27,12 +27,8 @@ def color_residuals(
     camera_position: Float[Tensor, "3"],
     rows: Int64[Tensor, " v"] | None = None,
 ) -> Float[Tensor, "v 3"]:
-    """``mrgs.field.appearance.color_residuals`` for float32 on the CPU.
-
-    Raises:
-        ValueError: tensors of other sizes or types.
-        IndexError: rows that do not exist.
-    """
+    """``mrgs.field.appearance.color_residuals`` for float32 on the CPU. ValueError for tensors of
+    other sizes or types, IndexError for rows that do not exist."""
     *hidden, output = (layer for layer in head.mlp if isinstance(layer, nn.Linear))
     weights = [tensor for layer in hidden for tensor in (layer.weight, layer.bias)]
     weights += [head.scale * output.weight, head.scale * output.bias]

@@ -17,15 +17,8 @@ def require(
     dtypes: Sequence[torch.dtype] = (torch.float32,),
     device: torch.device = HOST,
 ) -> None:
-    """A tensor must be of a shape, of a type, and on a device. ValueError if it is not so.
-
-    Args:
-        name: of the tensor, for the message.
-        tensor: to check.
-        shape: that it must have; None allows any size.
-        dtypes: the types that it may have.
-        device: where it must be.
-    """
+    """A tensor must have a shape, of which None allows any size, one of the types, and be on a
+    device; ValueError with its name if it is not so."""
     fits = tensor.dim() == len(shape) and all(
         size is None or size == found for size, found in zip(shape, tensor.shape, strict=True)
     )
@@ -39,12 +32,8 @@ def require(
 
 
 def require_indices(name: str, indices: Tensor, shape: Sequence[int | None], count: int) -> None:
-    """A tensor must hold int64 indices of ``count`` rows.
-
-    Raises:
-        ValueError: it is of another shape or type.
-        IndexError: an index is negative, or not below ``count``.
-    """
+    """A tensor must hold int64 indices of ``count`` rows. ValueError if it is of another shape or
+    type; IndexError if an index is negative, or not below ``count``."""
     require(name, indices, shape, (torch.int64,))
     if indices.numel() == 0:
         return
@@ -56,14 +45,9 @@ def require_indices(name: str, indices: Tensor, shape: Sequence[int | None], cou
 
 
 def require_layers(name: str, layers: Sequence[Tensor], widths: Sequence[int | None]) -> None:
-    """Weights and biases of linear layers must pass on what the layer before them gives. ValueError
-    if they do not.
-
-    Args:
-        name: of the network, for the message.
-        layers: weight [out, in] and bias [out] of each layer, in float32.
-        widths: of the inputs and of each layer's outputs; None allows any.
-    """
+    """Weight [out, in] and bias [out] of linear layers, in float32, must pass on what the layer
+    before them gives: ``widths`` are those of the inputs and of each layer's outputs, and None
+    allows any. ValueError with the network's name if they do not."""
     inputs = widths[0]
     for place, outputs in enumerate(widths[1:]):
         weight, bias = layers[2 * place], layers[2 * place + 1]
@@ -77,12 +61,8 @@ def _short(dtype: torch.dtype) -> str:
 
 
 def listed(rows: Tensor | None, count: int) -> Tensor:
-    """The rows, on the CPU; all ``count`` of them if None.
-
-    Raises:
-        ValueError: not a list of int64.
-        IndexError: rows that do not exist.
-    """
+    """The rows, on the CPU; all ``count`` of them if None. ValueError if they are no list of int64,
+    IndexError for rows that do not exist."""
     if rows is None:
         return torch.arange(count)
     require_indices("rows", rows, (None,), count)

@@ -87,14 +87,11 @@ class CoordinateSystem:
 
 
 def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSystem:
-    """The CRS of a scene in metres: a projected one where GPS placed the scene, else a local one.
-    ConfigError if the scene is not known to be in metres; the wanted CRS does not exist, is not in
-    metres, does not cover the scene, or is mirrored or not true to scale there; the scene has no
-    place on Earth, or is beyond UTM; or pyproj is not installed.
-
-    Args:
-        wanted: a projected CRS in metres, such as ``EPSG:25832``; None takes the UTM zone.
-    """
+    """The CRS of a scene in metres: where GPS placed the scene the wanted projected one, such as
+    ``EPSG:25832``, or by default the UTM zone; else a local one. ConfigError if the scene is not
+    known to be in metres; the wanted CRS does not exist, is not in metres, does not cover the
+    scene, or is mirrored or not true to scale there; the scene has no place on Earth, or is beyond
+    UTM; or pyproj is not installed."""
     require_metres(scene)
     world = scene.world
     if not world.is_georeferenced or world.origin is None:

@@ -13,22 +13,10 @@ import torch
 from jaxtyping import Float32, Float64
 
 from mrgs.errors import ConfigError, RunError
+from mrgs.maps import surfaces
 from mrgs.maps.crs import CoordinateSystem
 from mrgs.maps.options import MapOptions
-from mrgs.maps.surfaces import (
-    Coverage,
-    MapGrid,
-    PhotoStatistics,
-    ShownPlaces,
-    median_distance,
-    on_seen_surface,
-    photo_map,
-    pixel_size_m,
-    survey,
-    survey_pixel,
-    unprojected,
-    vertical,
-)
+from mrgs.maps.surfaces import Coverage, MapGrid, PhotoStatistics, ShownPlaces
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Scene
@@ -102,7 +90,9 @@ def draw_map(
             options=("pixel_size_m",),
         )
     means = to_array(baked.means)
-    drawn = torch.from_numpy(grid.inside(means.astype(np.float64)) & on_seen_surface(maps, means))
+    drawn = torch.from_numpy(
+        grid.inside(means.astype(np.float64)) & surfaces.on_seen_surface(maps, means)
+    )
     # All others become transparent: a copy of the splats to draw would take more memory.
     opacities = {each: opacity * drawn for each, opacity in baked.opacities.items()}
     splats = replace(baked, opacities=opacities)
@@ -119,7 +109,7 @@ def draw_map(
         bands[:, beyond], points[beyond] = np.nan, np.nan
     statistics = PhotoStatistics(points, grid)
     for image in scene.train_photos(THERMAL):
-        statistics.add(photo_map(baked, scene, image))
+        statistics.add(surfaces.photo_map(baked, scene, image))
     if not statistics.photos.any():
         raise RunError("no thermal photo shows a surface of this map: check its plane")
     bands[0], bands[5] = statistics.celsius, statistics.scatter_c
@@ -140,7 +130,7 @@ def _draw_part(
     depth = to_array(splats.median_depth(scene.modalities[0], camera))
     depth = shown.depth_of_part(part, camera, depth)
     surface = np.isfinite(depth)
-    points[surface] = unprojected(camera, depth)[surface]
+    points[surface] = surfaces.unprojected(camera, depth)[surface]
     if RGB in scene.modalities:
         blend = splats.render({RGB: camera})[RGB]
         # The light that gets through gaps between splats is black: it is no colour of a surface.
@@ -168,17 +158,17 @@ def map_from_above(
     """The map of a scene from above, in the coordinates of ``system``; for the others see
     ``facade_map``. ConfigError if the vertical is not known or the map has too many pixels,
     RunError if the photos show no surface, SceneError if a photo cannot be read."""
-    axes, scale, offset = _plan_view(system, vertical(scene))
-    maps = survey(baked, scene)
-    limit = TIMES_MEDIAN * median_distance(maps)
+    axes, scale, offset = _plan_view(system, surfaces.vertical(scene))
+    maps = surfaces.survey(baked, scene)
+    limit = TIMES_MEDIAN * surfaces.median_distance(maps)
     near = [replace(item, depth=np.where(item.depth < limit, item.depth, np.inf)) for item in maps]
     points = [item.points() for item in near]
     places = [scale * each @ axes[:2].T + offset for each in points]
-    coverage = Coverage.of(places, CELL_PX * scale * survey_pixel(maps))
+    coverage = Coverage.of(places, CELL_PX * scale * surfaces.survey_pixel(maps))
     heights = np.concatenate([each @ axes[2] for each in points])
     slab = float(heights.min()), float(heights.max())
     low, high = coverage.bounds
-    pixel_m = pixel_size_m(scene, maps, options, high - low, most_px)
+    pixel_m = surfaces.pixel_size_m(scene, maps, options, high - low, most_px)
     # The edges are multiples of the pixel size, as GIS expect of neighbouring maps.
     first, last = np.floor(low / pixel_m).astype(int), np.ceil(high / pixel_m).astype(int)
     width, height = (max(int(size), 1) for size in last - first)

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float
 
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
@@ -181,22 +181,11 @@ class MarkMeter:
         reading = replace(reading, surface=settings, remarks=(*reading.remarks, *remarks))
         image = in_unit(THERMAL, thermal_values(seen.rendering), self._temperature)
         in_photos = image[rows, columns][seen_there].astype(np.float64)
-        return self._with_uncertainty(reading, places, in_photos, regions)
-
-    def _with_uncertainty(
-        self,
-        reading: MarkReading,
-        places: Float[np.ndarray, "n 3"],
-        in_photos: Float64[np.ndarray, " n"],
-        regions: Regions,
-    ) -> MarkReading:
-        """With the uncertainty of its mean, where the photos are known; ``in_photos`` are the
-        values of the places as the photos have them."""
         if self.uncertainty is None:
             return reading
         found = self.uncertainty.of_mark(places, in_photos, regions)
-        remarks = (*reading.remarks, *self._remarks(reading, found))
-        return replace(reading, uncertainty=found, remarks=remarks)
+        unresolved = self._remarks(reading, found)
+        return replace(reading, uncertainty=found, remarks=(*reading.remarks, *unresolved))
 
     def _remarks(self, reading: MarkReading, uncertainty: Uncertainty) -> tuple[str, ...]:
         """Which of its extremes the photos do not resolve."""

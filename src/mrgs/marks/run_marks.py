@@ -113,12 +113,8 @@ class RunMarks:
         ).marks[-1]
 
     def change(self, name: str, /, **changes: Any) -> Mark:
-        """Change fields of a mark; returns it. See ``Mark`` for the fields.
-
-        Raises:
-            ConfigError: there is no such mark, or a value cannot be.
-            RunError: the file cannot be written.
-        """
+        """Change fields of a mark; returns it. See ``Mark`` for the fields. ConfigError if there is
+        no such mark, or a value cannot be; RunError if the file cannot be written."""
         return self.store.edit(lambda marks: marks.changing(name, **changes)).named(
             changes.get("name", name)
         )
@@ -142,12 +138,9 @@ class RunMarks:
 
     def calibrate(self, name: str, celsius: float) -> None:
         """Let ΔT refer to a mark whose true mean is known, °C, and shift all temperatures of the
-        run by the constant that the photos leave open; open the run again to see them.
-
-        Raises:
-            ConfigError: there is no such mark, no photo sees it, or the scene has no °C.
-            RunError: the run is being trained, or a file cannot be written.
-        """
+        run by the constant that the photos leave open; open the run again to see them. ConfigError
+        if there is no such mark, no photo sees it, or the scene has no °C; RunError if the run is
+        being trained, or a file cannot be written."""
         marks = self.marks
         reading = self.meter.read(marks.named(name), self.meter.regions(marks))
         if reading.problem or self.run.temperature is None:

@@ -85,17 +85,11 @@ def is_scene(folder: Path) -> bool:
 
 
 def take_in(source: Path, options: PrepareOptions, progress: Progress | None = None) -> Intake:
-    """Look at a folder of photos, or at a scene; nothing is written.
-
-    Args:
-        source: the folder, or a scene's transforms file.
-        progress: called with a step's name, the number of files that are done, and of all.
-
-    Raises:
-        SceneError: the folder cannot be used: not there, no photos, too few pairs, or a thermal
-            photo that cannot be read.
-        ConfigError: an option that does not fit the photos; or one for photos, and this is a scene.
-    """
+    """Look at a folder of photos, or at a scene or its transforms file; nothing is written. The
+    progress is called with a step's name, the number of files that are done, and of all. SceneError
+    if the folder cannot be used: not there, no photos, too few pairs, or a thermal photo that
+    cannot be read. ConfigError for an option that does not fit the photos, or one for photos where
+    this is a scene."""
     if not is_scene(source):
         if not source.is_dir():
             raise scene_error(source, "not a folder; give the folder of the photos, or a scene")

@@ -52,13 +52,9 @@ QUALITIES: dict[str, Quality] = {
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """A stage of a pipeline.
-
-    Attributes:
-        number: from 1, of ``total``.
-        parts: seconds that its parts are expected to take, by name.
-        is_done: whether an earlier call has finished it, with the same inputs and settings.
-    """
+    """A stage of a pipeline, with its number from 1, of ``total``, the seconds that its parts are
+    expected to take, by name, and whether an earlier call has finished it, with the same inputs and
+    settings."""
 
     name: str
     number: int
@@ -115,13 +111,9 @@ class Monitor:
         return nullcontext()
 
     def progress(self, part: str, done: int, total: int, left_s: float | None) -> None:
-        """Called while the photos are inspected, and while a stage runs.
-
-        Args:
-            done: finished items of the part.
-            total: all items of the part; 0 if not known.
-            left_s: seconds until the stage is finished; None if not known.
-        """
+        """Called while the photos are inspected, and while a stage runs: the finished items of a
+        part, all of its items, 0 if not known, and the seconds until the stage is finished, None if
+        not known."""
 
     def prepared(self, report: StageReport) -> None:
         """Called with the result of each part of the first stage."""

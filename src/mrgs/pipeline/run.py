@@ -36,12 +36,8 @@ CACHED_SHARE = 0.01
 
 @dataclass(frozen=True)
 class PipelineResults:
-    """The files that a pipeline made.
-
-    Attributes:
-        run: folder of the model; ``load_run`` opens it.
-        contact_sheet: photos beside renderings; None if no views are held out.
-    """
+    """The files that a pipeline made: ``run`` is the folder of the model, which ``load_run`` opens,
+    and ``contact_sheet`` has photos beside renderings; None if no views are held out."""
 
     scene: Path
     scene_page: Path

@@ -52,13 +52,8 @@ Report = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage of a pipeline.
-
-    Attributes:
-        made_from: a digest of everything that its result depends on; called once the stages before
-            it are done.
-        run: does the work; returns the files that it made.
-    """
+    """A stage of a pipeline: a digest of everything that its result depends on, asked for once the
+    stages before it are done, and the work, which returns the files that it made."""
 
     name: str
     made_from: Callable[[], str]

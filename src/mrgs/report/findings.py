@@ -12,19 +12,9 @@ import torch
 from jaxtyping import Float
 from PIL import Image
 
-from mrgs.marks import MarkReading, RunMarks
+from mrgs.marks import MarkReading, RunMarks, tables
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
-from mrgs.marks.tables import (
-    DASH,
-    PART_NAMES,
-    around_text,
-    settings_texts,
-    size_text,
-    total_uncertainty,
-    uncertainty_parts,
-    value_text,
-)
 from mrgs.marks.uncertainty import COVERAGE
 from mrgs.pictures.drawing import (
     COLDEST,
@@ -201,37 +191,33 @@ def show_marks(
     """Measured marks as the template reads them; SceneError if a photo cannot be read.
 
     Numbers are formatted. ``parts`` of the uncertainty are by their names, a dash for an unknown
-    one; ``around`` is empty if not known; ``factor`` is a dash if the air is not known or it is not
-    from 0 to 1; ``settings`` are empty if they are the photos'; ``pictures`` are the thermal
-    rendering, then the photo, of ``view``, none without one.
-
-    Args:
-        reference: name of the mark that all differences refer to; empty for none.
-        survey: the air inside and outside, for the temperature factor.
-        decimal: before the decimals of the numbers beside the colours of a picture.
-    """
+    one; ``around`` is empty if not known; ``factor``, by the survey's air inside and outside, is a
+    dash if that is not known or it is not from 0 to 1; ``settings`` are empty if they are the
+    photos'; ``pictures`` are the thermal rendering, then the photo, of ``view``, none without one.
+    ``reference`` is the name of the mark that all differences refer to, empty for none; ``decimal``
+    is written before the decimals of the numbers beside the colours of a picture."""
     temperature, found = scene.temperature, []
     for reading in readings:
         mark, view = reading.mark, nearest_view(reading.mark, scene)
-        difference = value_text(reading.difference, temperature, sign=True)
+        difference = tables.value_text(reading.difference, temperature, sign=True)
         around = _around(reading.difference_uncertainty, temperature)
         shown = {
             "name": mark.name,
             "severity": mark.severity,
-            "mean": value_text(reading.mean, temperature),
-            "around": _around(total_uncertainty(reading), temperature),
+            "mean": tables.value_text(reading.mean, temperature),
+            "around": _around(tables.total_uncertainty(reading), temperature),
             "parts": {
-                PART_NAMES[name]: value_text(part, temperature)
-                for name, part in uncertainty_parts(reading).items()
+                tables.PART_NAMES[name]: tables.value_text(part, temperature)
+                for name, part in tables.uncertainty_parts(reading).items()
             },
-            "factor": _factor(reading.mean, total_uncertainty(reading), survey),
-            "low": value_text(reading.low, temperature),
-            "high": value_text(reading.high, temperature),
+            "factor": _factor(reading.mean, tables.total_uncertainty(reading), survey),
+            "low": tables.value_text(reading.low, temperature),
+            "high": tables.value_text(reading.high, temperature),
             "difference": " ± ".join(filter(None, (difference, around))),
             "compared_with": "" if math.isnan(reading.difference) else mark.against or reference,
-            "size": size_text(reading, scene.world),
-            "photos": DASH if reading.photos is None else str(reading.photos),
-            "settings": settings_texts(reading),
+            "size": tables.size_text(reading, scene.world),
+            "photos": tables.DASH if reading.photos is None else str(reading.photos),
+            "settings": tables.settings_texts(reading),
             "note": mark.note,
             "problem": reading.problem,
             "remarks": reading.remarks,
@@ -247,7 +233,7 @@ def show_marks(
 
 
 def _around(value: float, temperature: TemperatureRange | None) -> str:
-    return "" if math.isnan(value) else around_text(value, temperature)
+    return "" if math.isnan(value) else tables.around_text(value, temperature)
 
 
 AIR_C = 0.5
@@ -271,10 +257,10 @@ def _factor(mean: float, around: float, survey: Survey) -> str:
         or not inside > outside
         or math.isnan(mean)
     ):
-        return DASH
+        return tables.DASH
     factor = (mean - outside) / (inside - outside)
     if not 0 <= factor <= 1:
-        return DASH
+        return tables.DASH
     if math.isnan(around):
         return f"{factor:.2f}"
     of_air = air_uncertainty(survey)
@@ -288,9 +274,9 @@ def _chart(reading: MarkReading, scene: Scene) -> ProfileChart | None:
     if profile is None or math.isnan(reading.low):
         return None
     ends = reading.low, reading.high
-    low, high = (value_text(each, scene.temperature, unit=True) for each in ends)
+    low, high = (tables.value_text(each, scene.temperature, unit=True) for each in ends)
     path = _curve(profile.distances / profile.distances[-1], profile.values, *ends)
-    return ProfileChart(path, low, high, size_text(reading, scene.world))
+    return ProfileChart(path, low, high, tables.size_text(reading, scene.world))
 
 
 def _curve(
@@ -440,7 +426,7 @@ def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> dict[st
     gained = run.image_model.thermal_gain is not None
     return {
         "mark": mark,
-        "contrast": value_text(anomaly.contrast, temperature, sign=True),
+        "contrast": tables.value_text(anomaly.contrast, temperature, sign=True),
         "low": _text(spot.low, temperature),
         "high": _text(spot.high, temperature),
         "views": spot.views,
@@ -451,4 +437,4 @@ def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> dict[st
 
 
 def _text(value: float, temperature: TemperatureRange | None) -> str:
-    return value_text(in_unit(THERMAL, value, temperature), temperature)
+    return tables.value_text(in_unit(THERMAL, value, temperature), temperature)

@@ -390,12 +390,8 @@ def overviews(
     decimal: str = ".",
 ) -> list[Overview]:
     """The views that together see most marks by their middles, the one that sees most first; at
-    most ``MOST_OVERVIEWS``. SceneError if a photo cannot be read.
-
-    Args:
-        survey: of the scene's thermal training photos.
-        decimal: before the decimals of the scale's numbers.
-    """
+    most ``MOST_OVERVIEWS``, by the survey of the scene's thermal training photos. ``decimal`` is
+    written before the decimals of the scale's numbers. SceneError if a photo cannot be read."""
     thermal = [view for view in scene.train if THERMAL in view.images]
     names = np.array([*marks])
     middles = np.array([np.mean(mark.points, axis=0) for mark in marks.values()], np.float32)

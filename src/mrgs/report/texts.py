@@ -20,12 +20,8 @@ DATES: dict[Language, str] = {"en": "%Y-%m-%d", "de": "%d.%m.%Y", "fr": "%d/%m/%
 
 
 class Texts:
-    """Translates the report's sentences; a sentence without a translation stays English.
-
-    Args:
-        language: of the report; its sentences are in ``report/languages/LANGUAGE.json``, under the
-            English ones.
-    """
+    """Translates the report's sentences; a sentence without a translation in
+    ``report/languages/LANGUAGE.json``, where they are under the English ones, stays English."""
 
     def __init__(self, language: Language = "en") -> None:
         self.language = language

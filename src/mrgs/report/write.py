@@ -16,6 +16,7 @@ from mrgs.marks import open_marks
 from mrgs.marks.tables import DASH, PART_NAMES
 from mrgs.pictures.html import PAGE_STYLE, write_html
 from mrgs.pictures.settings import settings_of
+from mrgs.report import sections
 from mrgs.report.anomalies import Proposals, propose
 from mrgs.report.findings import (
     CHART_HEIGHT,
@@ -24,17 +25,6 @@ from mrgs.report.findings import (
     air_uncertainty,
     camera_effects,
     show_findings,
-)
-from mrgs.report.sections import (
-    air_sentence,
-    capture_rows,
-    conditions_of,
-    emissivity_sentence,
-    read_contact_sheet,
-    read_scores,
-    stated_rows,
-    thermal_pixel_m,
-    training_rows,
 )
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
@@ -115,8 +105,8 @@ def report_run(
         language=language,
         t=t,
         survey=survey,
-        stated=stated_rows(survey, t),
-        conditions=conditions_of(survey, thermal_pixel_m(scene)),
+        stated=sections.stated_rows(survey, t),
+        conditions=sections.conditions_of(survey, sections.thermal_pixel_m(scene)),
         styles=[PAGE_STYLE, "report/report.css"],
         run_folder=run.folder.path,
         quoted=quoted,
@@ -136,13 +126,13 @@ def report_run(
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
         has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
-        capture=capture_rows(scene, survey, t),
-        emissivity_sentence=emissivity_sentence(settings, t),
-        air_sentence=air_sentence(settings, t),
+        capture=sections.capture_rows(scene, survey, t),
+        emissivity_sentence=sections.emissivity_sentence(settings, t),
+        air_sentence=sections.air_sentence(settings, t),
         notes=[t(note) for note in scene.notes],
-        scores=read_scores(run, t),
-        contact_sheet=read_contact_sheet(run),
-        training=training_rows(run, t),
+        scores=sections.read_scores(run, t),
+        contact_sheet=sections.read_contact_sheet(run),
+        training=sections.training_rows(run, t),
     )
     if pdf:
         write_pdf(page, page.with_suffix(".pdf"))

@@ -38,11 +38,8 @@ MOST_MAPPED_BYTES = 2**24
 def write_file(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
     """Write a checkpoint in one file that is either whole or not there. Its header has the JSON
     values of ``CheckpointFacts.to_json``, ``skipped_in_a_row``, and others of the method.
-
-    Raises:
-        NotFiniteError: a tensor has a NaN or an infinity; nothing is written.
-        RunError: the file cannot be written.
-    """
+    NotFiniteError if a tensor has a NaN or an infinity, and nothing is written; RunError if the
+    file cannot be written."""
     if (name := first_not_finite(tensors)) is not None:
         raise NotFiniteError(f"{name} holds values that are not finite: {path.name} is not written")
     kept = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
@@ -61,11 +58,8 @@ def read(
     """The needed tensors by name, the facts, and the header.
 
     All tensors are read and checked, one after the other, so that unneeded ones take little memory.
-
-    Raises:
-        DamagedCheckpointError: not a checkpoint, not what was written, or not finite.
-        RunError: the file cannot be read, or has another format.
-    """
+    DamagedCheckpointError if it is not a checkpoint, not what was written, or not finite; RunError
+    if the file cannot be read, or has another format."""
     header, names = _header_and_names(path)
     digest = hashlib.sha256()
     tensors: dict[str, Tensor] = {}
@@ -83,12 +77,9 @@ def read(
 
 
 def load_facts(path: Path) -> CheckpointFacts:
-    """The facts of a checkpoint, whose tensors are neither read nor checked.
-
-    Raises:
-        DamagedCheckpointError: not a checkpoint, or another header than was written.
-        RunError: it cannot be read, or has another format.
-    """
+    """The facts of a checkpoint, whose tensors are neither read nor checked. DamagedCheckpointError
+    if it is not a checkpoint, or has another header than was written; RunError if it cannot be
+    read, or has another format."""
     return _facts(path, _header_and_names(path)[0])
 
 
@@ -187,12 +178,8 @@ def _header_and_names(path: Path) -> tuple[dict[str, Any], list[str]]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """A checkpoint, mapped.
-
-    Raises:
-        DamagedCheckpointError: it is of another kind, or cut off.
-        RunError: it cannot be read.
-    """
+    """A checkpoint, mapped. DamagedCheckpointError if it is of another kind, or cut off; RunError
+    if it cannot be read."""
     try:
         with safe_open(path, framework="pt") as file:
             yield file
@@ -205,13 +192,9 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _parsed_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
-    """The header, checked against its digest and of a known format.
-
-    Raises:
-        DamagedCheckpointError: it is not what was written.
-        RunError: another version of the program wrote it.
-        KeyError, ValueError: there is none, or it is not JSON.
-    """
+    """The header, checked against its digest and of a known format. DamagedCheckpointError if it is
+    not what was written, RunError if another version of the program wrote it, KeyError or
+    ValueError if there is none, or it is not JSON."""
     text = metadata[_HEADER]
     expected = metadata.get(_HEADER_DIGEST)
     if expected is not None and expected != hashlib.sha256(text.encode()).hexdigest():

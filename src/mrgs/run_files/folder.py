@@ -116,15 +116,10 @@ class RunFolder:
         return found[-1]
 
     def load_newest(self, load: Callable[[Path], T], *, set_aside: bool = False) -> T:
-        """Load the newest checkpoint, or an older one if it is damaged. RunError if there is no
-        checkpoint, all are damaged, or the newest undamaged one cannot be used. MrgsWarning if an
-        older one is used.
-
-        Args:
-            load: reads a checkpoint; raises DamagedCheckpointError.
-            set_aside: rename damaged checkpoints to ``*.damaged``, because newer ones will be
-                written.
-        """
+        """Load the newest checkpoint, or an older one where ``load`` raises DamagedCheckpointError,
+        with a MrgsWarning. Damaged ones are renamed to ``*.damaged`` if they are to be
+        ``set_aside``, because newer ones will be written. RunError if there is no checkpoint, all
+        are damaged, or the newest undamaged one cannot be used."""
         self.newest_checkpoint()
         damaged: list[DamagedCheckpointError] = []
         for path in reversed(self.checkpoints()):
@@ -287,12 +282,8 @@ class RunFolder:
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Within this block no other process uses the folder; the system releases the lock when the
-        process ends, however it ends.
-
-        Raises:
-            FolderInUseError: another process uses it.
-            RunError: the folder cannot be made.
-        """
+        process ends, however it ends. FolderInUseError if another process uses it, RunError if the
+        folder cannot be made."""
         lock = FileLock(self.path / ".lock", timeout=0)
         try:
             with self._writing():

@@ -37,13 +37,9 @@ SAVE_SHARE = 0.02
 
 
 class StepStatistics:
-    """The measurements of a training step of any method. On a GPU the numbers are fetched when the
-    first of them is read, which waits for the GPU.
-
-    Attributes:
-        step: number of the step, from 1.
-        gaussians: number of Gaussians; None for a method without Gaussians.
-    """
+    """The measurements of a training step of any method, counted from 1, with the number of
+    Gaussians, None for a method without. On a GPU the numbers are fetched when the first of them is
+    read, which waits for the GPU."""
 
     def __init__(
         self,
@@ -137,13 +133,9 @@ class RunRecord:
         self._save_at = self._started + SAVE_EVERY_S
 
     def add(self, statistics: StepStatistics) -> None:
-        """Count a step, and log it if it is its turn.
-
-        Raises:
-            TrainingError: three steps in a row were skipped.
-            NotFiniteError: the state has a NaN or an infinity.
-            RunError: the log cannot be written.
-        """
+        """Count a step, and log it if it is its turn. TrainingError if three steps in a row were
+        skipped, NotFiniteError if the state has a NaN or an infinity, RunError if the log cannot be
+        written."""
         self.step = statistics.step
         self._unchecked.append(statistics)
         if self.step % self._check_every == 0:
@@ -175,12 +167,8 @@ class RunRecord:
             self.save()
 
     def save(self) -> None:
-        """Write a checkpoint of the last step; Ctrl-C waits for its end.
-
-        Raises:
-            NotFiniteError: the state has a NaN or an infinity.
-            RunError: the checkpoint cannot be written.
-        """
+        """Write a checkpoint of the last step; Ctrl-C waits for its end. NotFiniteError if the
+        state has a NaN or an infinity, RunError if the checkpoint cannot be written."""
         with ctrl_c_waits():
             began = self._clock()
             self._count_skipped()

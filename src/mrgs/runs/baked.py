@@ -147,13 +147,8 @@ class BakedModel:
     def render(
         self, cameras: Camera | Mapping[Modality, Camera], surface: Modality | None = None
     ) -> Rendering:
-        """Render any camera, without gradients, and the median depth of a modality ``surface``.
-        ValueError if ``cameras`` is something else.
-
-        Args:
-            cameras: one for all modalities, or one for each modality to render.
-            surface: a modality whose median depth is found too.
-        """
+        """Render any camera, or one for each modality to render, without gradients, and the median
+        depth of a modality ``surface``. ValueError if ``cameras`` is something else."""
         cameras = asked_cameras(cameras, self.modalities)
         with torch.no_grad(), own_modes(self.means.device):
             blends = self._blend(cameras)

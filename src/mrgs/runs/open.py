@@ -35,14 +35,9 @@ __all__ = ["Run", "TrainedRun", "load_run", "method_of", "open_gaussians", "open
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(TrainedRun):
-    """A run with Gaussians. It may render on a GPU; its model and its images are in the host's
-    memory in any case.
-
-    Attributes:
-        model: the trained model, with t̂ computed once for all views.
-        image_model: what the cameras do to the images, as learned.
-        device: where it renders.
-    """
+    """A run with Gaussians: its model, with t̂ computed once for all views, and what the cameras do
+    to the images, as learned. It may render on a GPU, its ``device``; model and images are in the
+    host's memory in any case."""
 
     config: TrainConfig
     model: Model
@@ -74,12 +69,8 @@ class Run(TrainedRun):
 
     @contextmanager
     def _computing(self) -> Iterator[None]:
-        """Around what is computed.
-
-        Raises:
-            DeviceError: the GPU's memory does not suffice.
-            MrgsError: this process was forked from one that has computed, or torch's default type
-                is not float32.
+        """Around what is computed. DeviceError if the GPU's memory does not suffice; MrgsError if
+        this process was forked from one that has computed, or torch's default type is not float32.
         """
         will_compute()
         try:

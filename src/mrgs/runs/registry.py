@@ -77,12 +77,9 @@ class Method:
         others. ``max_gaussians`` and ``batch`` count where the method has Gaussians. ConfigError
         for a value that is not allowed, or changes for another method.
 
-        Args:
-            changes: YAML of the values that differ; they count before the others. A preset among
-                them stands for all of its values; steps and batch rescale its schedule, as those
-                given do.
-            source: where the changes come from, for messages.
-        """
+        ``changes`` are YAML of the values that differ, from a ``source`` for messages; they count
+        before the others. A preset among them stands for all of its values; steps and batch rescale
+        its schedule, as those given do."""
         options = {"preset": preset, "max_steps": max_steps, "batch": batch}
         if changes:  # some of them decide about others; errors are found when all of it is read
             from mrgs.system.strict_yaml import parse_yaml

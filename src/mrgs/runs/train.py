@@ -125,7 +125,8 @@ def train_steps(
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
 ) -> Generator[LiveRun, None, None]:
-    """Train a model of a scene step by step: the loop is the caller's.
+    """Train a model of a scene step by step, yielding the run after each step: the loop is the
+    caller's.
 
     With ``output``, leaving the loop early writes a checkpoint, from which ``resume`` continues; so
     do an error in it, Ctrl-C, which waits for the end of a step, and the end of the process. The
@@ -133,11 +134,7 @@ def train_steps(
 
     The arguments are those of ``train``, except that a temporary folder is removed, with its
     checkpoints, when neither the loop nor what it has yielded nor a snapshot is left. MrgsError as
-    for ``train``.
-
-    Yields:
-        the run after each step.
-    """
+    for ``train``."""
     options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
 
     def steps() -> Generator[LiveRun, None, None]:
@@ -197,17 +194,11 @@ class LiveRun:
         return self._trainer.state.model
 
     def render(self, cameras: Camera | Mapping[Modality, Camera]) -> Rendering:
-        """Render any camera with the model as it is now, without gradients; in another thread, once
-        the step that is under way is done.
-
-        Args:
-            cameras: one for all modalities, or one for each modality to render.
-
-        Raises:
-            ValueError: ``cameras`` is something else, or asks for what the scene has no photos of.
-            MrgsError: this process was forked from the one that trains, or torch's default type is
-                not float32.
-        """
+        """Render any camera, one for all modalities or one for each modality to render, with the
+        model as it is now, without gradients; in another thread, once the step that is under way is
+        done. ValueError if ``cameras`` is something else, or asks for what the scene has no photos
+        of; MrgsError if this process was forked from the one that trains, or torch's default type
+        is not float32."""
         require_own_threads()
         asked = asked_cameras(cameras, self._trainer.scene.modalities)
         with self._trainer.between_steps(), own_modes(self._trainer.state.device), torch.no_grad():
@@ -216,13 +207,8 @@ class LiveRun:
     def snapshot(self) -> Run:
         """The run as it is now, rendering on the CPU, to be scored or exported while the training
         goes on; writes a checkpoint and opens it, in another thread once the step that is under way
-        is done.
-
-        Raises:
-            RunError: the training has ended, so that ``load_run`` opens it, or the checkpoint
-                cannot be written.
-            TrainingError: Ctrl-C has interrupted the step half-way.
-        """
+        is done. RunError if the training has ended, so that ``load_run`` opens it, or the
+        checkpoint cannot be written; TrainingError if Ctrl-C has interrupted the step half-way."""
         with self._trainer.between_steps():
             self._trainer.save()
             run = load_run(self._folder.path, self._trainer.scene, "cpu")

@@ -41,13 +41,8 @@ from mrgs.scene.depth_map import (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrainedRun(ABC):
-    """A run's newest checkpoint, of any method: what scoring and rendering need.
-
-    Attributes:
-        config: what it was trained with.
-        facts: steps, scene, temperature scale, cost.
-        scene: that it was trained on, if it was given in memory; None to read it from its folder.
-    """
+    """A run's newest checkpoint, of any method: what scoring and rendering need. ``scene`` is that
+    it was trained on, if it was given in memory; None to read it from its folder."""
 
     folder: RunFolder
     config: RunConfig
@@ -79,15 +74,9 @@ class TrainedRun(ABC):
         return self.facts.temperature
 
     def render(self, cameras: Camera | Mapping[Modality, Camera]) -> Rendering:
-        """Render any camera, without gradients.
-
-        Args:
-            cameras: one for all modalities of the model, or one for each modality to render:
-                ``{RGB: ..., THERMAL: ...}``.
-
-        Raises:
-            ValueError: ``cameras`` is something else, or asks for what the run does not render.
-        """
+        """Render any camera, without gradients: one for all modalities of the model, or one for
+        each modality to render, ``{RGB: ..., THERMAL: ...}``. ValueError if ``cameras`` is
+        something else, or asks for what the run does not render."""
         return self.render_cameras(asked_cameras(cameras, self.modalities))
 
     def render_view(self, view: View) -> Rendering:
@@ -111,14 +100,10 @@ class TrainedRun(ABC):
     def temperatures_c(
         self, rendering: Rendering, min_alpha: float = MIN_ALPHA
     ) -> Float[Tensor, "h w"]:
-        """The rendered temperatures in °C, NaN where there is none, [H, W]. ValueError if the scene
-        has no known °C, or the rendering no thermal image.
-
-        Args:
-            rendering: of this run.
-            min_alpha: a pixel that the model covers less has no temperature. 0 gives every pixel
-                its value, which tends to the scene's lowest temperature where nothing is.
-        """
+        """The temperatures of a rendering of this run in °C, NaN where there is none, [H, W]. A
+        pixel that the model covers less than ``min_alpha`` has none; 0 gives every pixel its value,
+        which tends to the scene's lowest temperature where nothing is. ValueError if the scene has
+        no known °C, or the rendering no thermal image."""
         if self.temperature is None or THERMAL not in rendering:
             raise ValueError(
                 "no °C: the scene has no temperature range, or the rendering has no thermal image"
@@ -128,24 +113,17 @@ class TrainedRun(ABC):
         return torch.where(alpha < min_alpha, torch.nan, celsius)
 
     def temperature_at(self, points: Array) -> Float[Tensor, " n"]:
-        """Temperatures of points on surfaces, as the scene's thermal cameras see them in the model.
+        """Temperatures of points on surfaces, as the scene's thermal cameras see them in the model:
+        °C, [N], of points in world coordinates, scene units, [N, 3]; NaN for a point that no camera
+        sees on a surface.
 
         A point counts as seen by a camera where the rendered surface lies within 3 % of its depth:
         points behind a surface, in the air or on an outline are not. The value is the mean over the
         cameras that see it, nearer ones weighing more. The first call renders at most 64 training
         cameras; later ones only look the points up.
 
-        Args:
-            points: world coordinates, scene units, [N, 3].
-
-        Returns:
-            °C, NaN for a point that no camera sees on a surface, [N].
-
-        Raises:
-            ValueError: the scene has no thermal photos to learn from or no known °C, or ``points``
-                has another shape.
-            SceneError: the scene is no longer where it was, or cannot be used.
-        """
+        ValueError if the scene has no thermal photos to learn from or no known °C, or ``points``
+        has another shape; SceneError if the scene is no longer where it was, or cannot be used."""
         positions = as_tensor(points, torch.float32, (None, 3), "points").numpy()
         values, seen = carry_over(self._thermal_maps, positions, 0.0, SURFACE_DEPTH)
         return torch.from_numpy(np.where(seen, values[:, 0], np.float32(np.nan)))
@@ -167,13 +145,9 @@ class TrainedRun(ABC):
         return maps
 
     def load_scene(self) -> Scene:
-        """The scene that the run was trained on, at the run's resolution.
-
-        Raises:
-            SceneError: the scene is no longer where it was, or cannot be used.
-            RunError: the scene has other cameras or another temperature range than the run was
-                trained with.
-        """
+        """The scene that the run was trained on, at the run's resolution. SceneError if the scene
+        is no longer where it was, or cannot be used; RunError if the scene has other cameras or
+        another temperature range than the run was trained with."""
         if self.scene is not None:
             require_same_scene(self.facts, self.scene)
             return self.scene

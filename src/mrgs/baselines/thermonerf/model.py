@@ -160,13 +160,9 @@ class ThermoNerf(nn.Module):
     def trace(
         self, rays: Rays, rows: Mapping[Modality, slice], generator: torch.Generator | None = None
     ) -> Traced:
-        """Follow rays; differentiable in the parameters.
-
-        Args:
-            rays: any number.
-            rows: of each modality that is wanted, the rays to follow for it.
-            generator: of the random places of the samples, for training; None takes even ones.
-        """
+        """Follow any number of rays, of each modality in ``rows`` those for it; differentiable in
+        the parameters. The generator places the samples at random, for training; None takes even
+        ones."""
         count = len(rays.origins)
         proposal_edges = even_edges(count, PROPOSALS, generator, rays.origins).contiguous()
         positions, lengths, _ = self._intervals(rays, proposal_edges)

@@ -22,14 +22,7 @@ from mrgs.baselines.thermonerf.step import (
     training_step,
 )
 from mrgs.errors import DeviceError, RunError
-from mrgs.run_files.checkpoint import (
-    below,
-    fitting,
-    read,
-    require_like,
-    skipped_in_a_row_of,
-    write_file,
-)
+from mrgs.run_files import checkpoint
 from mrgs.run_files.facts import CheckpointFacts
 from mrgs.run_files.folder import RunFolder
 from mrgs.run_files.record import RunRecord, asks_to_stop
@@ -62,44 +55,44 @@ def tensors_of(state: NerfState) -> dict[str, Tensor]:
 def save(path: Path, state: NerfState, facts: CheckpointFacts) -> None:
     """Write everything needed to resume exactly; see ``write_file``."""
     header = {**facts.to_json(), "skipped_in_a_row": state.skipped_in_a_row}
-    write_file(path, tensors_of(state), header)
+    checkpoint.write_file(path, tensors_of(state), header)
 
 
 def load_model(path: Path, config: ThermoNerfConfig) -> tuple[ThermoNerf, CheckpointFacts]:
     """The model of a checkpoint, to render with; see ``read``."""
-    tensors, facts, _ = read(path)
-    with fitting(path):
+    tensors, facts, _ = checkpoint.read(path)
+    with checkpoint.fitting(path):
         return _model(tensors, config), facts
 
 
 def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
     """Everything in a checkpoint, to train on; see ``read``."""
-    tensors, facts, header = read(path)
-    with fitting(path):
+    tensors, facts, header = checkpoint.read(path)
+    with checkpoint.fitting(path):
         generator = torch.Generator()
         generator.set_state(tensors["generator"])
         state = make_state(_model(tensors, config), config, generator)
         parameters = dict(state.model.named_parameters())
-        state.optimizer.load_moments(parameters, below(tensors, "adam."))
-        state.step, state.skipped_in_a_row = facts.step, skipped_in_a_row_of(header)
-        require_like(tensors, tensors_of(state))
+        state.optimizer.load_moments(parameters, checkpoint.below(tensors, "adam."))
+        state.step, state.skipped_in_a_row = facts.step, checkpoint.skipped_in_a_row_of(header)
+        checkpoint.require_like(tensors, tensors_of(state))
     return state
 
 
 def _model(tensors: Mapping[str, Tensor], config: ThermoNerfConfig) -> ThermoNerf:
     """The model of a checkpoint. KeyError or ValueError if the tensors are not those of a model of
     this configuration."""
-    frame = below(tensors, "frame.")
+    frame = checkpoint.below(tensors, "frame.")
     numbers = {"centre": (3,), "sizes": (4,)}
-    require_like(
+    checkpoint.require_like(
         frame, {name: torch.empty(shape, dtype=torch.float64) for name, shape in numbers.items()}
     )
     radius, near, middle, far = frame["sizes"].tolist()
     if not (0 < radius < math.inf and 0 <= near < far < math.inf and 0 < middle < math.inf):
         raise ValueError("the frame has no size")
     model = new_model(config.seed, SceneFrame(frame["centre"], radius, near, middle, far))
-    layers = below(tensors, "model.")
-    require_like(layers, model.state_dict())
+    layers = checkpoint.below(tensors, "model.")
+    checkpoint.require_like(layers, model.state_dict())
     model.load_state_dict(layers)
     return model
 
@@ -113,12 +106,8 @@ def train_thermonerf(
     *,
     stop_at: int | None = None,
 ) -> RunFolder:
-    """Train a ThermoNeRF of a scene into a run folder; see ``mrgs.train``.
-
-    Raises:
-        DeviceError: the GPU was asked for.
-        MrgsError: as ``mrgs.train``.
-    """
+    """Train a ThermoNeRF of a scene into a run folder; see ``mrgs.train``. DeviceError if the GPU
+    was asked for; other errors as for ``mrgs.train``."""
     require_cpu(options.device)
     folder = RunFolder(output)
     if options.resume and folder.method != METHOD:
@@ -199,11 +188,8 @@ def open_thermonerf(
     path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto"
 ) -> ThermoNerfRun:
     """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU; see ``open_run``.
-
-    Raises:
-        RunError: the folder is not a run, or its checkpoint cannot be used.
-        DeviceError: the GPU was asked for.
-    """
+    RunError if the folder is not a run, or its checkpoint cannot be used; DeviceError if the GPU
+    was asked for."""
     require_cpu(device)
     folder = RunFolder(path)
     config = folder.read_whole_config(from_yaml)

@@ -21,21 +21,10 @@ from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.regions import REGION_DEPTH, RegionPlane, Regions, SurfaceRegion
 from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.tables import corrected_text, label_text, mark_text
+from mrgs.pictures import page_data
 from mrgs.pictures.files import shown_values
 from mrgs.pictures.html import asset, script_json, write_html
-from mrgs.pictures.page_data import (
-    BASE64_SCRIPT,
-    MARKS_STYLE,
-    PALETTE_CHOICES,
-    STAGE_SCRIPTS,
-    STAGE_STYLE,
-    air_facts,
-    camera_facts,
-    modality_facts,
-    palette_facts,
-    starting_limits,
-    world_facts,
-)
+from mrgs.pictures.page_data import PALETTE_CHOICES, air_facts
 from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.pictures.values import in_unit, range_of
@@ -77,7 +66,7 @@ def _facts(region: SurfaceRegion, capture: CaptureSettings) -> dict[str, Any]:
     patch = depth[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     nearest = float(np.nanmin(patch))
     codes = np.nan_to_num(1 + np.rint(np.log(patch / nearest) / DEPTH_STEP)).clip(0, 65535)
-    camera = camera_facts(region.surface.camera)
+    camera = page_data.camera_facts(region.surface.camera)
     camera |= {"cx": camera["cx"] - int(columns.min()), "cy": camera["cy"] - int(rows.min())}
     gain, offset = capture.signal_change(region.settings)
     plane = region.plane or NO_PLANE
@@ -127,12 +116,12 @@ def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
 
 OWN_SCRIPTS = ("dilation", "areas", "shaders", "surface", "renderer", "stream", "app")
 WORKER_SCRIPTS = [
-    BASE64_SCRIPT,
+    page_data.BASE64_SCRIPT,
     *(f"export/page/{name}.js" for name in ("dilation", "decode", "worker")),
 ]
 ASSETS: dict[str, Any] = {
-    "styles": [STAGE_STYLE, MARKS_STYLE],
-    "scripts": [*STAGE_SCRIPTS, *(f"export/page/{name}.js" for name in OWN_SCRIPTS)],
+    "styles": [page_data.STAGE_STYLE, page_data.MARKS_STYLE],
+    "scripts": [*page_data.STAGE_SCRIPTS, *(f"export/page/{name}.js" for name in OWN_SCRIPTS)],
     "sources": ["worker-src blob:"],
 }
 """Style sheet, scripts and their policy, see ``write_html``."""
@@ -181,7 +170,7 @@ def export(job: ExportJob) -> list[Path]:
     marks, assumptions = ([], ()) if job.marks is None else page_marks(job.marks)
     range_c = job.range_c
     if range_c is None and not job.regions and THERMAL in job.modalities:
-        range_c = starting_limits((THERMAL,), scene, scene.temperature)[THERMAL]
+        range_c = page_data.starting_limits((THERMAL,), scene, scene.temperature)[THERMAL]
     content = PageContent(
         job.palette,
         range_c,
@@ -211,11 +200,8 @@ def write_page(
     The page needs WebGL2 and nothing from the network, which its Content-Security-Policy forbids.
     It takes about 7 MB for 100,000 splats with RGB and thermal. A model of more than
     ``content.part_size`` splats is shown coarsely first, and finely as its parts are read.
-
-    Raises:
-        ConfigError: there are no cameras, splats or modalities, or an option is out of its range.
-        RunError: the file cannot be written.
-    """
+    ConfigError if there are no cameras, splats or modalities, or an option is out of its range;
+    RunError if the file cannot be written."""
     content = content or PageContent()
     modalities = baked.modalities if content.modalities is None else content.modalities
     shown = metric_first(in_order(modalities))
@@ -226,9 +212,9 @@ def write_page(
     areas = area_facts(regions) if regions and THERMAL in shown else None
     facts = {
         "model": model.facts,
-        "cameras": [camera_facts(camera) for camera in every],
-        "world": world_facts(every),
-        "palettes": palette_facts(PALETTE_CHOICES),
+        "cameras": [page_data.camera_facts(camera) for camera in every],
+        "world": page_data.world_facts(every),
+        "palettes": page_data.palette_facts(PALETTE_CHOICES),
         "modalities": [_modality_facts(each, baked, every, content) for each in shown],
         "readable": [each.name for each in shown if each.channels == 1],
         "areas": areas,
@@ -309,4 +295,4 @@ def _modality_facts(
         ends = visible_range(baked, modality, cameras, content.regions)
     else:
         ends = range_of(modality, baked.temperature)
-    return modality_facts(modality, baked.temperature, ends)
+    return page_data.modality_facts(modality, baked.temperature, ends)

@@ -38,12 +38,9 @@ def shade(
     rows: Int64[Tensor, " v"] | None = None,
     floor: float = 0.0,
 ) -> Float[Tensor, "v c"]:
-    """``mrgs.field.spherical_harmonics.shade``; all tensors but ``rows`` are float32.
-
-    Raises:
-        ValueError: tensors of other sizes or types, or harmonics above degree 3.
-        IndexError: rows that do not exist.
-    """
+    """``mrgs.field.spherical_harmonics.shade``; all tensors but ``rows`` are float32. ValueError
+    for tensors of other sizes or types, or harmonics above degree 3; IndexError for rows that do
+    not exist."""
     count, channels = len(means), dc.shape[-1]
     require("means", means, (count, 3))
     require("dc", dc, (count, 1, channels))

@@ -155,16 +155,12 @@ def readout_rows(
     heat: FourierHeatTransformation, output: nn.Linear, product: Product
 ) -> Float[Tensor, "r c"]:
     """a_1 … a_K and w, as rows: what an anchor reads of its neighbours' features and of its own.
-
-    Args:
-        heat: of C channels.
-        output: the layer behind F', of one channel.
-        product: of two matrices.
-    """
+    The output layer behind F' has one channel; ``product`` is that of two matrices."""
     w = output.weight
     if heat.k == 0:
         return w
-    taps = product(_through_f_q(heat, w, product), heat.f_grad.weight.flatten(1)).view(-1, heat.k)
+    v = product(w, heat.f_q.weight[:, :, 0])
+    taps = product(v, heat.f_grad.weight.flatten(1)).view(-1, heat.k)
     return torch.cat([taps.T, w])
 
 
@@ -173,17 +169,10 @@ def readout_constants(
 ) -> Float[Tensor, "3"]:
     """w · b_q, v · b_grad and the output's bias; the arguments are those of ``readout_rows``."""
     w = output.weight
-    v = _through_f_q(heat, w, product)
+    v = product(w, heat.f_q.weight[:, :, 0])
     return torch.stack(
         [(w * _bias(heat.f_q)).sum(), (v * _bias(heat.f_grad)).sum(), output.bias[0]]
     )
-
-
-def _through_f_q(
-    heat: FourierHeatTransformation, w: Float[Tensor, "1 c"], product: Product
-) -> Float[Tensor, "1 c"]:
-    """v = f_qᵀ w, as a row."""
-    return product(w, heat.f_q.weight[:, :, 0])
 
 
 def _bias(layer: nn.Conv1d) -> Tensor:
@@ -200,6 +189,8 @@ def exchange(
     weights: tuple[float, float],
 ) -> Float[Tensor, " v"]:
     """Eq. 12 in the direction w of the output layer, w · F' + b, with the flux of Eq. 11.
+    ValueError for tensors of other sizes or types, IndexError for neighbours or rows that do not
+    exist.
 
     Args:
         projected: a_1 · F … a_K · F and w · F of each Gaussian F (see ``readout_rows``).
@@ -208,10 +199,6 @@ def exchange(
         neighbours: u_1 … u_K of all Gaussians.
         rows: the anchors i.
         weights: w_a and w_s.
-
-    Raises:
-        ValueError: tensors of other sizes or types.
-        IndexError: neighbours or rows that do not exist.
     """
     count, k = neighbours.shape
     require("projected", projected, (count, k + 1))
@@ -226,12 +213,8 @@ def exchange(
 def with_neighbours(
     rows: Int64[Tensor, " v"], neighbours: Int64[Tensor, "n k"]
 ) -> Int64[Tensor, " m"]:
-    """These Gaussians and all their neighbours, each once, in ascending order.
-
-    Raises:
-        ValueError: not int64.
-        IndexError: neighbours or rows that do not exist.
-    """
+    """These Gaussians and all their neighbours, each once, in ascending order. ValueError if they
+    are not int64, IndexError for neighbours or rows that do not exist."""
     count = len(neighbours)
     require_indices("rows", rows, (None,), count)
     require_indices("neighbours", neighbours, (count, None), count)

@@ -39,7 +39,8 @@ def project_features(
     rows: Int64[Tensor, " v"],
 ) -> Float[Tensor, "n r"]:
     """What neighbours read of each F_t; only ``rows`` are computed, others are 0. No gradient flows
-    to positions.
+    to positions. ValueError for tensors of other sizes or types, IndexError for rows that do not
+    exist.
 
     Args:
         embedding: e_m.
@@ -50,10 +51,6 @@ def project_features(
         positions: normalised to about [-1, 1].
         frequencies: L of PE_p.
         rows: distinct Gaussians.
-
-    Raises:
-        ValueError: tensors of other sizes or types.
-        IndexError: rows that do not exist.
     """
     count, width = len(positions), embedding.shape[-1]
     require("embedding", embedding, (count, width))

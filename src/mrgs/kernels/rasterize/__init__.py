@@ -39,13 +39,9 @@ GROUP = 3
 
 
 def in_passes(layers: Sequence[Layer], draw: Callable[[Sequence[Layer]], Raster]) -> Raster:
-    """Render layers whose channels are cut into groups of 3 and 1, as many at once as possible.
-    ValueError if there is no layer, or one has no channel.
-
-    Args:
-        layers: of any number of channels.
-        draw: renders one layer of 3 or 1 channels, or one of each in any order.
-    """
+    """Render layers whose channels are cut into groups of 3 and 1, as many at once as possible:
+    ``draw`` renders one layer of 3 or 1 channels, or one of each in any order. ValueError if there
+    is no layer, or one has no channel."""
     channels = [layer.features.shape[1] for layer in layers]
     if not channels or min(channels) < 1:
         raise ValueError("there must be a layer, and each must have a channel")

@@ -109,9 +109,8 @@ def _locate(points, first, rows, resolution, size, entries, weights):
 
 @parallel_kernel
 def _forward(points, table, resolutions, offsets, features):
-    for share in prange(
-        resolutions.size * _SHARES
-    ):  # level after level, so that a table stays in the cache
+    # Level after level, so that a table stays in the cache.
+    for share in prange(resolutions.size * _SHARES):
         level, part = np.int64(share) // _SHARES, np.int64(share) % _SHARES
         first, end = part * len(points) // _SHARES, (part + 1) * len(points) // _SHARES
         level_table = table[offsets[level] : offsets[level + 1]]
@@ -143,9 +142,8 @@ def _forward_level(points, table, resolution, first, end, features):
 
 @parallel_kernel
 def _backward(points, resolutions, offsets, grad, grad_table):
-    for level in prange(
-        resolutions.size
-    ):  # one thread for each table: nothing is atomic, and the order is fixed
+    # One thread for each table: nothing is atomic, and the order is fixed.
+    for level in prange(resolutions.size):
         level_table = grad_table[offsets[level] : offsets[level + 1]]
         _backward_level(
             points, resolutions[level], grad[:, CHANNELS * np.int64(level) :], level_table
@@ -159,12 +157,8 @@ def _backward_level(points, resolution, grad, grad_table):
         rows = min(_BLOCK, len(points) - start)
         _locate(points, start, rows, resolution, len(grad_table), entries, weights)
         for row in range(rows):
-            a, b, c, d = (
-                grad[start + row, 0],
-                grad[start + row, 1],
-                grad[start + row, 2],
-                grad[start + row, 3],
-            )
+            a, b = grad[start + row, 0], grad[start + row, 1]
+            c, d = grad[start + row, 2], grad[start + row, 3]
             for corner in range(8):
                 weight, entry = weights[corner, row], np.uintp(entries[corner, row])
                 grad_table[entry, 0] += weight * a

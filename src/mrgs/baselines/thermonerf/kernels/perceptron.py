@@ -41,12 +41,8 @@ class _Perceptron(torch.autograd.Function):
         inputs, *weights = (tensor.detach().contiguous() for tensor in tensors)
         ctx.save_for_backward(inputs, *weights)
         outputs = inputs.new_empty(len(inputs), len(weights[3]))
-        _forward(
-            inputs.numpy(),
-            dense.pack(weights[0], weights[1]),
-            dense.pack(weights[2], weights[3]),
-            outputs.numpy(),
-        )
+        hidden, output = dense.pack(weights[0], weights[1]), dense.pack(weights[2], weights[3])
+        _forward(inputs.numpy(), hidden, output, outputs.numpy())
         return outputs
 
     @staticmethod
@@ -55,10 +51,9 @@ class _Perceptron(torch.autograd.Function):
         inputs, *weights = ctx.saved_tensors
         sums = dense.no_sums(weights[::2])
         grad_inputs = torch.empty_like(inputs)
-        _backward(
-            inputs.numpy(), dense.pack(weights[0], weights[1]), dense.pack(weights[2], weights[3]),
-            grads[0].contiguous().numpy(), *sums, grad_inputs.numpy(),
-        )  # fmt: skip
+        hidden, output = dense.pack(weights[0], weights[1]), dense.pack(weights[2], weights[3])
+        grad = grads[0].contiguous().numpy()
+        _backward(inputs.numpy(), hidden, output, grad, *sums, grad_inputs.numpy())
         return grad_inputs, *dense.totals(sums, weights[::2])
 
 
@@ -106,15 +101,9 @@ def _forward_share(share, inputs, hidden_layer, output_layer, outputs):
 def _backward(inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums, grad_inputs):
     for share in prange(dense.SHARES):
         _backward_share(
-            np.int64(share),
-            inputs,
-            hidden_layer,
-            output_layer,
-            grad,
-            hidden_sums,
-            output_sums,
+            np.int64(share), inputs, hidden_layer, output_layer, grad, hidden_sums, output_sums,
             grad_inputs,
-        )
+        )  # fmt: skip
 
 
 @inner_function

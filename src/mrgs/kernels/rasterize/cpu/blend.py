@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import prange
 
+from mrgs.kernels import simd
 from mrgs.kernels.jit import (
     address,
     strict_inlined_function,
@@ -30,23 +31,6 @@ from mrgs.kernels.jit import (
     strict_parallel_kernel,
 )
 from mrgs.kernels.rasterize.cpu.tiles import PREFETCH_AHEAD, TILE_HEIGHT, TILE_WIDTH
-from mrgs.kernels.simd import (
-    LANES,
-    any_lane,
-    broadcast,
-    ceil_to_int,
-    exp2,
-    floor_to_int,
-    lane_columns,
-    lane_rows,
-    load,
-    minimum,
-    prefetch,
-    select,
-    stack_floats,
-    store,
-    store_sums,
-)
 from mrgs.rasterizer import contract, splat
 
 ALPHA_MAX = np.float32(contract.ALPHA_MAX)
@@ -57,7 +41,7 @@ SURFACE_BEGINS, SURFACE_ENDS = (np.float32(share) for share in contract.SURFACE_
 ZERO, HALF, ONE, NAN = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(np.nan)
 
 TILE_PIXELS = TILE_WIDTH * TILE_HEIGHT
-VECTOR_ROWS = LANES // TILE_WIDTH
+VECTOR_ROWS = simd.LANES // TILE_WIDTH
 """Rows of the tile in one vector."""
 
 ALL_VECTORS = (1 << (TILE_HEIGHT // VECTOR_ROWS)) - 1
@@ -108,30 +92,30 @@ def _walk_of(start: Callable, visit: Callable, finish: Callable) -> Any:
 
     @strict_inner_function()
     def walk(planes, splats, tile_splats, first, last, x0, y0, out):
-        centres_x = lane_columns(TILE_WIDTH) + broadcast(np.float32(x0 + 0.5))
-        centres_y = lane_rows(TILE_WIDTH) + broadcast(np.float32(y0 + 0.5))
+        centres_x = simd.lane_columns(TILE_WIDTH) + simd.broadcast(np.float32(x0 + 0.5))
+        centres_y = simd.lane_rows(TILE_WIDTH) + simd.broadcast(np.float32(y0 + 0.5))
         live_vectors = ALL_VECTORS
         for position in range(first, last):
             record = tile_splats[position] * splat.SPLAT_FLOATS
             ahead = tile_splats[min(position + PREFETCH_AHEAD, last - 1)]
-            prefetch(splats, ahead * splat.SPLAT_FLOATS)
+            simd.prefetch(splats, ahead * splat.SPLAT_FLOATS)
             sums = start()
-            dx = centres_x - broadcast(splats[record + splat.MEAN_X])
-            first_dy = centres_y - broadcast(splats[record + splat.MEAN_Y])
-            threshold = broadcast(splats[record + splat.THRESHOLD])
+            dx = centres_x - simd.broadcast(splats[record + splat.MEAN_X])
+            first_dy = centres_y - simd.broadcast(splats[record + splat.MEAN_Y])
+            threshold = simd.broadcast(splats[record + splat.THRESHOLD])
             first_vector, last_vector = _vector_range(splats, record, y0)
             for vector in range(first_vector, last_vector + 1):
                 if not (live_vectors >> vector) & 1:
                     continue
-                dy = first_dy + broadcast(np.float32(vector * VECTOR_ROWS))
-                across = dx - broadcast(splats[record + splat.SHEAR]) * dy
-                along = broadcast(splats[record + splat.ALONG]) * dy * dy
-                exponent = broadcast(splats[record + splat.ACROSS]) * across * across + along
-                if not any_lane(exponent >= threshold):
+                dy = first_dy + simd.broadcast(np.float32(vector * VECTOR_ROWS))
+                across = dx - simd.broadcast(splats[record + splat.SHEAR]) * dy
+                along = simd.broadcast(splats[record + splat.ALONG]) * dy * dy
+                exponent = simd.broadcast(splats[record + splat.ACROSS]) * across * across + along
+                if not simd.any_lane(exponent >= threshold):
                     continue
                 offsets = dx, across, dy
                 sums, is_live = visit(
-                    planes, vector * LANES, splats, record, exp2(exponent), offsets, sums
+                    planes, vector * simd.LANES, splats, record, simd.exp2(exponent), offsets, sums
                 )
                 if not is_live:
                     live_vectors &= ~(1 << vector)
@@ -167,8 +151,8 @@ def _vector_range(splats, record, y0):
     """First and last vector of the tile whose rows of pixel centres the splat's ellipse can
     reach."""
     mean_y, extent_y = splats[record + splat.MEAN_Y], splats[record + splat.EXTENT_Y]
-    first = ceil_to_int(mean_y - extent_y - HALF) - y0
-    last = floor_to_int(mean_y + extent_y - HALF) - y0
+    first = simd.ceil_to_int(mean_y - extent_y - HALF) - y0
+    last = simd.floor_to_int(mean_y + extent_y - HALF) - y0
     return max(first, 0) // VECTOR_ROWS, min(last, TILE_HEIGHT - 1) // VECTOR_ROWS
 
 
@@ -190,21 +174,23 @@ def _contribution(planes, at, splats, record, layer, gaussian):
         o G', α = min(0.999, o G'), whether it blends, its weight α T (0 where it does not), and the
         transmittance behind it.
     """
-    transmittance = load(planes, at + TRANSMITTANCE)
-    unclamped = broadcast(splats[record + layer]) * gaussian
-    alpha = minimum(unclamped, broadcast(ALPHA_MAX))
-    blends = (alpha >= broadcast(ALPHA_MIN)) & (transmittance >= broadcast(TRANSMITTANCE_MIN))
-    weight = select(blends, alpha * transmittance, broadcast(ZERO))
+    transmittance = simd.load(planes, at + TRANSMITTANCE)
+    unclamped = simd.broadcast(splats[record + layer]) * gaussian
+    alpha = simd.minimum(unclamped, simd.broadcast(ALPHA_MAX))
+    blends = (alpha >= simd.broadcast(ALPHA_MIN)) & (
+        transmittance >= simd.broadcast(TRANSMITTANCE_MIN)
+    )
+    weight = simd.select(blends, alpha * transmittance, simd.broadcast(ZERO))
     transmittance = transmittance - weight
-    store(planes, at + TRANSMITTANCE, transmittance)
+    simd.store(planes, at + TRANSMITTANCE, transmittance)
     return unclamped, alpha, blends, weight, transmittance
 
 
 @strict_inlined_function()
 def _lets_light_through(behind_color, behind_scalar):
     """Whether any pixel of either layer does."""
-    nearly_opaque = broadcast(TRANSMITTANCE_MIN)
-    return any_lane((behind_color >= nearly_opaque) | (behind_scalar >= nearly_opaque))
+    nearly_opaque = simd.broadcast(TRANSMITTANCE_MIN)
+    return simd.any_lane((behind_color >= nearly_opaque) | (behind_scalar >= nearly_opaque))
 
 
 @strict_inlined_function()
@@ -219,7 +205,7 @@ def _keep_no_sums(out, position, sums):
 
 @strict_inlined_function()
 def _accumulate(planes, at, weight, value):
-    store(planes, at, load(planes, at) + weight * broadcast(value))
+    simd.store(planes, at, simd.load(planes, at) + weight * simd.broadcast(value))
 
 
 @strict_inlined_function()
@@ -276,7 +262,7 @@ def blend(splats, tile_splats, tile_starts, backgrounds, color, scalar):
     tiles = tile_starts.size - 1
     for index in prange(tiles):
         tile, x0, y0 = _tile(index, tiles, width)
-        planes = stack_floats(_FLOATS)
+        planes = simd.stack_floats(_FLOATS)
         _open_transmittance(planes, _COLOR, x0, y0, width, height)
         _open_transmittance(planes, _SCALAR, x0, y0, width, height)
         first, last = tile_starts[tile], tile_starts[tile + 1]
@@ -326,24 +312,26 @@ def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussia
     unclamped, alpha, blends, weight, transmittance = _contribution(
         planes, at, splats, record, layer, gaussian
     )
-    grad = load(planes, at + DEPTH)
-    own = grad * broadcast(splats[record + splat.DEPTH])
+    grad = simd.load(planes, at + DEPTH)
+    own = grad * simd.broadcast(splats[record + splat.DEPTH])
     sum_depth = sum_depth + weight * grad
-    grad = load(planes, at + FEATURES)
-    own = own + grad * broadcast(splats[record + layer + 1])
+    grad = simd.load(planes, at + FEATURES)
+    own = own + grad * simd.broadcast(splats[record + layer + 1])
     sum_0 = sum_0 + weight * grad
     if channels == 3:
-        grad = load(planes, at + FEATURES + TILE_PIXELS)
-        own = own + grad * broadcast(splats[record + layer + 2])
+        grad = simd.load(planes, at + FEATURES + TILE_PIXELS)
+        own = own + grad * simd.broadcast(splats[record + layer + 2])
         sum_1 = sum_1 + weight * grad
-        grad = load(planes, at + FEATURES + 2 * TILE_PIXELS)
-        own = own + grad * broadcast(splats[record + layer + 3])
+        grad = simd.load(planes, at + FEATURES + 2 * TILE_PIXELS)
+        own = own + grad * simd.broadcast(splats[record + layer + 3])
         sum_2 = sum_2 + weight * grad
     own = weight * own
-    rest = load(planes, at + behind) - own
-    store(planes, at + behind, rest)
-    grad_alpha = own - rest * (alpha / (broadcast(ONE) - alpha))
-    grad_alpha = select(blends & (unclamped < broadcast(ALPHA_MAX)), grad_alpha, broadcast(ZERO))
+    rest = simd.load(planes, at + behind) - own
+    simd.store(planes, at + behind, rest)
+    grad_alpha = own - rest * (alpha / (simd.broadcast(ONE) - alpha))
+    grad_alpha = simd.select(
+        blends & (unclamped < simd.broadcast(ALPHA_MAX)), grad_alpha, simd.broadcast(ZERO)
+    )
     return grad_alpha, transmittance, (sum_alpha + grad_alpha, sum_depth, sum_0, sum_1, sum_2)
 
 
@@ -364,7 +352,7 @@ def _add_geometry(moments, grad_exponent, across, dy):
 @strict_inlined_function()
 def _zero_sums():
     """Those of the geometry, of the colour and of the scalar layer."""
-    zero = broadcast(ZERO)
+    zero = simd.broadcast(ZERO)
     zeros = (zero, zero, zero, zero, zero)
     return zeros, zeros, zeros
 
@@ -390,7 +378,7 @@ def _store_pair(pair_grads, position, sums):
         *geometry, color[1] + scalar[1],
         color[0], color[2], color[3], color[4], scalar[0], scalar[2],
     )  # fmt: skip
-    store_sums(pair_grads, position * splat.GRAD_FLOATS, record)
+    simd.store_sums(pair_grads, position * splat.GRAD_FLOATS, record)
 
 
 _differentiate_tile = _walk_of(_zero_sums, _differentiate_splat, _store_pair)
@@ -412,7 +400,7 @@ def blend_backward(
     tiles = tile_starts.size - 1
     for index in prange(tiles):
         tile, x0, y0 = _tile(index, tiles, width)
-        planes, grads = stack_floats(_BACKWARD_FLOATS), address(pair_grads, 0)
+        planes, grads = simd.stack_floats(_BACKWARD_FLOATS), address(pair_grads, 0)
         _open_transmittance(planes, _COLOR, x0, y0, width, height)
         _open_transmittance(planes, _BACKWARD_SCALAR, x0, y0, width, height)
         _read_layer(planes, _COLOR, _BEHIND_COLOR, 3, x0, y0, color, grad_color)
@@ -429,20 +417,20 @@ def blend_backward(
 def _pass_surface(planes, at, splats, record, gaussian, offsets, sums):
     """Let a splat take its share of T in a vector of pixels, and of the surface; live are pixels
     where that goes on behind it."""
-    begins, ends = broadcast(SURFACE_BEGINS), broadcast(SURFACE_ENDS)
-    ahead = load(planes, at + TRANSMITTANCE)
+    begins, ends = simd.broadcast(SURFACE_BEGINS), simd.broadcast(SURFACE_ENDS)
+    ahead = simd.load(planes, at + TRANSMITTANCE)
     _, _, _, _, behind = _contribution(planes, at, splats, record, splat.COLOR, gaussian)
-    centre, zero = broadcast(splats[record + splat.DEPTH]), broadcast(ZERO)
-    nearness = broadcast(ONE)
-    nearness = nearness - broadcast(splats[record + _SLOPE_X]) * offsets[0]
-    nearness = nearness - broadcast(splats[record + _SLOPE_Y]) * offsets[2]
-    least = broadcast(LEAST_NEARNESS)
-    depth = centre / select(least < nearness, nearness, least)
-    share = minimum(ahead, begins) - select(ends < behind, behind, ends)
-    share = select(zero < share, share, zero)
-    store(planes, at + _SHARES, load(planes, at + _SHARES) + share)
-    store(planes, at + _SHARED_DEPTHS, load(planes, at + _SHARED_DEPTHS) + share * depth)
-    return sums, any_lane(ends < behind)
+    centre, zero = simd.broadcast(splats[record + splat.DEPTH]), simd.broadcast(ZERO)
+    nearness = simd.broadcast(ONE)
+    nearness = nearness - simd.broadcast(splats[record + _SLOPE_X]) * offsets[0]
+    nearness = nearness - simd.broadcast(splats[record + _SLOPE_Y]) * offsets[2]
+    least = simd.broadcast(LEAST_NEARNESS)
+    depth = centre / simd.select(least < nearness, nearness, least)
+    share = simd.minimum(ahead, begins) - simd.select(ends < behind, behind, ends)
+    share = simd.select(zero < share, share, zero)
+    simd.store(planes, at + _SHARES, simd.load(planes, at + _SHARES) + share)
+    simd.store(planes, at + _SHARED_DEPTHS, simd.load(planes, at + _SHARED_DEPTHS) + share * depth)
+    return sums, simd.any_lane(ends < behind)
 
 
 _find_surface = _walk_of(_no_sums, _pass_surface, _keep_no_sums)
@@ -469,7 +457,7 @@ def median(splats, tile_splats, tile_starts, depth):
     tiles = tile_starts.size - 1
     for index in prange(tiles):
         tile, x0, y0 = _tile(index, tiles, width)
-        planes = stack_floats(_MEDIAN_FLOATS)
+        planes = simd.stack_floats(_MEDIAN_FLOATS)
         _open_transmittance(planes, 0, x0, y0, width, height)
         first, last = tile_starts[tile], tile_starts[tile + 1]
         _find_surface(planes, address(splats, 0), tile_splats, first, last, x0, y0, planes)

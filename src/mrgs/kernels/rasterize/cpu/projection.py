@@ -121,13 +121,9 @@ def _axes_along_view(rotation, scales, i, viewmat):
 
 @strict_parallel_kernel()
 def project(gaussians, projection, means2d_offset, splats, radii):
-    """Fill ``splats`` [N, 16] and ``radii`` [N]; a radius of 0 marks a Gaussian that is left out.
-
-    Args:
-        gaussians: ``GaussianArrays``.
-        projection: ``contract.Projection`` with matrices in float64.
-        means2d_offset: pixels, [N, 2].
-    """
+    """Fill ``splats`` [N, 16] and ``radii`` [N] of ``GaussianArrays``; a radius of 0 marks a
+    Gaussian that is left out. The projection has matrices in float64, the offset [N, 2] is in
+    pixels."""
     means, quats, scales, opacities, features = gaussians
     viewmat, K, width, height, dilation = projection
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]

@@ -98,14 +98,9 @@ def _by_slot(arrays: Sequence[np.ndarray]) -> tuple[LayerImages, LayerImages]:
 def _listed_splats(
     gaussians: GaussianArrays, projection: Projection, offset: np.ndarray, for_gradients: bool
 ) -> tuple[np.ndarray, TileLists, np.ndarray]:
-    """The projected Gaussians in depth order [V, 16], the tiles' lists of them, and the radii [N].
-
-    Args:
-        gaussians: to be projected.
-        projection: into the image.
-        offset: of the projected centres, [N, 2].
-        for_gradients: whether the lists have the pairs of each Gaussian too.
-    """
+    """The projected Gaussians in depth order [V, 16], the tiles' lists of them, with the pairs of
+    each Gaussian where gradients are wanted, and the radii [N]. ``offset`` [N, 2] is that of the
+    projected centres."""
     count = len(gaussians.means)
     if for_gradients:
         splats, radii = empty_splats(count), np.empty(count, np.float32)
@@ -165,12 +160,9 @@ def rasterize(
     projection: Projection,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
-    """``reference.rasterize`` for float32 tensors on the CPU.
-
-    Raises:
-        ValueError: no layer, or tensors of other types or sizes.
-        MrgsError: the Gaussians reach more tiles, together, than the kernels can number.
-    """
+    """``reference.rasterize`` for float32 tensors on the CPU. ValueError for no layer, or tensors
+    of other types or sizes; MrgsError if the Gaussians reach more tiles, together, than the kernels
+    can number."""
     count = len(geometry.means)
     offset = _zeros(count, 2) if means2d_offset is None else means2d_offset
     require_pass(geometry, layers, projection, offset)

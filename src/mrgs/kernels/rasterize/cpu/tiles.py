@@ -45,12 +45,7 @@ _RADIX = 1 << _RADIX_BITS
 @strict_kernel()
 def depth_order(depths, visible):
     """Indices of the visible Gaussians, nearest first, ties by index: a stable radix sort of the
-    positive floats' bits.
-
-    Args:
-        depths: float32 [N], positive where visible.
-        visible: bool [N].
-    """
+    bits of float32 depths [N], which are positive where visible."""
     keys = depths.view(np.uint32)
     count = 0
     for i in range(visible.size):

@@ -81,34 +81,25 @@ def _layer_constants(kernel: Any, layers: str) -> dict[str, Any]:
     return {"HAS_COLOR": left_out != "color", "HAS_SCALAR": left_out != "scalar", **tensors}
 
 
-def _blends(kernel: Any) -> dict[str, KernelSpec]:
-    """The entries of a kernel that walks the lists, by layers: one warp per tile."""
+def _by_layers(kernel: Any, num_warps: int, **constants: int) -> dict[str, KernelSpec]:
+    """The entries of a kernel, by layers."""
     return {
-        layers: _spec(kernel, layers, 1, _layer_constants(kernel, layers)) for layers in LEFT_OUT
-    }
-
-
-def _projections(kernel: Any) -> dict[str, KernelSpec]:
-    """The entries of a kernel that takes one Gaussian per thread, by layers."""
-    return {
-        layers: _spec(
-            kernel, layers, BLOCK // 32, {**_layer_constants(kernel, layers), "BLOCK": BLOCK}
-        )
+        layers: _spec(kernel, layers, num_warps, _layer_constants(kernel, layers) | constants)
         for layers in LEFT_OUT
     }
 
 
-PROJECT = _projections(project)
+PROJECT = _by_layers(project, BLOCK // 32, BLOCK=BLOCK)  # one Gaussian per thread
 LIST_PAIRS = {
     dtype: specialised(
         list_pairs, {"BLOCK": BLOCK}, _TYPES | {"tile_of_pair": f"*{name}"}, BLOCK // 32, 1, name
     )
     for dtype, name in ((torch.int16, "i16"), (torch.int32, "i32"))
 }
-BLEND = _blends(blend)
-BLEND_BACKWARD = _blends(blend_backward)
+BLEND = _by_layers(blend, 1)  # one warp per tile
+BLEND_BACKWARD = _by_layers(blend_backward, 1)
 SUM_PAIRS = _spec(sum_pairs, "", 1, {"RANKS": RANKS, "PAIRS": PAIRS})
-PROJECT_BACKWARD = _projections(project_backward)
+PROJECT_BACKWARD = _by_layers(project_backward, BLOCK // 32, BLOCK=BLOCK)
 
 KERNELS: tuple[KernelSpec, ...] = (
     *PROJECT.values(),
@@ -287,12 +278,8 @@ def rasterize(
     """``reference.rasterize`` for float32 tensors on a GPU.
 
     The camera may be on any device; where it is not on that of the means it is copied there.
-
-    Raises:
-        ValueError: no layer, or tensors of other types, sizes or devices.
-        MrgsError: there are more Gaussians, or they reach more tiles together, than the kernels can
-            number.
-    """
+    ValueError for no layer, or tensors of other types, sizes or devices; MrgsError if there are
+    more Gaussians, or they reach more tiles together, than the kernels can number."""
     means = geometry.means
     if len(means) > _MOST_GAUSSIANS:
         raise MrgsError(
