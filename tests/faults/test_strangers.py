@@ -14,7 +14,7 @@ from mrgs.app.cli import main
 from mrgs.app.terminal import print_note, read_text
 from mrgs.data.files import read_json_object
 from mrgs.data.images import opened
-from mrgs.data.kept import Digests
+from mrgs.data.kept import MISSING, Digests, load
 from mrgs.data.radiometric.read import read_thermal_photo
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, SceneError, warn_user
 from mrgs.pictures.escape import escape_cell, escape_markdown, without_controls
@@ -51,6 +51,7 @@ def doubling(levels: int) -> str:
         f"? [{20_000 * 'x,'}]\n: 1",
         "{[]: 1}",
         "[" * 5_000,
+        "[" + ("[" * 90 + "x" + "]" * 90 + ",") * 500 + "]",
         "a: " + "1" * 40_000,
         "a: 1\n" * 20_000,
     ],
@@ -76,6 +77,7 @@ READERS = {
     "transforms.json": read_json_object,
     "photo.tiff": read_thermal_photo,
     "photo.jpg": image_of,
+    "kept.safetensors": lambda path: load(path, int, "") is MISSING and raise_error(path),
     "digests.json": lambda path: Digests(path).of(path) or raise_error(path),
 }
 

@@ -22,6 +22,9 @@ Config = TypeVar("Config")
 LONGEST_TEXT = 100_000
 """Characters; a configuration has some thousands, a survey full of quotes 80,000."""
 
+DEEPEST = 20
+"""Levels of lists and mappings; a configuration has four."""
+
 
 def write_yaml(config: Any) -> str:
     """A dataclass as YAML, every field written out."""
@@ -77,12 +80,19 @@ def _parsed(text: str) -> Any:
 
 class _StrictLoader(yaml.SafeLoader):
     """Refuses keys that stand twice in a mapping, of which others take the last, and what makes a
-    large value of a short text: aliases and merges."""
+    short text a large value, or a slow one: aliases, merges and deep lists."""
+
+    depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("it has an alias (*name); write out what it stands for")
-        return super().compose_node(parent, index)
+        if self.depth >= DEEPEST:
+            raise yaml.YAMLError(f"it has lists or mappings more than {DEEPEST} deep")
+        self.depth += 1
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         if any(key.value == "<<" for key, _ in node.value):

@@ -32,6 +32,7 @@ from mrgs.scene import THERMAL, Modality, PointCloud
 from mrgs.scene.camera import focal_length
 from mrgs.system.atomic import write_error
 from mrgs.system.child import OUT_OF_MEMORY, Child
+from mrgs.system.disk import read_text
 from mrgs.system.wording import listed
 
 
@@ -160,10 +161,10 @@ def read_result(folder: Path, images: Modality) -> Reconstruction:
     """The largest model in a folder in which ``mrgs.prepare.sfm`` completed its job, with the
     reason for each image that is not in it. TooFewPosesError if fewer than ``MIN_VIEWS`` images
     have a pose."""
-    job = msgspec.json.decode((folder / JOB_FILE).read_bytes(), type=JobFile)
+    job = msgspec.json.decode(read_text(folder / JOB_FILE), type=JobFile)
     names = {image.file: image.name for image in job.images}
     model = folder / MODEL_FOLDER
-    report = msgspec.json.decode((model / REPORT_FILE).read_bytes(), type=ModelReport)
+    report = msgspec.json.decode(read_text(model / REPORT_FILE), type=ModelReport)
     failed = tuple(
         Skipped(name, _reason(image, report.groups, names))
         for name, image in zip(names.values(), report.images, strict=True)

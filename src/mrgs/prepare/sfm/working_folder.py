@@ -19,6 +19,7 @@ from mrgs.data.kept import digest
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.sfm.job import IMAGE_FOLDER, JOB_FILE, JobFile, JobImage
 from mrgs.system.atomic import replacing, write_error
+from mrgs.system.disk import read_text
 
 
 def set_up(
@@ -53,7 +54,7 @@ def set_up(
     try:
         if file.is_file():
             with suppress(msgspec.DecodeError, UnicodeDecodeError):
-                if msgspec.json.decode(file.read_bytes(), type=JobFile) == job:
+                if msgspec.json.decode(read_text(file), type=JobFile) == job:
                     return
         shutil.rmtree(folder, ignore_errors=True)
         (folder / IMAGE_FOLDER).mkdir(parents=True)
