@@ -123,6 +123,8 @@ def _models(
     folder.mkdir()
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = SEED
+    if total <= MAX_EXHAUSTIVE:  # threads add in any order, and save little with so few images
+        options.num_threads = options.mapper.num_threads = 1
     options.min_model_size = 3
     options.triangulation.ignore_two_view_tracks = total >= FEW_IMAGES
     options.ba_refine_focal_length = job.focal_widths is None
