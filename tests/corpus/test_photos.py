@@ -174,6 +174,15 @@ def test_a_raw_file_beside_its_photo_is_skipped_and_alone_refused(photos, suffix
         find_pairs(photos({f"1_W{suffix}": (raw_photo(), {})}, "raw"))
 
 
+def test_colours_that_cannot_be_read_are_missed(photos):
+    heic = b"\0\0\0\x18ftypheic" + bytes(40)
+    files = {f"thermal/{index}.tif": "celsius" for index in range(3)}
+    files |= {f"rgb/{index}.JPG": (heic, {}) for index in range(3)}
+    found = find_pairs(photos(files))
+    assert all("HEIC" in item.reason for item in found.skipped)
+    assert any("no colours" in warning for warning in found.warnings)
+
+
 @pytest.mark.parametrize(
     ("rgb", "thermal", "kind"),
     [

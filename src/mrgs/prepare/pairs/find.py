@@ -13,7 +13,7 @@ from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_byte
 from mrgs.errors import ConfigError, SceneError, printable
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras, shifted
-from mrgs.prepare.pairs.inventory import Inventory, Photo, take_inventory
+from mrgs.prepare.pairs.inventory import NOT_READ, Inventory, Photo, take_inventory
 from mrgs.prepare.pairs.names import (
     HEADINGS,
     PARTNER,
@@ -37,7 +37,7 @@ from mrgs.prepare.pairs.rules import (
     needed_root_name,
 )
 from mrgs.scene import Modality
-from mrgs.system.wording import shown
+from mrgs.system.wording import counted, shown
 
 Rule = Literal["auto", "names", "folders", "time", "thermal"]
 
@@ -90,6 +90,12 @@ def find_pairs(
     match = match or _match(inventory, root_name, rule, tolerance_s)
     pairs = [pair for pair in match.pairs if pair.partner or pair.embedded] or [*match.pairs]
     warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory))
+    unread = [item.name for item in inventory.skipped if NOT_READ in item.reason]
+    if unread and not any(pair.partner or pair.embedded for pair in pairs):
+        warnings += (
+            f"{counted(len(unread), 'photo')} cannot be read, such as {printable(unread[0])}, so "
+            f"there are no colours: save them as JPEG.",
+        )
     names = view_names([_name_without_suffix(pair.reference) for pair in pairs])
     found = [
         PhotoPair(

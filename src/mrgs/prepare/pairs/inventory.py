@@ -36,6 +36,9 @@ _UNSUPPORTED = {
 }  # fmt: skip
 
 
+NOT_READ = "which is not read; save it as JPEG or PNG"
+
+
 @dataclass(frozen=True)
 class Photo:
     """A file that can be a photo of a pair; None where its header does not say.
@@ -85,7 +88,9 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         reader = reader_of(data, path)
         is_plain = data.startswith((JPEG_SIGNATURE, b"\x89PNG"))
         if suffix in _UNSUPPORTED and not is_plain:  # a raw photo is a TIFF with a preview
-            return f"is a {suffix[1:].upper()} file, which is not read; save it as JPEG or PNG"
+            return f"is a {suffix[1:].upper()} file, {NOT_READ}"
+        if data[4:8] == b"ftyp" or data[8:12] == b"WEBP":  # whatever its name says
+            return f"is a HEIC, AVIF or WebP file by its content, {NOT_READ}"
         if reader is None:
             return "is no photo"
         photo = _PHOTOS[reader.kind](path, origin, data)
