@@ -210,7 +210,7 @@ def show_marks(
                 tables.PART_NAMES[name]: tables.value_text(part, temperature)
                 for name, part in tables.uncertainty_parts(reading).items()
             },
-            "factor": _factor(reading.mean, tables.total_uncertainty(reading), survey),
+            "factor": _factor(reading.low, tables.total_uncertainty(reading), survey),
             "low": tables.value_text(reading.low, temperature),
             "high": tables.value_text(reading.high, temperature),
             "difference": " ± ".join(filter(None, (difference, around))),
@@ -245,20 +245,21 @@ def air_uncertainty(survey: Survey) -> float:
     return COVERAGE * (AIR_C if survey.air_uncertainty_c is None else survey.air_uncertainty_c)
 
 
-def _factor(mean: float, around: float, survey: Survey) -> str:
-    """f_Rsi = (T_si - T_e) / (T_i - T_e) (ISO 13788), which is defined for surfaces inside only; a
-    dash where it would not be from 0 to 1, as of a radiator. ``around`` is the mean's ±; its own
-    follows from that and from the air inside, sensitivity coefficient f_Rsi, and outside."""
+def _factor(lowest: float, around: float, survey: Survey) -> str:
+    """f_Rsi = (T_si - T_e) / (T_i - T_e) (ISO 13788), which judges the lowest temperature and is
+    defined for surfaces inside only; a dash where it would not be from 0 to 1, as of a radiator.
+    ``around`` is the mark's ±; its own follows from that and from the air inside, sensitivity
+    coefficient f_Rsi, and outside."""
     inside, outside = survey.inside_c, survey.outside_c
     if (
         survey.side != "inside"
         or inside is None
         or outside is None
         or not inside > outside
-        or math.isnan(mean)
+        or math.isnan(lowest)
     ):
         return tables.DASH
-    factor = (mean - outside) / (inside - outside)
+    factor = (lowest - outside) / (inside - outside)
     if not 0 <= factor <= 1:
         return tables.DASH
     if math.isnan(around):

@@ -121,6 +121,13 @@ def test_a_bare_record_and_its_time(save):
     assert photo.valid.all()
 
 
+def test_the_time_of_a_record_is_that_of_the_camera_s_zone(save):
+    stamp = struct.pack("<IIh", 1_363_105_883, 0x50000 | 250, -60)  # an hour before UTC
+    record = FlirPhoto(info_fields={0x384: stamp}).record()
+    taken = read_thermal_photo(save("a.fff", record)).facts.taken
+    assert taken == datetime(2013, 3, 12, 17, 31, 23, 250_000)
+
+
 def test_many_parts(save):
     written = FlirPhoto(part_bytes=9)  # more parts than one byte counts
     photo = read_thermal_photo(save("a.jpg", written.jpeg()))
