@@ -17,6 +17,21 @@ Y, X = np.mgrid[:30, :40]
 TABLE_C = np.round(18 + 6 * np.sin(X / 9) + Y / 10, 1)
 
 
+def cells(values: np.ndarray, decimal: str = ".") -> list[list[str]]:
+    return [[f"{value:.1f}".replace(".", decimal) for value in row] for row in values]
+
+
+def joined(rows: list[list[str]], separator: str = ";") -> str:
+    return "".join(separator.join(row) + "\n" for row in rows)
+
+
+def with_gaps(*places) -> np.ndarray:
+    expected = TABLE_C.copy()
+    for place in places:
+        expected[place] = np.nan
+    return expected
+
+
 def read(tmp_path, text: str):
     (tmp_path / "a.csv").write_text(text)
     return read_thermal_photo(tmp_path / "a.csv").temperature_c
@@ -28,6 +43,26 @@ def test_commas_between_numbers_and_in_them(tmp_path, head, label):
     text = numbers(TABLE_C, ",", ",")
     lines = "".join(f"{label}{line}\n" for line in text.splitlines())
     np.testing.assert_allclose(read(tmp_path, head + lines), TABLE_C, atol=1e-5)
+
+
+@pytest.mark.parametrize("gap", ["nan", "", "--"])
+@pytest.mark.parametrize("is_indexed", [False, True])
+@pytest.mark.parametrize("separator", [",", ", "])
+def test_commas_between_numbers_and_in_them_with_gaps(tmp_path, gap, is_indexed, separator):
+    rows = cells(TABLE_C, ",")
+    rows[12][7], rows[20] = gap, [gap] * 40
+    lines = [[str(y), *row] if is_indexed else row for y, row in enumerate(rows)]
+    expected = with_gaps((12, 7), 20)
+    np.testing.assert_allclose(read(tmp_path, joined(lines, separator)), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("lacking", [1, 3])
+def test_a_few_numbers_without_decimals_make_no_wider_picture(tmp_path, lacking):
+    text = numbers(TABLE_C, ",", ",").replace(",0,", ",", lacking)
+    (tmp_path / "a.csv").write_text(text)
+    photo = read_thermal_photo(tmp_path / "a.csv")
+    assert photo.valid.shape[1] == 40
+    assert "left out" in photo.facts.warnings[0]
 
 
 def test_whole_degrees_between_commas_stay_whole(tmp_path):
@@ -44,16 +79,196 @@ def test_decimals_in_some_of_the_numbers_only_are_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("heading", "down_first"),
-    [("x,y,t", False), ("y,x,temp", True), ("row,col,T", True), ("Column;Line;°C", False)],
+    [
+        ("x,y,t", False),
+        ("y,x,temp", True),
+        ("row,col,T", True),
+        ("Column;Line;°C", False),
+        ("x [px],y [px],T [°C]", False),
+        ("x/px,y/px,T/°C", False),
+        ("X(px),Y(px),Temp", False),
+        ("X_pixel,Y_pixel,value", False),
+        ("pixel_x,pixel_y,Temperature_C", False),
+        ("i,j,T", True),
+        ("Spalte,Zeile,Wert", False),
+        ("# xpos,ypos,t", False),
+    ],
 )
 def test_places_and_temperatures_are_a_picture(tmp_path, heading, down_first):
     found = read(tmp_path, places(TABLE_C, heading, down_first))
     np.testing.assert_allclose(found, TABLE_C, atol=1e-5)
 
 
-def test_places_without_headings_are_asked_for(tmp_path):
+@pytest.mark.parametrize(
+    ("heading", "line"),
+    [
+        (",x,y,t", "{i},{x},{y},{t}"),
+        ("t,x,y", "{t},{x},{y}"),
+        ("x,y,z,t", "{x},{y},0,{t}"),
+        ("x [mm];y [mm];T", "{mm};{y};{t}"),
+        ("x y t", "{x} {y} {t}"),
+    ],
+)
+def test_places_in_other_columns(tmp_path, heading, line):
+    found = read(tmp_path, f"{heading}\n" + "".join(listed(line)))
+    np.testing.assert_allclose(found, TABLE_C, atol=1e-5)
+
+
+def listed(line: str) -> list[str]:
+    return [
+        line.format(i=i, x=i % 40, y=i // 40, mm=f"{0.33 * (i % 40):.2f}", t=value) + "\n"
+        for i, value in enumerate(TABLE_C.ravel())
+    ]
+
+
+def test_places_that_are_missing_or_there_twice(tmp_path):
+    lines = listed("{x},{y},{t}")
+    chosen = np.sort(np.random.default_rng(0).permutation(1200)[:700])
+    expected = np.full(1200, np.nan)
+    expected[chosen] = TABLE_C.ravel()[chosen]
+    found = read(tmp_path, "x,y,t\n" + "".join(lines[i] + lines[i] for i in chosen))
+    np.testing.assert_allclose(found, expected.reshape(30, 40), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "".join(listed("{x},{y},{t}")),
+        "".join(listed("{t},{x},{y}")),
+        "".join(listed("{i},{x},{y},{t}")),
+        "".join(listed("{x},{y},{t}")[::2]),
+        "x,y,t\n" + "".join(listed("{x},{y},{t}")).replace(".", ","),
+        "x,y,t\n" + "".join(listed("{x},{y},{t}")) + "3,3,99\n",
+        "x,y,t\n" + "".join(listed("{x},{y},{t}")[::40]),
+        "x,y,t\n" + "".join(line for line in listed("{x},{y},{t}") if line[:2] != "7,"),
+    ],
+)
+def test_places_that_give_no_picture_are_asked_for(tmp_path, text):
     with pytest.raises(SceneError, match="x, y, t"):
-        read(tmp_path, places(TABLE_C, ""))
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize("gap", ["--", ""])
+@pytest.mark.parametrize("head", ["", "Emissivity;0.95\n"])
+@pytest.mark.parametrize(
+    "place", [0, 15, 29, (slice(None), 0), (slice(None), slice(5)), (slice(None), 20)]
+)
+def test_dead_rows_and_columns_are_masked(tmp_path, gap, head, place):
+    expected = with_gaps(place)
+    rows = cells(expected)
+    text = head + joined([[gap if cell == "nan" else cell for cell in row] for row in rows])
+    np.testing.assert_allclose(read(tmp_path, text), expected, atol=1e-5)
+
+
+def test_a_round_picture_is_masked_outside(tmp_path):
+    expected = np.where((Y - 15) ** 2 / 225 + (X - 20) ** 2 / 400 > 1, np.nan, TABLE_C)
+    text = joined(cells(expected)).replace("nan", "--")
+    np.testing.assert_allclose(read(tmp_path, text), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("end", ["\n\n", "\r\r\n"])
+def test_empty_lines_between_all_rows(tmp_path, end):
+    (tmp_path / "a.csv").write_bytes(joined(cells(TABLE_C)).replace("\n", end).encode())
+    found = read_thermal_photo(tmp_path / "a.csv").temperature_c
+    np.testing.assert_allclose(found, TABLE_C, atol=1e-5)
+
+
+@pytest.mark.parametrize("label", ["", "Frame 1;"])
+def test_lines_that_a_spreadsheet_pads_are_no_rows(tmp_path, label):
+    rows = "".join(f"{label}{line};\n" for line in joined(cells(TABLE_C)).splitlines())
+    pad = ";" * (rows.splitlines()[0].count(";") - 1)
+    text = f"Emissivity;0.95{pad}\nParameters:;{pad}\n;{pad}\n{rows}"
+    np.testing.assert_allclose(read(tmp_path, text), TABLE_C, atol=1e-5)
+
+
+def test_lines_of_numbers_beside_the_table_are_said(tmp_path):
+    (tmp_path / "a.csv").write_text(2 * ("Frame\n" + joined(cells(TABLE_C))))
+    photo = read_thermal_photo(tmp_path / "a.csv")
+    assert photo.valid.shape == (30, 40)
+    assert "left out: 30" in photo.facts.warnings[0]
+
+
+@pytest.mark.parametrize("corner", ["", "y/x"])
+@pytest.mark.parametrize("down", [lambda y: 29 - y, lambda y: 2 * y, lambda y: f"{0.33 * y:.2f}"])
+@pytest.mark.parametrize("across", [lambda x: x, lambda x: f"c{x}", lambda x: f"{0.33 * x:.2f}"])
+def test_indices_with_a_heading(tmp_path, corner, down, across):
+    rows = [[str(down(y)), *row] for y, row in enumerate(cells(TABLE_C))]
+    text = joined([[corner, *(str(across(x)) for x in range(40))], *rows])
+    np.testing.assert_allclose(read(tmp_path, text), TABLE_C, atol=1e-5)
+
+
+@pytest.mark.parametrize("down", [lambda y: 29 - y, lambda y: 2 * y, lambda y: f"{0.33 * y:.2f}"])
+def test_what_may_be_an_index_is_said(tmp_path, down):
+    text = joined([[str(down(y)), *row] for y, row in enumerate(cells(TABLE_C))])
+    (tmp_path / "a.csv").write_text(text)
+    photo = read_thermal_photo(tmp_path / "a.csv")
+    assert "index" in photo.facts.warnings[0]
+    np.testing.assert_allclose(photo.temperature_c[:, 1:], TABLE_C, atol=1e-5)
+
+
+@pytest.mark.parametrize("first", [0, 1, 5])
+def test_temperatures_that_rise_by_one_are_no_index(tmp_path, first):
+    ramp = X + Y + first
+    np.testing.assert_array_equal(read(tmp_path, joined(cells(ramp))), ramp)
+    for place in ((slice(None), 0), 0):
+        values = TABLE_C.copy()
+        values[place] = 5 + np.arange(len(values[place]))
+        np.testing.assert_allclose(read(tmp_path, joined(cells(values))), values, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("unit", "separator", "factor", "addend"),
+    [(" °C", ";", 1, 0), ("°C", ",", 1, 0), (" °F", ",", 1.8, 32), (" K", " ", 1, 273.15)],
+)
+def test_units_in_cells(tmp_path, unit, separator, factor, addend):
+    rows = [[cell + unit for cell in row] for row in cells(TABLE_C * factor + addend)]
+    np.testing.assert_allclose(read(tmp_path, joined(rows, separator)), TABLE_C, atol=0.06)
+
+
+@pytest.mark.parametrize(
+    ("thousands", "decimal", "separator", "quote"),
+    [
+        (".", ",", ";", ""),
+        (",", ".", ",", '"'),
+        (".", ",", ",", '"'),
+        (" ", ",", ";", ""),
+        ("\u202f", ",", "\t", ""),
+        ("’", ".", ";", ""),
+        ("", ",", ",", "'"),
+    ],
+)
+def test_signs_of_thousands_and_quotes(tmp_path, thousands, decimal, separator, quote):
+    hot = 60 * TABLE_C
+    signs = str.maketrans({",": thousands, ".": decimal})
+    rows = [[f"{quote}{f'{v:,.1f}'.translate(signs)}{quote}" for v in row] for row in hot]
+    (tmp_path / "a.csv").write_text("Unit: °C\n" + joined(rows, separator), encoding="utf-8")
+    found = read_thermal_photo(tmp_path / "a.csv").temperature_c
+    np.testing.assert_allclose(found, hot, atol=0.06)
+
+
+@pytest.mark.parametrize("minus", ["\u2212", "\u2013"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16-le"])
+def test_minus_signs_and_texts_without_a_mark_of_their_encoding(tmp_path, minus, encoding):
+    text = joined(cells(TABLE_C - 20)).replace("-", minus)
+    (tmp_path / "a.csv").write_bytes(text.encode(encoding))
+    found = read_thermal_photo(tmp_path / "a.csv").temperature_c
+    np.testing.assert_allclose(found, TABLE_C - 20, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("head", "factor"),
+    [("", 100), ("Unit: 0.01K\n", 100), ("Unit;0,01 K\n", 100), ("units [0.04*K]\n", 25)],
+)
+def test_whole_numbers_of_a_part_of_a_kelvin(tmp_path, head, factor):
+    counts = np.rint((TABLE_C + 273.15) * factor).astype(int)
+    counts[3, 4] = 65_535
+    found = read(tmp_path, head + joined([[str(n) for n in row] for row in counts]))
+    np.testing.assert_allclose(found, with_gaps((3, 4)), atol=0.03)
+
+
+def test_tenths_of_a_degree_may_be_hundredths_and_are_asked_for(tmp_path):
+    with pytest.raises(SceneError, match="give the unit"):
+        read(tmp_path, joined([[f"{10 * t:.0f}" for t in row] for row in TABLE_C]))
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,19 @@ def test_no_cell_is_a_formula(blank, formula):
 
 
 @pytest.mark.parametrize(
-    "line", ["unit" + 400_000 * " ", "temp(" + 400_000 * " ", 100_000 * "unit ", 200_000 * "° "]
+    "line",
+    [
+        "unit" + 400_000 * " ",
+        "temp(" + 400_000 * " ",
+        100_000 * "unit ",
+        200_000 * "° ",
+        "[" + 400_000 * " ",
+        "in " + 400_000 * " ",
+        200_000 * "1 ",
+        400_000 * "\t",
+        200_000 * "1,",
+        200_000 * "\"'",
+    ],
 )
 def test_a_long_line_beside_a_table_costs_little(tmp_path, line):
     """A pattern of quadratic cost would take minutes."""

@@ -89,8 +89,8 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
 
 def decoded_text(data: bytes) -> str:
     """The text of a file that a spreadsheet or a camera's program wrote: UTF-16 with a byte-order
-    mark (Excel's "Unicode text"), UTF-8, else Windows-1252."""
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+    mark (Excel's "Unicode text") or zeros behind its first letters, UTF-8, else Windows-1252."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")) or 0 in data[1:4:2]:
         return data.decode("utf-16", errors="replace")
     try:
         return data.decode("utf-8-sig")

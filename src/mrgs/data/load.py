@@ -23,8 +23,7 @@ from mrgs.data.files import Number, contained, json_value, on_disk, read_json_ob
 from mrgs.data.images import Decoded, Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.radiometric.measurement import masked
-from mrgs.data.radiometric.table import units_named
-from mrgs.data.radiometric.units import CELSIUS, FLOAT_UNITS, Unit, everyday, typical
+from mrgs.data.radiometric.units import CELSIUS, FLOAT_UNITS, Unit, everyday, typical, units_named
 from mrgs.data.sources import (
     Decoder,
     FilenameLists,

@@ -86,6 +86,13 @@ ROWS_HOT = "290;310;280\n285;281;300\n"
         ("\u00baF\n" + ROWS_F, 20.0),
         (ROWS_F + "Unit: \u00b0F\n", 20.0),
         ("Units = Fahrenheit; room at 20 \u00b0C\nunit F\n" + ROWS_F, 20.0),
+        ("Data in Deg F\n" + ROWS_F, 20.0),
+        ("Temperature in F\n" + ROWS_F, 20.0),
+        ("[F]\n" + ROWS_F, 20.0),
+        ("Temp \u2109\n" + ROWS_F, 20.0),
+        ("Image 3: temperatures in \u00b0F\n" + ROWS_F, 20.0),
+        ("Reflected: 20 \u00b0C\nTemperature;\u00b0F\n" + ROWS_F, 20.0),
+        ("File: F:\\a.jpg, data: 2\n" + ROWS_F, 68.0),
         ("Temperature \u00b0C\n" + ROWS_HOT, 290.0),
         ("Temp. [\u00b0C]\n" + ROWS_HOT, 290.0),
         ("Unit: K\n" + ROWS_HOT, 16.85),
@@ -99,6 +106,25 @@ def test_a_unit_that_is_named_is_that_of_the_numbers(tmp_path, text, first_c):
     assert photo.temperature_c.shape == (2, 3)
     guessed = first_c == 16.85 and "the maker" in text
     assert bool(photo.facts.warnings) == guessed
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "Reflected: 68 °F",
+        "Température réfléchie;68,0 °F",
+        "Reflected temperature [°F];68",
+        "Reflected temperature;68;°F",
+        "Reflected 68 °F",
+    ],
+)
+def test_a_unit_of_a_setting_is_not_that_of_the_numbers(tmp_path, setting):
+    photo = read(tmp_path, f"{setting}\n20;21;22\n21;22;25\n")
+    assert photo.temperature_c[0].tolist() == [20, 21, 22]
+    assert "A setting is in °F" in photo.facts.warnings[0]
+    stated = read(tmp_path, f"{setting}\nUnit: °F\n{ROWS_F}")
+    assert stated.temperature_c[0, 0] == pytest.approx(20)
+    assert stated.facts.warnings == ()
 
 
 @pytest.mark.parametrize("gap", ["", "-", "--", "***", "#N/A", ">150"])

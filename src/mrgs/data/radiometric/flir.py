@@ -242,9 +242,11 @@ def _camera(info: RecordFields) -> CameraFacts:
     view_deg, stamp = info.number(0x1B4), info.read(0x384, "IIh")
     taken = None
     if stamp is not None and stamp[0] != 0:  # in UTC, and the minutes that the camera is behind it
-        seconds, milliseconds, behind = stamp[0], stamp[1] & 0xFFFF, stamp[2]
+        seconds, milliseconds, behind = (int(number) for number in stamp)
         seconds -= 60 * behind if abs(behind) <= 14 * 60 else 0
-        taken = datetime(1970, 1, 1) + timedelta(seconds=seconds, milliseconds=milliseconds % 1000)
+        taken = datetime(1970, 1, 1) + timedelta(
+            seconds=seconds, milliseconds=(milliseconds & 0xFFFF) % 1000
+        )
     return CameraFacts(
         clean_text(info.data[0xD4:0xF4]),
         clean_text(info.data[0x104:0x114]),

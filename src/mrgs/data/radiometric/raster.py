@@ -27,7 +27,7 @@ _GREY_TOLERANCE = 8
 """Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG
 in colour."""
 
-_SATURATED, _MISSING = 65_535, -9_999
+SATURATED, _MISSING = 65_535, -9_999
 """Integers that are no temperatures: the largest of 16 bits, and what programs write for a pixel
 without value, or less."""
 
@@ -67,7 +67,7 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
                 options=("unit", "bounds_c"),
             )
         return _from_grey(values / 65535, path, facts, overrides)
-    values[(pixels == _SATURATED) | (pixels <= _MISSING)] = np.nan
+    values[(pixels == SATURATED) | (pixels <= _MISSING)] = np.nan
     candidates, is_stated = INTEGER_UNITS, False
     if overrides.unit is None:
         candidates, is_stated = camera_units(exif.make, exif.model, xmp, path)

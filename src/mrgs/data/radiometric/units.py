@@ -34,6 +34,21 @@ INTEGER_UNITS: tuple[str, ...] = (
 )
 """Units of cameras and converters; docs/radiometric.md names them."""
 
+_QUANTITIES = {"c": "celsius", "f": "fahrenheit", "k": "kelvin"}
+_MENTIONED = (
+    re.compile(r"(?:°|\bdeg(?:rees?)?\b\.?|\bdeg(?=[CFK]\b))\s*([CFK])\b", re.IGNORECASE),
+    re.compile(r"\b(?:(?:in|t)\W+|temp\w*\W*)([CFK])\b(?!:)", re.IGNORECASE),
+    re.compile(r"\[\s*([CFK])\s*\]"),
+    re.compile(r"\b(celsius|fahrenheit|kelvin)\b", re.IGNORECASE),
+)
+"""How texts mention a unit."""
+
+_STATED = re.compile(r"(?i)\bunits?[\s\"':=;,(\[]*(?:(0[.,]\d{0,3}[1-9])[\s*]*)?(?:°\s*)?([CFK])\b")
+"""How they say that it is that of the numbers, or a decimal fraction of it."""
+
+_SETTING = re.compile(r"(?:^|[;,:=\t])[ \"']*[+-]?\d|\d *°? *[CFK]\b")
+"""A line with a number of its own: a unit in it is that of a setting."""
+
 
 class Unit(NamedTuple):
     """A stored number is ``factor`` times the temperature on the scale of ``quantity``, plus
@@ -97,6 +112,18 @@ def _is_everyday(unit: Unit, numbers: Float[np.ndarray, "3"]) -> bool:
 def everyday(candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"]) -> list[str]:
     """The candidates in which typical numbers are everyday temperatures."""
     return [text for text in candidates if _is_everyday(Unit.parse(text), numbers)]
+
+
+def units_named(lines: list[str]) -> tuple[str, ...]:
+    """The units that texts beside numbers name: those that they say are of the numbers, else all
+    that they mention in lines without a number of their own."""
+    found = [match for line in lines for match in _STATED.findall(line)]
+    for line in lines if not found else ():
+        if not _SETTING.search(line):
+            found += [("", name) for mentioned in _MENTIONED for name in mentioned.findall(line)]
+    names = ((part.replace(",", "."), name.lower()) for part, name in found)
+    factors = ((f"*{1 / float(part):g}" if part else "", name) for part, name in names)
+    return tuple(sorted({_QUANTITIES.get(name, name) + factor for factor, name in factors}))
 
 
 def given_unit(text: str, numbers: Float[np.ndarray, "3"]) -> Choice:
