@@ -114,8 +114,8 @@ def _surface_of(records: list[PhotoRecord]) -> tuple[SurfaceSettings, list[str]]
     if not known:
         return SurfaceSettings(1.0, None), [
             "The photos do not say their emissivity: their temperatures are taken as apparent ones "
-            "(emissivity 1). If the camera or a program has applied another, prepare the scene "
-            "with it (--emissivity, --reflected)."
+            "(emissivity 1). If the camera or a program has applied another, give it and the "
+            "reflected temperature where the scene is prepared."
         ]
     emissivities, reflected = zip(*known, strict=True)
     differs = "Emissivity or reflected temperature differ between the photos: their median is used."
