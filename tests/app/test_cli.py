@@ -121,11 +121,11 @@ BAD_SCENES: dict[str, tuple[Damage, str]] = {
     ),
     "large image": (
         lambda scene: Image.new("1", (10_000, 9_500)).save(scene / "images" / TRAINED),
-        rf"{TRAINED}: .*16 megapixels",
+        rf"{TRAINED}: .*25 megapixels",
     ),
     "decompression bomb": (
         lambda scene: Image.new("1", (20_000, 10_000)).save(scene / "images" / TRAINED),
-        rf"{TRAINED}: .*16 megapixels",
+        rf"{TRAINED}: .*25 megapixels",
     ),
     "NaN in a pose": (
         set_pose(float("nan")),

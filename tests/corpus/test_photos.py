@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from mrgs.data.radiometric import Overrides, read_exif, read_thermal_photo
+from mrgs.data.radiometric.exif import _facts
 from mrgs.errors import SceneError
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL
@@ -329,6 +330,8 @@ def test_the_time_of_a_photo_with_a_zone_is_that_of_the_photo(original, zone, zo
 def test_a_time_that_cannot_be_read_is_not_that_of_an_edit():
     edited = "2024:11:30 08:00:00"
     assert read_exif(timed_jpeg("2024:05:01 24:00:07", edited)).taken is None
+    details = {0x9003: "2024:05:01", 0x9004: "2024:05:01 12:00:07", 0x0132: edited}
+    assert _facts(details, {}, 1).taken == datetime(2024, 5, 1, 12, 0, 7)
     for nothing in ("0000:00:00 00:00:00", "    :  :     :  :  ", None):
         assert read_exif(timed_jpeg(nothing, edited)).taken == datetime(2024, 11, 30, 8)
 
@@ -395,6 +398,9 @@ def test_colours_that_cannot_be_read_are_missed(photos):
     files |= {f"rgb/{index}.JPG": (heic, {}) for index in range(3)}
     found = find_pairs(photos(files))
     assert all("HEIC" in item.reason for item in found.skipped)
+    video = b"\0\0\0\x18ftypmp42" + bytes(40)
+    files |= {f"rgb/{index}.JPG": (video, {}) for index in range(3)}
+    assert all(item.reason == "is no photo" for item in find_pairs(photos(files, "b")).skipped)
     assert any("no colours" in warning for warning in found.warnings)
 
 
@@ -442,7 +448,7 @@ def test_pair_tables_with_further_columns(photos, tmp_path):
     root = photos(files | {f"v/{index + 4}.jpg": "jpg" for index in range(3)})
     lines = [f"{index},t/{index}.tif,12:00,v/{index + 4}.jpg" for index in range(3)]
     table = tmp_path / "pairs.csv"
-    table.write_text("\n".join(["id,IR image,time,rgb_path", *lines]))
+    table.write_text("\n".join(["# id,IR image,time,rgb_path,image_id", *lines]))
     pairs = [(pair.photos[RGB].stem, pair.name) for pair in find_pairs(root, table=table).pairs]
     assert pairs == [(f"{index + 4}", f"{index}") for index in range(3)]
 
@@ -453,6 +459,9 @@ def test_a_pair_table_of_plain_photos_follows_their_folders(photos, tmp_path):
     table.write_text("".join(f"ir/{index}.jpg,daylight/{index}.jpg\n" for index in range(3)))
     for pair in find_pairs(root, table=table).pairs:
         assert pair.photos[RGB].parent.name == "daylight"
+    table.write_text("rgb,thermal\n" + table.read_text())
+    for pair in find_pairs(root, table=table).pairs:
+        assert pair.photos[RGB].parent.name == "ir"
 
 
 def test_a_table_separated_by_blanks_is_a_thermal_photo(photos):

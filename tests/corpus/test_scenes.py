@@ -263,7 +263,7 @@ def test_camera_models_that_are_not_read_are_named(writer, model, parameters):
     ("text", "range_c"),
     [
         ('"min": 10', None),
-        ('"units": "F"', (-12.2222, -1.1111)),
+        ('"units": "F", "community": "x"', (-12.2222, -1.1111)),
         ('"Unit": "kelvin"', (-263.15, -243.15)),
         ('"unit": "K*100"', None),
     ],

@@ -11,7 +11,7 @@ from PIL import Image
 from mrgs.check.rules import fast_problems
 from mrgs.data import load_scene
 from mrgs.data.images import decode, probe, upright
-from mrgs.data.radiometric import read_thermal_photo
+from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.data.radiometric.exif import read_exif
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.prepare.rgb_photo import read_rgb
@@ -213,6 +213,12 @@ def test_the_unit_that_gdal_names(tmp_path, unit, factor, zero, dtype):
     path = write_by_gdal(tmp_path / "a.tif", (factor * SCENE_C + zero).astype(dtype), unit)
     np.testing.assert_allclose(read_thermal_photo(path).temperature_c, SCENE_C, atol=1e-4)
     np.testing.assert_allclose(stored(path)[..., 0], SCENE_C, atol=1e-4)
+    given = {"K": "kelvin", "degF": "fahrenheit"}[unit]
+    photo = read_thermal_photo(path, Overrides(unit=given))
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=1e-4)
+    counts = np.rint(100 * (SCENE_C + 273.15)).astype(np.uint16)
+    photo = read_thermal_photo(write_by_gdal(tmp_path / "b.tif", counts, "K"))
+    np.testing.assert_allclose(photo.temperature_c, SCENE_C, atol=0.006)
 
 
 def test_tags_of_a_tiff_that_pillow_does_not_know(tmp_path):

@@ -45,6 +45,7 @@ def attacks() -> Iterator[tuple[str, Attack]]:
     rng = random.Random(0)
     moments = [rng.uniform(0.1, 1) for _ in range(30)]
     yield "kill -9 of trainings", lambda at: kills.trainings(at, 50)
+    yield "kill -9 of pipelines", lambda at: kills.pipelines(at, 7)
     yield "signals to blocks", lambda at: blocks.kills(at, 20)
     yield "kill -9 of writers", kills.writes
     yield "kill -9 of prepare", lambda at: interruptions.preparations(at, moments, signal.SIGKILL)

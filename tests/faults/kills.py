@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 from mrgs.system.atomic import remove_abandoned
 from tests.faults.program import (
     SMALL,
+    Started,
     ended,
     environment,
     is_run_left_alone,
@@ -37,6 +39,57 @@ with replacing(Path(sys.argv[1])) as temporary:
     sys.stdin.read()
 """
 """Writes a file, and waits for its input to end before the file takes its place."""
+
+
+SHORT_RUN = """
+import sys
+from mrgs.app.cli import main
+from mrgs.pipeline.plan import QUALITIES, Quality
+QUALITIES["fast"] = Quality("fast", "fast", 60, 1500, 320)
+sys.exit(main(["run", sys.argv[1], "--quality", "fast", "--yes", *sys.argv[2:]]))
+"""
+"""``mrgs run`` with a training of seconds."""
+
+TABLETOP = Path(__file__).parents[2] / "examples" / "tabletop"
+
+
+def pipelines(folder: Path, count: int, seed: int = 0) -> Tally:
+    """``mrgs run`` from photos without poses, killed in whatever stage it is in and started again,
+    leaves the files of one that is left alone; but for times, memory and the folder's own name."""
+    tally, rng = Tally(), random.Random(seed)
+    photos = folder / "photos"
+    for kind in ("images", "thermal"):
+        (photos / kind).mkdir(parents=True)
+        for file in sorted((TABLETOP / kind).iterdir())[::3]:
+            shutil.copy(file, photos / kind)
+    command = "-c", SHORT_RUN, photos, "--bounds", -1, 83, "--output"
+    for output, kills in (("whole", 0), ("killed", count)):
+        for number in range(kills + 1):
+            process = Started([*command, folder / output])
+            if number < kills:
+                wait_until(lambda: False, process, rng.uniform(5, 60))
+                process.send_signal(signal.SIGKILL)
+            found = ended(process)
+            holds = found.status == 0 or (number < kills and found.status == -signal.SIGKILL)
+            tally.judge(f"{output}, {number}", holds, found)
+    whole, killed = (_results(folder / output) for output in ("whole", "killed"))
+    tally.judge("the same files", whole.keys() == killed.keys(), whole.keys() ^ killed.keys())
+    differing = [name for name in whole if whole[name] != killed.get(name)]
+    tally.judge("the same content", not differing, differing[:5])
+    return tally
+
+
+def _results(folder: Path) -> dict[str, bytes]:
+    """What a pipeline has made, without what it keeps for itself and what has times in it."""
+    timed = {"log.jsonl", "metrics.json", "metrics.md", "report.html", "prepare.html"}
+    found = {path.relative_to(folder): path for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(name): path.read_bytes()
+        for name, path in found.items()
+        if len(name.parts) > 1
+        and path.name not in timed
+        and not {"prepare", "checkpoints"} & {*name.parts}
+    }
 
 
 def trainings(folder: Path, count: int, seed: int = 0) -> Tally:

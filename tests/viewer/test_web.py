@@ -28,7 +28,7 @@ from mrgs.marks.store import MarkStore
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.browser import MOST_CHANGES, Browser
 from mrgs.viewer.server import open_viewer, start_at, title_of
-from mrgs.viewer.web import Viewer
+from mrgs.viewer.web import MOST_GUESSES, Viewer
 from tests.helpers.browsers import wait_until
 from tests.viewer.test_messages import look
 
@@ -134,9 +134,13 @@ def test_odd_addresses_are_answered(viewer, path, status):
 
 def test_wrong_tokens_wait_for_each_other_and_right_ones_do_not(viewer, monkeypatch):
     monkeypatch.setattr("mrgs.viewer.web.GUESS_S", 3600.0)
-    guesses = [socket.create_connection(("127.0.0.1", viewer.port)) for _ in range(20)]
-    for guess in guesses:
-        guess.sendall(b"GET /?token=guess HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    guesses = [socket.create_connection(("127.0.0.1", viewer.port)) for _ in range(MOST_GUESSES)]
+    for number, guess in enumerate(guesses):
+        wrong = b"/?token=guess" if number % 2 else b"/"
+        cookie = b"Cookie: mrgs-viewer-%d=guess\r\n" % viewer.port
+        guess.sendall(b"GET " + wrong + b" HTTP/1.1\r\nHost: localhost\r\n" + cookie + b"\r\n")
+    wait_until(lambda: len(viewer._guessing) == MOST_GUESSES, "all wait")
+    assert ask(viewer, "/?token=guess")[0].status == 429
     assert ask(viewer, f"/?{token(viewer)}")[0].status == 303
     for guess in guesses:
         guess.setblocking(False)
@@ -451,13 +455,17 @@ def test_a_drive_that_does_not_answer_stops_no_browser(subject, camera):
 
 
 def test_nobody_changes_marks_faster_than_hands_can(viewer):
-    refused = []
-    browser = Browser(viewer._subject, viewer._start, "", viewer._worker, lambda data: Future())
-    browser.report = lambda text, failed=False: refused.append(text)
+    sent = []
+
+    def send(data) -> Future[None]:
+        sent.append(json.loads(data))
+        return Future()
+
+    browser = Browser(viewer._subject, viewer._start, "", viewer._worker, send)
     for _ in range(MOST_CHANGES + 50):
-        browser.receive('{"type": "refer_to", "mark": null}')
-    assert [text for text in refused if "too many" in text] == refused
-    assert len(refused) == 50
+        browser.receive('{"type": "change_mark", "mark": 7, "note": "x"}')
+    hasty = [each for each in sent if "too many" in each.get("text", "")]
+    assert [(each["type"], each["mark"]) for each in hasty] == 50 * [("refused", 7)]
     browser.close()
 
 

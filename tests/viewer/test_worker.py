@@ -7,6 +7,7 @@ from concurrent.futures import CancelledError
 import pytest
 
 from mrgs.viewer.source import Worker
+from tests.helpers.browsers import wait_until
 
 PATIENCE_S = 60.0
 
@@ -102,4 +103,20 @@ def test_a_browser_with_many_jobs_does_not_keep_others_waiting(worker, held):
     worker.put(("b", "picture"), lambda: done.append("b"))
     worker.put(("c", "picture"), lambda: done.append("c"))
     finish(worker, held)
-    assert done[:3] == ["a0", "b", "c"]
+    assert done == ["a0", "b", "c", "a1", "a2"]
+
+
+def test_a_browser_that_always_has_a_new_job_leaves_others_their_turns(worker, held):
+    done = []
+
+    def again(number: int) -> None:
+        done.append(f"a{number}")
+        if number < 4:
+            worker.put(("a", "picture"), lambda: again(number + 1))
+
+    worker.put(("a", "picture"), lambda: again(0))
+    for number in range(3):
+        worker.put(("b", "change", number), lambda number=number: done.append(f"b{number}"))
+    finish(worker, held)
+    wait_until(lambda: len(done) == 8, "all is done")
+    assert done == ["a0", "b0", "a1", "b1", "a2", "b2", "a3", "a4"]

@@ -41,7 +41,7 @@ from mrgs.system.wording import Message, shown
 Row = TypeVar("Row")
 
 MODEL_FOLDERS = (
-    "sparse/0", "sparse/1", "colmap/sparse/0", "dense/sparse", "sparse", "colmap/sparse", "colmap",
+    "sparse/0", "sparse/1", "colmap/sparse/0", "sparse", "colmap/sparse", "colmap",
 )  # fmt: skip
 
 _PARAMETER_COUNTS = {
@@ -285,7 +285,11 @@ FOLDERS = {
     RGB: ("rgb", "images"),
     THERMAL: ("thermal", "infrared", "ir", "tir", "lwir", "thermal_images"),
 }
-"""Possible folders of each modality's images; the first that exists is used."""
+"""Possible folders of each modality's images; the first that exists is used, of the further thermal
+ones only if they have names of the RGB images."""
+
+COLOURED = 0.01
+"""Standard deviation of the channels, 0 to 1, from which on an image is no grey one in colour."""
 
 Registered = dict[tuple[Modality, str], RegisteredImage]
 """Registered images by modality and key."""
@@ -326,7 +330,7 @@ def read_colmap(root: Path, model: ColmapModel, notes: ReadingNotes) -> SceneSou
             file, "holds no registered image; run COLMAP again with more overlap between the photos"
         )
     images = _image_folders(root, finder, notes)
-    found = _match(registered, images, finder, file)
+    found = _match(registered, images, finder, file, notes)
     keys = sorted({key for _, key in found})
     if left_out := len({key for each in images for key in each.files}) - len(keys):
         notes.decide(
@@ -340,20 +344,20 @@ def read_colmap(root: Path, model: ColmapModel, notes: ReadingNotes) -> SceneSou
 
 def _image_folders(root: Path, finder: ImageFinder, notes: ReadingNotes) -> list[_Images]:
     """The image files of each modality that has any, RGB first."""
-    images = []
+    images: list[_Images] = []
     for modality, names in FOLDERS.items():
         there = [on_disk(root, name) for name in names]
         name = next((name for name in there if (root / name).is_dir()), "")
-        if name and (files := finder.tree(root / name)):
+        files = finder.tree(root / name) if name else {}
+        is_usual = modality == RGB or name.lower() == names[0] or not images
+        if files and (is_usual or files.keys() & images[0].files.keys()):
             images.append(_Images(modality, name, files))
     if [each.modality for each in images] != [RGB]:
         return images
     has_bounds = any(is_file(root / on_disk(root, bounds)) for bounds in BOUNDS_FILES)
-    colours = [path for path in images[0].files.values() if probe(path).kind == "colour"]
-    if has_bounds or not colours:
-        is_coloured = any(
-            float(decode(path).values.std(dim=-1).mean()) > 0.01 for path in colours[:1]
-        )
+    first = next(iter(images[0].files.values()))
+    if has_bounds or all(probe(path).kind != "colour" for path in images[0].files.values()):
+        is_coloured = has_bounds and float(decode(first).values.std(dim=-1).mean()) > COLOURED
         note = notes.repair if is_coloured else notes.decide
         note(f"The images in {images[0].folder}/ are taken for thermal ones.")
         return [replace(images[0], modality=THERMAL)]
@@ -365,6 +369,7 @@ def _match(
     images: Sequence[_Images],
     finder: ImageFinder,
     file: Path,
+    notes: ReadingNotes,
 ) -> Registered:
     """The image files of the registered images; of several formats, the registered one.
 
@@ -378,7 +383,8 @@ def _match(
             if key is not None:
                 if (before := found.setdefault((each.modality, key), image)) is not image:
                     names = f"{shown(before.name)} and {shown(image.name)}"
-                    raise scene_error(file, f"has two poses of one image, {names}; remove one")
+                    notes.repair(f"{names} are one image with two poses: the first is used.")
+                    break
                 named = PurePosixPath(each.folder, key).with_name(PurePosixPath(image.name).name)
                 each.files[key] = finder.find(named.as_posix(), file) or each.files[key]
                 break

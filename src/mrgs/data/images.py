@@ -3,7 +3,7 @@ pixels than its bytes can hold.
 
 The EXIF orientation is ignored on purpose: structure-from-motion tools work on the pixels as
 stored. What the tags of GDAL say of the numbers of a TIFF counts: the value of missing pixels, the
-scale and the offset.
+scale, the offset and the unit.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from mrgs.system.wording import quoted
 MAX_PIXELS = 80_000_000
 """Larger images are refused unread."""
 
-FREE_PIXELS, PIXELS_PER_BYTE = 16_000_000, 40
+FREE_PIXELS, PIXELS_PER_BYTE = 25_000_000, 40
 """So are images larger than this with more pixels for each byte of their file: a photo has ten at
-most, and a small file that unfolds to many pixels would take minutes and gigabytes."""
+most, a mask more, and a small file that unfolds to many pixels would take minutes and gigabytes."""
 
 LIMIT_VARIABLE = "MRGS_MAX_MEGAPIXELS"
 """An environment variable that replaces these limits."""
@@ -112,10 +112,11 @@ def as_stored(image: Image.Image) -> Image.Image:
     return upright(image, {6: 8, 8: 6}.get(orientation, orientation))
 
 
-def numbers_of(image: Image.Image) -> Shaped[np.ndarray, "h w"]:
+def numbers_of(image: Image.Image, in_celsius: bool = True) -> Shaped[np.ndarray, "h w"]:
     """The numbers of an image file of one channel that Pillow has just opened, as stored; with the
     scale and the offset that the tags of GDAL give, and NaN where they say that a pixel is missing.
-    The type is the file's, unless a tag needs a float."""
+    Floats are in °C where a tag names K or °F, unless ``in_celsius`` is False. The type is the
+    file's, unless a tag needs a float."""
     values = np.array(as_stored(image))
     tags = getattr(image, "tag_v2", {_GDAL_NODATA: image.info.get("nodata")})
     nodata = _number(tags.get(_GDAL_NODATA))
@@ -125,6 +126,8 @@ def numbers_of(image: Image.Image) -> Shaped[np.ndarray, "h w"]:
         factor, offset = scaling
         with np.errstate(over="ignore", invalid="ignore"):
             values = (values * np.float64(factor) + offset).astype(np.float32)
+    if in_celsius and values.dtype == np.float32:
+        values = _celsius(values, _gdal_item(image, "unittype") or image.info.get("unit", ""))
     return np.where(missing, np.float32(np.nan), values) if missing.any() else values
 
 
@@ -135,24 +138,29 @@ def holds_numbers(image: Image.Image) -> bool:
 
 
 def scaling_of(image: Image.Image) -> tuple[float, float] | None:
-    """The factor and the offset that the tags of GDAL give, to °C where they name K or °F; None if
-    they change nothing, or are none."""
-    text = getattr(image, "tag_v2", {}).get(_GDAL_METADATA)
-    items = _GDAL_ITEM.findall(text) if isinstance(text, str) else []
-    given = {role[1]: value for keys, value in items if (role := _GDAL_ROLE.search(keys))}
-    found = _number(given.get("scale", 1)), _number(given.get("offset", 0))
-    found = _in_celsius(found, given.get("unittype", ""))
+    """The factor and the offset that the tags of GDAL give; None if they change nothing, or are
+    none."""
+    scale, offset = (_gdal_item(image, role) for role in ("scale", "offset"))
+    found = _number(scale or 1), _number(offset or 0)
     return None if found == (1.0, 0.0) or found[0] == 0 or not np.isfinite(found).all() else found
 
 
-def _in_celsius(scaling: tuple[float, float], unit: str) -> tuple[float, float]:
-    """A factor and an offset to a temperature in a unit, K or °F, as those to °C."""
-    (factor, offset), name = scaling, unit.lower().strip(" °")
+def _gdal_item(image: Image.Image, role: str) -> str | None:
+    """What the tags of GDAL say of the band: its scale, offset or unittype; None without."""
+    text = getattr(image, "tag_v2", {}).get(_GDAL_METADATA)
+    items = _GDAL_ITEM.findall(text) if isinstance(text, str) else []
+    given = {found[1]: value for keys, value in items if (found := _GDAL_ROLE.search(keys))}
+    return given.get(role)
+
+
+def _celsius(values: Float32[np.ndarray, "h w"], unit: str) -> Float32[np.ndarray, "h w"]:
+    """Temperatures in °C, from those in a unit of GDAL's tags: K, °F, or anything else as it is."""
+    name = unit.lower().strip(" °")
     if name in ("k", "kelvin"):
-        return factor, offset - ZERO_CELSIUS_K
+        return (values.astype(np.float64) - ZERO_CELSIUS_K).astype(np.float32)
     if name in ("f", "degf", "deg f", "fahrenheit"):
-        return factor / 1.8, (offset - 32) / 1.8
-    return scaling
+        return ((values.astype(np.float64) - 32) / 1.8).astype(np.float32)
+    return values
 
 
 def _number(text: object) -> float:
@@ -295,18 +303,17 @@ def opened(
             size = os.fstat(file.fileno()).st_size if content is None else len(content)
             most_pixels = _most_pixels(size)
             too_large = (
-                f"has more than {most_pixels / 1e6:.3g} megapixels, too many for a file of "
+                f"has more than {most_pixels / 1e6:.3g} megapixels, the limit for a file of "
                 f"{size / 1e6:.3g} MB; reduce it, or set {LIMIT_VARIABLE}"
             )
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of large images, and of damaged tags
                 try:
                     image: Image.Image = Image.open(file, formats=formats)
-                    is_known = not _is_misread(image)
+                    if _is_misread(image):
+                        image = _opened_by_gdal(path, content, most_pixels, image.mode == "I")
                 except UnidentifiedImageError:
-                    is_known = False
-                if not is_known:
-                    image = _opened_by_gdal(path, content, most_pixels)
+                    image = _opened_by_gdal(path, content, most_pixels, False)
             with image:
                 if image.width * image.height > most_pixels:
                     raise scene_error(path, too_large)
@@ -332,28 +339,32 @@ def _is_misread(image: Image.Image) -> bool:
 
 
 def _most_pixels(size: int) -> int:
-    """Of an image in a file of ``size`` bytes. ConfigError if the variable is no number."""
-    if (stated := os.environ.get(LIMIT_VARIABLE)) is None:
+    """Of an image in a file of ``size`` bytes. ConfigError if the variable is no such number."""
+    if not (stated := os.environ.get(LIMIT_VARIABLE)):
         return min(MAX_PIXELS, max(FREE_PIXELS, PIXELS_PER_BYTE * size))
     try:
         most = round(1e6 * float(stated))
     except (ValueError, OverflowError):
-        raise ConfigError(f"{LIMIT_VARIABLE}={quoted(stated)} is no number") from None
+        most = 0
+    if most <= 0:
+        raise ConfigError(f"{LIMIT_VARIABLE}={quoted(stated)} is no number of megapixels")
     Image.MAX_IMAGE_PIXELS = max(most, Image.MAX_IMAGE_PIXELS or 0)  # Pillow refuses twice as many
     return most
 
 
-def _opened_by_gdal(path: Path, content: bytes | None, most_pixels: int) -> Image.Image:
-    """A TIFF of one channel that Pillow does not know (floats of 64 bits, LERC): integers of 8 and
-    16 bits without a scale as they are, others as 32-bit floats; ``UnidentifiedImageError`` if it
-    is no TIFF at all."""
+def _opened_by_gdal(
+    path: Path, content: bytes | None, most_pixels: int, has_integers: bool
+) -> Image.Image:
+    """A TIFF of one channel that Pillow does not know, or misreads: integers of 8 and 16 bits
+    without a scale as they are, others as 32-bit floats, or as 32-bit integers if it
+    ``has_integers``; ``UnidentifiedImageError`` if it is no TIFF at all."""
     data = read_bytes(path) if content is None else content
     if not data.startswith(TIFF_SIGNATURES):
         raise UnidentifiedImageError
     try:
         import rasterio
     except ImportError:
-        remedy = "install mrgs[export], or save it as 32-bit float without LERC compression"
+        remedy = "install mrgs[export], or save it as little-endian 32-bit float without LERC"
         raise scene_error(path, f"is a TIFF that only rasterio reads; {remedy}") from None
     with rasterio.MemoryFile(data) as memory, memory.open(driver="GTiff") as dataset:
         dtype, scaling = dataset.dtypes[0], (dataset.scales[0], dataset.offsets[0])
@@ -362,13 +373,17 @@ def _opened_by_gdal(path: Path, content: bytes | None, most_pixels: int) -> Imag
             raise scene_error(path, f"has {bands}; save the temperatures alone, as one band")
         if dataset.width * dataset.height > most_pixels:
             raise Image.DecompressionBombError
-        scaling = _in_celsius(scaling, dataset.units[0] or "")
         band, nodata = dataset.read(1, masked=True), str(dataset.nodata)
-    if dtype in ("uint8", "uint16", "int16", "int32") and scaling == (1, 0):
-        image = Image.fromarray(band.data if dtype[0] == "u" else band.data.astype(np.int32))
-        image.info["nodata"] = nodata
+        unit = dataset.units[0] or ""
+    if scaling == (1, 0) and dtype in ("uint8", "uint16"):
+        image = Image.fromarray(band.data)
+    elif scaling == (1, 0) and has_integers:
+        image = Image.fromarray(band.data.astype(np.int32))
     else:
         numbers = (band * scaling[0] + scaling[1]).astype(np.float32)
         image = Image.fromarray(numbers.filled(np.nan))
+        image.info["unit"] = unit
+    if image.mode != "F":
+        image.info["nodata"] = nodata
     image.format = "TIFF"
     return image

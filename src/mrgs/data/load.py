@@ -324,7 +324,8 @@ def read_bounds(root: Path, notes: ReadingNotes) -> TemperatureRange | None:
         json_value(Number, content.get(name), name, path)
         for name in ("absolute_min_temperature", "absolute_max_temperature")
     )
-    if unit := next((value for name, value in content.items() if "unit" in name.lower()), None):
+    named_so = (each for each in content.items() if re.search("(^|_)units?($|_)", each[0].lower()))
+    if unit := next((value for _, value in named_so if value), None):
         named = units_named([unicodedata.normalize("NFKC", f"unit {unit}")])
         if len(named) != 1 or not isinstance(unit, str) or any(map(str.isdigit, unit)):
             known = "celsius, kelvin or fahrenheit"

@@ -349,7 +349,7 @@ class _TransformsReader:
             lens = lens_from_json(values, what, self.file, image)
             if shared and values.get("fl_x") is not None:
                 first = self._lenses.setdefault(repr(values), lens)
-                if (first.width, first.height) != (lens.width, lens.height):
+                if {first.width, first.height} != {lens.width, lens.height}:  # or on its side
                     size = f"{lens.width}×{lens.height} px, others {first.width}×{first.height}"
                     raise scene_error(
                         self.file, f"{what} has {size}, with the same fl_x; add w and h to each"

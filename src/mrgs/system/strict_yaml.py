@@ -87,7 +87,7 @@ class _StrictLoader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("it has an alias (*name); write out what it stands for")
-        if self.depth >= DEEPEST:
+        if self.depth > DEEPEST:
             raise yaml.YAMLError(f"it has lists or mappings more than {DEEPEST} deep")
         self.depth += 1
         node: yaml.Node | None = super().compose_node(parent, index)

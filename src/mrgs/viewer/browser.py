@@ -87,12 +87,13 @@ class Browser:
         answered, and has no effect."""
         try:
             message = decode(data)
-            if message.job == CHANGE:
-                self._require_rest()
-            if message.job:
-                # A mark that a change is about has its refusal beside it in the list.
-                mark = getattr(message, "mark", None)
-                number = mark if isinstance(mark, int) else None
+            # A mark that a change is about has its refusal beside it in the list.
+            mark = getattr(message, "mark", None)
+            number = mark if isinstance(mark, int) else None
+            if message.job == CHANGE and self._is_hasty():
+                text = "too many changes of marks at once: wait a second, then go on"
+                self.send("refused", mark=number, text=text)
+            elif message.job:
                 self.enqueue(message.job, lambda: message._act(self), number)
             else:
                 message._act(self)
@@ -100,12 +101,13 @@ class Browser:
             self.report(str(error) or repr(error), failed=True)
         self.subject.source.charge()
 
-    def _require_rest(self) -> None:
-        """ConfigError if the browser changes marks faster than hands can."""
+    def _is_hasty(self) -> bool:
+        """Whether the browser changes marks faster than hands can; counts a change if not."""
         now_s = time.monotonic()
         if len(self._changed_s) == MOST_CHANGES and now_s - self._changed_s[0] < CHANGES_S:
-            raise ConfigError("too many changes of marks at once: wait a second, then go on")
+            return True
         self._changed_s.append(now_s)
+        return False
 
     def close(self) -> None:
         """Drop the browser's waiting jobs, but not its changes of marks."""

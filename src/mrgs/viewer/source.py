@@ -41,7 +41,7 @@ class Worker:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._jobs: dict[Hashable, Job] = {}
-        self._served: list[Hashable] = []  # browsers with waiting jobs, the last served last
+        self._line: list[Hashable] = []  # the browsers with waiting jobs, by their turn
         self._working = False
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="mrgs-viewer", daemon=True)
@@ -58,6 +58,8 @@ class Worker:
         with self._changed:
             if not self._closed:
                 self._jobs[key] = job
+                if _owner(key) not in self._line:
+                    self._line.append(_owner(key))
                 self._changed.notify()
 
     def drop(self, keys: Callable[[Hashable], bool]) -> None:
@@ -77,14 +79,13 @@ class Worker:
         self._thread.join(timeout_s)
 
     def _next_key(self) -> Hashable:
-        """The oldest job of the browser that has waited longest since its last one."""
-        owners = {key: key[0] if isinstance(key, tuple) else key for key in self._jobs}
-        waiting = set(owners.values())
-        served = [owner for owner in self._served if owner in waiting]
-        turns = {owner: turn for turn, owner in enumerate(served)}
-        key = min(owners, key=lambda key: turns.get(owners[key], -1))
-        self._served = [*(owner for owner in served if owner != owners[key]), owners[key]]
-        return key
+        """The oldest job of the browser whose turn it is; then it is the last in the line."""
+        owner = next(each for each in self._line if any(_owner(key) == each for key in self._jobs))
+        mine = [key for key in self._jobs if _owner(key) == owner]
+        self._line.remove(owner)
+        if len(mine) > 1:
+            self._line.append(owner)
+        return mine[0]
 
     def _work(self) -> None:
         while True:
@@ -101,6 +102,11 @@ class Worker:
                 self.close()
             except Exception:
                 _log.warning("the viewer failed", exc_info=True)
+
+
+def _owner(key: Hashable) -> Hashable:
+    """The browser of a job."""
+    return key[0] if isinstance(key, tuple) else key
 
 
 MOST_IN_VIEW = 80_000

@@ -36,8 +36,8 @@ SECONDS_TO_CLOSE = 2.0
 WATCH_S = 1.0
 """Between two looks at the files that other programs may change, while a browser is connected."""
 
-GUESS_S = 0.5
-"""Before a wrong token is answered; one at a time."""
+GUESS_S, MOST_GUESSES = 0.5, 10
+"""Before a wrong token is answered, one at a time; and how many may wait."""
 
 MOST_WAITING = 64
 """Messages that a browser has not taken; one that lets more wait is cut off."""
@@ -105,6 +105,10 @@ class Gate:
             key.strip() == self._cookie_name(port) and self.knows(value.strip())
             for key, _, value in pairs
         )
+
+    def has_cookie_name(self, cookies: Sequence[str], port: int) -> bool:
+        """Whether a request's ``Cookie`` headers name the server's cookie, with whatever value."""
+        return any(f"{self._cookie_name(port)}=" in each for each in cookies)
 
     def cookie(self, port: int) -> str:
         """The ``Set-Cookie`` header with which the page's browser keeps the token: scripts cannot
@@ -204,7 +208,7 @@ class Viewer:
     async def _serve(self, host: str, port: int, ready: futures.Future[int]) -> None:
         """The network's thread: serve until the viewer is closed."""
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        self._guess = asyncio.Lock()
+        self._guess, self._guessing = asyncio.Lock(), list[Request]()
         try:
             server = await serve(
                 self._serve_browser,
@@ -266,8 +270,8 @@ class Viewer:
             browser.close()
 
     async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """What a request gets; None lets it become a browser's socket. Wrong tokens wait for each
-        other, so that nobody can try many."""
+        """What a request gets; None lets it become a browser's socket. Wrong tokens and cookies
+        are answered one at a time."""
         headers, gate = request.headers, self._gate
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if not gate.is_own_host(hosts) or not gate.is_own_origin(origins, hosts):
@@ -280,9 +284,14 @@ class Viewer:
         if path not in ("/", SOCKET_PATH):
             return _text(HTTPStatus.NOT_FOUND, "There is nothing here.")
         if not allowed:
-            if token is not None:
+            if token is not None or gate.has_cookie_name(headers.get_all("Cookie"), self.port):
+                if len(self._guessing) >= MOST_GUESSES:
+                    return _text(HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens: wait.")
+                self._guessing.append(request)
                 async with self._guess:
-                    await asyncio.sleep(GUESS_S)
+                    with suppress(TimeoutError, asyncio.TimeoutError):
+                        await asyncio.wait_for(self._stop.wait(), GUESS_S)
+                self._guessing.remove(request)
             if path == SOCKET_PATH:
                 return _text(HTTPStatus.FORBIDDEN, "The token is missing.")
             return _html(HTTPStatus.FORBIDDEN, self._question)

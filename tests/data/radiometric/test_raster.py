@@ -213,8 +213,8 @@ def test_an_image_that_is_cut_off(save):
 
 
 def test_an_image_that_is_too_large(save):
-    path = save("a.png", np.zeros((4001, 5000), dtype=np.uint8))
-    with pytest.raises(SceneError, match="16 megapixels"):
+    path = save("a.png", np.zeros((5001, 5000), dtype=np.uint8))
+    with pytest.raises(SceneError, match="25 megapixels"):
         read_thermal_photo(path)
 
 

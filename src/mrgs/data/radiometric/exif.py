@@ -29,7 +29,7 @@ _TIMES = (
 whose clock was not set fills one with zeros or blanks, and the last may be that of an edit."""
 
 _CLOCK = re.compile(
-    r"(\d{4})[:/.-] ?(\d\d?)[:/.-] ?(\d\d?)(?: +|T)(\d\d?): ?(\d\d?): ?(\d\d?)"
+    r"(\d{4})[:/.-] ?(\d\d?)[:/.-] ?(\d\d?)(?: +|T)(\d\d?)[:.] ?(\d\d?)[:.] ?(\d\d?)"
     r"(?:[.,](\d+))?(?: ?(Z|UTC|GMT|[+-]\d\d:?(?:\d\d)?)| [A-Z]{3,4})?"
 )
 
@@ -89,9 +89,11 @@ def read_exif(data: bytes) -> ExifFacts:
 
 def _facts(tags: Mapping[int, Any], gps: Mapping[int, Any], width: int) -> ExifFacts:
     """From the tags of the main and of the Exif directory, which some cameras do not tell apart."""
-    # Where the first is there and cannot be read, the others may be those of a later edit.
-    times = (map(tags.get, each) for each in _TIMES if _is_stated(tags.get(each[0])))
-    taken, zone_s = _time(*next(times, (None, None, None))) or (None, None)
+    stated = [each for each in _TIMES if _is_stated(tags.get(each[0]))]
+    if len(stated) > 1:  # the last may be that of a later edit
+        stated = [each for each in stated if each is not _TIMES[-1]]
+    times = (_time(*map(tags.get, each)) for each in stated)
+    taken, zone_s = next((time for time in times if time is not None), (None, None))
     orientation: Any = tags.get(Base.Orientation)
     focal_mm = _positive(tags.get(Base.FocalLength))
     serial = tags.get(Base.BodySerialNumber) or tags.get(Base.CameraSerialNumber)

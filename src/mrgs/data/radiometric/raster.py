@@ -31,7 +31,8 @@ SATURATED, _MISSING = 65_535, -9_999
 """Integers that are no temperatures: the largest of 16 bits, and what programs write for a pixel
 without value, or less."""
 
-_NO_TEMPERATURE = -999.0
+_NO_VALUE = -999.0
+"""What some programs write for a pixel without value, as the smallest number of a picture."""
 
 _RELATIVE = "relative values from 0 to 1 are used"
 
@@ -43,9 +44,9 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         kind, mode, xmp = str(image.format), image.mode, image.info.get("xmp", b"")
         has_numbers = holds_numbers(image)
         if has_numbers or mode.startswith("I"):
-            pixels = numbers_of(image)
-            if has_numbers:  # below the absolute zero of any unit: marks of missing pixels
-                pixels = np.where(pixels <= _NO_TEMPERATURE, np.float32(np.nan), pixels)
+            pixels = numbers_of(image, in_celsius=overrides.unit is None)
+            if has_numbers and np.nanmin(pixels, initial=np.inf) == _NO_VALUE:
+                pixels = np.where(pixels == _NO_VALUE, np.float32(np.nan), pixels)
         else:
             grey = "L" if mode in ("1", "L", "LA", "La") else "RGB"
             pixels = np.array(as_stored(image).convert(grey))

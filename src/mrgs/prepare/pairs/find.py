@@ -254,12 +254,15 @@ def by_table(table: Path, inventory: Inventory) -> Match:
     """
     photos = {photo.path.resolve(): photo for photo in inventory.photos}
     pairs, used = [], dict[Photo, int]()
-    for number, names in _rows(table):
+    for number, names, is_headed in _rows(table):
         reference = _photo(names[REFERENCE], photos, inventory, table, number)
         partner = None
         if names[PARTNER]:
             partner = _photo(names[PARTNER], photos, inventory, table, number)
-            if _looks_thermal(partner) and not _looks_thermal(reference):  # the other order
+            is_swapped = partner.is_thermal and not reference.is_thermal
+            if not is_headed and not reference.is_thermal and _sounds_thermal(partner):
+                is_swapped = not _sounds_thermal(reference)
+            if is_swapped:
                 partner, reference = reference, partner
         for photo in filter(None, (partner, reference)):
             if (before := used.setdefault(photo, number)) != number:
@@ -279,15 +282,13 @@ def by_table(table: Path, inventory: Inventory) -> Match:
     return Match(in_order(pairs), rule, reasons=reasons)
 
 
-def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
-    """Number of the line, and the names of its photos by modality."""
+def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str], bool]]:
+    """Number of the line, the names of its photos by modality, and whether headings say so."""
     lines = decoded_text(read_bytes(table, _MAX_BYTES)).splitlines()
     separator = next((sign for sign in ";\t," if any(sign in line for line in lines)), " ")
     columns = {modality: index for index, modality in enumerate(_COLUMNS)}
-    has_headings = False
+    has_headings = has_pairs = False
     for number, line in enumerate(lines, 1):
-        if line.lstrip().startswith("#"):
-            continue
         try:
             row = next(
                 csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True), []
@@ -301,11 +302,18 @@ def _rows(table: Path) -> Iterator[tuple[int, dict[Modality, str]]]:
             cells.pop()
         if not any(cells) or cells[0].lower().startswith("sep="):  # by Excel
             continue
-        headings = {each: index for index, cell in enumerate(cells) if (each := _heading(cell))}
-        if headings.keys() == columns.keys() and not has_headings:
+        headings = {
+            each: index for index, cell in reversed([*enumerate(cells)]) if (each := _heading(cell))
+        }
+        is_heading = headings.keys() == columns.keys() and not has_pairs
+        cells += [""] * (max(columns.values()) + 1 - len(cells))
+        if is_heading:
             columns, has_headings = headings, True
-        elif (has_headings or len(cells) == 2) and any(cells[columns[REFERENCE] :][:1]):
-            yield number, {each: "".join(cells[at:][:1]) for each, at in columns.items()}
+        elif line.lstrip().startswith("# "):
+            continue
+        elif cells[columns[REFERENCE]] and (has_headings or len(cells) == 2):
+            has_pairs = True
+            yield number, {each: cells[at] for each, at in columns.items()}, has_headings
         else:
             raise scene_error(
                 table,
@@ -320,10 +328,10 @@ def _heading(cell: str) -> Modality | None:
     return next((each for each in (REFERENCE, PARTNER) if words & HEADINGS[each]), None)
 
 
-def _looks_thermal(photo: Photo) -> bool:
-    """Whether a photo is thermal by its content, its name or its folder."""
+def _sounds_thermal(photo: Photo) -> bool:
+    """Whether a photo is thermal by its name or its folder."""
     named = read_stem(photo.origin.name).modality or folder_modality(photo.origin.parts[:-1])[0]
-    return photo.is_thermal or named == REFERENCE
+    return named == REFERENCE
 
 
 def _photo(

@@ -36,6 +36,8 @@ _UNSUPPORTED = {
 }  # fmt: skip
 
 
+_HEIC = {b"ftyp" + brand for brand in (b"heic", b"heix", b"mif1", b"msf1", b"avif", b"crx ")}
+
 NOT_READ = "which is not read; save it as JPEG or PNG"
 
 
@@ -89,7 +91,7 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         is_plain = data.startswith((JPEG_SIGNATURE, b"\x89PNG"))
         if suffix in _UNSUPPORTED and not is_plain:  # a raw photo is a TIFF with a preview
             return f"is a {suffix[1:].upper()} file, {NOT_READ}"
-        if data[4:8] == b"ftyp" or data[8:12] == b"WEBP":  # whatever its name says
+        if data[4:12] in _HEIC or data[8:12] == b"WEBP":  # whatever its name says
             return f"is a HEIC, AVIF or WebP file by its content, {NOT_READ}"
         if reader is None:
             return "is no photo"
