@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 
@@ -20,6 +21,19 @@ def restored() -> Iterator[None]:
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+def test_closed_streams_are_the_null_device():
+    code = (
+        "import gc, sys; from mrgs.app.interrupts import guard_streams; guard_streams(print); "
+        "gc.collect(); print(sys.stdout.isatty(), sys.stderr.isatty(), sys.stdin.read()); "
+        "print(1, file=sys.stderr, flush=True)"
+    )
+    for closed in (">&-", "2>&-", "<&- >&- 2>&-"):
+        shell = f'exec "$@" {closed}'
+        found = subprocess.run(["sh", "-c", shell, "sh", sys.executable, "-c", code], check=False)
+        assert found.returncode == 0
 
 
 def test_a_request_ends_a_command_and_handlers_are_back_afterwards():

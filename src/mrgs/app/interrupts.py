@@ -134,7 +134,9 @@ def guard_streams(on_lost: Callable[[OSError], None]) -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this
         if getattr(sys, name) is None:
-            setattr(sys, name, os.fdopen(number, "w" if number else "r", closefd=False))
+            stream = os.fdopen(number, "w" if number else "r", closefd=False)
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)  # a stream that nobody keeps would be closed
     for name, lost in (("stdout", on_lost), ("stderr", lambda error: None)):
         stream = getattr(sys, name)
         if not isinstance(stream, io.TextIOWrapper):  # of a test, a notebook

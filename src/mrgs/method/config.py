@@ -21,6 +21,7 @@ from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
 from mrgs.scene.capture import Capture
 from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within, whole_number
 from mrgs.system.strict_yaml import read_yaml
+from mrgs.system.wording import shown
 
 Preset = Literal["fast", "default", "paper"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
@@ -204,9 +205,9 @@ def make_config(
         batch: views per step; with several, fewer and larger steps are taken.
     """
     if method not in METHODS:
-        raise ConfigError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
+        raise ConfigError(f"unknown method {shown(method)}; choose one of {', '.join(METHODS)}")
     if preset not in PRESETS:
-        raise ConfigError(f"unknown preset {preset!r}; choose one of {', '.join(PRESETS)}")
+        raise ConfigError(f"unknown preset {shown(preset)}; choose one of {', '.join(PRESETS)}")
     if resolution is not None:
         resolution = whole_number(resolution, "resolution")
     seed, batch = whole_number(seed, "seed"), whole_number(batch, "batch")

@@ -13,6 +13,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from mrgs.errors import ConfigError
+from mrgs.system.wording import shown
 
 PLUGINS = "mrgs.methods"
 """The entry points by which an installed package offers its ``Method`` objects."""
@@ -115,7 +116,7 @@ def find_method(name: str) -> Method:
     if name not in _METHODS:
         _register_plugins()
     if name not in _METHODS:
-        raise ConfigError(f"unknown method {name!r}; choose one of {', '.join(_METHODS)}")
+        raise ConfigError(f"unknown method {shown(name)}; choose one of {', '.join(_METHODS)}")
     return _METHODS[name]
 
 

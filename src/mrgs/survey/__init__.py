@@ -108,7 +108,7 @@ class Survey:
             low, high = each.metadata["limits"]
             if isinstance(value, (int, float)) and not low <= value <= high:
                 limits = f"{low:g} to {high:g} {unit}".rstrip()
-                raise ConfigError(f"{name} must be from {limits}, not {value:g}")
+                raise ConfigError(f"{name} must be from {limits}, not {shown(value)}")
 
     def __bool__(self) -> bool:
         return any(value is not None for value in asdict(self).values())

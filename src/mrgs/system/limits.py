@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, SupportsIndex, cast
 
 from mrgs.errors import ConfigError
@@ -35,10 +36,10 @@ def require_within(
 
 
 def whole_number(value: object, name: str) -> int:
-    """A whole number of any type, which the message calls by a name. ConfigError if it is not."""
-    try:
-        return operator.index(cast(SupportsIndex, value))
-    except TypeError:
-        raise ConfigError(
-            f"{name} must be a whole number, not {shown(value)}", options=(name,)
-        ) from None
+    """A whole number of any type, which the message calls by a name. ConfigError if it is not, or
+    has more than 128 bits."""
+    with suppress(TypeError):
+        number = operator.index(cast(SupportsIndex, value))
+        if abs(number) < 2**128:
+            return number
+    raise ConfigError(f"{name} must be a whole number, not {shown(value)}", options=(name,))
