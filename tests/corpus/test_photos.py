@@ -287,10 +287,13 @@ def test_tables_of_spreadsheets_and_of_numpy(tmp_path, text):
 
 
 @pytest.mark.parametrize("name", ["reflected_c", "atmospheric_c", "window_c"])
-def test_kelvin_that_a_flir_camera_stores_as_celsius(tmp_path, name):
-    settings = {**PARAMETERS, "emissivity": 0.9, "window_transmission": 0.9, name: 25.0}
+@pytest.mark.parametrize("celsius", [25.0, -40.0])
+def test_kelvin_that_a_flir_camera_stores_as_celsius(tmp_path, name, celsius):
+    settings = {**PARAMETERS, "emissivity": 0.9, "window_transmission": 0.9, name: celsius}
     (tmp_path / "a.jpg").write_bytes(FlirPhoto(parameters=settings).jpeg())
-    (tmp_path / "b.jpg").write_bytes(FlirPhoto(parameters={**settings, name: 298.15}).jpeg())
+    (tmp_path / "b.jpg").write_bytes(
+        FlirPhoto(parameters={**settings, name: celsius + 273.15}).jpeg()
+    )
     right, kelvin = (read_thermal_photo(tmp_path / f"{each}.jpg") for each in "ab")
     np.testing.assert_allclose(kelvin.temperature_c, right.temperature_c, atol=1e-3)
     assert any(name in text for text in kelvin.facts.warnings)

@@ -41,9 +41,9 @@ _IMAGE_OFFSET = 32
 """Raw data and embedded images follow a header of this many bytes."""
 
 _SURROUNDINGS = ("reflected_c", "atmospheric_c", "window_c")
-_KELVIN_AS_CELSIUS = (250.0, 330.0)
-"""A temperature of the surroundings between these, °C, is one in K: that of FLIR's cameras for
-phones is 298."""
+_KELVIN_AS_CELSIUS, _LIKELY_KELVIN = (250.0, 330.0), (200.0, 350.0)
+"""A temperature of the surroundings between the first two, °C, is one in K: that of FLIR's cameras
+for phones is 298; between the others, if it is a whole number of °C in K, such as 233.15."""
 
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
 """A photo whose middle temperature lies outside of these was not computed with its camera's
@@ -94,7 +94,7 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     corrected = {
         name: round(value - ZERO_CELSIUS_K, 3)
         for name in _SURROUNDINGS
-        if _KELVIN_AS_CELSIUS[0] <= (value := getattr(stored, name)) <= _KELVIN_AS_CELSIUS[1]
+        if _is_kelvin(value := getattr(stored, name))
     }
     parameters = overrides.applied_to(replace(stored, **corrected))
     if problem := parameters.problem():
@@ -126,6 +126,11 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     ]
     facts = facts.adding(warnings=(*said, *_doubts(celsius, valid, facts)), given=given)
     return ThermalPhoto(celsius, None, valid, facts)
+
+
+def _is_kelvin(value: float) -> bool:
+    low, high = _LIKELY_KELVIN if round(value % 1, 2) == 0.15 else _KELVIN_AS_CELSIUS
+    return low <= value <= high
 
 
 def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
