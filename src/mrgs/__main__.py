@@ -3,6 +3,7 @@
 It handles interrupts and the standard streams before it loads anything that takes long.
 """
 
+import signal
 import sys
 
 from mrgs.app.interrupts import guard_streams, interrupts
@@ -14,7 +15,9 @@ def main() -> int:
     with interrupts:
         from mrgs.app.cli import main as run
 
-        return run()
+        status = run()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it would break off Python's own end
+        return status
 
 
 if __name__ == "__main__":

@@ -100,3 +100,14 @@ def test_only_the_first_write_that_fails_is_reported(monkeypatch: pytest.MonkeyP
     print("one")
     print("two")
     assert lost == [error]
+
+
+def test_a_handler_that_was_set_meanwhile_stays():
+    """That of a program that has done its work, and must not be broken off any more."""
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        with Interrupts():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -64,7 +64,9 @@ class Interrupts:
     def __exit__(self, *_: object) -> None:
         self._depth -= 1
         while self._depth == 0 and self._previous:
-            signal.signal(*self._previous.popitem())
+            number, previous = self._previous.popitem()
+            if signal.getsignal(number) == self._on_signal:
+                signal.signal(number, previous)
 
     @contextmanager
     def postponed(self, on_request: Callable[[Interruption], None]) -> Iterator[None]:
