@@ -84,6 +84,9 @@ REFUSED = {
     "loss: {smooth: .inf}": "loss: smooth .*finite.*inf",
     f"loss: {{smooth: {10**400}}}": "loss: smooth .*finite",
     "seed: 0x" + 5000 * "f": "seed .*4,294,967,295",
+    "temperature_sh_degree: 0x" + 5000 * "f": "temperature_sh_degree .*0 to 3",
+    "field: {embedding_width: 0x" + 5000 * "f" + "}": "field: embedding_width .*multiple of 6",
+    "resolution: -0x" + 5000 * "f": "resolution .*16 px",
     "densification: {start: -5}": "densification: start",
     "a: !!python/object/apply:os.getcwd []": "YAML",
 }

@@ -22,6 +22,7 @@ from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, shade, up_to_degree
 from mrgs.scene import RGB, THERMAL, Gaussians, Modality
 from mrgs.system.limits import MOST_WEIGHT, MOST_WIDTH, require_within
 from mrgs.system.operation import operation
+from mrgs.system.wording import shown
 
 MAX_NEIGHBOURS_N = 16
 """255 neighbours of each Gaussian; the paper stops at 48."""
@@ -69,9 +70,8 @@ class FieldConfig:
 
     def __post_init__(self) -> None:
         if self.embedding_width < 6 or self.embedding_width % 6 != 0:
-            raise ConfigError(
-                f"embedding_width must be a positive multiple of 6, not {self.embedding_width}"
-            )
+            width = shown(self.embedding_width)
+            raise ConfigError(f"embedding_width must be a positive multiple of 6, not {width}")
         require_within(self, ("direction_frequencies", "position_frequencies"), 0, MAX_FREQUENCIES)
         widths = ("embedding_width", "hidden_width", "thermal_feature_width")
         require_within(self, widths, 1, MOST_WIDTH)

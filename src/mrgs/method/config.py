@@ -140,11 +140,10 @@ class TrainConfig:
         require_within(self, ["coarse_until"], 0, 1)
         require_within(self, ["dilation_px2"], LEAST_DILATION_PX2, 1)
         if self.resolution is not None and self.resolution < 16:
-            raise ConfigError(f"resolution must be at least 16 px, not {self.resolution}")
+            raise ConfigError(f"resolution must be at least 16 px, not {shown(self.resolution)}")
         if self.temperature_sh_degree not in (None, *range(MAX_DEGREE + 1)):
-            raise ConfigError(
-                f"temperature_sh_degree must be null or 0 to 3, not {self.temperature_sh_degree}"
-            )
+            degree = shown(self.temperature_sh_degree)
+            raise ConfigError(f"temperature_sh_degree must be null or 0 to 3, not {degree}")
 
     def temperature_sh_degree_of(self, capture: Capture) -> int:
         """``temperature_sh_degree``, or what it is for these photos if that is None."""
