@@ -100,7 +100,7 @@ def largest_model(root: Path, notes: ReadingNotes) -> ColmapModel | None:
     """The reconstruction with the most images, where COLMAP has made several (``sparse/0``,
     ``sparse/1`` and so on, each in a world of its own); else that of ``find_model``."""
     first = find_model(root)
-    if first is None or first.folder.name != "0":
+    if first is None or not first.folder.name.isdigit():
         return first
     folder = first.folder.parent
     below = folder.relative_to(root)
@@ -381,12 +381,13 @@ def _match(
         for each in sorted(images, key=lambda each: (each.folder,) != folder):
             key = each.key_of(image.name)
             if key is not None:
-                if (before := found.setdefault((each.modality, key), image)) is not image:
+                name = PurePosixPath(image.name).name
+                if (before := found.setdefault((each.modality, key), image)) is image:
+                    named = PurePosixPath(each.folder, key).with_name(name).as_posix()
+                    each.files[key] = finder.find(named, file) or each.files[key]
+                else:
                     names = f"{shown(before.name)} and {shown(image.name)}"
                     notes.repair(f"{names} are one image with two poses: the first is used.")
-                    break
-                named = PurePosixPath(each.folder, key).with_name(PurePosixPath(image.name).name)
-                each.files[key] = finder.find(named.as_posix(), file) or each.files[key]
                 break
         else:
             raise scene_error(

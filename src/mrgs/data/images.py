@@ -127,7 +127,7 @@ def numbers_of(image: Image.Image, in_celsius: bool = True) -> Shaped[np.ndarray
         with np.errstate(over="ignore", invalid="ignore"):
             values = (values * np.float64(factor) + offset).astype(np.float32)
     if in_celsius and values.dtype == np.float32:
-        values = _celsius(values, _gdal_item(image, "unittype") or image.info.get("unit", ""))
+        values = _celsius(values, _gdal_items(image).get("unittype") or image.info.get("unit", ""))
     return np.where(missing, np.float32(np.nan), values) if missing.any() else values
 
 
@@ -140,17 +140,16 @@ def holds_numbers(image: Image.Image) -> bool:
 def scaling_of(image: Image.Image) -> tuple[float, float] | None:
     """The factor and the offset that the tags of GDAL give; None if they change nothing, or are
     none."""
-    scale, offset = (_gdal_item(image, role) for role in ("scale", "offset"))
-    found = _number(scale or 1), _number(offset or 0)
+    items = _gdal_items(image)
+    found = _number(items.get("scale") or 1), _number(items.get("offset") or 0)
     return None if found == (1.0, 0.0) or found[0] == 0 or not np.isfinite(found).all() else found
 
 
-def _gdal_item(image: Image.Image, role: str) -> str | None:
-    """What the tags of GDAL say of the band: its scale, offset or unittype; None without."""
+def _gdal_items(image: Image.Image) -> dict[str, str]:
+    """What the tags of GDAL say of the band: its scale, offset and unittype, as far as they do."""
     text = getattr(image, "tag_v2", {}).get(_GDAL_METADATA)
     items = _GDAL_ITEM.findall(text) if isinstance(text, str) else []
-    given = {found[1]: value for keys, value in items if (found := _GDAL_ROLE.search(keys))}
-    return given.get(role)
+    return {found[1]: value for keys, value in items if (found := _GDAL_ROLE.search(keys))}
 
 
 def _celsius(values: Float32[np.ndarray, "h w"], unit: str) -> Float32[np.ndarray, "h w"]:

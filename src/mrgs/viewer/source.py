@@ -66,6 +66,8 @@ class Worker:
         """Forget the waiting jobs whose keys fit."""
         with self._changed:
             self._jobs = {key: job for key, job in self._jobs.items() if not keys(key)}
+            waiting = set(map(_owner, self._jobs))
+            self._line = [owner for owner in self._line if owner in waiting]
 
     def close(self) -> None:
         """Forget all jobs, and end the thread after the one that it is doing; does not wait."""
@@ -80,9 +82,8 @@ class Worker:
 
     def _next_key(self) -> Hashable:
         """The oldest job of the browser whose turn it is; then it is the last in the line."""
-        owner = next(each for each in self._line if any(_owner(key) == each for key in self._jobs))
+        owner = self._line.pop(0)
         mine = [key for key in self._jobs if _owner(key) == owner]
-        self._line.remove(owner)
         if len(mine) > 1:
             self._line.append(owner)
         return mine[0]

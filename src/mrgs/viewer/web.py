@@ -288,10 +288,12 @@ class Viewer:
                 if len(self._guessing) >= MOST_GUESSES:
                     return _text(HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens: wait.")
                 self._guessing.append(request)
-                async with self._guess:
-                    with suppress(TimeoutError, asyncio.TimeoutError):
-                        await asyncio.wait_for(self._stop.wait(), GUESS_S)
-                self._guessing.remove(request)
+                try:
+                    async with self._guess:
+                        with suppress(TimeoutError, asyncio.TimeoutError):
+                            await asyncio.wait_for(self._stop.wait(), GUESS_S)
+                finally:  # also of a guess that is given up while it waits
+                    self._guessing.remove(request)
             if path == SOCKET_PATH:
                 return _text(HTTPStatus.FORBIDDEN, "The token is missing.")
             return _html(HTTPStatus.FORBIDDEN, self._question)

@@ -26,7 +26,8 @@ _TIMES = (
     (Base.DateTime, Base.SubsecTime, Base.OffsetTime),
 )
 """Times, their fractions of a second, and their zones. The first that is a time counts: a camera
-whose clock was not set fills one with zeros or blanks, and the last may be that of an edit."""
+whose clock was not set fills one with zeros or blanks. The last may be that of an edit, and counts
+only where no other is stated."""
 
 _CLOCK = re.compile(
     r"(\d{4})[:/.-] ?(\d\d?)[:/.-] ?(\d\d?)(?: +|T)(\d\d?)[:.] ?(\d\d?)[:.] ?(\d\d?)"
@@ -90,7 +91,7 @@ def read_exif(data: bytes) -> ExifFacts:
 def _facts(tags: Mapping[int, Any], gps: Mapping[int, Any], width: int) -> ExifFacts:
     """From the tags of the main and of the Exif directory, which some cameras do not tell apart."""
     stated = [each for each in _TIMES if _is_stated(tags.get(each[0]))]
-    if len(stated) > 1:  # the last may be that of a later edit
+    if len(stated) > 1:
         stated = [each for each in stated if each is not _TIMES[-1]]
     times = (_time(*map(tags.get, each)) for each in stated)
     taken, zone_s = next((time for time in times if time is not None), (None, None))

@@ -18,7 +18,6 @@ from mrgs.prepare.pairs.names import (
     HEADINGS,
     PARTNER,
     REFERENCE,
-    folder_modality,
     natural,
     read_stem,
     view_names,
@@ -260,9 +259,9 @@ def by_table(table: Path, inventory: Inventory) -> Match:
         if names[PARTNER]:
             partner = _photo(names[PARTNER], photos, inventory, table, number)
             is_swapped = partner.is_thermal and not reference.is_thermal
-            if not is_headed and not reference.is_thermal and _sounds_thermal(partner):
-                is_swapped = not _sounds_thermal(reference)
-            if is_swapped:
+            if is_swapped or (
+                not is_headed and by_modality((partner, reference), "")[0] == [partner]
+            ):
                 partner, reference = reference, partner
         for photo in filter(None, (partner, reference)):
             if (before := used.setdefault(photo, number)) != number:
@@ -326,12 +325,6 @@ def _heading(cell: str) -> Modality | None:
     """The modality that a heading names; None for the name of a photo."""
     words = set() if re.search(r"[./\\]", cell) else {*re.findall("[a-z]+", cell.lower())}
     return next((each for each in (REFERENCE, PARTNER) if words & HEADINGS[each]), None)
-
-
-def _sounds_thermal(photo: Photo) -> bool:
-    """Whether a photo is thermal by its name or its folder."""
-    named = read_stem(photo.origin.name).modality or folder_modality(photo.origin.parts[:-1])[0]
-    return named == REFERENCE
 
 
 def _photo(

@@ -11,6 +11,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
+from mrgs.system.disk import read_text
+
 Report = Callable[[str, int, int], None]
 """Called with a step's name, and how many of its parts are done and there are."""
 
@@ -91,9 +93,15 @@ class ReconstructionJob:
         return self.folder / "database.db"
 
 
+def read_job_file(folder: Path) -> JobFile:
+    """What the job file in a working folder says. OSError, UnicodeDecodeError or
+    msgspec.DecodeError if it cannot be read."""
+    return msgspec.json.decode(read_text(folder / JOB_FILE), type=JobFile)
+
+
 def read_job(folder: Path) -> ReconstructionJob:
     """The job in a working folder."""
-    job = msgspec.json.decode((folder / JOB_FILE).read_bytes(), type=JobFile)
+    job = read_job_file(folder)
     positions = None if job.positions is None else np.array(job.positions)
     files = tuple(image.file for image in job.images)
     return ReconstructionJob(folder, files, job.thermal, positions, job.focal_widths)

@@ -19,13 +19,12 @@ from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import MIN_VIEWS, Progress, Reconstruction, Skipped, TooFewPosesError
 from mrgs.prepare.sfm.job import (
-    JOB_FILE,
     MODEL_FOLDER,
     POINTS_FILE,
     REPORT_FILE,
     ImageReport,
-    JobFile,
     ModelReport,
+    read_job_file,
 )
 from mrgs.prepare.sfm.working_folder import set_up
 from mrgs.scene import THERMAL, Modality, PointCloud
@@ -161,7 +160,7 @@ def read_result(folder: Path, images: Modality) -> Reconstruction:
     """The largest model in a folder in which ``mrgs.prepare.sfm`` completed its job, with the
     reason for each image that is not in it. TooFewPosesError if fewer than ``MIN_VIEWS`` images
     have a pose."""
-    job = msgspec.json.decode(read_text(folder / JOB_FILE), type=JobFile)
+    job = read_job_file(folder)
     names = {image.file: image.name for image in job.images}
     model = folder / MODEL_FOLDER
     report = msgspec.json.decode(read_text(model / REPORT_FILE), type=ModelReport)

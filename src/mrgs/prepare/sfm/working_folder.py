@@ -17,9 +17,8 @@ from scipy.ndimage import gaussian_filter
 from mrgs.data.images import decode
 from mrgs.data.kept import digest
 from mrgs.prepare.contract import Progress
-from mrgs.prepare.sfm.job import IMAGE_FOLDER, JOB_FILE, JobFile, JobImage
+from mrgs.prepare.sfm.job import IMAGE_FOLDER, JOB_FILE, JobFile, JobImage, read_job_file
 from mrgs.system.atomic import replacing, write_error
-from mrgs.system.disk import read_text
 
 
 def set_up(
@@ -54,7 +53,7 @@ def set_up(
     try:
         if file.is_file():
             with suppress(msgspec.DecodeError, UnicodeDecodeError):
-                if msgspec.json.decode(read_text(file), type=JobFile) == job:
+                if read_job_file(folder) == job:
                     return
         shutil.rmtree(folder, ignore_errors=True)
         (folder / IMAGE_FOLDER).mkdir(parents=True)
