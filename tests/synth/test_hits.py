@@ -9,6 +9,7 @@ import torch
 from mrgs.scene import Camera
 from mrgs_synth.cameras import look_at, pinhole
 from mrgs_synth.hits import Triangles, first_hits
+from mrgs_synth.planck import band_radiance, temperature
 from mrgs_synth.radiometry import exact_temperature
 from mrgs_synth.shapes import sphere
 from mrgs_synth.stage import Solid, Stage
@@ -75,12 +76,13 @@ def test_temperature_beyond_the_surfaces_depends_on_the_direction(two_boxes: Sta
     assert celsius[48, 32] == 20.0  # the floor
 
 
-def test_temperature_is_the_mean_within_the_pixel(two_boxes: Stage) -> None:
+def test_temperature_is_that_of_the_mean_radiance_within_the_pixel(two_boxes: Stage) -> None:
     triangles = Triangles.of(two_boxes.solids)
     camera = camera_at([0.0, -0.7, 0.9], [0.1, 0.0, 0.1])
     coarse = exact_temperature(camera, two_boxes, triangles, 4)
     fine = exact_temperature(camera.resized(256, 192), two_boxes, triangles, 1)
-    np.testing.assert_allclose(coarse, fine.reshape(48, 4, 64, 4).mean(axis=(1, 3)))
+    received = band_radiance(fine).reshape(48, 4, 64, 4).mean(axis=(1, 3))
+    np.testing.assert_allclose(coarse, temperature(received))
     assert coarse.min() == pytest.approx(20.0)
     assert 51.5 < coarse.max() <= 52.0  # 50 + 10 z at the lid, z = 0.2
     assert ((coarse > 25.0) & (coarse < 45.0)).any()  # the outline mixes both

@@ -6,14 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrgs.scene import TemperatureRange
-from mrgs_synth.sensor import ThermalSensor, quantise, rounded_range
+from mrgs_synth.radiometry import pixel_readings
+from mrgs_synth.sensor import NETD_AT_C, ThermalSensor, quantise, rounded_range
 
 NOISELESS = ThermalSensor(netd_c=0.0, column_noise_c=0.0)
 
 
-def test_blur_preserves_the_mean() -> None:
-    exact = np.random.default_rng(0).uniform(0.0, 80.0, (48, 64))
-    assert NOISELESS.photograph(exact, 0, 0).mean() == pytest.approx(exact.mean(), abs=1e-9)
+def test_pixels_average_radiance() -> None:
+    """A chequer of 20 and 80 °C reads 53.7 °C, as a black body between 7.5 and 13 µm does."""
+    chequer = np.where(np.indices((48, 64)).sum(axis=0) % 2, 20.0, 80.0)
+    inside = NOISELESS.photograph(chequer, 0, 0)[8:-8, 8:-8]
+    np.testing.assert_allclose(inside, 53.70, atol=0.01)
+    np.testing.assert_allclose(pixel_readings(chequer, 2), 53.70, atol=0.01)
 
 
 def test_uniform_stays_uniform() -> None:
@@ -37,10 +41,12 @@ def test_point_spread(spread: float) -> None:
 
 def test_noise_has_the_stated_strength() -> None:
     sensor = ThermalSensor(netd_c=0.2, column_noise_c=0.0)
-    image = sensor.photograph(np.full((240, 320), 20.0), 3, 0)
+    image = sensor.photograph(np.full((240, 320), NETD_AT_C), 3, 0)
     # Interpolation to twice the size keeps (0.75² + 0.25²)² of the variance.
     assert image.std() == pytest.approx(0.2 * 0.625, rel=0.03)
-    assert image.mean() == pytest.approx(20.0, abs=0.01)
+    assert image.mean() == pytest.approx(NETD_AT_C, abs=0.01)
+    cold = sensor.photograph(np.full((240, 320), -10.0), 3, 0)
+    assert cold.std() > 1.5 * image.std()
 
 
 def test_columns_are_fixed_and_noise_is_not() -> None:

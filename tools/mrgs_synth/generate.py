@@ -21,7 +21,7 @@ from mrgs_synth.facade import facade
 from mrgs_synth.hits import Hits, Triangles, first_hits
 from mrgs_synth.imager import CameraName, ThermalImager, named_imager
 from mrgs_synth.points import sparse_points
-from mrgs_synth.radiometry import block_means, ray_readings
+from mrgs_synth.radiometry import pixel_readings, ray_readings
 from mrgs_synth.random_scenes import KINDS, drawn_kind, drawn_stage
 from mrgs_synth.sensor import ThermalSensor, quantise, rounded_range
 from mrgs_synth.series import Series
@@ -75,10 +75,10 @@ def synthesize(
     """Generate a scene with exact truth, in ThermoScenes' layout. The same arguments and Mitsuba
     give the same files.
 
-    The exact temperature of a pixel is the mean over the pixel (16 rays) of what an ideal camera
-    reads that is set to an emissivity of 1 (``radiometry``): the surfaces' own temperature where
-    they are black bodies, as in the scenes that are not drawn; in the others they also reflect
-    heat. The exact depth is the z-depth at the pixel's centre. Both are written as
+    The exact temperature of a pixel is what an ideal camera reads that is set to an emissivity of
+    1 (``radiometry``): the temperature of the mean radiance of 16 rays, which is the surfaces' own
+    where they are black bodies, as in the scenes that are not drawn; in the others they also
+    reflect heat. The exact depth is the z-depth at the pixel's centre. Both are written as
     ``output/truth/{temperature,depth}/NAME.tiff``; how the scene was made, as
     ``output/truth/synth.json``.
 
@@ -249,7 +249,7 @@ def _photograph(
             )
         shots[name] = Shot(
             photo=tracer.photograph(camera, samples, seeds[name], exposed),
-            exact_c=block_means(rays_c, RAYS_PER_SIDE),
+            exact_c=pixel_readings(rays_c, RAYS_PER_SIDE),
             hits=first_hits(camera, triangles),
             radiance=radiance,
         )

@@ -10,8 +10,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
-from mrgs_synth.radiometry import KELVIN
-
+KELVIN = 273.15
 BAND_UM = (7.5, 13.0)
 COLDEST_C, HOTTEST_C, STEP_C = -150.0, 1500.0, 0.1
 """Of the table between whose entries both functions interpolate linearly; each is therefore the

@@ -19,20 +19,15 @@ from jaxtyping import Bool, Float, Int
 
 from mrgs.scene import Camera
 from mrgs_synth.hits import Triangles, first_hits, ray_directions
+from mrgs_synth.planck import KELVIN, band_radiance, temperature
 from mrgs_synth.stage import Stage
-
-KELVIN = 273.15
 
 
 def exact_temperature(
     camera: Camera, stage: Stage, triangles: Triangles, rays_per_side: int
 ) -> Float[np.ndarray, "h w"]:
-    """The mean over each pixel of what an ideal camera reads, °C, from ``rays_per_side``² rays per
-    pixel.
-
-    Where all surfaces are black bodies this is the mean of their temperatures.
-    """
-    return block_means(ray_readings(camera, stage, triangles, rays_per_side)[0], rays_per_side)
+    """What an ideal camera reads in each pixel, °C, from ``rays_per_side``² rays per pixel."""
+    return pixel_readings(ray_readings(camera, stage, triangles, rays_per_side)[0], rays_per_side)
 
 
 def ray_readings(
@@ -50,6 +45,11 @@ def ray_readings(
         stage, triangles, hits.triangle[seen], hits.points[seen], directions[seen]
     )
     return celsius, hits.depth_m
+
+
+def pixel_readings(rays_c: Float[np.ndarray, "h w"], side: int) -> Float[np.ndarray, "h2 w2"]:
+    """What pixels of ``side``² rays read, °C: the temperature of their mean radiance."""
+    return temperature(block_means(band_radiance(rays_c), side))
 
 
 def block_means(fine: Float[np.ndarray, "h w"], side: int) -> Float[np.ndarray, "h2 w2"]:

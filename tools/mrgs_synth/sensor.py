@@ -10,10 +10,14 @@ from jaxtyping import Float, UInt
 from scipy.ndimage import gaussian_filter
 
 from mrgs.scene import TemperatureRange
+from mrgs_synth.planck import band_radiance, radiance_per_degree, temperature
 
 # Variance in px² that averaging 2×2 pixels (0.25) and doubling the image by linear interpolation
 # (0.75) add.
 _DETECTOR_VARIANCE_PX2 = 1.0
+
+NETD_AT_C = 30.0
+"""Where makers state the noise: it is radiance, and so more °C where a surface is colder."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +28,9 @@ class ThermalSensor:
         point_spread_px: standard deviation, in pixels of the written image, of everything that
             spreads a point: lens, detector pixel and interpolation; at least 1, which the detector
             alone has.
-        netd_c: standard deviation of the noise of each detector pixel (NETD), °C.
+        netd_c: standard deviation of the noise of each detector pixel (NETD), °C at ``NETD_AT_C``.
         column_noise_c: standard deviation of the offsets of the detector's columns, the same in
-            every frame, °C.
+            every frame, °C at ``NETD_AT_C``.
     """
 
     point_spread_px: float = 1.2
@@ -45,11 +49,12 @@ class ThermalSensor:
         """
         height, width = exact_c.shape
         lens_px = np.sqrt(self.point_spread_px**2 - _DETECTOR_VARIANCE_PX2)
-        blurred = gaussian_filter(exact_c, lens_px, mode="reflect")
+        blurred = gaussian_filter(band_radiance(exact_c), lens_px, mode="reflect")
         detector = blurred.reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3))
         columns = np.random.default_rng([seed, 1]).normal(0.0, self.column_noise_c, width // 2)
         noise = np.random.default_rng([seed, 2, frame]).normal(0.0, self.netd_c, detector.shape)
-        return _doubled(_doubled(detector + columns + noise).T).T
+        celsius = temperature(detector + radiance_per_degree(NETD_AT_C) * (columns + noise))
+        return _doubled(_doubled(celsius).T).T
 
 
 def _doubled(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h2 w"]:
