@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -20,8 +21,10 @@ from mrgs.scene import (
     Pixels,
     PosedImage,
     Rendering,
+    TemperatureRange,
     View,
 )
+from mrgs.scene.radiometry import BandRadiance
 from mrgs.system.operation import checking
 from tests.helpers.gaussians import NEAR_INFRARED, random_gaussians
 
@@ -189,6 +192,31 @@ def test_a_modality_without_a_camera_is_left_out():
         assert list(render(model, {modality: camera})[0]) == [modality]
     rendering, passes = render(model, {})
     assert (dict(rendering), passes) == ({}, [])
+
+
+def test_temperatures_are_blended_as_radiance():
+    """By the definition: the radiance of each splat, by its weight, read as a temperature."""
+    radiance = BandRadiance.of(TemperatureRange(-40.0, 120.0))
+    model, camera = make_model(torch.float64), make_camera()
+    linear = render(model, both(camera))[0]
+    found = render(replace(model, radiance=radiance), both(camera))[0]
+    of_splats = radiance.of_value(model.values(THERMAL, camera.position))
+    blended = sum(
+        weights_of(model, camera, splat) * received for splat, received in enumerate(of_splats)
+    )
+    torch.testing.assert_close(found[THERMAL].image, radiance.to_value(blended))
+    assert (found[THERMAL].image - linear[THERMAL].image).max() > 1e-3
+    torch.testing.assert_close(found[RGB], linear[RGB])
+    torch.testing.assert_close(found[THERMAL].alpha, linear[THERMAL].alpha)
+
+
+def weights_of(model: Model, camera: Camera, splat: int) -> torch.Tensor:
+    """What the pixels show if one splat has the value 1, and all others have 0."""
+    zeros = torch.zeros(len(model.gaussians), 1, dtype=torch.float64)
+    own = replace(model, temperature_residuals=zeros).values(THERMAL, camera.position)
+    alone = torch.eye(len(own), dtype=torch.float64)[:, [splat]]
+    shown = render(replace(model, temperature_residuals=alone - own), {THERMAL: camera})[0]
+    return shown[THERMAL].image
 
 
 def test_double_precision_is_kept():

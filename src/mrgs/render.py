@@ -4,7 +4,7 @@ blends them."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple
@@ -19,6 +19,7 @@ from mrgs.rasterizer import Geometry, Layer, Raster, contract, median_depth, ras
 from mrgs.rasterizer.contract import Dilation
 from mrgs.rasterizer.pose_gradient import with_pose_gradient
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Gaussians, Modality, Rendering, View
+from mrgs.scene.radiometry import BandRadiance
 
 ALL_ROWS_FROM = 0.9
 """Above this share in view, picking rows costs more than evaluating the heads for the others."""
@@ -36,6 +37,8 @@ class Model:
         temperature_residuals: t̂ of each Gaussian, [N, 1], where it is known beforehand
             (``bake_temperature_residuals``); else None.
         dilation: of the projected covariances.
+        radiance: in which temperatures are blended, as a camera's pixels average them; None to
+            blend temperatures, as published.
     """
 
     gaussians: Gaussians
@@ -45,6 +48,7 @@ class Model:
     temperature_residuals: Float[Tensor, "n 1"] | None = None
     _: KW_ONLY
     dilation: Dilation
+    radiance: BandRadiance | None = None
 
     def to(self, device: torch.device) -> Model:
         """The same model on a device, to render with; itself if it is there."""
@@ -160,7 +164,7 @@ def render(
         rows = rows_in_view(model, camera)
         layers = [_layer(model, each, camera, rows, degrees.get(each)) for each in modalities]
         raster, projected = _pass(model, layers, camera)
-        blends.update(zip(modalities, raster.blends, strict=True))
+        blends |= blends_of(raster, modalities, model.radiance)
         if with_median_depth:
             depths |= {each: model.median_depth(each, camera) for each in modalities}
         points.append(projected)
@@ -189,6 +193,30 @@ def shared_passes(cameras: Mapping[Modality, Camera]) -> list[tuple[Camera, list
     return passes
 
 
+def layer_of(
+    modality: Modality,
+    opacities: Float[Tensor, " n"],
+    values: Float[Tensor, "n c"],
+    radiance: BandRadiance | None,
+) -> Layer:
+    """A modality to be blended before black, the value 0; temperatures as their radiance if they
+    have one."""
+    if modality == THERMAL and radiance is not None:
+        values = radiance.of_value(values)
+    return Layer(opacities, values, values.new_zeros(modality.channels))
+
+
+def blends_of(
+    raster: Raster, modalities: Sequence[Modality], radiance: BandRadiance | None
+) -> dict[Modality, Blend]:
+    """What the rasterizer made of the layers of ``layer_of``, as values of the modalities."""
+    blends = dict(zip(modalities, raster.blends, strict=True))
+    if THERMAL in blends and radiance is not None:
+        thermal = blends[THERMAL]
+        blends[THERMAL] = thermal._replace(image=radiance.to_value(thermal.image))
+    return blends
+
+
 def _layer(
     model: Model,
     modality: Modality,
@@ -196,13 +224,15 @@ def _layer(
     rows: Int64[Tensor, " v"] | None,
     sh_degree: int | None,
 ) -> Layer:
-    """A modality's opacities and values, before a black background."""
+    """A modality of a model, as seen from a camera."""
     gaussians = model.gaussians
     position = camera.tensors(gaussians.means.device, gaussians.means.dtype).position
     values = model.values(modality, position, rows, sh_degree=sh_degree)
-    if rows is not None:  # zeros for the others
-        values = values.new_zeros(len(gaussians), modality.channels).index_copy(0, rows, values)
-    return Layer(gaussians.opacity(modality), values, values.new_zeros(modality.channels))
+    layer = layer_of(modality, gaussians.opacity(modality), values, model.radiance)
+    if rows is None:
+        return layer
+    zeros = values.new_zeros(len(gaussians), modality.channels)
+    return layer._replace(features=zeros.index_copy(0, rows, layer.features))
 
 
 @torch.no_grad()

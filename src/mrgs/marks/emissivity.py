@@ -3,7 +3,6 @@ photos were computed with."""
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from statistics import median
 from typing import TypeAlias
@@ -14,17 +13,10 @@ from jaxtyping import Float64
 from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark
 from mrgs.scene import Scene
-from mrgs.scene.radiometry import PhotoRecord, Planck
+from mrgs.scene.radiometry import TYPICAL_LAW, TYPICAL_WAVELENGTH_UM, PhotoRecord, Planck, law_of
 from mrgs.system.wording import Message
 
 Values: TypeAlias = Float64[np.ndarray, "..."]
-
-SECOND_RADIATION_CONSTANT_UM_K = 14_387.77
-TYPICAL_WAVELENGTH_UM = 10.0
-"""In the middle of what uncooled thermal cameras see, 7.5 to 13 µm."""
-
-TYPICAL_LAW = Planck(1.0, 1.0, SECOND_RADIATION_CONSTANT_UM_K / TYPICAL_WAVELENGTH_UM, 1.0, 0.0)
-"""Where a camera's own constants are not known: black bodies at that wavelength."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +117,8 @@ def _surface_of(records: list[PhotoRecord]) -> tuple[SurfaceSettings, list[str]]
 
 
 def _law_of(records: list[PhotoRecord]) -> tuple[Planck, list[str]]:
-    laws = Counter(record.planck for record in records if record.planck is not None)
-    if laws:
-        return laws.most_common(1)[0][0], []
+    if (law := law_of(records)) is not None:
+        return law, []
     return TYPICAL_LAW, [
         Message(
             "The camera's constants are not known: its signal is taken as that of black bodies at "

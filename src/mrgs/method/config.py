@@ -19,6 +19,7 @@ from mrgs.method.losses.radiation import RadiationConfig
 from mrgs.method.optimizer import OptimizerConfig
 from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
 from mrgs.scene.capture import Capture
+from mrgs.scene.radiometry import BandRadiance
 from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within, whole_number
 from mrgs.system.strict_yaml import read_yaml
 from mrgs.system.wording import shown
@@ -156,6 +157,10 @@ class TrainConfig:
         finest = capture.finest_focal_px if self.angular_dilation else None
         return Dilation(self.dilation_px2, finest)
 
+    def radiance_of(self, capture: Capture) -> BandRadiance | None:
+        """In which temperatures of a model of these photos are blended and blurred."""
+        return capture.radiance if self.image_model.radiance else None
+
     def pixel_size_at(self, step: int) -> int:
         """Side of a pixel at this step, in pixels of the photos."""
         coarse_steps = self.coarse_until * self.max_steps
@@ -255,6 +260,7 @@ def _plus(config: TrainConfig) -> TrainConfig:
         radiation=None,
         loss=replace(config.loss, **PLUS_LOSS),
         image_model=ImageModelConfig(
+            radiance=True,
             point_spread=True,
             thermal_gain=True,
             thermal_drift=True,

@@ -16,9 +16,9 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, evaluate_sh, shade, up_to_degree
-from mrgs.rasterizer import Geometry, Layer, median_depth, rasterize
+from mrgs.rasterizer import Geometry, median_depth, rasterize
 from mrgs.rasterizer.contract import Dilation
-from mrgs.render import Model, shared_passes
+from mrgs.render import Model, blends_of, layer_of, shared_passes
 from mrgs.runs.trained_run import asked_cameras
 from mrgs.scene import (
     RGB,
@@ -30,6 +30,7 @@ from mrgs.scene import (
     TemperatureRange,
     evenly_spaced,
 )
+from mrgs.scene.radiometry import BandRadiance
 from mrgs.system.torch_modes import own_modes
 
 COEFFICIENTS = (MAX_DEGREE + 1) ** 2
@@ -61,6 +62,7 @@ class BakedModel:
         temperatures: normalised, [N].
         temperature: the scale of the temperatures; None if the scene has no known °C.
         dilation: of the projected covariances.
+        radiance: in which temperatures are blended; None to blend them as they are.
     """
 
     means: Float[Tensor, "n 3"]
@@ -73,6 +75,7 @@ class BakedModel:
     temperature: TemperatureRange | None
     _: KW_ONLY
     dilation: Dilation
+    radiance: BandRadiance | None = None
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -173,11 +176,11 @@ class BakedModel:
             projection = self.dilation.projection(camera, self.means.device)
             values = [self.values(each, cameras[each].position) for each in modalities]
             layers = [
-                Layer(self.opacities[each], own, own.new_zeros(each.channels))
+                layer_of(each, self.opacities[each], own, self.radiance)
                 for each, own in zip(modalities, values, strict=True)
             ]
             raster = rasterize(self._geometry, layers, projection)
-            blends.update(zip(modalities, raster.blends, strict=True))
+            blends |= blends_of(raster, modalities, self.radiance)
         return Rendering({modality: blends[modality] for modality in cameras})
 
 
@@ -211,6 +214,7 @@ def bake(
         temperatures=temperatures,
         temperature=temperature,
         dilation=model.dilation,
+        radiance=model.radiance,
     )
 
 

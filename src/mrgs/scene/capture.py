@@ -12,6 +12,7 @@ import msgspec
 
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
+from mrgs.scene.radiometry import BandRadiance, law_of
 from mrgs.scene.scene import Scene
 from mrgs.scene.view import View
 from mrgs.system.typed_json import Finite
@@ -48,6 +49,8 @@ class Capture:
         minutes: when each training view's thermal photo was taken, since the first photo of the
             scene; None where it has none, or that is not known.
         held_out: viewpoint and time of the held-out thermal photos, where that is known.
+        radiance: what the pixels of the thermal photos average; None without °C, and in the
+            checkpoints of older versions.
     """
 
     thermal_viewpoints: tuple[Viewpoint | None, ...]
@@ -56,6 +59,7 @@ class Capture:
     finest_focal_px: Length | None = None
     minutes: tuple[Finite | None, ...] = ()
     held_out: tuple[tuple[Viewpoint, Finite], ...] = ()
+    radiance: BandRadiance | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> Capture:
@@ -84,6 +88,9 @@ class Capture:
             max(statistics.median(own) for own in focal_px if own),
             tuple(map(minutes, scene.train)),
             tuple((viewpoint, when) for viewpoint, when in held_out if when is not None),
+            None
+            if scene.temperature is None
+            else BandRadiance.of(scene.temperature, law_of(scene.records)),
         )
 
     @property

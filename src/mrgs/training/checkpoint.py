@@ -200,6 +200,7 @@ def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: Checkpoint
         neighbours=neighbours,
         sh_degree=config.sh_degree_at(facts.step),
         dilation=config.dilation_of(facts.capture),
+        radiance=config.radiance_of(facts.capture),
     )
 
 

@@ -242,7 +242,12 @@ def initial_state(
         steps = config.fitted_residuals
         fit_residuals(field, gaussians, points.values[THERMAL], steps, generator)
     model = Model(
-        gaussians, field, neighbours=None, sh_degree=0, dilation=config.dilation_of(capture)
+        gaussians,
+        field,
+        neighbours=None,
+        sh_degree=0,
+        dilation=config.dilation_of(capture),
+        radiance=config.radiance_of(capture),
     ).to(device)
     state = TrainingState.around(model, all_terms, strategy, config, capture, generator)
     state.image_model.load_state_dict(cameras.state_dict())

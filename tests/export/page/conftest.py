@@ -14,6 +14,7 @@ from mrgs.marks.regions import Regions
 from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Modality, TemperatureRange
+from mrgs.scene.radiometry import BandRadiance
 from tests.helpers.browsers import chromium, collect_errors, new_page
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.pages import SETTLED
@@ -33,6 +34,9 @@ def look_at_origin(angle: float, height: float = 0.8, width: int = 96, rows: int
     viewmat[:3, 3] = -viewmat[:3, :3] @ position
     K = torch.tensor([[110.0, 0, 46.0], [0, 104.0, 33.5], [0, 0, 1]], dtype=torch.float64)
     return Camera(K, viewmat, 96, 64).resized(width, rows)
+
+
+SCALE = TemperatureRange(-10.0, 90.0)
 
 
 @pytest.fixture
@@ -62,8 +66,9 @@ def baked() -> BakedModel:
         {RGB: sh[:, :1]},
         {RGB: sh[:, 1:]},
         temperatures,
-        TemperatureRange(-10.0, 90.0),
+        SCALE,
         dilation=Dilation(0.1, 107.0),
+        radiance=BandRadiance.of(SCALE),
     )
 
 

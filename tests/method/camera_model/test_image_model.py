@@ -10,8 +10,9 @@ import torch
 from mrgs.errors import ConfigError
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.camera_model.point_spread import PointSpread
-from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering
+from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering, TemperatureRange
 from mrgs.scene.capture import Capture, Viewpoint
+from mrgs.scene.radiometry import BandRadiance
 from mrgs.system.typed_json import from_json
 
 
@@ -64,6 +65,27 @@ def test_the_width_of_a_spread_is_found_from_photos(start_px):
         adam.step()
         found.limit()
     assert found.sigma_px.item() == pytest.approx(1.3, abs=0.01)
+
+
+def test_the_lens_blurs_radiance_in_scenes_with_celsius():
+    radiance = BandRadiance.of(TemperatureRange(-20.0, 100.0))
+    capture = replace(CAPTURE, has_celsius=True, radiance=radiance)
+    config, seen, view = replace(ALL, radiance=True), rendering(), torch.zeros(1, dtype=torch.int64)
+    model, sharp = ImageModel(config, capture), seen[THERMAL].image
+    expected = radiance.to_value(model.point_spread(radiance.of_value(sharp)))
+    found = model(seen, view)[THERMAL].image
+    torch.testing.assert_close(found, expected)
+    assert (found - model.point_spread(sharp)).abs().max() > 0.01
+    for other in (ImageModel(ALL, capture), ImageModel(config, replace(capture, radiance=None))):
+        torch.testing.assert_close(other(seen, view)[THERMAL].image, other.point_spread(sharp))
+
+
+def test_a_capture_remembers_its_radiance_and_older_ones_have_none():
+    capture = replace(CAPTURE, radiance=BandRadiance.of(TemperatureRange(-20.0, 100.0)))
+    written = json.loads(json.dumps(asdict(capture)))
+    assert from_json(Capture, written) == capture
+    del written["radiance"]
+    assert from_json(Capture, written).radiance is None
 
 
 def test_what_cameras_write_does_not_change_their_model():

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numba import njit
 
 from mrgs.scene import Camera
+from mrgs_synth.planck import band_radiance, temperature
 from mrgs_synth.solar_plant.ground import STEP_M, TILE_M
 from mrgs_synth.solar_plant.layout import (
     AIR_C,
@@ -88,8 +89,8 @@ class Surfaces(NamedTuple):
 
 
 class Photo(NamedTuple):
-    """What one camera sees: the photo, the exact temperatures in °C (means over the pixels), and
-    the z-depth at their centres in metres."""
+    """What one camera sees: the photo, the exact temperatures in °C (of the pixels' mean radiance),
+    and the z-depth at their centres in metres."""
 
     rgb: UInt8[np.ndarray, "h w 3"]
     exact_c: Float[np.ndarray, "h w"]
@@ -135,17 +136,18 @@ def _tables_by_square(
 def photograph(surfaces: Surfaces, camera: Camera) -> Photo:
     """Photograph the plant in colour and in the infrared; the camera looks down."""
     height, width = camera.height, camera.width
-    linear, celsius = np.zeros((height, width, 3)), np.zeros((height, width))
+    linear, radiance = np.zeros((height, width, 3)), np.zeros((height, width))
+    celsius = np.zeros((height, width))
     K, viewmat = camera.K.numpy(), camera.viewmat.numpy()
     position = camera.position.numpy()
     for part in range(RAYS_PER_SIDE**2):
         offset = (np.array(divmod(part, RAYS_PER_SIDE)) + 0.5) / RAYS_PER_SIDE
         _add_rays(surfaces, K, viewmat[:3, :3], position, offset, linear, celsius)
+        radiance += band_radiance(celsius)
     rays = RAYS_PER_SIDE**2
     rgb = np.round(255.0 * _srgb((linear / rays).clip(0.0, 1.0))).astype(np.uint8)
-    return Photo(
-        rgb, celsius / rays, _depths(surfaces, K, viewmat[:3, :3], position, height, width)
-    )
+    depth_m = _depths(surfaces, K, viewmat[:3, :3], position, height, width)
+    return Photo(rgb, temperature(radiance / rays), depth_m)
 
 
 def seen_from(
@@ -169,7 +171,8 @@ def _srgb(linear: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
 @compiled
 @no_type_check
 def _add_rays(surfaces, K, rotation, position, offset, linear, celsius):
-    """Add one ray of each pixel, at ``offset`` (row, column) in it."""
+    """Cast one ray of each pixel, at ``offset`` (row, column) in it: add its colour, and write what
+    is seen there, °C."""
     low, grid, pattern, planes, tone, cell_c, starts, items = surfaces
     for row in range(linear.shape[0]):
         for column in range(linear.shape[1]):
@@ -182,7 +185,7 @@ def _add_rays(surfaces, K, rotation, position, offset, linear, celsius):
                 warmth, r, g, b = _of_table(
                     planes[table], tone[table], cell_c[table], point, ray, lit
                 )
-            celsius[row, column] += warmth
+            celsius[row, column] = warmth
             linear[row, column, 0] += r
             linear[row, column, 1] += g
             linear[row, column, 2] += b

@@ -63,7 +63,7 @@ class Page {
     this.drawnAt = -Infinity;
     this.drawMs = 0;
     const { model, modalities, readable, areas } = this.facts;
-    this.worker.postMessage({ open: { slots: model.slots, dilation: model.dilation, modalities, readable, areas: areas?.areas } });
+    this.worker.postMessage({ open: { ...model, modalities, readable, areas: areas?.areas } });
     this.worker.onmessage = ({ data }) => {
       if (data.failure) showFailure(data.failure);
       else if (data.depths) this.takeAreas(data.depths);

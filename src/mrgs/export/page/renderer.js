@@ -1,6 +1,7 @@
 // Draws the splats: blended into a 16-bit float image, then shown as colours or through a palette.
 
 const SPLATS_PER_ROW = 512;
+const NO_RADIANCE = { gain: 0, b: 0, offset: 0, low_k: 0, span_k: 1 };
 
 class Renderer {
   constructor(canvas, { model, modalities }, palettes) {
@@ -10,6 +11,7 @@ class Renderer {
     this.canvas = canvas;
     this.count = 0;
     this.dilation = model.dilation;
+    this.radiance = model.radiance;
     this.floatTarget = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
     this.splats = buildProgram(gl, SPLAT_VERTEX, SPLAT_FRAGMENT);
     this.screen = buildProgram(gl, SCREEN_VERTEX, SCREEN_FRAGMENT);
@@ -87,6 +89,9 @@ class Renderer {
     gl.uniform2fv(screen.at("range"), look.range);
     gl.uniform2fv(screen.at("isotherm"), look.isotherm);
     gl.uniform1i(screen.at("ofArea"), false);
+    const law = this.radiance?.modality === look.modality ? this.radiance : NO_RADIANCE;
+    gl.uniform3f(screen.at("radiance"), law.gain, law.b, law.offset);
+    gl.uniform2f(screen.at("kelvin"), law.low_k, law.span_k);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     if (look.areas) this.inside(look.areas.rectangle, this.canvas, () => look.areas.views.forEach((view) => this.drawArea(view, camera)));
   }
@@ -143,7 +148,7 @@ class Renderer {
     for (let i = 0; i < pixels.length; i += 4) {
       if (pixels[i + 3] < surfaceAlpha * one) continue;
       const [row, column] = [Math.floor(i / 4 / camera.width), (i / 4) % camera.width];
-      seen.push([pixels[i] / one, [column + 0.5, camera.height - row - 0.5], depths[i / 4]]);
+      seen.push([valueOfBlend(this.radiance, look.modality, pixels[i] / one), [column + 0.5, camera.height - row - 0.5], depths[i / 4]]);
     }
     return seen;
   }

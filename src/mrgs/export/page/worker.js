@@ -24,12 +24,13 @@ onmessage = ({ data }) => {
 };
 
 // Room for all splats, of which none is there yet. The depths of areas come before the first part.
-function open({ slots, dilation, readable, areas, ...rest }) {
+function open({ slots, dilation, radiance, readable, areas, ...rest }) {
   modalities = rest.modalities;
   if (areas) decoding = Promise.all(areas.map(decodeDepths)).then((depths) => postMessage({ depths }));
   model = {
     slots,
     dilation,
+    radiance,
     active: [], // first and behind the last of the splats that are shown
     means: new Float32Array(3 * slots),
     axes: new Float32Array(9 * slots),
@@ -146,7 +147,8 @@ function readPixel({ camera, x, y, modality }) {
     depth += share * hit.depth;
     shares += share;
   }
-  return { modality, value, depth: depth / Math.max(shares, 1e-9), alpha: 1 - transmittance };
+  const shown = valueOfBlend(model.radiance, modality, value);
+  return { modality, value: shown, depth: depth / Math.max(shares, 1e-9), alpha: 1 - transmittance };
 }
 
 function ofSurface(transmittance) {

@@ -114,10 +114,10 @@ def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
     return shown, (*of_uncertainty, *(marks.meter.capture.notes if has_own else ()))
 
 
-OWN_SCRIPTS = ("dilation", "areas", "shaders", "surface", "renderer", "stream", "app")
+OWN_SCRIPTS = ("dilation", "radiance", "areas", "shaders", "surface", "renderer", "stream", "app")
 WORKER_SCRIPTS = [
     page_data.BASE64_SCRIPT,
-    *(f"export/page/{name}.js" for name in ("dilation", "decode", "worker")),
+    *(f"export/page/{name}.js" for name in ("dilation", "radiance", "decode", "worker")),
 ]
 ASSETS: dict[str, Any] = {
     "styles": [page_data.STAGE_STYLE, page_data.MARKS_STYLE],

@@ -33,6 +33,7 @@ class ImageModelConfig:
     """Which camera effects are modelled, and their learning rates; all off as published.
 
     Attributes:
+        radiance: blend and blur band radiance rather than temperatures, in scenes with °C.
         point_spread: blur the rendered temperatures by a Gaussian of learned width.
         thermal_gain: a learned gain and offset per thermal photo, in scenes without °C, whose
             cameras may have automatic gain.
@@ -48,6 +49,7 @@ class ImageModelConfig:
         poses_rate: learning rate of the poses, in focal lengths.
     """
 
+    radiance: bool = False
     point_spread: bool = False
     thermal_gain: bool = False
     thermal_drift: bool = False
@@ -95,6 +97,7 @@ class ImageModel(nn.Module):
         shading = PhotoShading(photos, fixed=config.flat_field is not None)
         self.thermal_shading = shading if has_shading else None
         self.poses = PoseRefinement(capture.views) if config.poses else None
+        self._radiance = capture.radiance if config.radiance else None
         self.register_buffer("constant", torch.zeros(()))
         self._extent = capture.extent
 
@@ -180,7 +183,12 @@ class ImageModel(nn.Module):
             return rendering
         thermal = rendering[THERMAL].image
         if self.point_spread is not None:
-            thermal = self.point_spread(thermal, pixel_sizes.get(THERMAL, 1.0))
+            size, radiance = pixel_sizes.get(THERMAL, 1.0), self._radiance
+            if radiance is None:
+                thermal = self.point_spread(thermal, size)
+            else:
+                received = self.point_spread(radiance.of_value(thermal), size)
+                thermal = radiance.to_value(received)
         if self.thermal_gain is not None:
             thermal = value(self.thermal_gain).apply(thermal)
         if self.thermal_drift is not None:
