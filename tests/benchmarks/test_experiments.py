@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import ttest_rel
+
+from benchmarks import experiments
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs/experiments.md"
+
+
+def test_the_interval_is_that_of_a_paired_t_test():
+    rng = np.random.default_rng(0)
+    ours, theirs = rng.normal(48, 3, 6), rng.normal(45, 3, 6)
+    middle, half = experiments.interval((ours - theirs).tolist())
+    exact = ttest_rel(ours, theirs).confidence_interval(0.95)
+    assert (middle - half, middle + half) == pytest.approx((exact.low, exact.high))
+
+
+def test_a_difference_whose_interval_holds_zero_is_not_shown():
+    assert experiments.difference_text([1.0, 1.2, 1.4], 1) == "+1.2 ± 0.5"
+    assert experiments.difference_text([-1.0, 1.2, 0.1], 1) == "+0.1 ± 2.7 (not shown)"
+
+
+def kept(**changes) -> experiments.Kept:
+    """Two methods, two scenes, two seeds, every figure of a run the same."""
+    values = {
+        ("a", "x"): [1.0, 2.0],
+        ("a", "y"): [4.0, 6.0],
+        ("b", "x"): [2.0, 3.0],
+        ("b", "y"): [5.0, 7.0],
+    }
+    runs = [
+        {
+            "scene": scene,
+            "method": method,
+            "seed": seed,
+            "figures": {column.figure: value for column in experiments.COLUMNS},
+        }
+        for (method, scene), of_seeds in values.items()
+        for seed, value in enumerate(of_seeds)
+    ]
+    return {"command": "", "commit": "0" * 8, "baseline": "a", "runs": runs, **changes}
+
+
+def test_a_table_pairs_the_scenes_and_spreads_over_the_seeds():
+    head, _, first, second, _, note = experiments.table(kept()).splitlines()
+    assert head.startswith("| | thermal, matched | to `a` |")
+    assert first.startswith("| `a` | 3.25 ± 1.06 dB |  |")
+    assert second.startswith("| `b` | 4.25 ± 1.06 dB | +1.00 ± 0.00 |")
+    assert "2 scenes" in note
+
+
+def test_one_constant_is_taken_off_all_views_together():
+    rng = np.random.default_rng(0)
+    errors = rng.normal(0, 0.1, (2, 40, 50))
+    errors[1] += 0.5
+    found = experiments._after_a_constant([errors[0] + 7.0, errors[1] + 7.0])
+    assert found == pytest.approx(0.25, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "path", sorted(experiments.RESULTS.glob("*.json")), ids=lambda path: path.stem
+)
+def test_the_page_shows_the_results_that_are_kept(path):
+    results = json.loads(path.read_text(encoding="utf-8"))
+    assert experiments.table(results) in PAGE.read_text(encoding="utf-8")
+    assert results["command"] in PAGE.read_text(encoding="utf-8")
