@@ -203,9 +203,9 @@ def test_it_is_offered_by_the_page(run: Run, tmp_path: Path) -> None:
 
 def test_it_is_exported(run: Run, tmp_path: Path) -> None:
     scene = run.load_scene()
-    for name in ("ply", "spz", "glb", "splat", "points", "mesh", "page", "cameras"):
+    for name in ("ply", "spz", "glb", "points", "mesh", "page", "cameras"):
         export(run, scene, name, tmp_path)
-    for name in ("nir.ply", "nir.spz", "nir.glb", "nir.splat"):
+    for name in ("nir.ply", "nir.spz", "nir.glb"):
         facts = json.loads((tmp_path / f"{name}.json").read_text())
         assert (tmp_path / name).is_file()
         assert facts["nir"]["unit"] == "normalised"

@@ -755,7 +755,7 @@ def test_an_unfinished_run_is_used_and_said(small_scene, tmp_path, monkeypatch, 
     interrupt(monkeypatch, times=1)
     run("train", small_scene, "--output", output, *TINY)
     capsys.readouterr()
-    run("export", output, "--format", "splat")
+    run("export", output, "--format", "spz")
     assert "step 1 of 3" in capsys.readouterr().err
 
 

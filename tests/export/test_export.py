@@ -23,7 +23,6 @@ EXPECTED = {
     "ply": {"rgb.ply", "thermal.ply", "rgb_thermal.ply"},
     "spz": {"rgb.spz", "thermal.spz"},
     "glb": {"rgb.glb", "thermal.glb"},
-    "splat": {"rgb.splat", "thermal.splat"},
     "points": {"points.ply"},
     "las": {"points.las"},
     "mesh": {"mesh.ply"},
@@ -105,15 +104,9 @@ def test_glb_files_hold_temperatures_and_say_whether_they_are_turned(
 
 
 def test_a_run_is_baked_and_its_loss_is_written_down(tmp_path, run, scene):
-    export(run, scene, "splat", tmp_path)
-    rgb, thermal = (
-        json.loads((tmp_path / f"{name}.splat.json").read_text()) for name in ("rgb", "thermal")
-    )
-    assert isinstance(thermal["baking_loss_db"]["rgb"], float)
-    assert (
-        rgb["baking_loss_db"]["rgb"] != thermal["baking_loss_db"]["rgb"]
-    )  # the one is without view dependence
-    assert rgb["view_dependence"] == "left out"
+    export(run, scene, "ply", tmp_path)
+    facts = json.loads((tmp_path / "rgb.ply.json").read_text())
+    assert isinstance(facts["baking_loss_db"]["rgb"], float)
 
 
 def test_palette_and_range_are_the_caller_s(tmp_path, baked, scene):
@@ -218,7 +211,7 @@ def with_infrared(baked, scene):
     return model, replace(scene, train=tuple(views))
 
 
-@pytest.mark.parametrize("format", ["ply", "spz", "glb", "splat"])
+@pytest.mark.parametrize("format", ["ply", "spz", "glb"])
 def test_a_third_modality_has_grey_splats_of_its_own(tmp_path, baked, scene, format):
     model, scene = with_infrared(baked, scene)
     export(model, scene, format, tmp_path)
@@ -252,8 +245,8 @@ def test_a_scene_of_another_modality_alone_has_every_format(tmp_path, solid, sce
     views = (View(view.name, {NEAR_INFRARED: view.images[NEAR_INFRARED]}) for view in scene.train)
     alone = replace(scene, train=tuple(views), eval=())
     names = {path.name for path in export(model, alone, "all", tmp_path)}
-    assert {"nir.splat", "mesh.ply", "transforms.json", "page.html"} <= names
-    assert "rgb.splat" not in names
+    assert {"nir.spz", "mesh.ply", "transforms.json", "page.html"} <= names
+    assert "rgb.spz" not in names
 
 
 def test_a_modality_that_the_model_has_not_is_left_out(tmp_path, solid, scene):

@@ -10,8 +10,7 @@ import torch
 from mrgs.evaluation.metrics import psnr
 from mrgs.export.glb import write_glb
 from mrgs.export.ply import write_splat_ply
-from mrgs.export.splat import write_splat
-from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats, without_directions
+from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats
 from mrgs.export.spz import write_spz
 from mrgs.pictures.palette import colorize
 from mrgs.scene import RGB, THERMAL
@@ -38,25 +37,7 @@ def test_rgb(tmp_path, baked, scene, suffix, write):
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB
 
 
-def test_rgb_without_directions(tmp_path, baked, scene):
-    """The format holds no view dependence: it is compared with the model whose colours have none
-    either."""
-    model = without_directions(baked, [view.cameras[RGB] for view in scene.train])
-    flat = shaded_splats(model, RGB)
-    back = splat_transform(write_splat(tmp_path / "rgb.splat", flat))
-    for view in scene.eval:
-        photo, rendering, drawn = (
-            view.images[RGB].load().values,
-            draw(flat, view.cameras[RGB]),
-            draw(back, view.cameras[RGB]),
-        )
-        assert abs(psnr(drawn, photo) - psnr(rendering, photo)) < TOLERANCE_DB
-        assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB
-
-
-@pytest.mark.parametrize(
-    ("suffix", "write"), [("ply", write_splat_ply), ("spz", write_spz), ("splat", write_splat)]
-)
+@pytest.mark.parametrize(("suffix", "write"), [("ply", write_splat_ply), ("spz", write_spz)])
 def test_colour_mapped_temperatures(tmp_path, baked, scene, suffix, write):
     scale = thermal_scale(baked, "iron")
     splats = thermal_splats(baked, scale)

@@ -43,7 +43,6 @@ _FORMATS = (
     _format("ply", "splats as 3DGS writes them, and all modalities in one file"),
     _format("spz", "splats, compressed"),
     _format("glb", "splats as glTF with KHR_gaussian_splatting"),
-    _format("splat", "splats without view dependence"),
     _format("points", "the opaque splats as points with colour and temperature"),
     _format(
         "las",

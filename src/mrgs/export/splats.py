@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,14 +16,8 @@ from mrgs.pictures.files import to_array
 from mrgs.pictures.palette import PaletteName, palette_table
 from mrgs.pictures.values import full_scale, in_unit
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import THERMAL, Camera, Modality, evenly_spaced
+from mrgs.scene import THERMAL, Modality
 from mrgs.system.memory import row_chunks
-
-MEAN_OVER = 32
-"""Cameras over which a colour without direction is averaged."""
-
-UNSEEN_WEIGHT = 1e-3
-"""Weight of a camera without the splat in its image; not zero, for splats that none sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,28 +102,6 @@ def thermal_splats(baked: BakedModel, scale: Scale) -> SplatArrays:
     colors = palette_table(scale.palette)[np.rint(position.clip(0, 1) * 255).astype(np.uint8)]
     sh = ((colors / np.float32(255) - np.float32(0.5)) / np.float32(C0))[:, None]
     return _splats(baked, baked.opacities[THERMAL], sh.astype(np.float32))
-
-
-def without_directions(baked: BakedModel, cameras: Sequence[Camera]) -> BakedModel:
-    """A copy of the model with one value of each modality per splat: its mean over at most
-    ``MEAN_OVER`` cameras that have the splat in their image, in [0, 1]. Closer to the photos than
-    without the higher degrees, whose mean over these directions is not zero."""
-    means = {}
-    for modality in baked.sh_dc:
-        total = baked.means.new_zeros(len(baked), modality.channels)
-        weight = torch.zeros_like(total[:, :1])
-        for index in evenly_spaced(len(cameras), MEAN_OVER):
-            camera = cameras[index]
-            inside = camera.contains(camera.project(baked.means)[0])
-            seen = torch.where(inside, 1.0, UNSEEN_WEIGHT)[:, None].to(total)
-            total += seen * baked.values(modality, camera.position)
-            weight += seen
-        means[modality] = (total / weight).clamp(0, 1)
-    return replace(
-        baked,
-        sh_dc={each: ((mean - 0.5) / C0)[:, None] for each, mean in means.items()},
-        sh_rest={each: mean.new_zeros(len(mean), 0, each.channels) for each, mean in means.items()},
-    )
 
 
 def base_values(baked: BakedModel, modality: Modality) -> Float32[np.ndarray, "n c"]:

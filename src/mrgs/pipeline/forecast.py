@@ -151,7 +151,6 @@ def stage_parts(work: Workload, cores: int | None = None) -> dict[str, dict[str,
         "exports": {
             BAKING: baking,
             **dict.fromkeys(("ply", "spz", "glb"), 10 * million),
-            "splat": 30 * million,
             "points": surface,
             "las": 50 * million,
             "mesh": 3 + 3 * surface,

@@ -88,9 +88,7 @@ class Capture:
             max(statistics.median(own) for own in focal_px if own),
             tuple(map(minutes, scene.train)),
             tuple((viewpoint, when) for viewpoint, when in held_out if when is not None),
-            None
-            if scene.temperature is None
-            else BandRadiance.of(scene.temperature, law_of(scene.records)),
+            BandRadiance.of(scene.temperature, law_of(scene.records)),
         )
 
     @property

@@ -200,9 +200,13 @@ class BandRadiance:
     b: float
 
     @classmethod
-    def of(cls, temperature: TemperatureRange, law: Planck | None = None) -> BandRadiance | None:
-        """That of values on a scale, by the calibration of the camera if it is known; None for a
-        scale that is colder than what thermal cameras see."""
+    def of(
+        cls, temperature: TemperatureRange | None, law: Planck | None = None
+    ) -> BandRadiance | None:
+        """That of values on a scale, by the calibration of the camera if it is known; None without
+        a scale, or for one that is colder than what thermal cameras see."""
+        if temperature is None:
+            return None
         low_k, span_k = temperature.to_kelvin(0.0), temperature.span_c
         return None if low_k + span_k <= COLDEST_K else cls(low_k, span_k, (law or TYPICAL_LAW).b)
 

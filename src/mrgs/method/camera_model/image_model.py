@@ -184,11 +184,9 @@ class ImageModel(nn.Module):
         thermal = rendering[THERMAL].image
         if self.point_spread is not None:
             size, radiance = pixel_sizes.get(THERMAL, 1.0), self._radiance
-            if radiance is None:
-                thermal = self.point_spread(thermal, size)
-            else:
-                received = self.point_spread(radiance.of_value(thermal), size)
-                thermal = radiance.to_value(received)
+            received = thermal if radiance is None else radiance.of_value(thermal)
+            spread = self.point_spread(received, size)
+            thermal = spread if radiance is None else radiance.to_value(spread)
         if self.thermal_gain is not None:
             thermal = value(self.thermal_gain).apply(thermal)
         if self.thermal_drift is not None:
