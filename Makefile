@@ -43,7 +43,8 @@ test-all: SELECT =
 test-all: export CHECK_ARRAYS = 1
 test-all: test
 
-# Attacks for two hours, with a table at the end; `make faults ARGS="--soak-hours 0"` takes one.
+# Attacks for a night, with a table at the end; `make faults ARGS="--soak-hours 0 --texts 100000"` takes
+# an hour.
 faults: $(VENV)/.dev-installed
 	$(BIN)/python -W ignore -m tests.faults $(ARGS)
 

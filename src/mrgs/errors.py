@@ -12,10 +12,14 @@ from pathlib import Path
 _INSIDE = (str(Path(__file__).parent) + os.sep, contextlib.__file__)
 """Files of this package, and what is between a ``with`` and the block that it opens."""
 
+LONGEST_LINE = 10_000
+"""Characters that are shown of a longer text; a path has 4,096 at most."""
+
 
 def printable(text: str) -> str:
     """The text on one line, with escapes for what is not printable: names of files may end a line,
-    write in colour on a terminal, or turn the direction of reading."""
+    write in colour on a terminal, or turn the direction of reading. Of more than ``LONGEST_LINE``
+    characters the middle is left out."""
 
     def shown(each: str) -> str:
         # Joiners are parts of words of many languages, and of emoji.
@@ -23,6 +27,8 @@ def printable(text: str) -> str:
             return each
         return each.encode("unicode_escape").decode().replace("\\x", "\\u00")
 
+    if len(text) > LONGEST_LINE:  # a name in a file may have megabytes
+        text = f"{text[: LONGEST_LINE // 2]} … {text[-LONGEST_LINE // 2 :]}"
     return text if text.isprintable() else "".join(map(shown, text))
 
 

@@ -40,8 +40,8 @@ HERE = Path(__file__).parent
 Attack = Callable[[Path], Tally]
 
 
-def attacks() -> Iterator[tuple[str, Attack]]:
-    """Title and attack, in the order of the table."""
+def attacks(inputs: int, seed: int) -> Iterator[tuple[str, Attack]]:
+    """Title and attack, in the order of the table; of texts so many inputs for each reader."""
     rng = random.Random(0)
     moments = [rng.uniform(0.1, 1) for _ in range(30)]
     yield "kill -9 of trainings", lambda at: kills.trainings(at, 50)
@@ -62,7 +62,7 @@ def attacks() -> Iterator[tuple[str, Attack]]:
     yield "unusual names", lambda at: places.names(at, commands=("eval", "report", "export"))
     yield "fuzzed thermal photos", lambda at: fuzz.radiometric(at, 5000)
     yield "fuzzed poses", lambda at: fuzz.poses(at, 2000)
-    yield "fuzzed texts", lambda at: texts.attacks(at, 100_000)
+    yield "fuzzed texts", lambda at: texts.attacks(at, inputs, seed)
     yield "fuzzed messages to the viewer", lambda at: messages.messages(at, _trained(at), 5000)
     yield "values put into trainings", lambda at: injections.values(at, 100)
     yield "memory estimates", memory.estimates
@@ -75,13 +75,18 @@ def main() -> int:
     """Run the attacks; returns the exit status, 1 if something did not hold."""
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
     parser.add_argument("--soak-hours", type=float, default=2.0, help="0 leaves the soak out")
+    parser.add_argument(
+        "--texts", type=int, default=1_000_000, help="inputs for each reader of text"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of these inputs")
     parser.add_argument("--only", default="", help="part of the titles of the attacks to run")
     options = parser.parse_args()
     hours = options.soak_hours
     soaking = (f"soak of {hours:g} h", lambda at: soak.training(at, hours * 3600))
     with ThreadPoolExecutor(1) as beside:  # the soak needs one core, and only time
         soaked = [beside.submit(_tried, *soaking)] if options.only in soaking[0] and hours else []
-        rows = [_tried(*attack) for attack in attacks() if options.only in attack[0]]
+        chosen = attacks(options.texts, options.seed)
+        rows = [_tried(*attack) for attack in chosen if options.only in attack[0]]
         rows += [each.result() for each in soaked]
     print("\n| attack | tried | held | failed | minutes | |\n|---|---:|---:|---:|---:|---|")
     for title, tally, seconds in rows:

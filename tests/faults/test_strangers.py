@@ -15,6 +15,7 @@ from mrgs.app.terminal import print_note, read_text
 from mrgs.data.files import read_json_object
 from mrgs.data.images import opened
 from mrgs.data.kept import MISSING, Digests, load
+from mrgs.data.load import load_scene
 from mrgs.data.radiometric.read import read_thermal_photo
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning, SceneError, warn_user
 from mrgs.pictures.escape import escape_cell, escape_markdown, without_controls
@@ -146,6 +147,15 @@ def test_commands_can_be_pasted_whatever_names_they_hold(name):
 def test_what_can_be_printed_stays():
     for text in ("Größe 20\u202f°C", "写真 1.jpg", "ε ± 0.1\u00a0K", "می\u200cخواهم"):
         assert SceneError(text).message == text
+
+
+def test_a_folder_whose_name_is_too_long_is_not_there(tmp_path):
+    writer = SceneWriter(tmp_path / "scene")
+    content = writer.thermoscenes()
+    content["frames"][0]["file_path"] = f"{5_000 * 'f'}/a.png"
+    with pytest.raises(SceneError, match=r"transforms\.json.*frame 0") as error:
+        load_scene(writer.transforms(content).parent)
+    assert len(error.value.message) < 400
 
 
 def test_a_number_of_too_many_digits_is_one_line(tmp_path):

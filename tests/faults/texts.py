@@ -166,13 +166,13 @@ def attack(folder: Path, name: str, inputs: int, seed: int = 0) -> Tally:
     return tally
 
 
-def attacks(folder: Path, inputs: int) -> Tally:
+def attacks(folder: Path, inputs: int, seed: int = 0) -> Tally:
     """Every reader attacked."""
     tally = Tally()
     (folder / "readers").mkdir()
     for number, name in enumerate(readers(folder / "readers")):
         (folder / str(number)).mkdir()
-        found = attack(folder / str(number), name, inputs)
+        found = attack(folder / str(number), name, inputs, seed)
         tally.tried += found.tried
         tally.failures += [f"{name}: {each}" for each in found.failures]
     return tally

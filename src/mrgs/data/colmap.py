@@ -9,8 +9,10 @@ COLMAP's documentation, "Output Format".
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
@@ -310,9 +312,15 @@ class _Images:
         for candidate in (path, path.removeprefix(f"{self.folder}/")):
             if candidate in self.files:
                 return candidate
-        stem = path.rpartition("/")[2]
-        matches = [key for key in self.files if key.rpartition("/")[2] == stem]
+        matches = self._by_stem[path.rpartition("/")[2]]
         return matches[0] if len(matches) == 1 else None
+
+    @cached_property
+    def _by_stem(self) -> Mapping[str, list[str]]:
+        found = defaultdict[str, list[str]](list)
+        for key in self.files:
+            found[key.rpartition("/")[2]].append(key)
+        return found
 
 
 def read_colmap(root: Path, model: ColmapModel, notes: ReadingNotes) -> SceneSource:

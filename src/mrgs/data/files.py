@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import unicodedata
@@ -81,10 +82,8 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     try:
         return read_regular(path, limit)
     except OSError as error:
-        raise scene_error(
-            path,
-            f"cannot be read ({error.strerror}); check that it is the right file and readable",
-        ) from None
+        problem = f"cannot be read ({error.strerror}); check that it is the right file and readable"
+        raise scene_error(path, problem) from None
 
 
 def decoded_text(data: bytes) -> str:
@@ -133,15 +132,19 @@ def composed(text: str) -> str:
     return unicodedata.normalize("NFC", text)
 
 
-def on_disk(root: Path, relative: str) -> str:
+def on_disk(
+    root: Path, relative: str, listings: dict[Path, dict[str, list[str]]] | None = None
+) -> str:
     """A path below ``root`` as its folders and its file are named, where these names differ from it
-    in their case or Unicode form."""
-    parts: list[str] = []
+    in their case or Unicode form. ``listings`` keeps the names in folders for further calls."""
+    listings, parts = {} if listings is None else listings, list[str]()
     for part in relative.replace("\\", "/").split("/"):
-        wanted = composed(part).casefold()
-        names = [entry.name for entry in _entries(root.joinpath(*parts))]
-        same = [name for name in names if composed(name).casefold() == wanted]
-        parts.append(same[0] if part not in names and len(same) == 1 else part)
+        if (folder := root.joinpath(*parts)) not in listings:
+            listings[folder] = {}
+            for entry in _entries(folder):
+                listings[folder].setdefault(composed(entry.name).casefold(), []).append(entry.name)
+        same = listings[folder].get(composed(part).casefold(), [])
+        parts.append(same[0] if len(same) == 1 else part)
     return "/".join(parts)
 
 
@@ -251,8 +254,8 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
             return sorted(entries, key=lambda entry: entry.name)
-    except (FileNotFoundError, NotADirectoryError):
-        return []
     except OSError as error:
+        if error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG):
+            return []
         what = "permissions" if isinstance(error, PermissionError) else "name"
         raise scene_error(folder, f"cannot be read ({error.strerror}); check its {what}") from None

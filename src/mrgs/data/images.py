@@ -24,6 +24,7 @@ import torch
 from jaxtyping import Bool, Float32, Shaped, UInt8
 from PIL import Image, UnidentifiedImageError
 from PIL.ExifTags import Base
+from PIL.JpegImagePlugin import JpegImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 from torch import Tensor
 
@@ -42,6 +43,9 @@ most, a mask more, and a small file that unfolds to many pixels would take minut
 
 LIMIT_VARIABLE = "MRGS_MAX_MEGAPIXELS"
 """An environment variable that replaces these limits."""
+
+MOST_SCANS, _START_OF_SCAN = 500, b"\xff\xda"
+"""Of a JPEG; a progressive one has about ten. Each may take ten bytes, and visits all pixels."""
 
 DRAFT_SHARES = (8, 4, 2)
 """Reductions that a JPEG decoder offers in each direction, by transforming fewer frequencies."""
@@ -107,7 +111,10 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
 
 def as_stored(image: Image.Image) -> Image.Image:
     """The pixels of an image file that Pillow has just opened, as stored: while loading a TIFF, and
-    no other file, Pillow turns it upright."""
+    no other file, Pillow turns it upright. ValueError for a JPEG of more than ``MOST_SCANS``."""
+    scans = image.fp if isinstance(image, JpegImageFile) else None  # Pillow has read up to them
+    if scans and scans.read().count(_START_OF_SCAN) >= MOST_SCANS:
+        raise ValueError(f"it has more than {MOST_SCANS} scans")
     orientation = image.getexif().get(Base.Orientation, 1) if image.format == "TIFF" else 1
     return upright(image, {6: 8, 8: 6}.get(orientation, orientation))
 

@@ -148,10 +148,8 @@ def checked_lens(lens: Lens, what: str, file: Path) -> Lens:
             file, f"the intrinsics of {what} hold NaN, infinity or a huge number; correct them"
         )
     if not (1 <= lens.width <= _MAX_SIDE_PX and 1 <= lens.height <= _MAX_SIDE_PX):
-        raise scene_error(
-            file,
-            f"the image size of {what}, {lens.width}×{lens.height}, is not possible; correct it",
-        )
+        fault = f"the image size of {what}, {lens.width}×{lens.height}, is not possible; correct it"
+        raise scene_error(file, fault)
     if not min(lens.fx, lens.fy) >= _SHORTEST_PX:
         raise scene_error(
             file,

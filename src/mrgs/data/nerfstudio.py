@@ -154,9 +154,9 @@ def lens_from_json(
 
     def focal(axis: str, pixels: float) -> float | None:
         """From ``fl_x``, or ``x_fov`` in degrees, or ``camera_angle_x`` in radians."""
+        angle = number(f"camera_angle_{axis}", math.radians(number(f"{axis}_fov", 0.0)))
         if values.get(f"fl_{axis}") is not None:
             return number(f"fl_{axis}")
-        angle = number(f"camera_angle_{axis}", math.radians(number(f"{axis}_fov", 0.0)))
         return pixels / (2 * math.tan(angle / 2)) if 0 < angle < math.pi else None
 
     fx, fy = focal("x", width), focal("y", height)
@@ -202,6 +202,13 @@ class _Georeference:
     scale_error: _NotNegative | None = None
 
 
+def _of_lens(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries that describe a lens; lists of zeros among ``_REFUSED`` are 0."""
+    found = {name: values[name] for name in (*_REFUSED, *_LENS_KEYS) if name in values}
+    is_zero = {n for n in _REFUSED if isinstance(found.get(n), list) and not any(found[n])}
+    return found | dict.fromkeys(is_zero, 0)
+
+
 class _TransformsReader:
     """Holds what every step needs: the folder, the file's content and the notes."""
 
@@ -212,6 +219,7 @@ class _TransformsReader:
         self.images = ImageFinder(root)
         self.notes = ReadingNotes()
         self.modalities = self._modalities()
+        self._top_lens = _of_lens(self.top)
         self._lenses: dict[str, Lens] = {}
 
     def _modalities(self) -> tuple[Modality, ...]:
@@ -275,7 +283,8 @@ class _TransformsReader:
         prefix = "" if modality == RGB else f"{modality}_"
         camera = f"{prefix}camera"
         own = frame.get(camera, self.top.get(camera)) if prefix else None
-        own = json_value(dict[str, Any] | None, own, camera, self.file)
+        if not isinstance(own, dict):  # of a large one, a copy for each frame would take long
+            own = json_value(dict[str, Any] | None, own, camera, self.file)
         lens = self._lens(frame if own is None else own, path, what, shared=own is None)
         pose = f"{prefix}transform_matrix"
         name = pose if pose in frame else "transform_matrix"
@@ -336,15 +345,13 @@ class _TransformsReader:
     def _lens(self, own: Mapping[str, Any], image: Path, what: str, shared: bool = True) -> Lens:
         """The lens of an image; ``own`` wins, and what it lacks comes from the top level if the
         lens is shared. What many images share is read once."""
-        whole = {**self.top, **own} if shared else own
-        given = {name: value for name in _REFUSED if (value := whole.get(name))}
-        if changing := [n for n, v in given.items() if not isinstance(v, list) or any(v)]:
+        values = {**self._top_lens, **_of_lens(own)} if shared else _of_lens(own)
+        if changing := next((name for name in _REFUSED if values.pop(name, None)), None):
             raise scene_error(
                 self.file,
-                f"{changing[0]} of {what} is not read, and changes what the other keys mean; "
+                f"{changing} of {what} is not read, and changes what the other keys mean; "
                 f"undistort the images, and remove it",
             )
-        values = {name: whole[name] for name in _LENS_KEYS if name in whole}
         if values.get("w") is None or values.get("h") is None:  # each image has a size of its own
             lens = lens_from_json(values, what, self.file, image)
             if shared and values.get("fl_x") is not None:

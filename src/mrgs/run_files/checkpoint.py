@@ -87,12 +87,13 @@ def _tensors_of(path: Path, names: Iterable[str]) -> Iterator[tuple[str, Tensor]
     """The tensors of a checkpoint, by name, in ascending order."""
     waiting = sorted(names, reverse=True)
     while waiting:
-        loaded: dict[str, Tensor] = {}
+        loaded, left = dict[str, Tensor](), MOST_MAPPED_BYTES
         with _opened(path) as file:
-            while waiting and sum(each.nbytes for each in loaded.values()) < MOST_MAPPED_BYTES:
+            while waiting and left > 0:
                 name = waiting.pop()
                 # In memory of its own: if someone cuts off a mapped file, the process ends.
                 loaded[name] = file.get_tensor(name).clone()
+                left -= loaded[name].nbytes
         yield from loaded.items()
 
 

@@ -284,7 +284,7 @@ def test_an_absurd_parameter_is_replaced_by_hand(save):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (struct.pack("<3H26x", 2, 0, 9), "0 x 9 pixels"),
+        (struct.pack("<3H26x", 2, 0, 9), "header of its raw image"),
         (struct.pack("<3H26x", 2, 60000, 60000), "cut off"),
         (struct.pack("<3H26x", 0, 8, 8), "header .* damaged"),
         (

@@ -138,16 +138,12 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
     SceneError if it is damaged, cut off, too large, or compressed in a way that is not read."""
     order = order_of(record)
     size = None if order is None else RecordFields(record, order).read(2, "HH")
-    if order is None or size is None:
+    if order is None or size is None or 0 in size:
         raise scene_error(
             path, "the header of its raw image is damaged; copy the photo from the camera again"
         )
     width, height = int(size[0]), int(size[1])
     content = record[_IMAGE_OFFSET:]
-    if width * height == 0:
-        raise scene_error(
-            path, f"its raw image of {width} x {height} pixels cannot be; copy the photo again"
-        )
     if content.startswith(b"\x89PNG"):
         with opened(path, content, ("PNG",)) as image:
             if image.size != (width, height) or not image.mode.startswith("I"):
@@ -163,7 +159,7 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
         return min(
             (values.byteswap(), values),
             key=lambda each: sum(
-                int(np.abs(np.diff(each.astype(np.int64), axis=axis)).sum()) for axis in (0, 1)
+                int(np.abs(np.diff(each.astype(np.int32), axis=axis)).sum()) for axis in (0, 1)
             ),
         )
     if content.startswith(b"\xff\xd8\xff"):
@@ -192,10 +188,8 @@ def _planck(info: RecordFields, path: Path) -> Planck:
         )
     planck = Planck(*constants)
     if problem := planck.problem():
-        raise scene_error(
-            path,
-            f"its Planck constants are absurd ({problem}); copy the photo from the camera again",
-        )
+        fault = f"its Planck constants are absurd ({problem}); copy the photo from the camera again"
+        raise scene_error(path, fault)
     return planck
 
 
@@ -377,10 +371,8 @@ class Records:
     def require(self, type_: int, what: str) -> bytes:
         """The content of a record. SceneError if there is none, or it is cut off."""
         if type_ not in self._places:
-            raise scene_error(
-                self._path,
-                f"its thermal record holds no {what}; use the photo as the camera saved it",
-            )
+            problem = f"its thermal record holds no {what}; use the photo as the camera saved it"
+            raise scene_error(self._path, problem)
         found = self.get(type_)
         if found is None:
             raise cut_off(self._path, what, len(self._data), self._places[type_].stop)

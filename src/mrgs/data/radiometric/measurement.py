@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
 
 from mrgs.scene.radiometry import COLDEST_C, HOTTEST_C, ObjectParameters, Planck
+from mrgs.system.memory import CHUNK_ROWS
 
 MAX_TRANSMISSION = 1.05
 """The empirical formula may exceed 1 by a little in damp, warm air."""
@@ -87,7 +88,13 @@ def object_temperature(
     Masked are the two ends of the detector's numbers (0 and 65535: no data, saturated), and what
     has no temperature.
     """
-    return masked(measurement.celsius(raw.astype(np.float64)), (raw > 0) & (raw < 65535))
+    step = max(1, CHUNK_ROWS // raw.shape[1])  # a few rows at a time, which take little memory
+    parts = [
+        masked(measurement.celsius(rows.astype(np.float64)), (rows > 0) & (rows < 65535))
+        for rows in (raw[start : start + step] for start in range(0, len(raw), step))
+    ]
+    celsius, valid = map(np.concatenate, zip(*parts, strict=True))
+    return celsius, valid
 
 
 def masked(

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from PIL import Image
 
-from mrgs.data.images import opened
+from mrgs.data.images import as_stored, opened
 from mrgs.data.radiometric.exif import GpsPosition
 from mrgs.data.radiometric.units import Unit
 from mrgs.errors import ConfigError
@@ -124,7 +124,7 @@ class VisibleImage:
         with opened(self.source, self.data, ("JPEG", "PNG")) as image:
             if image.format == "PNG" and image.mode == "RGB":
                 image = Image.merge("YCbCr", image.split())
-            return np.array(image.convert("RGB"), dtype=np.uint8)
+            return np.array(as_stored(image).convert("RGB"), dtype=np.uint8)
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ _MENTIONED = (
 _STATED = re.compile(r"(?i)\bunits?[\s\"':=;,(\[]*(?:(0[.,]\d{0,3}[1-9])[\s*]*)?(?:°\s*)?([CFK])\b")
 """How they say that it is that of the numbers, or a decimal fraction of it."""
 
-_SETTING = re.compile(r"(?:^|[;,:=\t])[ \"']*[+-]?\d|\d *°? *[CFK]\b")
+_SETTING = re.compile(r"(?:^|[;,:=\t])[ \"']*[+-]?\d|\d *(?:° *)?[CFK]\b")
 """A line with a number of its own: a unit in it is that of a setting."""
 
 
@@ -189,7 +189,7 @@ def _in(text: str, numbers: Float[np.ndarray, "3"]) -> str:
 
 
 _TLINEAR = re.compile(rb"TlinearGain(?:=[\"']|>)\s*([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)")
-_BAND = re.compile(rb"BandName(?:=[\"']|>.{0,200}?<rdf:li>|>)\s*([^<>\"']+)", re.DOTALL)
+_BAND = re.compile(rb"BandName(?:=[\"']|>.{0,200}?<rdf:li>|>)\s*([^<>\"']{1,64})", re.DOTALL)
 _THERMAL_BANDS = re.compile("LWIR|TIR|THERMAL.*")
 _TLINEAR_K = (1e-4, 10.0)
 """Temperatures of one count that can be; cameras have 0.01, 0.04, 0.1 or 0.4 K."""

@@ -334,7 +334,7 @@ def _photo(
         root = inventory.root.resolve()
         path = contained(root, text, table)
         if not is_file(path):
-            path = contained(root, on_disk(root, text), table)
+            path = contained(root, on_disk(root, text, inventory.listings), table)
     except SceneError:
         raise scene_error(
             table,

@@ -195,11 +195,12 @@ def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
 @dataclass(frozen=True)
 class Inventory:
     """The photos of a folder, one file for each moment and camera, in natural order of their paths;
-    and all other files, but for hidden ones."""
+    and all other files, but for hidden ones. ``listings`` are those of ``on_disk``."""
 
     root: Path
     photos: tuple[Photo, ...]
     skipped: tuple[Skipped, ...]
+    listings: dict[Path, dict[str, list[str]]] = field(default_factory=dict, compare=False)
 
     def name(self, photo: Photo) -> str:
         """The path of a photo's file for messages: below the folder."""
