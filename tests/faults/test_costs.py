@@ -16,7 +16,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from mrgs.data import images
 from mrgs.errors import LONGEST_LINE, MrgsError, MrgsWarning
 from tests.faults.costs import Case, text_cases, whole_cases
 
@@ -96,3 +98,11 @@ def test_what_takes_too_long_or_too_much_is_noticed():
         any(each for each in iter(int, 1))  # for ever
     with pytest.raises(AssertionError), within(SECONDS, 1e6):
         bytearray(b"\1") * 50_000_000
+
+
+def test_a_signal_behind_the_picture_is_no_scan(tmp_path):
+    path = tmp_path / "a.jpg"
+    Image.new("RGB", (8, 6), "grey").save(path)
+    path.write_bytes(path.read_bytes() + 10_000 * b"\xff\xda")  # raw counts of 56,063
+    with images.opened(path, None, ("JPEG",)) as image:
+        assert images.as_stored(image).size == (8, 6)

@@ -44,8 +44,9 @@ most, a mask more, and a small file that unfolds to many pixels would take minut
 LIMIT_VARIABLE = "MRGS_MAX_MEGAPIXELS"
 """An environment variable that replaces these limits."""
 
-MOST_SCANS, _START_OF_SCAN = 500, b"\xff\xda"
-"""Of a JPEG; a progressive one has about ten. Each may take ten bytes, and visits all pixels."""
+MOST_SCANS, _START_OF_SCAN = 500, b"\xff\xda\x00"
+"""Of a JPEG; a progressive one has about ten. Each may take ten bytes, and visits all pixels. With
+the first byte of its length, no signal that cameras append looks like many."""
 
 DRAFT_SHARES = (8, 4, 2)
 """Reductions that a JPEG decoder offers in each direction, by transforming fewer frequencies."""
