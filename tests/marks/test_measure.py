@@ -76,6 +76,30 @@ def test_a_spot_reads_what_a_photo_from_its_eye_shows():
     assert reading.mean == pytest.approx(RANGE.to_celsius(middle).item(), abs=0.3)
 
 
+def test_a_spot_reads_what_the_photos_see_wherever_it_was_drawn_from():
+    """The image of a model depends on where its camera points."""
+
+    def render_turned(camera: Camera) -> Rendering:
+        turned = 1 - float(camera.forward[1])
+        rendering = render_wall(camera)
+        return rendering.with_images({THERMAL: rendering[THERMAL].image + turned})
+
+    cameras = [facing_the_wall(camera_before_wall(x)) for x in (-1.0, 0.0, 1.0)]
+    aside = replace(SPOT, points=((1.5, 0.0, 0.5),), eye=(-1.5, -3.0, 0.5))
+    reading = MarkMeter(render_turned, RANGE, cameras).read(aside)
+    assert reading.mean == pytest.approx(23.5, abs=0.05)
+    unknown = MarkMeter(render_turned, RANGE).read(aside)
+    assert unknown.mean > 30
+    changing = MarkMeter(render_turned, RANGE, cameras, changes=True).read(aside)
+    assert changing.mean == unknown.mean
+
+
+def facing_the_wall(camera: Camera) -> Camera:
+    """The same camera, looking straight at the wall."""
+    x, y, z = camera.position.tolist()
+    return camera.look_at((x, y, z), (x, 0.0, z))
+
+
 def test_a_line_has_a_profile_along_its_pieces(meter):
     reading = meter.read(LINE)
     assert reading.length == pytest.approx(3.0, abs=1e-9)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from mrgs import Run, RunMarks, load_run, make_config, open_marks
-from mrgs.errors import RunError
+from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.evaluate import read_float_tiff
 from mrgs.scene import THERMAL, View
 from tests.helpers.runs import SMALL, trained_run
@@ -60,6 +60,27 @@ def test_spots_have_the_temperature_of_the_surface(marks, view) -> None:
         errors.append(reading.mean - exact[y - 2 : y + 3, x - 2 : x + 3].mean())
         assert reading.photos >= 4
     assert np.abs(errors).max() < 1.0  # what test_temperature_at has for most of its surfaces
+
+
+@pytest.mark.slow
+def test_a_place_reads_the_same_as_a_mark_and_by_its_coordinates(marks, run) -> None:
+    """Spots as small as a point; ``temperature_at`` knows nothing of where they were drawn from."""
+    generator, away = np.random.default_rng(63), []
+    for view in run.load_scene().eval:
+        camera = view.images[THERMAL].camera
+        for _ in range(4):
+            pixel = generator.uniform(4, [camera.width - 4, camera.height - 4])
+            try:
+                mark = marks.spot(camera, pixel, radius=1e-3)
+            except ConfigError:
+                continue  # on nothing
+            reading = marks.meter.read(mark)
+            known = run.temperature_at(np.array(mark.points, np.float32))[0].item()
+            if reading.uncertainty is not None and np.isfinite(known):
+                away.append(abs(reading.mean - known) / reading.uncertainty.total)
+    assert len(away) >= 15
+    assert np.quantile(away, 0.9) < 1 / 3
+    assert np.median(away) < 0.03
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from mrgs.marks import Mark
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.uncertainty import Uncertainty
 from mrgs.rasterizer.contract import AS_PUBLISHED
-from mrgs.report.anomalies import Anomaly, Spot, _apart, _Cube, _Image, _Sightings, find_spots
+from mrgs.report.anomalies import Anomaly, Spot, _apart, _Cube, _Sightings, find_spots
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import (
     RGB,
@@ -24,6 +24,7 @@ from mrgs.scene import (
     TemperatureRange,
     View,
 )
+from mrgs.scene.depth_map import DepthMap
 
 HOT, COLD = (0.3, 0.2), (-0.35, -0.1)
 """Places on the plane z = 0."""
@@ -105,7 +106,7 @@ def test_a_spot_lies_where_its_view_shows_its_value():
         column, row = camera.project(torch.from_numpy(places[view]))[0].int().tolist()
         image = np.full((120, 160), WARM)
         image[row - 1 : row + 2, column - 1 : column + 2] = 0.9
-        images[view] = _Image(camera, np.full((120, 160), 2.3), image)
+        images[view] = DepthMap(camera, np.full((120, 160), 2.3), image[..., None])
     cube = _Cube(0.89, values[[0, 2, 1]], np.array([0, 2, 1]))
     (spot,) = _apart([cube], 1, sightings, images, 1, 0.1, [])
     assert (spot.view, spot.value) == (1, 0.89)
@@ -224,10 +225,27 @@ def test_something_large_within_the_picture_is_a_spot():
 
 @pytest.mark.parametrize(
     ("uncertainty", "stands_out"),
-    [(None, True), (Uncertainty(0.9), True), (Uncertainty(1.1), False), (Uncertainty(), True)],
+    [(None, True), (Uncertainty(0.09), True), (Uncertainty(0.11), False), (Uncertainty(), True)],
 )
-def test_nothing_is_held_back_where_its_uncertainty_is_not_known(uncertainty, stands_out):
+def test_a_place_is_held_back_by_an_uncertainty_of_more_than_a_tenth(uncertainty, stands_out):
     spot = Spot(np.zeros(3), 0.4, 0.39, 0.41, 8, 0)
     mark = Mark("?", "spot", ((0.0, 0.0, 0.0),), (0.0, 0.0, 2.0), 0.1)
     reading = MarkReading(mark, uncertainty=uncertainty)
     assert Anomaly(spot, reading, -1.0).stands_out == stands_out
+    if uncertainty is not None and uncertainty.known:
+        assert not Anomaly(spot, replace(reading, uncertainty=Uncertainty(5.1)), 80.0).stands_out
+        assert Anomaly(spot, replace(reading, uncertainty=Uncertainty(4.9)), 80.0).stands_out
+
+
+def test_an_object_has_one_proposal_far_from_its_edge():
+    model = plane()
+    x, y = model.means[:, :2].T
+    bar = (x.abs() < 0.55) & ((y - 0.5).abs() < 0.12)
+    warm = torch.where(bar, 0.9, WARM)
+    corner = bar & (x > 0.5) & (y > 0.56)
+    model = replace(model, temperatures=torch.where(corner, 0.92, warm))
+    hottest, _ = find_spots(views(), model.render)
+    (spot,) = (spot for spot in hottest if spot.position[1] > 0.35)
+    assert spot.value == pytest.approx(0.9, abs=0.005)
+    assert abs(spot.position[1] - 0.5) < 0.06
+    assert abs(spot.position[0]) < 0.5

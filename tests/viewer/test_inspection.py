@@ -63,7 +63,9 @@ def test_the_background_does_not_count_on_the_scale_of_the_depth(subject, camera
     assert near_and_far[1] == (0, 1)
 
 
-def test_a_click_reads_what_is_drawn(inspection, camera, small_run):
+def test_a_click_reads_what_is_drawn(subject, camera, small_run):
+    """Without photos to look through; with them, what they see."""
+    inspection = Inspection(replace(subject, board=None))
     inspection.picture(camera)
     shown = inspection.click(0.5, 0.5)
     expected = small_run.temperatures_c(small_run.render(camera))[60, 80].item()
@@ -192,8 +194,14 @@ def test_a_surface_with_its_own_emissivity_is_shown_with_it(inspection, camera, 
     subject.board.edit(lambda marks: marks.changing("B1", emissivity=0.7, reflected_c=0.0))
     after = inspection.picture(camera)
     assert after.images[0].images[THERMAL][60, 80] > before + 1
-    value = after.images[0].images[THERMAL][60, 80]
-    assert inspection.click(0.5, 0.5).value == pytest.approx(value, abs=0.01)
+    point = inspection.click(0.5, 0.5)
+    eye = camera.position.numpy()
+    place = subject.board.temperature(point.reading.position, eye, at_once=False)
+    assert point.value == pytest.approx(place, abs=0.01)
+    assert inspection.hover(0.5, 0.5) == f"{place:.1f} °C"
+    subject.board.edit(lambda marks: marks.without("B1"))
+    assert place > inspection.click(0.5, 0.5).value + 1
+    subject.board.undo()
     assert any("apparent" in note for note in subject.board.notes)
     inspection.settings = Settings(MODES["photos"])
     photo, model = inspection.picture(camera).images[-2:]

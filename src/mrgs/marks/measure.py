@@ -30,6 +30,7 @@ from mrgs.marks.surface import (
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.pictures.values import in_unit
 from mrgs.scene import THERMAL, Camera, TemperatureRange
+from mrgs.scene.depth_map import shown_temperatures
 
 NO_SURFACE = "no surface there: draw it on the model"
 NO_PHOTO = "no photo looks at it, so its temperature is not known"
@@ -107,7 +108,8 @@ class MarkReading:
 
 
 class MarkMeter:
-    """Measures marks in one model, with a survey of what the cameras see of it."""
+    """Measures marks in one model, with a survey of what the cameras see of it; one that
+    ``changes``, in training, by the views from the marks' eyes, as no survey lasts."""
 
     def __init__(
         self,
@@ -116,6 +118,7 @@ class MarkMeter:
         cameras: Sequence[Camera] = (),
         capture: CaptureSettings | None = None,
         uncertainty: UncertaintyMeter | None = None,
+        changes: bool = False,
     ) -> None:
         self.capture = capture or CaptureSettings()
         self.uncertainty = uncertainty
@@ -124,6 +127,7 @@ class MarkMeter:
         self.render = render
         self._temperature = temperature
         self._photos = len(cameras)
+        self._changes = changes
 
     def regions(self, marks: Marks) -> Regions:
         """The parts of the surface with an emissivity of their own."""
@@ -146,10 +150,9 @@ class MarkMeter:
         try:
             if problem:
                 raise ConfigError(problem)
-            seen = see(self.render, measuring_camera(mark))
+            surface = see(self.render, measuring_camera(mark))
         except ConfigError as error:
             return MarkReading(mark, problem=error.message)
-        surface = replace(seen, rendering=regions.applied_to(seen.rendering, seen.camera))
         rows, columns, inside = marked_pixels(surface, mark)
         fields: dict[str, Any] = {}
         if mark.kind == "line":
@@ -171,21 +174,41 @@ class MarkMeter:
             return replace(reading, problem=NO_THERMAL)
         if reading.photos == 0:
             return replace(reading, problem=NO_PHOTO)
-        image = in_unit(THERMAL, thermal_values(surface.rendering), self._temperature)
-        values = np.where(seen_there, image[rows, columns], np.nan)
+        shown = thermal_values(surface.rendering)[rows, columns][seen_there]
+        values, in_photos = self.temperatures(places, shown, regions, np.array(mark.eye))
         if mark.kind == "line":
-            reading = replace(reading, profile=Profile(distances, values))
-        reading = _with_values(reading, values[seen_there], places)
+            along = np.full(len(distances), np.nan)
+            along[seen_there] = values
+            reading = replace(reading, profile=Profile(distances, along))
+        reading = _with_values(reading, values, places)
         settings, share = regions.shares_at(places)[0]
         remarks = () if share >= ONE_SURFACE else (SEVERAL_SURFACES,)
         reading = replace(reading, surface=settings, remarks=(*reading.remarks, *remarks))
-        image = in_unit(THERMAL, thermal_values(seen.rendering), self._temperature)
-        in_photos = image[rows, columns][seen_there].astype(np.float64)
         if self.uncertainty is None:
             return reading
         found = self.uncertainty.of_mark(places, in_photos, regions)
         unresolved = self._remarks(reading, found)
         return replace(reading, uncertainty=found, remarks=(*reading.remarks, *unresolved))
+
+    def temperatures(
+        self,
+        places: Float[np.ndarray, "n 3"],
+        shown: Float[np.ndarray, " n"],
+        regions: Regions,
+        eye: Float[np.ndarray, "3"],
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Temperatures of places that an eye sees, corrected for regions, and as the photos'
+        cameras see them in the model, in their unit; ``shown``, normalised, where none does.
+
+        A model's image depends on where its camera points: Gaussians are sorted by z and projected
+        to first order. One that is turned towards a place is none that the model was fitted to."""
+        in_photos = shown
+        if self._photos and not self._changes:
+            seen = shown_temperatures(list(self.survey), places.astype(np.float32))
+            in_photos = np.where(np.isnan(seen), shown, seen)
+        corrected = regions.corrected_at(places, in_photos, self._temperature, eye)
+        unit = self._temperature
+        return in_unit(THERMAL, corrected, unit), in_unit(THERMAL, in_photos, unit)
 
     def _remarks(self, reading: MarkReading, uncertainty: Uncertainty) -> tuple[str, ...]:
         """Which of its extremes the photos do not resolve."""

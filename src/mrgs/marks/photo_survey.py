@@ -16,32 +16,35 @@ from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
 from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
-from mrgs.scene import Camera
-from mrgs.scene.depth_map import MAX_VIEWS, DepthMap
+from mrgs.scene import THERMAL, Camera
+from mrgs.scene.depth_map import MAX_STEP, MAX_VIEWS, MAX_WIDTH_PX, DepthMap
 from mrgs.scene.view import evenly_spaced
-
-SURVEY_WIDTH_PX = 160
-"""Width of the depth images by which a photo counts as seeing a place."""
 
 
 class PhotoSurvey:
-    """Small depth images of the photos' cameras, rendered when they are first asked for. ``chosen``
+    """What the photos' cameras see of the model, rendered when it is first asked for. ``chosen``
     are the indices of the cameras that are surveyed, at most ``MAX_VIEWS``, spread evenly."""
 
     def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
         self.chosen = evenly_spaced(len(cameras), MAX_VIEWS)
         self._render = render
         self.cameras = [cameras[index] for index in self.chosen]
-        self._maps: list[DepthMap] = []
+        self.maps: list[DepthMap] = []
 
     def __iter__(self) -> Iterator[DepthMap]:
-        """The depth image of each camera that is surveyed, in the order of ``chosen``."""
-        if not self._maps:
+        """Depth and normalised temperature of each camera that is surveyed, in the order of
+        ``chosen``; no temperature on outlines."""
+        if not self.maps:
             for camera in self.cameras:
-                small = camera.with_width(min(camera.width, SURVEY_WIDTH_PX))
-                depth = seen_depth(self._render(small)).astype(np.float32)
-                self._maps.append(DepthMap(small, depth, depth[..., None]))
-        return iter(self._maps)
+                small = camera.with_width(min(camera.width, MAX_WIDTH_PX))
+                rendering = self._render(small)
+                depth = seen_depth(rendering).astype(np.float32)
+                values = np.full(depth.shape, np.nan, np.float32)
+                if THERMAL in rendering:
+                    inner = rendering.surface_depth(THERMAL, max_step=MAX_STEP).isfinite().numpy()
+                    values[inner] = thermal_values(rendering)[inner]
+                self.maps.append(DepthMap(small, depth, values[..., None]))
+        return iter(self.maps)
 
 
 RESOLVED_PX = 3.0

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float
 
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
@@ -156,7 +156,7 @@ class Regions:
         positions = surface.positions.reshape(-1, 3)
         image = rendering[THERMAL].image
         eye, values = camera.position.double().numpy(), image.cpu().double().numpy().reshape(-1)
-        values = self._corrected(positions, values, self._temperature, eye)
+        values = self.corrected_at(positions, values, self._temperature, eye)
         return rendering.with_images(
             {THERMAL: torch.from_numpy(values).to(image).view(image.shape)}
         )
@@ -184,13 +184,6 @@ class Regions:
         for number, region in enumerate(self._regions):
             yield region.settings, (owner == number).reshape(points.shape[:-1])
 
-    def corrected_at(
-        self, points: Points, celsius: Float32[np.ndarray, " n"]
-    ) -> Float32[np.ndarray, " n"]:
-        """°C of points on surfaces as the photos' cameras see them, corrected where regions are;
-        where there is no such temperature the value stays."""
-        return self._corrected(points, celsius)
-
     def of_splats(self, baked: BakedModel) -> BakedModel:
         """A model of splats whose temperatures are corrected one by one. Their blend is off by
         degrees where splats are large beside the region, which those outside reach into
@@ -198,10 +191,10 @@ class Regions:
         if not self:
             return baked
         means, values = baked.means.double().numpy(), baked.temperatures.double().numpy()
-        values = self._corrected(means, values, self._temperature)
+        values = self.corrected_at(means, values, self._temperature)
         return replace(baked, temperatures=torch.from_numpy(values).to(baked.temperatures))
 
-    def _corrected(
+    def corrected_at(
         self,
         points: Points,
         values: Float[np.ndarray, " n"],
@@ -209,7 +202,7 @@ class Regions:
         eye: Vector | None = None,
     ) -> Float[np.ndarray, " n"]:
         """Temperatures of points (°C, or normalised by ``scale``), corrected where a region has
-        them, see ``SurfaceRegion.contains``; where there is no such temperature the value stays."""
+        them, see ``SurfaceRegion.contains``, and there is such a temperature."""
         corrected = values.copy()
         for settings, held in self.parts(points, eye):
             found = values[held].astype(np.float64)

@@ -2,25 +2,21 @@
 run until they are accepted or dropped. They are surfaces that several views agree on, never single
 splats.
 
-A splat's own temperature means little, because neighbours make up for each other, and a floater
-before one camera can be of any temperature. So the spots are read from renderings, as a
-thermographer reads them from photos:
+A splat's own temperature means little, as neighbours make up for each other. So the spots are read
+from renderings, as a thermographer reads them from photos:
 
-1. Every view's thermal camera is rendered. Pixels that show a surface (accumulated alpha at least
-  0.9) whose depth does not jump within 3×3 pixels become points in the scene; not so those beside
-  an outline and near the sky, which blend what lies on both sides.
+1. Every view's thermal camera is rendered. Pixels that show a surface whose depth does not jump
+  become points in the scene; not so those beside an outline and near the sky.
 2. The points are gathered in cubes of the size of 3×3 pixels, the usual spot of a spot meter. A
   view's value of a cube is the mean of its points there.
-3. Cubes that fewer than three views see (all of them, where there are fewer) are left out. The
-  value of the others is the median over the views: a reflection that few views catch does not
-  count.
-4. Cubes that more views see through than see are left out: mist between the surfaces, and the
-  outlines of things before the sky.
-5. The extreme cubes are taken one by one, each at least 15 cube edges from those before it and from
-  a point of each mark that was judged before, so that a large area does not count as judged. One is
-  left out that no view has away from its border, that does not differ from its surroundings, or
-  that is part of something as extreme that is large and reaches the border of the picture: the sky.
-6. A spot is proposed if its mark differs from its surroundings by more than the uncertainty.
+3. The value of a cube is the median over its views, at least three: a reflection that few views
+  catch does not count.
+4. Cubes that more views see through than see are left out: mist, and outlines before the sky.
+5. The extreme cubes are taken one by one, each away from those before it and from the points of
+  marks that were judged before. One is left out that no view has away from its border, that does
+  not differ from its surroundings, or that is part of something as extreme that is large and
+  reaches the border of the picture: the sky. The most extreme cube that is not near the edge of
+  what is as extreme stands for it. It is proposed if its uncertainty is small.
 """
 
 from __future__ import annotations
@@ -32,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
-from scipy.ndimage import label
+from scipy.ndimage import distance_transform_edt, label
 
 from mrgs.marks import MarkReading, Marks, RunMarks
 from mrgs.marks.mark import Mark, places_of
@@ -42,6 +38,7 @@ from mrgs.marks.run_marks import eye_of, spot_radius
 from mrgs.marks.surface import SurfaceRenderer
 from mrgs.pictures.files import to_array
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, SceneBounds, View, evenly_spaced
+from mrgs.scene.depth_map import DepthMap, visible
 from mrgs.survey import Survey
 
 VIEWS = 60
@@ -69,6 +66,9 @@ LARGE_SHARE = 0.04
 LEFT_OUT_SHARE = 0.2
 """Share of the separation within which neighbours of a rejected cube are skipped."""
 
+WITHIN_PX, BESIDE_PX = 3, 6
+"""Within the edge of what is as extreme places are measured; beside it they belong to it."""
+
 LEAST_CONTRAST = 0.01
 """Smallest difference of a spot to the median about it, as a share of the recorded range."""
 
@@ -83,16 +83,8 @@ SAME_DEPTH = 0.05
 
 
 class Spot(NamedTuple):
-    """A spot on a surface.
-
-    Attributes:
-        position: where ``view`` shows it, in world coordinates, scene units, [3].
-        value: normalised temperature, the median over the views that see it.
-        low: 10th percentile of these views' values, normalised.
-        high: 90th percentile of these views' values, normalised.
-        views: how many views see it.
-        view: index of the view that shows it best (most pixels, away from the border).
-    """
+    """A spot on a surface: world coordinates by the view that shows it best, of index ``view``;
+    normalised temperatures, the median over the ``views`` that see it, 10th and 90th percentile."""
 
     position: Float[np.ndarray, "3"]
     value: float
@@ -102,26 +94,17 @@ class Spot(NamedTuple):
     view: int
 
 
-class _Image(NamedTuple):
-    """A rendered view: z-depth of the surface, scene units, NaN where there is none, and normalised
-    temperatures, [H, W]."""
-
-    camera: Camera
-    depth: Float[np.ndarray, "h w"]
-    values: Float[np.ndarray, "h w"]
-
-
 class _Points(NamedTuple):
     """Surface points of all views, [P]: world coordinates, normalised temperatures, indices of
     their views, and whether the pixel is away from the image's border; the median distance between
-    neighbouring pixels on the surfaces (scene units), and each view by its index."""
+    neighbouring pixels on the surfaces (scene units), and the rendered views by their indices."""
 
     positions: Float[np.ndarray, "p 3"]
     values: Float[np.ndarray, " p"]
     views: Int64[np.ndarray, " p"]
     central: Bool[np.ndarray, " p"]
     footprint: float
-    images: dict[int, _Image]
+    images: dict[int, DepthMap]
 
 
 class _Sightings(NamedTuple):
@@ -150,15 +133,8 @@ def find_spots(
     ball: SceneBounds | None = None,
     judged: Sequence[Float[np.ndarray, "_ 3"]] = (),
 ) -> tuple[list[Spot], list[Spot]]:
-    """The hottest and the coldest spots, at most ``count`` of each, the most extreme first.
-
-    Args:
-        views: of the capture; those without a thermal image are skipped.
-        count: largest number of spots in each list.
-        ball: how far the scene reaches; the sky beyond it is no spot. None if there is none.
-        judged: points of each mark that was judged, world coordinates, [N, 3] each: nothing is
-            found again near to all of them.
-    """
+    """The hottest and the coldest spots, at most ``count`` of each, the most extreme first; none in
+    the sky beyond ``ball``, nor near to all points [N, 3] of a ``judged`` mark."""
     thermal = [index for index, view in enumerate(views) if THERMAL in view.images]
     chosen = [thermal[place] for place in evenly_spaced(len(thermal), VIEWS)]
     points = _survey(views, chosen, render, ball)
@@ -185,7 +161,8 @@ def _survey(
         camera = camera.with_width(min(WIDTH_PX, camera.width))
         rendering = render(camera)
         image = rendering[THERMAL].image[..., 0].numpy()
-        images[index] = _Image(camera, rendering.surface_depth(THERMAL).double().numpy(), image)
+        depth = rendering.surface_depth(THERMAL).float().numpy()
+        images[index] = DepthMap(camera, depth, rendering[THERMAL].image.float().numpy())
         depth_map = _inner_depth(rendering, camera, ball).numpy()
         rows, columns = np.nonzero(np.isfinite(depth_map))
         values, distance = image[rows, columns], depth_map[rows, columns]
@@ -257,17 +234,15 @@ def _agreed(sightings: _Sightings, min_views: int) -> list[_Cube]:
     ]
 
 
-def _solid(cubes: list[_Cube], sightings: _Sightings, images: Iterable[_Image]) -> list[_Cube]:
+def _solid(cubes: list[_Cube], sightings: _Sightings, images: Iterable[DepthMap]) -> list[_Cube]:
     """Step 4: the cubes that at least as many views see as see through them."""
     if not cubes:
         return []
-    places = torch.from_numpy(sightings.positions[[cube.rows[0] for cube in cubes]])
+    places = sightings.positions[[cube.rows[0] for cube in cubes]].astype(np.float32)
     seen, passed = np.zeros(len(cubes), int), np.zeros(len(cubes), int)
-    for camera, depth, _ in images:
-        pixels, distance = camera.project(places)
-        inside = np.flatnonzero(camera.contains(pixels).numpy())
-        columns, rows = pixels.numpy()[inside].astype(np.int64).T
-        share = depth[rows, columns] / distance.numpy()[inside]
+    for item in images:
+        inside, pixels, z = visible(item.camera, places)
+        share = item.depth[pixels] / z
         seen[inside] += np.abs(share - 1) <= SAME_DEPTH
         passed[inside] += np.isnan(share) | (share > 1 + SAME_DEPTH)
     return [cubes[index] for index in np.flatnonzero(seen >= passed)]
@@ -277,7 +252,7 @@ def _apart(
     cubes: Sequence[_Cube],
     sign: int,
     sightings: _Sightings,
-    images: Mapping[int, _Image],
+    images: Mapping[int, DepthMap],
     count: int,
     distance: float,
     judged: Sequence[Float[np.ndarray, "_ 3"]],
@@ -297,31 +272,49 @@ def _apart(
         # where the temperature changes by degrees within a pixel.
         position = sightings.positions[best]
         away = np.linalg.norm(places - position, axis=1)
-        image = images[int(sightings.views[best])]
-        if not sightings.points[best] or not _is_local(image, position, cube.median, sign):
+        view = int(sightings.views[best])
+        within = _px_within(images[view], places, position, cube.median, sign)
+        if not sightings.points[best] or within is None:
             free &= away >= LEFT_OUT_SHARE * distance
             continue
-        free &= away >= distance
+        place = int(np.where(free, within.clip(0, WITHIN_PX), 0).argmax())
+        free &= (away >= distance) & (within < -BESIDE_PX)
+        seen = cubes[place].rows[sightings.views[cubes[place].rows] == view]
+        if within[place] > 0 and len(seen):
+            cube, position = cubes[place], sightings.positions[seen[0]]
         low, high = np.quantile(cube.values, [0.1, 0.9])
-        view, views = int(sightings.views[best]), len(cube.rows)
-        kept.append(Spot(position, float(cube.median), float(low), float(high), views, view))
+        kept.append(Spot(position, cube.median, float(low), float(high), len(cube.rows), view))
         if len(kept) == count:
             break
     return kept
 
 
-def _is_local(image: _Image, position: Float[np.ndarray, "3"], value: float, sign: int) -> bool:
-    """Whether a place stands out of the picture, and is no part of something large that reaches the
-    picture's border."""
+def _px_within(
+    image: DepthMap,
+    places: Float[np.ndarray, "n 3"],
+    position: Float[np.ndarray, "3"],
+    value: float,
+    sign: int,
+) -> Float[np.ndarray, " n"] | None:
+    """How far places that a picture shows are within the edge of what about a position is as
+    extreme, pixels, negative outside; None if the position does not stand out of the picture, or is
+    part of something large that reaches the picture's border."""
     x, y = image.camera.project(torch.from_numpy(position))[0].tolist()
-    about = image.values[square_about((image.camera.width, image.camera.height), x, y)]
+    values = image.image[..., 0]
+    about = values[square_about((image.camera.width, image.camera.height), x, y)]
     low, middle, high = np.percentile(about, [2, 50, 98])
     if not sign * (value - middle) > max(AS_EXTREME * (high - low), LEAST_CONTRAST):
-        return False
-    parts, _ = label(sign * (image.values - value) >= -AS_EXTREME * (high - low))
-    own = parts == parts[int(y), int(x)]
-    reaches = own[0].any() or own[-1].any() or own[:, 0].any() or own[:, -1].any()
-    return not (parts[int(y), int(x)] and reaches and own.mean() > LARGE_SHARE)
+        return None
+    parts, _ = label(sign * (values - value) >= -AS_EXTREME * (high - low))
+    within = np.full(len(places), -np.inf)
+    if parts[int(y), int(x)]:
+        own = parts == parts[int(y), int(x)]
+        reaches = own[0].any() or own[-1].any() or own[:, 0].any() or own[:, -1].any()
+        if reaches and own.mean() > LARGE_SHARE:
+            return None
+        rows, pixels, _ = image.shown(places.astype(np.float32), SAME_DEPTH)
+        within[rows] = (distance_transform_edt(own) - distance_transform_edt(~own))[pixels]
+    return within
 
 
 def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:
@@ -362,6 +355,9 @@ CANDIDATES = 2
 LEAST_PHOTOS = 2
 """Number of photos that must see a proposed place."""
 
+LEAST_CERTAINTY, LARGEST_UNCERTAINTY_C = 10.0, 5.0
+"""A place is proposed if its contrast is so many times its uncertainty, and that is so small, K."""
+
 SAME_PLACE = 10.0
 """Distance from an earlier proposal, in its radii, below which a spot keeps that name."""
 
@@ -375,16 +371,21 @@ class Anomaly(NamedTuple):
     contrast: float
 
     @property
+    def certainty(self) -> float:
+        """Contrast over its uncertainty, without the parts by camera and settings, which the
+        surroundings share; infinite where that is not known."""
+        around = None if self.reading.uncertainty is None else self.reading.uncertainty.own
+        return abs(self.contrast) / around if around is not None and around > 0 else np.inf
+
+    @property
     def stands_out(self) -> bool:
-        """Whether the contrast is more than its uncertainty, where known, without the parts by
-        camera and settings, which the surroundings share."""
-        uncertainty = self.reading.uncertainty
-        return uncertainty is None or not abs(self.contrast) <= uncertainty.own
+        """Whether its uncertainty is small, in itself and against the contrast."""
+        return self.certainty >= max(LEAST_CERTAINTY, abs(self.contrast) / LARGEST_UNCERTAINTY_C)
 
 
 class Proposals(NamedTuple):
-    """Anomalies that the report proposes, by name, the hottest first; and how many were as hot or
-    as cold, but do not stand out of their uncertainty."""
+    """Anomalies that the report proposes, by name, the most certain first; and how many were as hot
+    or as cold, but do not stand out of their uncertainty."""
 
     anomalies: Mapping[str, Anomaly]
     held_back: int
@@ -423,22 +424,13 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> 
 def _standing_out(
     spots: Sequence[Spot], count: int, marks: RunMarks, scene: Scene, regions: Regions
 ) -> tuple[list[Anomaly], int]:
-    """The first ``count`` spots that stand out, and how many before them do not; without spots that
+    """The ``count`` spots that stand out most certainly, and how many do not; without those that
     too few photos see as a mark, such as what floats beside an outline."""
     least = min(LEAST_PHOTOS, len(scene.train_photos(THERMAL)))
-    kept: list[Anomaly] = []
-    held_back = 0
-    for spot in spots:
-        if len(kept) == count:
-            break
-        anomaly = _measured(spot, marks, scene, regions)
-        if (anomaly.reading.photos or 0) < least:
-            continue
-        if anomaly.stands_out:
-            kept.append(anomaly)
-        else:
-            held_back += 1
-    return kept, held_back
+    found = [_measured(spot, marks, scene, regions) for spot in spots]
+    seen = [each for each in found if (each.reading.photos or 0) >= least]
+    kept = sorted((each for each in seen if each.stands_out), key=lambda each: -each.certainty)
+    return kept[:count], len(seen) - len(kept)
 
 
 def _measured(spot: Spot, marks: RunMarks, scene: Scene, regions: Regions) -> Anomaly:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -32,9 +31,8 @@ from mrgs.scene.arrays import as_tensor
 from mrgs.scene.depth_map import (
     MAX_STEP,
     MIN_ALPHA,
-    SURFACE_DEPTH,
     DepthMap,
-    carry_over,
+    shown_temperatures,
     surveying_cameras,
 )
 
@@ -125,8 +123,7 @@ class TrainedRun(ABC):
         ValueError if the scene has no thermal photos to learn from or no known °C, or ``points``
         has another shape; SceneError if the scene is no longer where it was, or cannot be used."""
         positions = as_tensor(points, torch.float32, (None, 3), "points").numpy()
-        values, seen = carry_over(self._thermal_maps, positions, 0.0, SURFACE_DEPTH)
-        return torch.from_numpy(np.where(seen, values[:, 0], np.float32(np.nan)))
+        return torch.from_numpy(shown_temperatures(self._thermal_maps, positions))
 
     @cached_property
     def _thermal_maps(self) -> list[DepthMap]:

@@ -91,7 +91,7 @@ def carry_over(
     relative_tolerance: float = 0.0,
 ) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
     """Image values of each point [N, C], averaged over the cameras that see it with weights
-    1 / z², and whether any camera does [N].
+    1 / z², and whether any camera does [N]. Pixels with NaN do not count.
 
     Args:
         tolerance: a point this far before or behind the depth of its pixel is still seen there,
@@ -103,10 +103,21 @@ def carry_over(
     weight = np.zeros(len(points), dtype=np.float32)
     for item in maps:
         rows, pixels, z = item.shown(points, relative_tolerance, tolerance)
-        near = 1 / z**2
-        total[rows] += near[:, None] * item.image[pixels]
+        values = item.image[pixels]
+        known = np.isfinite(values).all(axis=1)
+        rows, near = rows[known], 1 / z[known] ** 2
+        total[rows] += near[:, None] * values[known]
         weight[rows] += near
     return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
+
+
+def shown_temperatures(
+    maps: Sequence[DepthMap], points: Float32[np.ndarray, "n 3"]
+) -> Float32[np.ndarray, " n"]:
+    """What the thermal cameras of maps with one channel see at points on surfaces, NaN where none
+    sees one, [N]: the temperature of a place, wherever one is stated."""
+    values, seen = carry_over(maps, points, 0.0, SURFACE_DEPTH)
+    return np.where(seen, values[:, 0], np.float32(np.nan))
 
 
 def visible(camera: Camera, positions: Float32[np.ndarray, "n 3"]) -> PointsInImage:

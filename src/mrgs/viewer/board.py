@@ -9,6 +9,9 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning
 from mrgs.marks.mark import Mark, MarkKind, Marks
 from mrgs.marks.measure import MarkReading
@@ -102,6 +105,16 @@ class MarkBoard:
     def uncertainty(self) -> UncertaintyMeter | None:
         """Uncertainty of the model's temperatures; None where it is not known."""
         return self._meter.uncertainty
+
+    def temperature(
+        self, place: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], at_once: bool
+    ) -> float:
+        """Temperature of a place that an eye sees, as of a mark there; NaN where no photo sees it,
+        the model changes, or, ``at_once``, no mark or point has been read yet."""
+        if at_once and not self._meter.survey.maps:
+            return np.nan
+        found, _ = self._meter.temperatures(place[None], np.full(1, np.nan), self.regions, eye)
+        return float(found[0])
 
     def subscribe(self, listener: Listener) -> None:
         """Call a function after each change."""

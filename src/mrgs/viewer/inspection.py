@@ -16,11 +16,12 @@ from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import label_text
 from mrgs.pictures.page_data import rounded
-from mrgs.scene import Camera, Modality, View
+from mrgs.scene import THERMAL, Camera, Modality, View
 from mrgs.viewer.painting import DrawnPicture, MarkLabel, Scales, annotate, compose, measure_scales
 from mrgs.viewer.panes import (
     Pane,
     PaneImages,
+    Place,
     Reading,
     difference,
     panes_of,
@@ -222,6 +223,10 @@ class Inspection:
             if pane.photo is not None and pane.scaled is not None:
                 value = float(place.pixel_of(self._photo(pane).images[pane.scaled]))
                 photo_value = value if np.isfinite(value) else None
+            if THERMAL in reading.values:
+                here = reading.values[THERMAL]
+                here = replace(here, value=self._of_place(place, reading.depth, here.value))
+                reading = replace(reading, values={**reading.values, THERMAL: here})
             self.point = PointReading(reading, self._first_readable(pane), photo_value)
         return self.point
 
@@ -240,10 +245,22 @@ class Inspection:
         if not place.pixel_of(shown.solid) or not np.isfinite(value):
             return "no surface"
         if pane.kind not in ("uncertainty", "difference"):
+            if modality == THERMAL and shown.depth is not None:
+                value = self._of_place(place, place.pixel_of(shown.depth), value, at_once=True)
             return self.subject.format_value(modality, value)
         if pane.kind == "uncertainty":
             return f"± {self.subject.format_difference(modality, value)}"
         return self.subject.format_difference(modality, value, sign=True)
+
+    def _of_place(self, place: Place, depth: float, shown: float, at_once: bool = False) -> float:
+        """The temperature of a place at a depth, as of a mark there; what a picture has ``shown``
+        where that is not known, and beside the photo that it is compared with."""
+        board, camera = self.subject.board, place.pane.camera
+        if board is None or place.pane.photo is not None:
+            return shown
+        position = camera.unproject([place.u * camera.width, place.v * camera.height], depth)
+        found = board.temperature(position.numpy(), camera.position.numpy(), at_once)
+        return found if np.isfinite(found) else shown
 
     def _first_readable(self, pane: Pane) -> Modality | None:
         """The modality whose value is named first in a pane."""

@@ -225,6 +225,7 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         subject.temperature,
         thermal_cameras(subject.scene),
         CaptureSettings.of(subject.scene),
+        changes=changes,
     )
     picker = MarkPicker(meter, subject.scene, by_photos=not changes)
     appraise: Appraiser | None = None
