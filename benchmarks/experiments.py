@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import mean, stdev
@@ -21,7 +20,7 @@ import numpy as np
 from PIL import Image
 from scipy.stats import t as student_t
 
-from mrgs import Run, load_scene, open_run
+from mrgs import Run, open_run
 from mrgs.scene import THERMAL
 
 RESULTS = Path(__file__).parent / "results" / "compare"
@@ -49,7 +48,7 @@ Kept = Mapping[str, Any]
 and ``runs``, each with its scene, method, seed and figures."""
 
 
-def keep(folder: Path, command: str, baseline: str) -> Kept:
+def keep(folder: Path, command: str, commit: str, baseline: str) -> Kept:
     """The figures of a comparison's runs that a table shows, and what it is of."""
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     runs = [
@@ -66,7 +65,7 @@ def keep(folder: Path, command: str, baseline: str) -> Kept:
         for run in results["runs"]
         if run["failure"] is None
     ]
-    return {"command": command, "commit": _commit(), "baseline": baseline, "runs": runs}
+    return {"command": command, "commit": commit, "baseline": baseline, "runs": runs}
 
 
 def _figure(
@@ -83,7 +82,7 @@ def error_ratio(run: Run, scene: Path) -> float | None:
     """Mean absolute error of the held-out views over that of the camera's own images of them, each
     after one constant: of a camera that drifts no one knows more; None without exact
     temperatures."""
-    loaded = load_scene(scene)
+    loaded = run.load_scene()
     own, of_camera = [], []
     for view in loaded.eval:
         path = scene / f"truth/temperature/{view.name}.tiff"
@@ -92,14 +91,17 @@ def error_ratio(run: Run, scene: Path) -> float | None:
         with Image.open(path) as image:
             exact = np.asarray(image, np.float64)
         rendered = run.render_view(view)[THERMAL].image
-        photo = view.images[THERMAL].load().values
-        for errors, shown in ((own, rendered), (of_camera, photo)):
-            errors.append(loaded.temperature.to_celsius(shown[..., 0].numpy()) - exact)
+        photo = view.images[THERMAL].load()
+        known = (
+            np.isfinite(exact) if photo.valid is None else photo.valid.numpy() & np.isfinite(exact)
+        )
+        for errors, shown in ((own, rendered), (of_camera, photo.values)):
+            errors.append((loaded.temperature.to_celsius(shown[..., 0].numpy()) - exact)[known])
     return _after_a_constant(own) / _after_a_constant(of_camera)
 
 
 def _after_a_constant(errors: Sequence[np.ndarray]) -> float:
-    all_of_them = np.stack(errors)
+    all_of_them = np.concatenate([each.ravel() for each in errors])
     return float(np.abs(all_of_them - np.median(all_of_them)).mean())
 
 
@@ -165,11 +167,6 @@ def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _commit() -> str:
-    command = ["git", "rev-parse", "--short=8", "HEAD"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-
-
 def main() -> None:
     """Keep the results of a comparison, if one is given, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.experiments")
@@ -177,11 +174,12 @@ def main() -> None:
     parser.add_argument("--name", required=True, help="of the results that are kept")
     parser.add_argument("--baseline", default="3dgs-rgbt")
     parser.add_argument("--command", default="", help="that made the comparison")
+    parser.add_argument("--commit", default="", help="with which its runs were trained")
     options = parser.parse_args()
     path = RESULTS / f"{options.name}.json"
     if options.folder is not None:
         RESULTS.mkdir(parents=True, exist_ok=True)
-        kept = keep(options.folder, options.command, options.baseline)
+        kept = keep(options.folder, options.command, options.commit, options.baseline)
         path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     print(table(json.loads(path.read_text(encoding="utf-8"))))
 

@@ -76,8 +76,6 @@ def quaternions(codes: np.ndarray) -> np.ndarray:
 
 def as_model(content: dict[str, np.ndarray], like: BakedModel) -> BakedModel:
     tensors = {name: torch.tensor(array, dtype=torch.float32) for name, array in content.items()}
-    if like.radiance is not None:
-        tensors["temperatures"] = like.radiance.to_value(tensors["temperatures"])
     rest = {modality: tensors.pop(f"sh_rest.{modality}") for modality in like.sh_rest}
     return replace(
         like,

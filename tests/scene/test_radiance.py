@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -77,3 +79,24 @@ def test_extreme_scales_keep_their_ends(scale):
 
 def test_a_scale_colder_than_cameras_see_has_none():
     assert BandRadiance.of(TemperatureRange(-220.0, -130.0)) is None
+
+
+@pytest.mark.parametrize("b", [500.0, 1_439.0, 5_000.0, 20_000.0])
+def test_cold_values_of_any_camera_have_finite_gradients_and_come_back(b):
+    radiance = BandRadiance(low_k=253.15, span_k=120.0, b=b)
+    values = torch.tensor([-3.0, -0.5, 0.0, 0.5, 1.0], requires_grad=True)
+    back = radiance.to_value(radiance.of_value(values))
+    back.sum().backward()
+    assert values.grad.isfinite().all()
+    torch.testing.assert_close(values.grad, torch.ones(5), atol=0.02, rtol=0)
+    torch.testing.assert_close(back[2:], values[2:].detach(), atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"span_k": 0.0}, {"b": -1.0}, {"b": 1e300}, {"low_k": math.nan}, {"span_k": math.inf}],
+)
+def test_what_is_no_law_is_refused(change):
+    good = {"low_k": 253.15, "span_k": 120.0, "b": 1_439.0}
+    with pytest.raises(ValueError, match="thermal camera"):
+        BandRadiance(**good | change)

@@ -112,10 +112,10 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
 
 def as_stored(image: Image.Image) -> Image.Image:
     """The pixels of an image file that Pillow has just opened, as stored: while loading a TIFF, and
-    no other file, Pillow turns it upright. ValueError for a JPEG of more than ``MOST_SCANS``."""
+    no other file, Pillow turns it upright. ValueError for a JPEG of ``MOST_SCANS`` or more."""
     scans = image.fp if isinstance(image, JpegImageFile) else None  # Pillow has read up to them
     if scans and scans.read().count(_START_OF_SCAN) >= MOST_SCANS:
-        raise ValueError(f"it has more than {MOST_SCANS} scans")
+        raise ValueError(f"it has {MOST_SCANS} scans or more")
     orientation = image.getexif().get(Base.Orientation, 1) if image.format == "TIFF" else 1
     return upright(image, {6: 8, 8: 6}.get(orientation, orientation))
 

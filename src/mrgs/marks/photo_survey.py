@@ -35,6 +35,7 @@ class PhotoSurvey:
         """Depth and normalised temperature of each camera that is surveyed, in the order of
         ``chosen``; no temperature on outlines."""
         if not self.maps:
+            maps = []  # all or none, if a rendering fails
             for camera in self.cameras:
                 small = camera.with_width(min(camera.width, MAX_WIDTH_PX))
                 rendering = self._render(small)
@@ -43,7 +44,8 @@ class PhotoSurvey:
                 if THERMAL in rendering:
                     inner = rendering.surface_depth(THERMAL, max_step=MAX_STEP).isfinite().numpy()
                     values[inner] = thermal_values(rendering)[inner]
-                self.maps.append(DepthMap(small, depth, values[..., None]))
+                maps.append(DepthMap(small, depth, values[..., None]))
+            self.maps = maps
         return iter(self.maps)
 
 

@@ -265,7 +265,7 @@ def _apart(
     for mark in judged:
         free &= np.linalg.norm(places[:, None] - mark, axis=2).max(axis=1, initial=0) >= distance
     for index, cube in enumerate(cubes):
-        if not free[index]:
+        if not free[index] or count == 0:
             continue
         best = cube.rows[np.argmax(sightings.points[cube.rows])]
         # The place in one view: the mean of the places in several views may be beside it,
@@ -282,6 +282,7 @@ def _apart(
         seen = cubes[place].rows[sightings.views[cubes[place].rows] == view]
         if within[place] > 0 and len(seen):
             cube, position = cubes[place], sightings.positions[seen[0]]
+            free &= np.linalg.norm(places - position, axis=1) >= distance
         low, high = np.quantile(cube.values, [0.1, 0.9])
         kept.append(Spot(position, cube.median, float(low), float(high), len(cube.rows), view))
         if len(kept) == count:

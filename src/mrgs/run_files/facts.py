@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -196,7 +196,8 @@ def facts_to_resume(
             f"{scene.name} has changed since the run began ({changed}); training goes on with it "
             f"as it is now"
         )
-    return facts._replace(scene=scene.path, capture=Capture.of(scene), images=images)
+    capture = replace(Capture.of(scene), radiance=facts.capture.radiance)  # what it has learned in
+    return facts._replace(scene=scene.path, capture=capture, images=images)
 
 
 def differences(facts: CheckpointFacts, scene: Scene) -> str:

@@ -68,17 +68,10 @@ class Camera:
 
     @classmethod
     def from_fov(cls, width: int, height: int, fov_deg: float) -> Camera:
-        """A camera at the origin with square pixels, its axis in the middle of the image.
-
-        It looks along +z; place it with ``look_at``.
-
-        Args:
-            fov_deg: horizontal field of view in degrees, between 0 and 180.
-
-        Raises:
-            ValueError: a field of view out of range, or a size that is not a whole number of
-                pixels above 0.
-        """
+        """A camera at the origin with square pixels, its axis in the middle of the image, and a
+        horizontal field of view of ``fov_deg`` degrees, between 0 and 180. It looks along +z; place
+        it with ``look_at``. ValueError for a field of view out of range, or a size that is not a
+        whole number of pixels above 0."""
         width, height = as_whole(width, "width"), as_whole(height, "height")
         if not 0 < fov_deg < 180:
             raise ValueError(f"a field of view lies between 0° and 180°, not {fov_deg}°")
@@ -140,18 +133,13 @@ class Camera:
         return self.viewmat[2, :3]
 
     def project(self, points: Array) -> tuple[Float[Tensor, "*batch 2"], Float[Tensor, "*batch"]]:
-        """Where points of the world appear, in the points' precision; integers count as float64.
-
-        Args:
-            points: world coordinates in scene units, [..., 3].
+        """Where points of the world, [..., 3] in scene units, appear, in their precision; integers
+        count as float64.
 
         Returns:
             Pixel coordinates x (right) and y (down), [..., 2], which may lie outside the image, and
             are NaN for points that are not before the camera (z below ``MIN_DEPTH``); and the
-            z-depths in scene units, [...].
-
-        Raises:
-            ValueError: an array of another shape.
+            z-depths in scene units, [...]. ValueError for an array of another shape.
         """
         points = as_floats(points, "points", 3)
         K, viewmat = self.K.to(points), self.viewmat.to(points)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, astuple, dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
@@ -178,8 +179,8 @@ TYPICAL_LAW = Planck(1.0, 1.0, 14_387.77 / TYPICAL_WAVELENGTH_UM, 1.0, 0.0)
 """Where a camera's own constants are not known: black bodies at that wavelength. The mean of two
 temperatures from −40 to 80 °C differs by 0.8 K at most from that of the whole band."""
 
-COLDEST_K = 150.0
-"""Of what is blended as radiance, which is next to none below."""
+COLDEST_K, LARGEST_EXPONENT = 150.0, 80.0
+"""Of what is blended as radiance: below, it is next to none, and float32 does not hold it."""
 
 
 @dataclass(frozen=True)
@@ -199,27 +200,42 @@ class BandRadiance:
     span_k: float
     b: float
 
+    def __post_init__(self) -> None:
+        hottest_k, is_law = self.low_k + self.span_k, 500 <= self.b <= 20_000
+        if not (is_law and self.low_k >= 0 < self.span_k and self.coldest_k < hottest_k < math.inf):
+            raise ValueError("no radiance of a thermal camera")
+
     @classmethod
     def of(
         cls, temperature: TemperatureRange | None, law: Planck | None = None
     ) -> BandRadiance | None:
         """That of values on a scale, by the calibration of the camera if it is known; None without
         a scale, or for one that is colder than what thermal cameras see."""
-        if temperature is None:
-            return None
-        low_k, span_k = temperature.to_kelvin(0.0), temperature.span_c
-        return None if low_k + span_k <= COLDEST_K else cls(low_k, span_k, (law or TYPICAL_LAW).b)
+        if temperature is not None:
+            with suppress(ValueError):
+                return cls(temperature.to_kelvin(0.0), temperature.span_c, (law or TYPICAL_LAW).b)
+        return None
 
     def of_value(self, value: Tensor) -> Tensor:
-        """Normalised temperature -> radiance; the same for all below ``COLDEST_K``, which keep its
+        """Normalised temperature -> radiance; the same for all below ``coldest_k``, which keep its
         slope, and so come back."""
         mapped: Tensor = _Mapped.apply(value, self._of_value)
         return mapped
 
     def to_value(self, radiance: Tensor) -> Tensor:
-        """Radiance -> normalised temperature, of ``COLDEST_K`` or more."""
+        """Radiance -> normalised temperature, of ``coldest_k`` or more."""
         mapped: Tensor = _Mapped.apply(radiance, self._to_value)
         return mapped
+
+    @property
+    def coldest_k(self) -> float:
+        """Temperature of the least radiance, K."""
+        return max(COLDEST_K, self.b / LARGEST_EXPONENT)
+
+    @property
+    def least(self) -> float:
+        """That radiance, with ``offset``."""
+        return self.gain * self._unscaled(self.coldest_k)
 
     @cached_property
     def gain(self) -> float:
@@ -232,7 +248,7 @@ class BandRadiance:
         return self.gain * self._unscaled(self.low_k)
 
     def _of_value(self, value: Tensor) -> tuple[Tensor, Tensor]:
-        kelvin = (self.span_k * value).add_(self.low_k).clamp_min_(COLDEST_K)
+        kelvin = (self.span_k * value).add_(self.low_k).clamp_min_(self.coldest_k)
         growth = torch.exp(self.b / kelvin)
         received = self.gain / (growth - 1)
         # span b gain E / (K (E − 1))², with what was computed already.
@@ -240,7 +256,7 @@ class BandRadiance:
         return received.sub_(self.offset), slope.div_(kelvin.square_())
 
     def _to_value(self, radiance: Tensor) -> tuple[Tensor, Tensor]:
-        received = (radiance + self.offset).clamp_min_(self.gain * self._unscaled(COLDEST_K))
+        received = (radiance + self.offset).clamp_min_(self.least)
         growth = (self.gain / received).add_(1)
         kelvin = self.b / torch.log(growth)
         slope = kelvin.square().div_(received.square_().mul_(growth))
@@ -248,7 +264,7 @@ class BandRadiance:
         return kelvin.sub_(self.low_k).div_(self.span_k), slope
 
     def _unscaled(self, kelvin: float) -> float:
-        return 1 / math.expm1(self.b / max(kelvin, COLDEST_K))
+        return 1 / math.expm1(self.b / max(kelvin, self.coldest_k))
 
 
 class _Mapped(torch.autograd.Function):

@@ -59,7 +59,7 @@ def test_the_page_carries_the_packed_model_and_the_cameras(page, baked, cameras)
     assert part["header"] == {**packed.header, "first": 0, "replaces": [0, 0]}
     dilation = {"px2": 0.1, "finest_focal_px": 107.0, "least_px2": 0.01}
     known = {"parts": 1, "slots": 1024, "dilation": dilation}
-    law = {"modality": "thermal", "gain": baked.radiance.gain, "offset": baked.radiance.offset}
+    law = {name: getattr(baked.radiance, name) for name in ("gain", "offset", "least", "coldest_k")}
     known["radiance"] = {"low_k": 263.15, "span_k": 100.0, "b": TYPICAL_LAW.b, **law}
     assert facts["model"] == {"count": packed.header["count"], **known}
     assert [camera["width"] for camera in facts["cameras"]] == [96] * 5

@@ -3,10 +3,10 @@
 The splats are ordered along a Morton curve and cut into chunks. Positions are 16-bit numbers
 between the bounds of their chunk, scales 10-bit logarithms, rotations the three smaller components
 of the quaternion in 10 bits each. Of each modality there is a plane of opacities, and one of
-harmonics (degree 0 in 8 bits, higher ones in 7) or of values without view dependence (temperatures
-or their radiance, as they are blended, 16 bits). Opacities have 8 bits, but 16 where values are
-read from the blend. All planes, little-endian, one behind the other, are one gzip stream; the
-header names them in their order, with the limits that the numbers stand for.
+harmonics (degree 0 in 8 bits, higher ones in 7) or of values without view dependence (temperatures,
+16 bits). Opacities have 8 bits, but 16 where values are read from the blend. All planes,
+little-endian, one behind the other, are one gzip stream; the header names them in their order, with
+the limits that the numbers stand for.
 
 The bits are where they count: 8-bit scales would cost 0.3 °C at the edges of hot things, and 5-bit
 harmonics 10 dB where the colours depend much on the view.
@@ -33,11 +33,9 @@ from mrgs.errors import ConfigError
 from mrgs.field.spherical_harmonics import C0
 from mrgs.pictures.files import to_array
 from mrgs.rasterizer.contract import ALPHA_MIN, LEAST_DILATION_PX2
-from mrgs.render import layer_of
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Gaussians, Modality
 from mrgs.scene.level_of_detail import merged
-from mrgs.scene.radiometry import BandRadiance
 
 CHUNK = 256
 """Splats that share the bounds of their positions."""
@@ -94,10 +92,7 @@ def pack_in_order(
             codes = [_quantise_band(_band(sh, band), band, ends) for band, ends in enumerate(bands)]
             planes[f"sh_{modality}"] = np.concatenate(codes, axis=1).reshape(len(sh), -1).T
         else:
-            blended = layer_of(
-                modality, baked.opacities[modality], baked.base_values(modality), baked.radiance
-            )
-            values, ends = _quantise(to_array(blended.features)[:, 0], 65535)
+            values, ends = _quantise(to_array(baked.base_values(modality))[:, 0], 65535)
             limits["values"][modality.name] = ends
             planes[f"values_{modality}"] = values.astype(np.uint16)
     # Wide numbers first, so that each plane starts at a multiple of its width.
@@ -225,6 +220,9 @@ COARSE = 1 / 50
 ROW = 512
 """Splats in a row of the page's textures: each part begins a new one."""
 
+LAW = ("b", "low_k", "span_k", "gain", "offset", "least", "coldest_k")
+"""What ``radiance.js`` reads of the ``BandRadiance``."""
+
 FINITE_LOGITS = (1e-6, 1 - 1e-6)
 """Opacities are kept between these where their logits are taken."""
 
@@ -264,13 +262,13 @@ class PageModel:
     @property
     def facts(self) -> dict[str, Any]:
         """What the page's script must know before the first part comes."""
-        sizes = [sum(map(len, self._coarse)), *map(len, self._parts)]
+        law, sizes = self._baked.radiance, [sum(map(len, self._coarse)), *map(len, self._parts)]
         return {
             "count": self.count,
             "parts": len(self._parts) + bool(self._coarse),
             "slots": sum(_whole_rows(size) for size in sizes),
             "dilation": asdict(self._baked.dilation) | {"least_px2": LEAST_DILATION_PX2},
-            "radiance": _radiance_facts(self._baked.radiance),
+            "radiance": law and {name: getattr(law, name) for name in LAW},
         }
 
     def parts(self) -> Iterator[PagePart]:
@@ -305,14 +303,6 @@ class PageModel:
             sh_rest={modality: few.sh_rest[modality] for modality in part.sh_rest},
             temperatures=0.5 + C0 * few.sh_dc[THERMAL][:, 0, 0],
         )
-
-
-def _radiance_facts(radiance: BandRadiance | None) -> dict[str, Any] | None:
-    """What ``radiance.js`` reads."""
-    if radiance is None:
-        return None
-    scaled = {"modality": THERMAL.name, "gain": radiance.gain, "offset": radiance.offset}
-    return asdict(radiance) | scaled
 
 
 def _whole_rows(count: int) -> int:

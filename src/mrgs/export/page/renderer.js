@@ -1,7 +1,7 @@
 // Draws the splats: blended into a 16-bit float image, then shown as colours or through a palette.
 
 const SPLATS_PER_ROW = 512;
-const NO_RADIANCE = { gain: 0, b: 0, offset: 0, low_k: 0, span_k: 1 };
+const NO_RADIANCE = { gain: 0, b: 0, offset: 0, least: 1, low_k: 0, span_k: 1 };
 
 class Renderer {
   constructor(canvas, { model, modalities }, palettes) {
@@ -89,8 +89,8 @@ class Renderer {
     gl.uniform2fv(screen.at("range"), look.range);
     gl.uniform2fv(screen.at("isotherm"), look.isotherm);
     gl.uniform1i(screen.at("ofArea"), false);
-    const law = this.radiance?.modality === look.modality ? this.radiance : NO_RADIANCE;
-    gl.uniform3f(screen.at("radiance"), law.gain, law.b, law.offset);
+    const law = (look.modality === "thermal" && this.radiance) || NO_RADIANCE;
+    gl.uniform4f(screen.at("radiance"), law.gain, law.b, law.offset, law.least);
     gl.uniform2f(screen.at("kelvin"), law.low_k, law.span_k);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     if (look.areas) this.inside(look.areas.rectangle, this.canvas, () => look.areas.views.forEach((view) => this.drawArea(view, camera)));

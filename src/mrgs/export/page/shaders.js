@@ -207,7 +207,7 @@ uniform float near;
 uniform vec3 law;
 uniform vec2 change;
 uniform vec2 kelvin;       // of the normalised value 0, and the span to 1
-uniform vec3 radiance;     // gain, b and offset of the law by which values are blended; a gain of 0 for none
+uniform vec4 radiance;     // gain, b, offset and least of the law by which values are blended; a gain of 0 for none
 in vec2 place;
 out vec4 shown;
 
@@ -236,7 +236,7 @@ void main() {
   vec4 sum = texture(blended, place);
   vec3 value = sum.rgb;
   if (radiance.x > 0.0) {
-    float signal = max(value.r + radiance.z, 1e-30);
+    float signal = max(value.r + radiance.z, radiance.w);
     value.r = (radiance.y / log(radiance.x / signal + 1.0) - kelvin.x) / kelvin.y;
   }
   if (ofArea) {

@@ -43,6 +43,8 @@ function open({ slots, dilation, radiance, readable, areas, ...rest }) {
 async function take(text) {
   const part = await decodePart(text, modalities);
   const { first, count, replaces, appearances } = part;
+  const { thermal } = appearances;
+  if (model.radiance && thermal) thermal.values = toRadiance(model.radiance, thermal.values);
   model.means.set(part.means, 3 * first);
   model.axes.set(part.axes, 9 * first);
   model.largestScale.set(part.largestScale, first);

@@ -200,11 +200,8 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Loca
     width of its squares; a target that is moved, by its perspective. Each corner is on the ray on
     which its photo shows it, at the depth of the board. So an error of the photo's pose moves it
     along that ray only, which hardly moves it in the image of the thermal camera beside it.
-    SceneError if the target is not stationary, and the width of its squares is not known.
-
-    Args:
-        square: width of a square in scene units; None if not known.
-    """
+    ``square`` is the width of a square in scene units; None if not known, which is a SceneError if
+    the target is not stationary."""
     rows, columns, _ = sightings[0].photo.grid.shape
     plane = board_points(columns, rows)
     views = [
