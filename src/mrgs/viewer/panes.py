@@ -217,9 +217,14 @@ def _blend_uncertainty(model: Model, camera: Camera, of_splats: Float[Tensor, " 
     means = model.gaussians.means
     with torch.no_grad():
         seen = of_splats.isfinite()
-        values = model.values(THERMAL, camera.position.to(means), sh_degree=0)[:, 0]
-        features = torch.stack([of_splats.nan_to_num(), seen.float(), values.cpu()], dim=1)
-        return _blend(model, camera, THERMAL, features.to(means), (0.0, 0.0, 0.0))
+        values = model.values(THERMAL, camera.position.to(means), sh_degree=0)
+        if model.radiance is not None:
+            values = model.radiance.of_value(values)
+        features = torch.stack([of_splats.nan_to_num(), seen.float(), values[:, 0].cpu()], dim=1)
+        blend = _blend(model, camera, THERMAL, features.to(means), (0.0, 0.0, 0.0))
+        if model.radiance is not None:
+            blend.image[..., 2] = model.radiance.to_value(blend.image[..., 2])
+        return blend
 
 
 LEAST_SEEN = 0.5
