@@ -17,14 +17,19 @@ from statistics import mean, stdev
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
 from scipy.stats import t as student_t
 
-from mrgs import Run, open_run
+from mrgs import open_run
+from mrgs.evaluation.evaluate import Truth
+from mrgs.evaluation.metrics import Missing
+from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import THERMAL
 
 RESULTS = Path(__file__).parent / "results" / "compare"
 LEVEL = 0.95
+
+ERROR_RATIO = "truth.ratio_after_a_constant"
+"""See ``error_ratio``; ``mrgs compare`` has the ratio without a constant."""
 
 
 class Column(NamedTuple):
@@ -39,7 +44,7 @@ class Column(NamedTuple):
 COLUMNS = (
     Column("thermal.psnr_matched", "thermal, matched", 2, "dB"),
     Column("rgb.psnr_matched", "RGB, matched", 2, "dB"),
-    Column("truth.ratio", "error, camera = 1", 2, ""),
+    Column(ERROR_RATIO, "error, camera = 1", 2, ""),
     Column("truth.depth_percent", "depth error", 2, "%"),
 )
 
@@ -59,7 +64,7 @@ def keep(folder: Path, command: str, commit: str, baseline: str) -> Kept:
             "figures": {
                 column.figure: _rounded(value)
                 for column in COLUMNS
-                if (value := _figure(folder, results["scenes"], run, column.figure)) is not None
+                if (value := _figure(folder, run, column.figure)) is not None
             },
         }
         for run in results["runs"]
@@ -68,41 +73,41 @@ def keep(folder: Path, command: str, commit: str, baseline: str) -> Kept:
     return {"command": command, "commit": commit, "baseline": baseline, "runs": runs}
 
 
-def _figure(
-    folder: Path, scenes: Mapping[str, str], run: Mapping[str, Any], figure: str
-) -> float | None:
-    if figure != "truth.ratio":
+def _figure(folder: Path, run: Mapping[str, Any], figure: str) -> float | None:
+    if figure != ERROR_RATIO:
         value: float | None = run["figures"].get(figure)
         return value
-    path = folder / "runs" / run["scene"] / run["method"] / f"seed_{run['seed']}"
-    return error_ratio(open_run(path), Path(scenes[run["scene"]]))
+    return error_ratio(
+        open_run(folder / "runs" / run["scene"] / run["method"] / f"seed_{run['seed']}")
+    )
 
 
-def error_ratio(run: Run, scene: Path) -> float | None:
+def error_ratio(run: TrainedRun) -> float | None:
     """Mean absolute error of the held-out views over that of the camera's own images of them, each
-    after one constant: of a camera that drifts no one knows more; None without exact
-    temperatures."""
-    loaded = run.load_scene()
-    own, of_camera = [], []
-    for view in loaded.eval:
-        path = scene / f"truth/temperature/{view.name}.tiff"
-        if loaded.temperature is None or not path.exists():
-            return None
-        with Image.open(path) as image:
-            exact = np.asarray(image, np.float64)
-        rendered = run.render_view(view)[THERMAL].image
+    after one constant for all views, because a drifting camera leaves one unknown; None without
+    exact temperatures."""
+    scene = run.load_scene()
+    truth, scale = Truth.of(scene), scene.temperature
+    if truth is None or scale is None:
+        return None
+    own: list[np.ndarray] = []
+    of_camera: list[np.ndarray] = []
+    for view in scene.eval:
         photo = view.images[THERMAL].load()
-        known = (
-            np.isfinite(exact) if photo.valid is None else photo.valid.numpy() & np.isfinite(exact)
-        )
+        height, width, _ = photo.values.shape
+        exact = truth.read("temperature", view.name, (height, width))
+        if isinstance(exact, Missing):
+            return None
+        known = exact.isfinite() if photo.valid is None else exact.isfinite() & photo.valid
+        rendered = run.render_view(view)[THERMAL].image
         for errors, shown in ((own, rendered), (of_camera, photo.values)):
-            errors.append((loaded.temperature.to_celsius(shown[..., 0].numpy()) - exact)[known])
+            errors.append((scale.to_celsius(shown[..., 0]) - exact)[known].double().numpy())
     return _after_a_constant(own) / _after_a_constant(of_camera)
 
 
 def _after_a_constant(errors: Sequence[np.ndarray]) -> float:
-    all_of_them = np.concatenate([each.ravel() for each in errors])
-    return float(np.abs(all_of_them - np.median(all_of_them)).mean())
+    together = np.concatenate([each.ravel() for each in errors])
+    return float(np.abs(together - np.median(together)).mean())
 
 
 def interval(differences: Sequence[float]) -> tuple[float, float]:

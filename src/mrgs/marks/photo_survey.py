@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 
 from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
 from mrgs.scene import THERMAL, Camera
-from mrgs.scene.depth_map import MAX_STEP, MAX_VIEWS, MAX_WIDTH_PX, DepthMap
+from mrgs.scene.depth_map import MAX_STEP, MAX_VIEWS, DepthMap, surveying_cameras
 from mrgs.scene.view import evenly_spaced
 
 
@@ -36,8 +36,7 @@ class PhotoSurvey:
         ``chosen``; no temperature on outlines."""
         if not self.maps:
             maps = []  # all or none, if a rendering fails
-            for camera in self.cameras:
-                small = camera.with_width(min(camera.width, MAX_WIDTH_PX))
+            for small in surveying_cameras(self.cameras):
                 rendering = self._render(small)
                 depth = seen_depth(rendering).astype(np.float32)
                 values = np.full(depth.shape, np.nan, np.float32)

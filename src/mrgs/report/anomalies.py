@@ -261,20 +261,21 @@ def _apart(
     marks; hot ones where the sign is 1, cold ones where it is −1."""
     kept: list[Spot] = []
     places = sightings.positions[[cube.rows[0] for cube in cubes]]
-    free = np.ones(len(cubes), dtype=bool)
+    free = np.full(len(cubes), count > 0)
     for mark in judged:
         free &= np.linalg.norm(places[:, None] - mark, axis=2).max(axis=1, initial=0) >= distance
     for index, cube in enumerate(cubes):
-        if not free[index] or count == 0:
+        if not free[index]:
             continue
         best = cube.rows[np.argmax(sightings.points[cube.rows])]
         # The place in one view: the mean of the places in several views may be beside it,
         # where the temperature changes by degrees within a pixel.
         position = sightings.positions[best]
         away = np.linalg.norm(places - position, axis=1)
-        view = int(sightings.views[best])
-        within = _px_within(images[view], places, position, cube.median, sign)
-        if not sightings.points[best] or within is None:
+        view, within = int(sightings.views[best]), None
+        if sightings.points[best]:
+            within = _px_within(images[view], places, position, cube.median, sign)
+        if within is None:
             free &= away >= LEFT_OUT_SHARE * distance
             continue
         place = int(np.where(free, within.clip(0, WITHIN_PX), 0).argmax())
