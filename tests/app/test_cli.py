@@ -487,6 +487,8 @@ def test_a_flat_field_that_cannot_be_used_is_refused(small_scene, tmp_path, caps
     refused(capsys, r"16×12 px, .*same camera.*--flat-field", *train)
     refused(capsys, "mrgs-plus", *train, "--method", "mrgs")
     refused(capsys, "keeps its shading", *train, "--resume")
+    refused(capsys, "furlongs.*--flat-field-unit", *train, "--flat-field-unit", "furlongs")
+    refused(capsys, "needs --flat-field", "train", small_scene, "--flat-field-unit", "kelvin")
 
 
 def test_ctrl_c_leaves_a_checkpoint_and_resume_finishes(small_scene, tmp_path, monkeypatch, capsys):

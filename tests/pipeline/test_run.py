@@ -457,9 +457,11 @@ def test_a_folder_in_use_is_left_alone(own, small_scene):
 
 
 def test_a_flat_field_is_part_of_the_settings(tmp_path):
-    config = replace(QUALITIES["fast"], flat_field=tmp_path).config()
+    config = replace(QUALITIES["fast"], flat_field=tmp_path, flat_field_unit="kelvin*100").config()
     assert config.image_model.flat_field == str(tmp_path)
-    assert replace(config.image_model, flat_field=None) == QUALITIES["fast"].config().image_model
+    without = replace(config.image_model, flat_field=None, flat_field_unit=None)
+    assert without == QUALITIES["fast"].config().image_model
+    assert config.image_model.flat_field_unit == "kelvin*100"
 
 
 def test_other_frames_of_the_flat_field_are_other_settings(small_scene, tmp_path):

@@ -157,10 +157,9 @@ def test_a_view_without_a_photo_has_the_thermal_picture_alone():
 
 def test_offsets_over_time_and_the_shading_are_shown():
     scene = drifting_scene()
-    model = ImageModel(
-        ImageModelConfig(thermal_drift=True, thermal_shading=True), Capture.of(scene)
-    )
-    find_from_overlap(scene, model)
+    config = ImageModelConfig(thermal_drift=True, thermal_shading=True)
+    model = ImageModel(config, Capture.of(scene))
+    find_from_overlap(scene, model, config)
     run = SimpleNamespace(image_model=model, temperature=scene.temperature)
     shown = camera_effects(run, Texts())
     assert shown.offsets.path.count("M") == 2, "a line before the pause, one after it"

@@ -199,6 +199,8 @@ class Train:
     """YAML file that overrides fields of a run's config.yaml, such as field: {neighbours_n: 5}."""
     flat_field: Maybe[Path] = None
     """Folder of thermal photos of a uniform target, which show how the camera shades its photos."""
+    flat_field_unit: Maybe[str] = None
+    """Unit of the numbers in its files: celsius, kelvin*100, (celsius+100)*40 ..."""
     resume: Annotated[bool, tyro.conf.arg(help=RESUME_HELP)] = False
     accept_changes: bool = False
     """With --resume: continue although photos, poses or intrinsics have changed."""

@@ -97,6 +97,8 @@ def _require_possible(command: Train, method: Method) -> None:
             raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
     if command.flat_field is not None and command.resume:
         raise ConfigError("a resumed run keeps its shading: leave --flat-field out")
+    if command.flat_field_unit is not None and command.flat_field is None:
+        raise ConfigError("--flat-field-unit needs --flat-field: it is the unit of its files")
     if command.accept_changes and not command.resume:
         raise ConfigError("--accept-changes needs --resume: a new run has nothing to compare with")
     if command.device == "cuda" and not method.uses_gpu:
@@ -133,7 +135,7 @@ def _configured(command: Train, method: Method, max_steps: int | None) -> Any:
 
     if not isinstance(config, TrainConfig):
         raise ConfigError(f"--flat-field does not work with {method.name}: leave it out")
-    return with_flat_field(config, command.flat_field)
+    return with_flat_field(config, command.flat_field, command.flat_field_unit)
 
 
 def _within_minutes(command: Train, method: Method, config: Any, device: DeviceName) -> Any:

@@ -334,9 +334,10 @@ def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
     )
 
 
-def with_flat_field(config: TrainConfig, folder: Path) -> TrainConfig:
+def with_flat_field(config: TrainConfig, folder: Path, unit: str | None = None) -> TrainConfig:
     """The configuration with the camera's shading as in a folder of thermal photos of a uniform
-    target. ConfigError if that is no folder, or the image model has no shading."""
+    target, whose numbers have a unit such as ``kelvin*100`` unless their files say it. ConfigError
+    if that is no folder, or the image model has no shading."""
     model = config.image_model
     if not model.thermal_shading:
         raise ConfigError(
@@ -349,7 +350,8 @@ def with_flat_field(config: TrainConfig, folder: Path) -> TrainConfig:
             f"{folder} is not a folder: give the one with photos of a uniform target",
             options=("flat_field",),
         )
-    return replace(config, image_model=replace(model, flat_field=str(folder.absolute())))
+    model = replace(model, flat_field=str(folder.absolute()), flat_field_unit=unit)
+    return replace(config, image_model=model)
 
 
 def _with_batch(config: TrainConfig, batch: int) -> TrainConfig:

@@ -28,6 +28,7 @@ class Quality:
     max_gaussians: int
     resolution: int
     flat_field: Path | None = None
+    flat_field_unit: str | None = None
 
     def config(self) -> TrainConfig:
         """The configuration of the training. ConfigError if the flat field is not a folder."""
@@ -37,7 +38,9 @@ class Quality:
             max_gaussians=self.max_gaussians,
             resolution=self.resolution,
         )
-        return config if self.flat_field is None else with_flat_field(config, self.flat_field)
+        if self.flat_field is None:
+            return config
+        return with_flat_field(config, self.flat_field, self.flat_field_unit)
 
 
 QUALITIES: dict[str, Quality] = {

@@ -70,7 +70,7 @@ def run_pipeline(
         device: where it is trained and rendered.
         monitor: follows the progress, and accepts warnings; by default nothing is accepted.
         flat_field: folder of thermal photos of a uniform target, which show how the camera shades
-            its photos; None to find that from the overlap of the photos.
+            its photos, in the same unit; None to find that from the overlap of the photos.
 
     Raises:
         SceneError: the photos or the scene cannot be used, or warnings about them were not
@@ -85,8 +85,9 @@ def run_pipeline(
         raise ConfigError(f"unknown quality {quality!r}; choose one of {', '.join(QUALITIES)}")
     monitor = monitor or Monitor()
     source, used = Path(source), gpu.choose_device(device)
-    chosen = replace(QUALITIES[quality], flat_field=flat_field)
     intake, options = _taken_in(source, options or PrepareOptions(), monitor)
+    unit = options.overrides.unit
+    chosen = replace(QUALITIES[quality], flat_field=flat_field, flat_field_unit=unit)
     target = (default_output(source) if output is None else Path(output)).absolute()
     _require_own(source, target)
     if intake.kind == "photos" and options.poses is None:

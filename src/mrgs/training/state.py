@@ -229,7 +229,7 @@ def initial_state(
     strategy = config.densification if strategy is None else strategy
     apart = blended_apart(scene.modalities, config.shares_opacity)
     cameras = ImageModel(config.image_model, capture)
-    find_from_overlap(scene, cameras, config.image_model.flat_field)
+    find_from_overlap(scene, cameras, config.image_model)
     generator = torch.Generator().manual_seed(config.seed)
     with seeded(config.seed):
         field = RadianceField(config.field)

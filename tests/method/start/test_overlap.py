@@ -21,7 +21,7 @@ BOTH = ImageModelConfig(thermal_drift=True, thermal_shading=True)
 
 def started(scene: Scene, config: ImageModelConfig = BOTH) -> ImageModel:
     model = ImageModel(config, Capture.of(scene))
-    find_from_overlap(scene, model)
+    find_from_overlap(scene, model, config)
     return model
 
 
@@ -110,7 +110,7 @@ def test_a_flat_field_fixes_the_shading(tmp_path):
     scene = drifting_scene()
     config = replace(BOTH, flat_field=flat_field(tmp_path / "flat"))
     model = ImageModel(config, Capture.of(scene))
-    find_from_overlap(scene, model, config.flat_field)
+    find_from_overlap(scene, model, config)
     assert model.thermal_shading.fixed
     assert error_c(model.thermal_shading(HEIGHT, WIDTH)[..., 0], scene, shading_c()) < 0.1
     assert error_c(model.thermal_drift.offsets(), scene, offsets_c()) < 0.1
@@ -120,22 +120,36 @@ def test_a_flat_field_of_another_day_is_told(tmp_path):
     config = replace(BOTH, flat_field=flat_field(tmp_path / "flat"))
     scene = drifting_scene(shading=-1.0)
     with pytest.warns(MrgsWarning, match=f"differs by {2 * shading_c().std():.1f} °C"):
-        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config.flat_field)
+        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config)
 
 
 def test_the_guessed_unit_of_a_flat_field_is_told_once(tmp_path):
     config = replace(BOTH, flat_field=flat_field(tmp_path / "flat", zero=ZERO_CELSIUS_K))
     scene = drifting_scene()
     with pytest.warns(MrgsWarning, match="taken for kelvin") as told:
-        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config.flat_field)
+        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config)
     assert len(told) == 1
+
+
+def test_the_unit_of_a_flat_field_can_be_stated(tmp_path):
+    scene, folder = drifting_scene(), Path(flat_field(tmp_path / "flat"))
+    for path in folder.iterdir():
+        celsius = np.loadtxt(path, delimiter=",")
+        np.savetxt(path, (celsius + 100) * 40, fmt="%d", delimiter=",")
+    config = replace(BOTH, flat_field=str(folder), flat_field_unit="(celsius+100)*40")
+    model = ImageModel(config, Capture.of(scene))
+    find_from_overlap(scene, model, config)
+    assert error_c(model.thermal_shading(HEIGHT, WIDTH)[..., 0], scene, shading_c()) < 0.1
+    with pytest.raises(ConfigError, match="furlongs") as caught:
+        find_from_overlap(scene, model, replace(config, flat_field_unit="furlongs"))
+    assert caught.value.options == ("flat_field_unit",)
 
 
 def test_photos_without_celsius_take_no_flat_field(tmp_path):
     scene = replace(drifting_scene(), temperature=None)
     config = replace(BOTH, flat_field=flat_field(tmp_path / "flat"))
     with pytest.raises(ConfigError, match="no °C") as caught:
-        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config.flat_field)
+        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config)
     assert caught.value.options == ("flat_field",)
 
 
@@ -148,9 +162,9 @@ def test_photos_without_celsius_take_no_flat_field(tmp_path):
     ],
 )
 def test_a_flat_field_that_cannot_be_used_is_named(tmp_path, make, words):
-    scene = drifting_scene()
+    scene, config = drifting_scene(), replace(BOTH, flat_field=make(tmp_path / "flat"))
     with pytest.raises(ConfigError, match=words) as caught:
-        find_from_overlap(scene, ImageModel(BOTH, Capture.of(scene)), make(tmp_path / "flat"))
+        find_from_overlap(scene, ImageModel(config, Capture.of(scene)), config)
     assert caught.value.options == ("flat_field",)
 
 

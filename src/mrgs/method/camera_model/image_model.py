@@ -42,6 +42,8 @@ class ImageModelConfig:
             corners, in scenes with °C, see ``PhotoShading``.
         flat_field: folder of thermal photos of a uniform target, which fix that shading; None to
             find it where the photos overlap.
+        flat_field_unit: of the numbers in its files, such as ``(celsius+100)*40``; None where they
+            say it.
         poses: refine the poses of the training views if they turn out to be wrong, see
             ``PoseRefinement``.
         point_spread_rate: learning rate of the logarithm of the blur's width.
@@ -55,6 +57,7 @@ class ImageModelConfig:
     thermal_drift: bool = False
     thermal_shading: bool = False
     flat_field: str | None = None
+    flat_field_unit: str | None = None
     poses: bool = False
     point_spread_rate: float = 5e-3
     thermal_gain_rate: float = 1e-3

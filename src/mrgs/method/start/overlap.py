@@ -18,9 +18,9 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from mrgs.data.images import probe
-from mrgs.data.radiometric import read_thermal_photo
+from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import ConfigError, warn_user
-from mrgs.method.camera_model.image_model import ImageModel
+from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.camera_model.photo_shading import HEIGHT, TERMS, image_places, shading_terms
 from mrgs.method.start.start_points import LOOKED_AT_PX, hidden_points
 from mrgs.scene import THERMAL, Blend, Pixels, PosedImage, Rendering, Scene, View
@@ -52,16 +52,16 @@ CONTRADICTION_C = 0.3
 """A flat field contradicts the photos' overlap where the shading differs by more, RMS."""
 
 
-def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | None = None) -> None:
+def find_from_overlap(scene: Scene, image_model: ImageModel, config: ImageModelConfig) -> None:
     """Start the drift and the shading of an image model, as far as it has them, from where the
-    scene's photos overlap; the shading from ``flat_field``, a folder of thermal photos of a uniform
-    target, if that is given.
+    scene's photos overlap; the shading from the configuration's flat field if it has one.
 
     Raises:
         ConfigError: the flat field cannot be used.
         SceneError: a photo cannot be read.
     """
     drift, shading = image_model.thermal_drift, image_model.thermal_shading
+    flat_field = config.flat_field
     if flat_field is not None and shading is None:
         raise ConfigError(
             "a flat field corrects temperatures, and the scene's photos have no °C: leave it out",
@@ -76,7 +76,7 @@ def find_from_overlap(scene: Scene, image_model: ImageModel, flat_field: str | N
     priors[:count] = NOT_MODELLED_C if drift is None else OFFSET_C
     minutes = np.full(count, np.nan) if drift is None else drift.minutes
     if shading is not None and flat_field is not None:
-        shading.begin(_of_flat_field(Path(flat_field), photos[0]) / span_c)
+        shading.begin(_of_flat_field(Path(flat_field), config.flat_field_unit, photos[0]) / span_c)
         known = shading.coefficients.double().numpy() * span_c
         seen = replace(seen, value=seen.value - seen.terms @ known)
         _warn_of_contradiction(_fitted(seen, priors, minutes)[0][count:])
@@ -128,19 +128,23 @@ def without_camera(scene: Scene, image_model: ImageModel) -> Scene:
     return replace(scene, train=tuple(starmap(corrected, enumerate(scene.train))))
 
 
-def _of_flat_field(folder: Path, photo: PosedImage) -> Float[Tensor, "6"]:
+def _of_flat_field(folder: Path, unit: str | None, photo: PosedImage) -> Float[Tensor, "6"]:
     """The coefficients of the shading in the photos of a folder, °C; ``photo`` is the scene's."""
 
     def refused(problem: str) -> ConfigError:
         return ConfigError(problem, options=("flat_field",))
 
+    try:
+        overrides = Overrides(unit=unit)
+    except ConfigError as error:
+        raise ConfigError(str(error), options=("flat_field_unit",)) from None
     files = sorted(path for path in folder.glob("[!.]*") if path.is_file())
     if not files:
         raise refused(f"{folder} holds no photos: name a folder of photos of a uniform target")
     own = probe(photo.files[0]) if photo.files else photo.camera
     frames, guesses = [], {None, "celsius"}
     for path in files:
-        read = read_thermal_photo(path)
+        read = read_thermal_photo(path, overrides)
         celsius, unit = read.temperature_c, read.facts.unit
         if unit not in guesses:
             guesses.add(unit)
