@@ -11,7 +11,8 @@ import pytest
 
 from mrgs.marks import Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
-from mrgs.marks.uncertainty import USUAL_AIR, Budget, Uncertainty
+from mrgs.marks.uncertainty import Budget, Uncertainty
+from mrgs.scene.air import USUAL_AIR
 from mrgs.scene.radiometry import ObjectParameters, Planck
 from tests.marks.test_uncertainty import BOX, SETTINGS, meter_of, of_place
 

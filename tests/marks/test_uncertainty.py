@@ -20,8 +20,9 @@ from mrgs.marks.photo_readings import (
     SightingSums,
 )
 from mrgs.marks.tables import mark_text
-from mrgs.marks.uncertainty import USUAL_AIR, Budget, InputQuantity, Uncertainty, UncertaintyMeter
+from mrgs.marks.uncertainty import Budget, InputQuantity, Uncertainty, UncertaintyMeter
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
+from mrgs.scene.air import USUAL_AIR
 from mrgs.scene.radiometry import ObjectParameters, Planck
 from mrgs.survey import Survey
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall

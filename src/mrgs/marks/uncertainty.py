@@ -10,19 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, field
-from statistics import median
+from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
-from mrgs.data.radiometric.measurement import Atmosphere
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.surface import checked_points
 from mrgs.scene import Scene, TemperatureRange
+from mrgs.scene.air import USUAL_AIR, usual_parameters
 from mrgs.scene.radiometry import ObjectParameters
 from mrgs.survey import Survey
 from mrgs.system.wording import Message
@@ -43,9 +42,6 @@ times the limit, more than the error can be."""
 USUAL_ACCURACY = 2.0
 """°C, or per cent of the reading, whichever is more: the limit of error in the data sheets of
 nearly all uncooled cameras."""
-
-USUAL_AIR = Atmosphere(0.006569, 0.01262, -0.002276, -0.00667, 1.9)
-"""The constants that FLIR's cameras store."""
 
 
 class InputQuantity(NamedTuple):
@@ -123,7 +119,7 @@ class Budget:
     def of(cls, scene: Scene | None, survey: Survey) -> Budget:
         """The budget of a scene's photos, with what a survey states."""
         records = [] if scene is None else scene.records
-        known = [record.parameters for record in records if record.parameters is not None]
+        parameters = usual_parameters(records)
         accuracy, notes = _accuracy(survey, any(record.camera for record in records))
         stated = (
             survey.emissivity_uncertainty,
@@ -134,7 +130,7 @@ class Budget:
         emissivity, reflected, distance = (
             b if a is None else a for a, b in zip(stated, usual, strict=True)
         )
-        if known and None in stated:
+        if parameters is not None and None in stated:
             notes.append(
                 Message(
                     "Assumed as standard uncertainties: emissivity ± {emissivity}, reflected "
@@ -144,8 +140,6 @@ class Budget:
                     distance=f"{distance:g}",
                 )
             )
-        medians = [median(values) for values in zip(*map(astuple, known), strict=True)]
-        parameters = ObjectParameters(*medians) if known else None
         capture = CaptureSettings.of(scene)
         return cls(capture, parameters, emissivity, reflected, distance, accuracy, tuple(notes))
 

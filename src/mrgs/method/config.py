@@ -261,6 +261,7 @@ def _plus(config: TrainConfig) -> TrainConfig:
         loss=replace(config.loss, **PLUS_LOSS),
         image_model=ImageModelConfig(
             radiance=True,
+            air=True,
             point_spread=True,
             thermal_gain=True,
             thermal_drift=True,

@@ -10,6 +10,7 @@ from typing import Annotated, NamedTuple, TypeAlias
 
 import msgspec
 
+from mrgs.scene.air import AirPath
 from mrgs.scene.camera import Camera
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.radiometry import BandRadiance, law_of
@@ -51,6 +52,8 @@ class Capture:
         held_out: viewpoint and time of the held-out thermal photos, where that is known.
         radiance: what the pixels of the thermal photos average; None without °C, and in the
             checkpoints of older versions.
+        air: between camera and objects; None where the photos do not say for which distance their
+            temperatures were computed, or the scene has no metres.
     """
 
     thermal_viewpoints: tuple[Viewpoint | None, ...]
@@ -60,6 +63,7 @@ class Capture:
     minutes: tuple[Finite | None, ...] = ()
     held_out: tuple[tuple[Viewpoint, Finite], ...] = ()
     radiance: BandRadiance | None = None
+    air: AirPath | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> Capture:
@@ -77,6 +81,7 @@ class Capture:
                 return None
             return (record.taken - first).total_seconds() / 60
 
+        radiance = BandRadiance.of(scene.temperature, law_of(scene.records))
         held_out = ((Viewpoint.of(view.camera, extent), minutes(view)) for view in scene.eval)
         return cls(
             tuple(
@@ -88,7 +93,8 @@ class Capture:
             max(statistics.median(own) for own in focal_px if own),
             tuple(map(minutes, scene.train)),
             tuple((viewpoint, when) for viewpoint, when in held_out if when is not None),
-            BandRadiance.of(scene.temperature, law_of(scene.records)),
+            radiance,
+            AirPath.of(scene.records, radiance) if scene.world.metric else None,
         )
 
     @property

@@ -227,6 +227,10 @@ class BandRadiance:
         mapped: Tensor = _Mapped.apply(radiance, self._to_value)
         return mapped
 
+    def of_celsius(self, celsius: float) -> float:
+        """The radiance of a temperature, °C."""
+        return self.gain * self._unscaled(celsius + ZERO_CELSIUS_K) - self.offset
+
     @property
     def coldest_k(self) -> float:
         """Temperature of the least radiance, K."""

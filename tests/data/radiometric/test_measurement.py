@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.data.radiometric.measurement import Atmosphere, Measurement
+from mrgs.data.radiometric.measurement import Measurement
+from mrgs.scene.air import Atmosphere
 from mrgs.scene.radiometry import ObjectParameters, Planck
 
 PLANCK = Planck(15000.0, 0.0125, 1400.0, 1.0, -6000.0)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -34,6 +35,26 @@ def test_the_thermal_camera_is_found_from_edges_alone(room):
     world_to_thermal = found.viewmat(room.pairs[2].name, room.pairs[2].photo.camera.viewmat)
     expected = found.views[2].correction @ found.extrinsics @ room.pairs[2].photo.camera.viewmat
     assert torch.equal(world_to_thermal, expected)
+
+
+@pytest.mark.slow
+def test_a_stated_focal_length_is_believed_within_its_tolerance():
+    room = build_room(views=3)
+    found = [
+        calibrate_rig(
+            room.pairs,
+            room.points,
+            RigOptions(
+                stated_field_of_view_deg=np.degrees(
+                    2 * np.arctan(room.lens.width / (2 * stated * room.lens.fx))
+                )
+            ),
+        ).lens.fx
+        / room.lens.fx
+        for stated in (1.0, 1.06)
+    ]
+    assert found[0] == pytest.approx(1, abs=0.01)
+    assert found[0] + 0.01 < found[1] < 1.03
 
 
 @pytest.mark.slow

@@ -19,12 +19,7 @@ from jaxtyping import Bool, Float32, UInt16
 from mrgs.data.files import scene_error
 from mrgs.data.images import opened
 from mrgs.data.radiometric.exif import ExifFacts, clean_text
-from mrgs.data.radiometric.measurement import (
-    MAX_TRANSMISSION,
-    Atmosphere,
-    Measurement,
-    object_temperature,
-)
+from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, object_temperature
 from mrgs.data.radiometric.photo import (
     Alignment,
     Overrides,
@@ -35,6 +30,7 @@ from mrgs.data.radiometric.photo import (
 from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import WIRIS_UNITS
 from mrgs.errors import SceneError
+from mrgs.scene.air import Atmosphere
 from mrgs.scene.radiometry import ZERO_CELSIUS_K, ObjectParameters, Planck
 
 _IMAGE_OFFSET = 32

@@ -9,9 +9,7 @@ Thermography: Errors and Uncertainties*, Wiley 2009.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt16
@@ -21,32 +19,6 @@ from mrgs.system.memory import CHUNK_ROWS
 
 MAX_TRANSMISSION = 1.05
 """The empirical formula may exceed 1 by a little in damp, warm air."""
-
-
-class Atmosphere(NamedTuple):
-    """Constants of the transmission of air, as the camera stores them; ``x`` weighs the two
-    exponentials."""
-
-    alpha1: float
-    alpha2: float
-    beta1: float
-    beta2: float
-    x: float
-
-    def transmission(self, distance_m: float, air_c: float, humidity: float) -> float:
-        """The share of the object's radiation that reaches the camera.
-
-        τ = x exp(−√d (α1 + β1 √ω)) + (1 − x) exp(−√d (α2 + β2 √ω)), with the water in the air
-        ω = humidity · exp(1.5587 + 0.06939 t − 2.7816e-4 t² + 6.8455e-7 t³).
-        """
-        water = humidity * math.exp(
-            1.5587 + 0.06939 * air_c - 2.7816e-4 * air_c**2 + 6.8455e-7 * air_c**3
-        )
-        root_d, root_w = math.sqrt(distance_m), math.sqrt(water)
-        with np.errstate(all="ignore"):
-            first = np.exp(-np.float64(root_d) * (self.alpha1 + self.beta1 * root_w))
-            second = np.exp(-np.float64(root_d) * (self.alpha2 + self.beta2 * root_w))
-            return float(self.x * first + (1 - self.x) * second)
 
 
 @dataclass(frozen=True)

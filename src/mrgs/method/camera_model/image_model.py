@@ -34,6 +34,8 @@ class ImageModelConfig:
 
     Attributes:
         radiance: blend and blur band radiance rather than temperatures, in scenes with °C.
+        air: what the air between camera and object changes, by the rendered depth, in scenes with
+            metres whose photos state their parameters, see ``AirPath``; needs ``radiance``.
         point_spread: blur the rendered temperatures by a Gaussian of learned width.
         thermal_gain: a learned gain and offset per thermal photo, in scenes without °C, whose
             cameras may have automatic gain.
@@ -52,6 +54,7 @@ class ImageModelConfig:
     """
 
     radiance: bool = False
+    air: bool = False
     point_spread: bool = False
     thermal_gain: bool = False
     thermal_drift: bool = False
@@ -75,6 +78,7 @@ class ImageModel(nn.Module):
     """Every camera effect that the configuration enables and the scene has; None for the others.
 
     Attributes:
+        air: between the camera and what it sees.
         point_spread: the blur of the thermal images.
         thermal_gain: gain and offset of each thermal photo.
         thermal_drift: offset of each thermal photo.
@@ -101,6 +105,7 @@ class ImageModel(nn.Module):
         self.thermal_shading = shading if has_shading else None
         self.poses = PoseRefinement(capture.views) if config.poses else None
         self._radiance = capture.radiance if config.radiance else None
+        self.air = capture.air if config.air and self._radiance is not None else None
         self.register_buffer("constant", torch.zeros(()))
         self._extent = capture.extent
 
@@ -181,15 +186,17 @@ class ImageModel(nn.Module):
         value: Callable[[Any], Any],
         pixel_sizes: Mapping[Modality, float],
     ) -> Rendering:
-        """The rendering with the blur, and with the value of each effect of a photo."""
+        """The rendering with air and blur, and with the value of each effect of a photo."""
         if THERMAL not in rendering:
             return rendering
-        thermal = rendering[THERMAL].image
-        if self.point_spread is not None:
-            size, radiance = pixel_sizes.get(THERMAL, 1.0), self._radiance
+        thermal, radiance = rendering[THERMAL].image, self._radiance
+        if self.point_spread is not None or self.air is not None:
             received = thermal if radiance is None else radiance.of_value(thermal)
-            spread = self.point_spread(received, size)
-            thermal = spread if radiance is None else radiance.to_value(spread)
+            if self.air is not None:
+                received = self.air.received(received, rendering[THERMAL])
+            if self.point_spread is not None:
+                received = self.point_spread(received, pixel_sizes.get(THERMAL, 1.0))
+            thermal = received if radiance is None else radiance.to_value(received)
         if self.thermal_gain is not None:
             thermal = value(self.thermal_gain).apply(thermal)
         if self.thermal_drift is not None:

@@ -42,7 +42,7 @@ from mrgs.prepare.rig.refine import refine
 from mrgs.prepare.rig.search import Guess, first_guess
 from mrgs.prepare.rig.target import LocatedTarget, find_target
 from mrgs.scene import PointCloud
-from mrgs.scene.camera import field_of_view
+from mrgs.scene.camera import field_of_view, focal_length
 from mrgs.scene.rotations import matrix_from_rotvec, rotvec_from_matrix
 from mrgs.scene.view import evenly_spaced
 
@@ -53,7 +53,9 @@ _MOVING = 1.0
 """A larger median motion of the pairs, in pixels, gives a warning."""
 
 # Standard deviations of the prior.
-_FOCAL_SIGMA = 0.1
+_FOCAL_SIGMA, _KNOWN_FOCAL_SIGMA = 0.1, 0.02
+"""Of the logarithm; the second where the files or the user state the field of view."""
+
 _ASPECT_SIGMA = 0.005
 _CENTRE_SIGMA_WIDTHS = 0.03
 _RADIAL_SIGMA = 0.3
@@ -93,8 +95,8 @@ def calibrate_rig(
     if options.target is not None:
         target = find_target(pairs, options.target, options.metres_per_unit, report)
     reduced, size = _reduced(pairs, points, target, report)
-    guess = _guess(reduced, size, target, options, report)
-    start, prior = _start(reduced, size, guess, options)
+    guess, known_deg = _guess(reduced, size, target, options, report)
+    start, prior = _start(reduced, size, guess, known_deg, options)
     if target is not None:
         corners = target.observations([pair.name for pair in reduced])
         start = adjust(corners, prior, aimed(start, corners)).cameras
@@ -140,12 +142,13 @@ def _guess(
     target: LocatedTarget | None,
     options: RigOptions,
     report: Progress,
-) -> Guess | None:
-    """The first guess: of the target, else of the images' edges; None if the rig is given."""
+) -> tuple[Guess | None, float | None]:
+    """The first guess: of the target, else of the images' edges; None if the rig is given. And the
+    field of view that was stated and found, degrees."""
     if options.thermal_lens is not None and options.extrinsics is not None:
-        return None
+        return None, None
     if target is not None:
-        return target.guess(*size)
+        return target.guess(*size), None
     views_deg = [options.field_of_view_deg]
     if options.thermal_lens is not None:
         views_deg = [math.degrees(field_of_view(size[0], options.thermal_lens.fx))]
@@ -166,14 +169,18 @@ def _guess(
             "there is one camera",
             options=("thermal_fov_deg", "thermal_camera", "target", "one_camera"),
         )
-    return found.best
+    return found.best, view_deg
 
 
 def _start(
-    pairs: Sequence[ReducedPair], size: tuple[int, int], guess: Guess | None, options: RigOptions
+    pairs: Sequence[ReducedPair],
+    size: tuple[int, int],
+    guess: Guess | None,
+    known_deg: float | None,
+    options: RigOptions,
 ) -> tuple[ThermalCameras, Prior]:
     """The initial cameras and the prior. The guess's shift becomes a rotation of the thermal
-    camera."""
+    camera; the prior's field of view is the known one."""
     width, height = size
     depth = float(np.median([1 / pair.depth.median for pair in pairs]))
     rig = torch.zeros(RIG, dtype=torch.float64)
@@ -197,8 +204,12 @@ def _start(
     motion_sigma = torch.tensor(
         3 * [_MOTION_SIGMA_RAD] + 3 * [_MOTION_SIGMA_DEPTHS * depth], dtype=torch.float64
     )
+    mean = rig.clone()
+    if known_deg is not None and options.thermal_lens is None:
+        mean[0] = math.log(focal_length(width, math.radians(known_deg)))
+        sigma[0] = _KNOWN_FOCAL_SIGMA
     motions = torch.zeros(len(pairs), MOTION, dtype=torch.float64)
-    return ThermalCameras(rig, motions), Prior(rig, sigma, motion_sigma)
+    return ThermalCameras(rig, motions), Prior(mean, sigma, motion_sigma)
 
 
 def _result(
