@@ -12,6 +12,7 @@ import pytest
 
 from mrgs.errors import MrgsWarning, RunError
 from mrgs.method.config import TrainConfig, from_yaml, make_config
+from mrgs.run_files.checkpoint import load_facts
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.train import TemporaryRunFolder
 
@@ -93,6 +94,27 @@ def test_checkpoints_are_sorted_by_step_and_the_newest_two_are_kept(folder):
     ]
     folder.drop_old_checkpoints()
     assert len(folder.checkpoints()) == 2
+
+
+def test_a_checkpoint_that_newer_ones_replace_before_it_is_read_is_not_missed(folder):
+    """As beside a training in another process that saves twice in the meantime."""
+    touch_checkpoints(folder, 10, 20)
+
+    def load(path: Path) -> str:
+        if path == folder.checkpoint_file(20):
+            touch_checkpoints(folder, 30, 40)
+            folder.drop_old_checkpoints()
+            raise RunError("it is gone")
+        return path.name
+
+    assert folder.load_newest(load) == "step_000040.safetensors"
+
+
+def test_a_checkpoint_that_stays_and_cannot_be_read_is_refused(folder):
+    touch_checkpoints(folder, 10)
+    folder.checkpoint_file(20).symlink_to(folder.path / "nowhere")
+    with pytest.raises(RunError, match=r"step_000020.*cannot be read"):
+        folder.load_newest(load_facts)
 
 
 def test_other_files_are_no_checkpoints(folder):

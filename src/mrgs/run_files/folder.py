@@ -128,12 +128,15 @@ class RunFolder:
             except DamagedCheckpointError as error:
                 damaged.append(error)
                 continue
+            except RunError:
+                if path in self.checkpoints():
+                    raise
+                return self.load_newest(load, set_aside=set_aside)  # newer ones have replaced it
             for one in damaged:
                 text = f"{one.path} is not a whole checkpoint ({one.reason}); {path.name} is used"
                 if set_aside:
-                    aside = one.path.with_name(f"{one.path.name}.damaged")
                     with self._writing():
-                        one.path.replace(aside)
+                        aside = one.path.replace(f"{one.path}.damaged")
                     text += f"; it is kept as {aside.name}"
                 warn_user(text)
             return found
@@ -229,10 +232,9 @@ class RunFolder:
 
     def _config_values(self) -> dict[str, Any]:
         """The outermost entries of config.yaml; empty if it contains something else."""
-        try:
+        values = None
+        with suppress(RunError):
             values = self.read_config(parse_yaml)
-        except RunError:
-            return {}
         return values if isinstance(values, dict) else {}
 
     def append_log(self, entry: dict[str, Any]) -> None:
@@ -244,10 +246,8 @@ class RunFolder:
         }
         with self._writing(), self.log_file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(finite, allow_nan=False) + "\n")
-        if self._tensorboard is None:
-            return
         for name, value in finite.items():
-            if name != "step" and isinstance(value, int | float):
+            if self._tensorboard and name != "step" and isinstance(value, int | float):
                 grouped = re.sub("^loss_", "loss/", name)
                 self._tensorboard.add_scalar(grouped, value, finite["step"])
 
