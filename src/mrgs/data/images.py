@@ -292,9 +292,7 @@ def _kind(image: Image.Image, path: Path) -> Kind:
 
 @contextmanager
 def opened(
-    path: Path,
-    content: bytes | None = None,
-    formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF"),
+    path: Path, content: bytes | None = None, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")
 ) -> Iterator[Image.Image]:
     """Pillow's image; every failure of opening or decoding it is a SceneError.
 

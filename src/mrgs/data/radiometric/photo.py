@@ -77,10 +77,6 @@ class Overrides:
         given = {name: getattr(self, name) for name in PARAMETER_LIMITS}
         return {name: value for name, value in given.items() if value is not None}
 
-    def applied_to(self, parameters: ObjectParameters) -> ObjectParameters:
-        """The parameters with the given ones replaced."""
-        return replace(parameters, **self.of_parameters())
-
 
 @dataclass(frozen=True)
 class Alignment:
