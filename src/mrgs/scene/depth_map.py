@@ -45,13 +45,8 @@ class PointsInImage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """Depth and image of one camera.
-
-    Attributes:
-        depth: z-depth in scene units, infinite where nothing but the sky is seen, NaN where it is
-            not known, [H, W].
-        image: any C channels to be carried over to the surface, [H, W, C].
-    """
+    """Depth and image of one camera: z-depth in scene units, infinite where nothing but the sky is
+    seen, NaN where it is not known; any C channels to be carried over to the surface."""
 
     camera: Camera
     depth: Float32[np.ndarray, "h w"]
@@ -71,13 +66,9 @@ class DepthMap:
         relative_tolerance: float = SURFACE_DEPTH,
         tolerance: float = 0.0,
     ) -> PointsInImage:
-        """The points that lie on the surface which the camera sees.
-
-        Args:
-            relative_tolerance: a point this far before or behind the depth of its pixel is still
-                seen there, as a share of the point's depth.
-            tolerance: the same in scene units; the larger of the two applies.
-        """
+        """The points that lie on the surface which the camera sees: no farther before or behind the
+        depth of their pixel than the larger of ``tolerance``, scene units, and
+        ``relative_tolerance``, as a share of their depth."""
         rows, pixels, z = visible(self.camera, points)
         away = np.abs(self.depth[pixels] - z)
         seen = away < np.maximum(tolerance, relative_tolerance * z)  # false for NaN
@@ -90,15 +81,9 @@ def carry_over(
     tolerance: float,
     relative_tolerance: float = 0.0,
 ) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
-    """Image values of each point [N, C], averaged over the cameras that see it with weights
-    1 / z², and whether any camera does [N]. Pixels with NaN do not count.
-
-    Args:
-        tolerance: a point this far before or behind the depth of its pixel is still seen there,
-            scene units.
-        relative_tolerance: tolerance as a share of the point's depth; the larger of the two
-            tolerances applies.
-    """
+    """Image values of each point [N, C], averaged over the cameras that see it with weights 1 / z²,
+    and whether any camera does [N]. Pixels with NaN do not count. For the tolerances see
+    ``DepthMap.shown``."""
     total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
     weight = np.zeros(len(points), dtype=np.float32)
     for item in maps:

@@ -25,12 +25,8 @@ from mrgs.training.view_pass import (
 
 
 class StepResult(NamedTuple):
-    """A step that has moved the parameters, before density control.
-
-    Attributes:
-        observed: the strategy's observations, summed over the views.
-        finite: whether loss and gradients were finite; on the device.
-    """
+    """A step that has moved the parameters, before density control: what the strategy observed,
+    summed over the views, and whether loss and gradients were finite, on the device."""
 
     statistics: StepStatistics
     observed: Mapping[str, Float[Tensor, " n"]]

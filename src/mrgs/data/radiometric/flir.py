@@ -48,12 +48,8 @@ _WORKSWELL = b"WWP"
 
 
 class CameraFacts(NamedTuple):
-    """What a record says of its camera; None where it does not.
-
-    Attributes:
-        field_of_view_deg: horizontal, of the lens that was on the camera.
-        taken: time by the camera's own clock, without a time zone.
-    """
+    """What a record says of its camera; None where it does not: the horizontal field of view of the
+    lens that was on it, and the time by its own clock, without a time zone."""
 
     model: str | None = None
     serial: str | None = None

@@ -100,13 +100,9 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class VisibleImage:
-    """A visible photo inside a thermal one.
-
-    Attributes:
-        data: the image file, JPEG or PNG, as the camera wrote it.
-        source: the file that it was found in, for messages.
-        alignment: None if the camera does not say.
-    """
+    """A visible photo inside a thermal one: the image file, JPEG or PNG, as the camera wrote it;
+    the file that it was found in, for messages; and its alignment, None if the camera does not
+    say."""
 
     data: bytes
     source: Path

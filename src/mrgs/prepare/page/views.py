@@ -120,14 +120,9 @@ def thermal_overlay(
     the thermal image.
 
     Each pixel of the photo is unprojected to the surface between the sparse points, and projected
-    from there into the thermal image. Occlusions are ignored.
-
-    Args:
-        visible: indices of the points that the photo shows; None if not known.
-
-    Returns:
-        [H, W] of the photo's preview; None if the view has no pose, no thermal image or no other.
-    """
+    from there into the thermal image. Occlusions are ignored. ``visible`` are the points that the
+    photo shows; None if not known. There is none where the view has no pose, no thermal image or no
+    other."""
     photo, thermal = next(iter(preview.images.values()), None), preview.images.get(THERMAL)
     if photo is None or thermal is None or photo is thermal:
         return None
@@ -235,12 +230,8 @@ def pairs(
     unit: str,
     total: int,
 ) -> PairsSection:
-    """Draw the views that are shown.
-
-    Args:
-        overlays: thermal images warped onto the photos, by the view's name.
-        unit: of the thermal values; empty where they are relative.
-    """
+    """Draw the views that are shown, with the ``overlays`` of ``thermal_overlays``; the ``unit`` of
+    the thermal values is empty where they are relative."""
     thermal = [view.images[THERMAL].pixels for view in previews if THERMAL in view.images]
     limits = (0.0, 1.0)
     if thermal:

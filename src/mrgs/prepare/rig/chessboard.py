@@ -25,13 +25,9 @@ _IRREGULAR_SQUARES = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """The inner corners of a chessboard in an image.
-
-    Attributes:
-        grid: positions x, y in pixels, [rows, columns, 2]. The direction along a row turns
-            clockwise into that along a column: the board is seen from its front. The image does
-            not show which of the board's corners is the first: see ``orderings``.
-    """
+    """The inner corners of a chessboard in an image: positions x, y in pixels. The direction along
+    a row turns clockwise into that along a column: the board is seen from its front. The image does
+    not show which of the board's corners is the first: see ``orderings``."""
 
     grid: Float[np.ndarray, "rows columns 2"]
 
@@ -61,12 +57,8 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
 
     Saddle points are found at several scales, linked to a grid along their edges, and placed to a
     fraction of a pixel. At each corner the four squares around must alternate. Which squares are
-    the bright ones does not matter.
-
-    Args:
-        image: any unit; with or without lens distortion.
-        inner: how many inner corners there are in a row and in a column, both 3 or more.
-    """
+    the bright ones does not matter. The image may have any unit and lens distortion; ``inner`` is
+    how many inner corners are in a row and in a column, both 3 or more."""
     image = (image - np.median(image)).astype(np.float32)
     for saddles in _at_scales(image):
         for lattice in _lattices(saddles):

@@ -136,12 +136,8 @@ def find_target(
     report: Progress,
 ) -> LocatedTarget:
     """Detect a target in all pairs and locate its corners. SceneError if no pair shows it in both
-    images, its distance is ambiguous, or an image cannot be read.
-
-    Args:
-        pairs: photos and thermal images, with the same side up.
-        metres_per_unit: of the scene; None if not known.
-    """
+    images, its distance is ambiguous, or an image cannot be read. Photos and thermal images have
+    the same side up."""
     found, in_thermal = [], 0
     for index, pair in enumerate(pairs):
         report("looking for the target", index, len(pairs))
@@ -235,12 +231,8 @@ def plane_pose(rays: Coordinates, plane: Coordinates) -> Float[np.ndarray, "4 4"
     """The rigid motion from a plane's axes to the camera that sees its points (x, y, 0).
 
     From the homography (Zhang 2000, section 3.1), then by least squares of the distances in the
-    image.
-
-    Args:
-        rays: normalised coordinates x / z and y / z in the camera.
-        plane: the points, in any unit of length; the motion is in the same.
-    """
+    image. ``rays`` are x / z and y / z in the camera; the motion is in the unit of the ``plane``'s
+    points."""
     columns = homography(plane, rays)
     columns = columns / np.linalg.norm(columns[:, :2], axis=0).mean() * np.sign(columns[2, 2])
     u, _, v = np.linalg.svd(np.column_stack([columns[:, :2], np.cross(*columns.T[:2])]))
