@@ -30,13 +30,8 @@ has no depth."""
 
 
 class PointsInImage(NamedTuple):
-    """Some of the points that were asked for, as a camera has them in its image.
-
-    Attributes:
-        rows: their places among the points, [M].
-        pixels: row and column of the pixel of each, [M] each.
-        z: their z-depth in scene units, [M].
-    """
+    """Some of the points that were asked for, as a camera has them in its image: their places among
+    the points, row and column of the pixel of each, and z-depths in scene units."""
 
     rows: Int64[np.ndarray, " m"]
     pixels: tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]

@@ -63,13 +63,8 @@ def training_step(
     """Render views, compare them with their photos, move the parameters once.
 
     A step whose loss or gradients are not finite moves nothing. On a GPU that is decided there,
-    without waiting on the host.
-
-    Args:
-        state: changed in place.
-        views: as many as the ``batch`` of the configuration.
-        recorder: replays the pass of a step's only view on a GPU.
-    """
+    without waiting on the host. There are as many views as the ``batch`` of the configuration;
+    ``recorder`` replays the pass of a step's only view on a GPU."""
     state.step += 1
     state.model.sh_degree = config.sh_degree_at(state.step)
     state.refresh_neighbours(config)

@@ -80,13 +80,9 @@ def thermal_radiation(
     """E_r, the radiation that arrives at the camera, up to a constant.
 
     Eq. 13 (stefan_boltzmann), Sec. Depth-aware Thermal Radiation: τ t_GT⁴ / D_t². Differentiable in
-    the depth where it exceeds its floor of 1e-3 extents.
-
-    Args:
-        target: normalised temperatures of the photo.
-        depth: rendered thermal depth D_t in scene units, as the scene's extent.
-        temperature: turns the target into kelvin; without it the normalised values stand for t_GT.
-    """
+    the depth where it exceeds its floor of 1e-3 extents. The ``target`` are the photo's normalised
+    temperatures, which ``temperature`` turns into kelvin; without it they stand for t_GT. The
+    rendered thermal depth D_t is in scene units, as the extent."""
     kelvin = target if temperature is None else temperature.to_kelvin(target)
     root = math.sqrt(STEFAN_BOLTZMANN) * kelvin**2 / depth.clamp_min(DEPTH_FLOOR * extent)
     return root * root  # differentiated at a third of the cost of a power

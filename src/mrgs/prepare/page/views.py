@@ -39,13 +39,9 @@ class PreviewImage(NamedTuple):
 
 
 class Preview(NamedTuple):
-    """A view at the size in which the page shows it.
-
-    Attributes:
-        status: "training" or "held out", or why the view is not in the scene.
-        registered: whether it has a pose.
-        images: by modality, RGB first; without those that are missing.
-    """
+    """A view at the size in which the page shows it: ``status`` is "training" or "held out", or why
+    it is not in the scene; ``registered``, whether it has a pose; and the images are by modality,
+    RGB first, without those that are missing."""
 
     name: str
     status: str

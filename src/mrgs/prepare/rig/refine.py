@@ -33,13 +33,8 @@ _LEAST_CURVATURE = 1e-5
 
 @dataclass(frozen=True)
 class Patches:
-    """The layout of the patches; all lengths in pixels of the compared images.
-
-    Attributes:
-        sigma: of the Gaussian window.
-        spacing: of the patches' centres.
-        reach: largest displacement that is searched, in x and in y.
-    """
+    """The layout of the patches, in pixels of the compared images: the σ of the Gaussian window,
+    the spacing of the centres, and the largest displacement that is searched, in x and in y."""
 
     sigma: float
     spacing: int
