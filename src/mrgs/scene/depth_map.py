@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -13,6 +13,8 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from mrgs.scene.camera import Camera
 from mrgs.scene.view import evenly_spaced
 from mrgs.system.memory import row_chunks
+
+Points: TypeAlias = Float32[np.ndarray, "n 3"]
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -56,10 +58,7 @@ class DepthMap:
         return self.camera.unproject(pixels, depth + offset).numpy()
 
     def shown(
-        self,
-        points: Float32[np.ndarray, "n 3"],
-        relative_tolerance: float = SURFACE_DEPTH,
-        tolerance: float = 0.0,
+        self, points: Points, relative_tolerance: float = SURFACE_DEPTH, tolerance: float = 0.0
     ) -> PointsInImage:
         """The points that lie on the surface which the camera sees: no farther before or behind the
         depth of their pixel than the larger of ``tolerance``, scene units, and
@@ -71,10 +70,7 @@ class DepthMap:
 
 
 def carry_over(
-    maps: Sequence[DepthMap],
-    points: Float32[np.ndarray, "n 3"],
-    tolerance: float,
-    relative_tolerance: float = 0.0,
+    maps: Sequence[DepthMap], points: Points, tolerance: float, relative_tolerance: float = 0.0
 ) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
     """Image values of each point [N, C], averaged over the cameras that see it with weights 1 / z²,
     and whether any camera does [N]. Pixels with NaN do not count. For the tolerances see
@@ -91,16 +87,14 @@ def carry_over(
     return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
 
 
-def shown_temperatures(
-    maps: Sequence[DepthMap], points: Float32[np.ndarray, "n 3"]
-) -> Float32[np.ndarray, " n"]:
+def shown_temperatures(maps: Sequence[DepthMap], points: Points) -> Float32[np.ndarray, " n"]:
     """What the thermal cameras of maps with one channel see at points on surfaces, NaN where none
     sees one, [N]: the temperature of a place, wherever one is stated."""
     values, seen = carry_over(maps, points, 0.0, SURFACE_DEPTH)
     return np.where(seen, values[:, 0], np.float32(np.nan))
 
 
-def visible(camera: Camera, positions: Float32[np.ndarray, "n 3"]) -> PointsInImage:
+def visible(camera: Camera, positions: Points) -> PointsInImage:
     """The points inside a camera's image."""
     found = []
     for chunk in row_chunks(len(positions)):
