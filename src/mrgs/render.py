@@ -108,14 +108,9 @@ class Model:
 
 
 class ScreenPoints(NamedTuple):
-    """The projected centres of one pass, for densification.
-
-    Attributes:
-        offset: zeros, [N, 2]; after the backward pass its gradient is that of the projected
-            centres, in 1/px.
-        radii: [N], 0 where the pass does not draw the Gaussian.
-        size: width and height of the image in pixels.
-    """
+    """The projected centres of one pass, for densification: an ``offset`` of zeros, whose gradient
+    after the backward pass is that of the centres, in 1/px; radii, 0 where the pass does not draw
+    the Gaussian; and width and height of the image in pixels."""
 
     offset: Float[Tensor, "n 2"]
     radii: Float[Tensor, " n"]

@@ -24,13 +24,9 @@ MOST_BLOCKS = 10_000
 
 
 class ScenePlane(NamedTuple):
-    """The plane in which a scene is cut.
-
-    Attributes:
-        axes: unit vectors along and across it in world coordinates, the longer side first, [2, 3].
-        low: smallest coordinates of the scene along both, but for stray points, scene units.
-        high: largest coordinates.
-    """
+    """The plane in which a scene is cut: unit vectors along and across it in world coordinates, the
+    longer side first, and the smallest and the largest coordinates of the scene along both, but for
+    stray points, scene units."""
 
     axes: tuple[tuple[float, float, float], tuple[float, float, float]]
     low: tuple[float, float]

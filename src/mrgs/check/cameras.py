@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -113,23 +112,18 @@ def near_plane(evidence: Evidence) -> Iterator[Problem]:
     """A unit of length so large that much of the scene is in front of the near plane."""
     near = too_near([*evidence.cameras.values()], evidence.scene.points.positions)
     if near is not None:
+        share, factor = near
         yield Problem(
             "error",
-            f"{near.share:.0%} of what the cameras see is nearer than {NEAR_PLANE:g} units, where "
+            f"{share:.0%} of what the cameras see is nearer than {NEAR_PLANE:g} units, where "
             f"nothing is rendered.",
-            f"Scale the poses and the points together, such as by {near.factor:,}.",
+            f"Scale the poses and the points together, such as by {factor:,}.",
         )
 
 
-class TooNear(NamedTuple):
-    """Share of the visible points in front of the near plane, and the power of ten to scale by."""
-
-    share: float
-    factor: int
-
-
-def too_near(cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> TooNear | None:
-    """How much of what the cameras see is in front of the near plane; None if it is little."""
+def too_near(cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> tuple[float, int] | None:
+    """The share of what the cameras see that is in front of the near plane, and the power of ten to
+    scale by; None if it is little."""
     chosen = points[evenly_spaced(len(points), _NEAR_POINTS)].double()
     some = [cameras[place] for place in evenly_spaced(len(cameras), _NEAR_CAMERAS)]
     seen = []
@@ -142,7 +136,7 @@ def too_near(cameras: Sequence[Camera], points: Float[Tensor, "n 3"]) -> TooNear
         return None
     share = (depths < NEAR_PLANE).double().mean().item()
     missing = math.log10(_USUAL_DEPTH * NEAR_PLANE / depths.median().item())
-    return TooNear(share, 10 ** math.ceil(missing)) if share > _NEAR_SHARE and missing > 0 else None
+    return (share, 10 ** math.ceil(missing)) if share > _NEAR_SHARE and missing > 0 else None
 
 
 def extent(evidence: Evidence) -> Iterator[Problem]:

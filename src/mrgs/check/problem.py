@@ -63,12 +63,8 @@ class ImageStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A scene, and the statistics of the photos that were read.
-
-    Attributes:
-        photos: statistics by modality and view.
-        unreadable: message of each photo that cannot be read.
-    """
+    """A scene, the statistics of the photos that were read, by modality and view, and the message
+    of each photo that cannot be read."""
 
     scene: Scene
     photos: Mapping[Modality, Mapping[str, ImageStatistics]] = field(default_factory=dict)

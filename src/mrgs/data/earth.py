@@ -18,6 +18,7 @@ from mrgs.scene import EarthPosition
 
 SEMI_MAJOR_AXIS_M = 6378137.0
 FLATTENING = 1 / 298.257223563
+_SQUARED_ECCENTRICITY = FLATTENING * (2 - FLATTENING)
 
 _ITERATIONS = 6
 """Each gains two digits or more; below 1 nm on the ground."""
@@ -27,10 +28,9 @@ def ecef(position: GpsPosition | EarthPosition) -> Float64[np.ndarray, "3"]:
     """Earth-centred coordinates (ECEF) [3], metres; an unknown height counts as 0."""
     latitude, longitude = np.radians([position.latitude_deg, position.longitude_deg])
     height_m = position.altitude_m or 0.0
-    squared_eccentricity = FLATTENING * (2 - FLATTENING)
-    curvature_m = SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared_eccentricity * np.sin(latitude) ** 2)
+    curvature_m = SEMI_MAJOR_AXIS_M / np.sqrt(1 - _SQUARED_ECCENTRICITY * np.sin(latitude) ** 2)
     across = (curvature_m + height_m) * np.cos(latitude)
-    along_axis = (curvature_m * (1 - squared_eccentricity) + height_m) * np.sin(latitude)
+    along_axis = (curvature_m * (1 - _SQUARED_ECCENTRICITY) + height_m) * np.sin(latitude)
     return np.array([across * np.cos(longitude), across * np.sin(longitude), along_axis])
 
 
@@ -45,13 +45,12 @@ def geodetic(
 ) -> EarthPosition:
     """The position at an offset of metres east, north and up from another; undoes ``enu``."""
     x, y, z = ecef(origin) + _axes(origin).T @ offset_m
-    squared_eccentricity = FLATTENING * (2 - FLATTENING)
     across, height_m = np.hypot(x, y), 0.0
-    latitude = np.arctan2(z, across * (1 - squared_eccentricity))
+    latitude = np.arctan2(z, across * (1 - _SQUARED_ECCENTRICITY))
     for _ in range(_ITERATIONS):
-        curvature_m = SEMI_MAJOR_AXIS_M / np.sqrt(1 - squared_eccentricity * np.sin(latitude) ** 2)
+        curvature_m = SEMI_MAJOR_AXIS_M / np.sqrt(1 - _SQUARED_ECCENTRICITY * np.sin(latitude) ** 2)
         height_m = across / np.cos(latitude) - curvature_m
-        flattened = 1 - squared_eccentricity * curvature_m / (curvature_m + height_m)
+        flattened = 1 - _SQUARED_ECCENTRICITY * curvature_m / (curvature_m + height_m)
         latitude = np.arctan2(z, across * flattened)
     longitude = np.arctan2(y, x)
     return EarthPosition(float(np.degrees(latitude)), float(np.degrees(longitude)), float(height_m))
@@ -61,11 +60,6 @@ def _axes(origin: GpsPosition | EarthPosition) -> Float64[np.ndarray, "3 3"]:
     """Unit vectors to the east, to the north and up at a position, in ECEF; rows."""
     latitude, longitude = np.radians([origin.latitude_deg, origin.longitude_deg])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
-    up = np.array(
-        [
-            np.cos(latitude) * np.cos(longitude),
-            np.cos(latitude) * np.sin(longitude),
-            np.sin(latitude),
-        ]
-    )
+    across = np.cos(latitude)
+    up = np.array([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
     return np.stack([east, np.cross(up, east), up])

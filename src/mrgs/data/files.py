@@ -157,12 +157,8 @@ def without_image_suffix(name: str) -> str:
 
 @dataclass(frozen=True)
 class _Listing:
-    """The images of one folder inside the scene.
-
-    Attributes:
-        links: by name, whether an image is a symbolic link.
-        by_stem: their names by what precedes the extension, the best format first.
-    """
+    """The images of one folder inside the scene: by name, whether an image is a symbolic link; and
+    their names by what precedes the extension, the best format first."""
 
     folder: Path
     links: Mapping[str, bool]

@@ -193,13 +193,10 @@ class Decoded(NamedTuple):
 
 
 def decode(path: Path, least_width: int | None = None) -> Decoded:
-    """The pixels of an image. SceneError if it is damaged, cut off, or refused by ``probe``.
-
-    Args:
-        least_width: a JPEG file is decoded at a half, a quarter or an eighth of its size, if that
-            is still as many pixels wide and its size divides: much faster, and each pixel is about
-            the mean of those that it stands for. None decodes every pixel.
-    """
+    """The pixels of an image. SceneError if it is damaged, cut off, or refused by ``probe``. A JPEG
+    file is decoded at a half, a quarter or an eighth of its size, if that is still ``least_width``
+    pixels wide and its size divides: much faster, and each pixel is about the mean of those that it
+    stands for. None decodes every pixel."""
     with opened(path) as image:
         kind = _kind(image, path)
         for share in DRAFT_SHARES if least_width is not None else ():
@@ -292,17 +289,11 @@ def _kind(image: Image.Image, path: Path) -> Kind:
 
 @contextmanager
 def opened(
-    path: Path,
-    content: bytes | None = None,
-    formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF"),
+    path: Path, content: bytes | None = None, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")
 ) -> Iterator[Image.Image]:
-    """Pillow's image; every failure of opening or decoding it is a SceneError.
-
-    Args:
-        path: of the file, or of the one that ``content`` was found in.
-        content: an image in memory; None reads the file.
-        formats: Pillow's names of the formats that are let in.
-    """
+    """Pillow's image; every failure of opening or decoding it is a SceneError. ``content`` is an
+    image in memory that was found in the file; None reads the file. ``formats`` are Pillow's names
+    of the formats that are let in."""
     too_large = ""
     try:
         # Not by its path: Pillow would map a TIFF into memory, and scramble one on its side.

@@ -62,12 +62,9 @@ class Cache:
         make: Callable[[], Result],
         files: Callable[[Result], Iterable[Path]] = lambda result: (),
     ) -> Result:
-        """The stored result, or a new one. RunError if the result cannot be written.
-
-        Args:
-            kind: type of the result, or that type or None.
-            files: other files of the result; it is recomputed if one is missing.
-        """
+        """The stored result, or a new one. RunError if the result cannot be written. ``kind`` is
+        the type of the result, or that type or None; the result is recomputed if one of its other
+        ``files`` is missing."""
         file = self._file(name)
         made_from = fingerprint(FORMAT, name, *depends)
         stored = load(file, kind, made_from)

@@ -38,13 +38,8 @@ _SHORTEST_PX = 1e-3
 
 @dataclass(frozen=True)
 class Lens:
-    """Intrinsics and distortion of an image file; all lengths in pixels.
-
-    Attributes:
-        radial: k1, k2, k3, k4.
-        tangential: p1, p2; unused by a fisheye.
-        fisheye: which of the two models the coefficients belong to.
-    """
+    """Intrinsics and distortion of an image file; all lengths in pixels. ``radial`` are k1 to k4,
+    ``tangential`` p1 and p2, which a fisheye does not use."""
 
     width: int
     height: int

@@ -257,13 +257,8 @@ def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes
 
     In this order: explicit lists of file names; the word train, eval, test or val in the file's
     name or else in its folder's (where both sides occur); every ``EVAL_EVERY``-th of the sorted
-    keys.
-
-    Args:
-        keys: paths without extension, one per view.
-        lists: explicit lists, as far as the files give them.
-        notes: receives the rule that was used, and conflicts.
-    """
+    keys. The ``keys`` are paths without extension, one per view; the notes receive the rule that
+    was used, and conflicts."""
 
     def side(key: str) -> Literal["train", "eval"] | None:
         folder, _, name = key.lower().rpartition("/")

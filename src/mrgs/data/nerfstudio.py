@@ -124,12 +124,8 @@ def lens_from_json(
 ) -> Lens:
     """A lens in nerfstudio's keys: ``camera_model``, ``w``, ``h``, ``fl_x``, ``cx``, ``k1`` and so
     on; or in instant-ngp's: ``is_fisheye``, and an angle of view in place of the focal length.
-    SceneError if a number is missing or invalid, or the model is not known.
-
-    Args:
-        what: whose lens it is, for messages.
-        image: has the size that ``values`` may leave out.
-    """
+    SceneError if a number is missing or invalid, or the model is not known. ``what`` says whose
+    lens it is, for messages; ``image`` has the size that ``values`` may leave out."""
 
     def number(name: str, default: float | None = None) -> float:
         value = values.get(name)

@@ -33,12 +33,8 @@ from mrgs.scene.radiometry import PhotoRecord
 
 
 class ReadingNotes:
-    """Decisions and repairs of the reader, one sentence each.
-
-    Attributes:
-        all: every sentence in order, for ``Scene.notes``.
-        repaired: errors in the files, of which the user is also warned.
-    """
+    """Decisions and repairs of the reader, one sentence each: ``all`` in order, for
+    ``Scene.notes``; and ``repaired``, errors in the files, of which the user is also warned."""
 
     def __init__(self) -> None:
         self.all: list[str] = []
@@ -74,12 +70,8 @@ class ImageSource:
 
 @dataclass(frozen=True, eq=False)
 class ViewSource:
-    """The image files of a view.
-
-    Attributes:
-        key: path of its first image without extension; name and split follow from it.
-        images: by modality; never empty.
-    """
+    """The image files of a view by modality, never empty. The ``key`` is the path of the first
+    without extension; name and split follow from it."""
 
     key: str
     images: Mapping[Modality, ImageSource]
@@ -122,13 +114,8 @@ def point_cloud(
     transform: NDArray[np.float64] | None = None,
 ) -> PointCloud | None:
     """The finite points of a file, moved by ``transform`` ([3, 4]; None leaves them). None if none
-    is left.
-
-    Args:
-        positions: [N, 3].
-        colors: RGB in [0, 1], [N, 3]; None gives middle grey.
-        notes: receives how many points were dropped.
-    """
+    is left. ``colors`` are RGB in [0, 1]; None gives middle grey. The notes say how many points
+    were dropped."""
     with np.errstate(all="ignore"):
         if transform is not None:
             positions = positions @ transform[:, :3].T + transform[:, 3]
@@ -166,14 +153,10 @@ def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
 def posed_image(
     source: ImageSource, decoder: Decoder, resolution: int | None, keeps_levels: bool = False
 ) -> PosedImage:
-    """The undistorted image, at most ``resolution`` pixels wide; it is read when ``load`` is
-    called. SceneError if the distortion leaves nothing of the image.
-
-    Args:
-        resolution: largest width in pixels; None keeps the file's.
-        keeps_levels: whether an image of 8 bits has no more levels after it was undistorted or made
-            smaller, so that it takes as little memory as before.
-    """
+    """The undistorted image, at most ``resolution`` pixels wide (None keeps the file's); it is read
+    when ``load`` is called. SceneError if the distortion leaves nothing of the image.
+    ``keeps_levels`` if an image of 8 bits shall have no more levels after it was undistorted or
+    made smaller, so that it takes as little memory as before."""
     try:
         pinhole = pinhole_of(source.lens)
     except ValueError as error:

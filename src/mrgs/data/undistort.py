@@ -92,12 +92,8 @@ def sampled(
     v: Float[np.ndarray, "*n"],
     step: float = 1.0,
 ) -> Float[np.ndarray, "*n"]:
-    """Bilinear interpolation at pixel positions (u, v); the value at the border beyond it.
-
-    Args:
-        values: on a grid with one value per ``step`` pixels.
-        step: distance of two values, in pixels.
-    """
+    """Bilinear interpolation at pixel positions (u, v) of values that are ``step`` pixels apart;
+    the value at the border beyond it."""
     return map_coordinates(values, [v / step - 0.5, u / step - 0.5], order=1, mode="nearest")
 
 

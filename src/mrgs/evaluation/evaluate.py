@@ -85,19 +85,12 @@ class Truth:
         temperature: TemperatureRange | None,
     ) -> Figures:
         """Score one view against the exact truth. SceneError if a truth file is damaged, or lies
-        outside the scene.
-
-        Args:
-            thermal: rendered normalised temperatures, [H, W, 1]; None without them.
-            depth: rendered z-depth of the surface that the thermal camera sees, scene units,
-                [H, W]; NaN where it sees none, which counts as an infinite error. None without a
-                depth.
-
-        Returns:
-            ``mae_c``: |rendered − exact temperature|, mean over the frame. ``camera_mae_c``:
-            |photo − exact temperature|, the error of the camera itself.
-            ``depth_median_relative_error``: median of |rendered − exact| / exact.
-        """
+        outside the scene. ``thermal`` are the rendered normalised temperatures and ``depth`` that
+        of the surface which the thermal camera sees, scene units, NaN where it sees none, which
+        counts as an infinite error; None where the model renders none. The figures are ``mae_c``:
+        |rendered − exact temperature|, mean over the frame; ``camera_mae_c``: |photo − exact
+        temperature|, the error of the camera itself; and ``depth_median_relative_error``: median of
+        |rendered − exact| / exact."""
         figures = all_missing(
             TRUTH_FIGURES, "the view has no thermal image, or the scene has no °C"
         )

@@ -20,6 +20,9 @@ from torch import Tensor
 from mrgs.method.losses.ssim import RADIUS_PX, ssim_map
 from mrgs.scene import BUILT_IN, THERMAL, Modality, Pixels, View, metric_first
 
+Image: TypeAlias = Float[Tensor, "h w c"]
+Mask: TypeAlias = Bool[Tensor, "h w"]
+
 PIXEL_FIGURES = ("psnr", "psnr_matched", "ssim", "ssim_pair_range")
 CELSIUS_FIGURES = ("mae_c", "mae_offset_c", "mae_foreground_c")
 
@@ -84,11 +87,7 @@ BORDER = 0.05
 """Width of the border that the background reaches, as a share of each side."""
 
 
-def psnr(
-    image: Float[Tensor, "h w c"],
-    target: Float[Tensor, "h w c"],
-    valid: Bool[Tensor, "h w"] | None = None,
-) -> float:
+def psnr(image: Image, target: Image, valid: Mask | None = None) -> float:
     """Peak signal-to-noise ratio for the range 1, dB; infinite where the valid pixels are
     identical."""
     difference = _select(image.clamp(0, 1), valid).double() - _select(target, valid).double()
@@ -96,11 +95,7 @@ def psnr(
     return math.inf if mse == 0 else -10 * math.log10(mse)
 
 
-def psnr_matched(
-    image: Float[Tensor, "h w c"],
-    target: Float[Tensor, "h w c"],
-    valid: Bool[Tensor, "h w"] | None = None,
-) -> Figure:
+def psnr_matched(image: Image, target: Image, valid: Mask | None = None) -> Figure:
     """PSNR after each channel of the rendering has taken the gain and the offset that bring it
     closest to the target.
 
@@ -119,9 +114,7 @@ def psnr_matched(
 
 
 def mean_absolute_error(
-    image: Float[Tensor, "*shape"],
-    target: Float[Tensor, "*shape"],
-    valid: Bool[Tensor, "h w"] | None = None,
+    image: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"], valid: Mask | None = None
 ) -> float:
     """Mean of |image − target| over the valid pixels, in the unit of the input; NaN where no pixel
     is valid."""
@@ -129,9 +122,7 @@ def mean_absolute_error(
 
 
 def mean_absolute_error_after_offset(
-    image: Float[Tensor, "*shape"],
-    target: Float[Tensor, "*shape"],
-    valid: Bool[Tensor, "h w"] | None = None,
+    image: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"], valid: Mask | None = None
 ) -> float:
     """``mean_absolute_error`` after the offset that makes it smallest, the median difference.
 
@@ -141,11 +132,7 @@ def mean_absolute_error_after_offset(
     return (difference - difference.median()).abs().mean().item()
 
 
-def ssim(
-    image: Float[Tensor, "h w c"],
-    target: Float[Tensor, "h w c"],
-    valid: Bool[Tensor, "h w"] | None = None,
-) -> float:
+def ssim(image: Image, target: Image, valid: Mask | None = None) -> float:
     """SSIM as the 3DGS family reports it: data range 1, zeros beyond the border, mean over the
     valid pixels.
 
@@ -156,11 +143,7 @@ def ssim(
     return _select(similarity.permute(1, 2, 0), valid).mean().item()
 
 
-def ssim_pair_range(
-    image: Float[Tensor, "h w c"],
-    target: Float[Tensor, "h w c"],
-    valid: Bool[Tensor, "h w"] | None = None,
-) -> Figure:
+def ssim_pair_range(image: Image, target: Image, valid: Mask | None = None) -> Figure:
     """SSIM with the data range of the image pair, torchmetrics' default, over windows that lie
     inside the image.
 
@@ -183,9 +166,7 @@ def ssim_pair_range(
     return _select(similarity.permute(1, 2, 0), interior).mean().item()
 
 
-def fill_invalid(
-    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None
-) -> Float[Tensor, "h w c"]:
+def fill_invalid(image: Image, target: Image, valid: Mask | None) -> Image:
     """The image with the target's values where pixels are not valid."""
     return image if valid is None else image.where(valid[..., None], target)
 
@@ -240,14 +221,14 @@ class Foreground:
         at_border = (border > threshold).double().mean().item() if len(border) else 0.0
         return cls(threshold, is_warm=at_border <= 0.5)
 
-    def of(self, photo: Pixels) -> Bool[Tensor, "h w"]:
+    def of(self, photo: Pixels) -> Mask:
         """The valid pixels that belong to the object."""
         warm = photo.values[..., 0] > self.threshold
         mask = warm if self.is_warm else ~warm
         return mask if photo.valid is None else mask & photo.valid
 
 
-def border_of(photo: Pixels) -> Bool[Tensor, "h w"]:
+def border_of(photo: Pixels) -> Mask:
     """The pixels along the four sides, ``BORDER`` of a side wide and at least one pixel."""
     height, width = photo.values.shape[:2]
     rows, columns = max(1, round(BORDER * height)), max(1, round(BORDER * width))
@@ -256,7 +237,7 @@ def border_of(photo: Pixels) -> Bool[Tensor, "h w"]:
     return border
 
 
-def valid_values(photo: Pixels, among: Bool[Tensor, "h w"] | None = None) -> Float[Tensor, " n"]:
+def valid_values(photo: Pixels, among: Mask | None = None) -> Float[Tensor, " n"]:
     """Normalised temperatures of the valid pixels, or of those among some."""
     chosen = torch.ones(photo.values.shape[:2], dtype=torch.bool) if among is None else among
     if photo.valid is not None:

@@ -61,14 +61,9 @@ UNKNOWN_FACTS = {
 
 @dataclass(frozen=True)
 class ScoredData:
-    """The data of a run that was scored: what scores depend on besides the model.
-
-    Attributes:
-        held_out: of each held-out image, view by view.
-        training_photos: digest of the photos that the run was trained on; empty where its
-            checkpoint does not name them.
-        temperature_c: the °C of the scene's values 0 and 1; None without known °C.
-    """
+    """The data of a run that was scored, on which scores depend besides the model: each held-out
+    image, view by view; a digest of the photos that it was trained on, empty where its checkpoint
+    does not name them; and the °C of the scene's values 0 and 1, None without known °C."""
 
     held_out: tuple[ImageFingerprint, ...]
     training_photos: str = ""

@@ -3,6 +3,8 @@ feature."""
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
@@ -14,9 +16,11 @@ SH_COEFFICIENTS = 48
 """16 basis functions times 3 colour channels."""
 
 
-def reject(
-    embedding: Float[Tensor, "n c"], direction: Float[Tensor, "n c"]
-) -> Float[Tensor, "n c"]:
+Embedding: TypeAlias = Float[Tensor, "n c"]
+Vectors: TypeAlias = Float[Tensor, "n 3"]
+
+
+def reject(embedding: Embedding, direction: Embedding) -> Embedding:
     """e_orth = e_m − e_proj, the part of each embedding that is orthogonal to its direction SH'.
 
     Eq. 7 (embedding_proj), Sec. Orthogonal Embedding Extraction: e_proj = (e_m · SH') / ‖SH'‖² SH'.
@@ -40,9 +44,7 @@ class OrthogonalExtraction(nn.Module):
         self.phi_sh = nn.Linear(SH_COEFFICIENTS, width)
         self.phi_e = nn.Linear(width, width)
 
-    def forward(
-        self, embedding: Float[Tensor, "n c"], sh: Float[Tensor, "n 16 3"]
-    ) -> Float[Tensor, "n c"]:
+    def forward(self, embedding: Embedding, sh: Float[Tensor, "n 16 3"]) -> Embedding:
         """e_t from e_m and all colour coefficients, 0 for those of degrees not yet in use."""
         e_t: Tensor = self.phi_e(reject(embedding, self.phi_sh(sh.flatten(1))))
         return e_t
@@ -67,9 +69,7 @@ class ColorHead(nn.Module):
             nn.Linear(hidden_width, 3),
         )
 
-    def forward(
-        self, embedding: Float[Tensor, "n c"], directions: Float[Tensor, "n 3"]
-    ) -> Float[Tensor, "n 3"]:
+    def forward(self, embedding: Embedding, directions: Vectors) -> Vectors:
         """ĉ of each Gaussian; directions are unit vectors from the camera to its centre."""
         inputs = torch.cat([embedding, positional_encoding(directions, self.frequencies)], dim=1)
         residual: Tensor = self.scale * self.mlp(inputs)
@@ -79,8 +79,8 @@ class ColorHead(nn.Module):
 @operation
 def color_residuals(
     head: ColorHead,
-    embedding: Float[Tensor, "n c"],
-    means: Float[Tensor, "n 3"],
+    embedding: Embedding,
+    means: Vectors,
     camera_position: Float[Tensor, "3"],
     rows: Int64[Tensor, " v"] | None = None,
 ) -> Float[Tensor, "v 3"]:
@@ -109,9 +109,7 @@ class ThermalFeatureHead(nn.Module):
             nn.Linear(hidden_width, feature_width),
         )
 
-    def forward(
-        self, e_t: Float[Tensor, "n c"], positions: Float[Tensor, "n 3"]
-    ) -> Float[Tensor, "n f"]:
+    def forward(self, e_t: Embedding, positions: Vectors) -> Float[Tensor, "n f"]:
         """F_t of each Gaussian; positions are normalised to about [-1, 1]."""
         inputs = torch.cat([e_t, positional_encoding(positions.detach(), self.frequencies)], dim=1)
         features: Tensor = self.mlp(inputs)

@@ -74,14 +74,9 @@ class FourierHeatTransformation(nn.Module):
         opacity: Float[Tensor, " n"],
         neighbours: Int64[Tensor, "n k"],
     ) -> Float[Tensor, "n c"]:
-        """F' as the equations have it.
-
-        Args:
-            features: F_t, [M, C]; the first N rows are the anchors, further rows are read only as
-                neighbours.
-            opacity: o_t of the anchors, in (0, 1), [N].
-            neighbours: rows of ``features``, [N, K]; gradients flow to them too.
-        """
+        """F' as the equations have it. The first N rows of the ``features`` F_t are the anchors, of
+        which ``opacity`` is o_t; further rows are read only as ``neighbours``, to which gradients
+        flow too."""
         anchors = features[: len(neighbours)]
         if self.k == 0:
             return anchors

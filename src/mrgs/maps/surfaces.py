@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -22,6 +23,9 @@ from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, PosedImage, Rendering, Scene
 from mrgs.scene.depth_map import MIN_ALPHA, DepthMap
 from mrgs.scene.rotations import rigid_transform
+
+Plane: TypeAlias = Float32[np.ndarray, "h w"]
+"""A number for each pixel."""
 
 TIMES_AS_FAR = 1000.0
 """Distance of the camera from the map, in lengths of the map's longer side: relief of a tenth of
@@ -221,7 +225,7 @@ class PhotoStatistics:
         shape = points.shape[:2]
         self._total, self._weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._mean, self._squares = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self.photos: Float32[np.ndarray, "h w"] = np.zeros(shape, np.float32)
+        self.photos: Plane = np.zeros(shape, np.float32)
 
     def add(self, photo: DepthMap) -> None:
         """Add a photo, see ``photo_map``."""
@@ -242,13 +246,13 @@ class PhotoStatistics:
         self._squares[window][where] += step * (values[:, MEASURED] - self._mean[window][where])
 
     @property
-    def celsius(self) -> Float32[np.ndarray, "h w"]:
+    def celsius(self) -> Plane:
         """°C as the photos' cameras see them in the model, weighted by 1 / z²; else NaN."""
         with np.errstate(invalid="ignore"):
             return self._total / self._weight
 
     @property
-    def scatter_c(self) -> Float32[np.ndarray, "h w"]:
+    def scatter_c(self) -> Plane:
         """Standard deviation of the photos' readings, °C; NaN where fewer than two looked."""
         freedom = np.where(self.photos > 1, self.photos - 1, np.float32(np.nan))
         return np.sqrt(self._squares / freedom)
@@ -270,9 +274,7 @@ def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
     return DepthMap(camera, _surface_depth(rendering, scene, camera), both)
 
 
-def _surface_depth(
-    rendering: Rendering, scene: Scene, camera: Camera
-) -> Float32[np.ndarray, "h w"]:
+def _surface_depth(rendering: Rendering, scene: Scene, camera: Camera) -> Plane:
     """Depth of the first modality with photos, infinite where it shows the background."""
     depth = rendering.surface_depth(scene.modalities[0], MIN_ALPHA)
     return to_array(scene.reach.without_background(camera, depth))
@@ -345,9 +347,7 @@ class ShownPlaces:
         self._maps = [(item, grid.window_of(item.points())) for item in maps]
         self._cell_px = max(math.ceil(CELL * survey_pixel(maps) * grid.scale / grid.pixel_m), 1)
 
-    def depth_of_part(
-        self, part: tuple[slice, slice], camera: Camera, depth: Float32[np.ndarray, "h w"]
-    ) -> Float32[np.ndarray, "h w"]:
+    def depth_of_part(self, part: tuple[slice, slice], camera: Camera, depth: Plane) -> Plane:
         """The depth that the camera of a part (rows and columns) of the map sees, where a photo
         shows that surface; elsewhere that of the photos' own surfaces, NaN where they have none,
         [H, W]."""
@@ -376,9 +376,7 @@ def _within(span: slice, part: slice) -> slice:
     return slice(low - part.start, high - part.start)
 
 
-def _depth_of_cells(
-    camera: Camera, points: Float64[np.ndarray, "n 3"], cell_px: int
-) -> Float32[np.ndarray, "h w"]:
+def _depth_of_cells(camera: Camera, points: Float64[np.ndarray, "n 3"], cell_px: int) -> Plane:
     """The median depth of the points in square cells of an image, in all of their pixels; NaN in
     cells with fewer than ``LEAST_POINTS``."""
     pixels, z = camera.project(torch.from_numpy(points))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
@@ -101,7 +101,7 @@ class Job:
             Stage(f"{own}/score", self._made_from_model, self._score),
             Stage(f"{own}/render", self._made_from_model, self._render),
             Stage(f"{own}/report", self._made_from_scores, self._report),
-            Stage(f"{own}/page", self._made_from_measured, self._page),
+            Stage(f"{own}/page", self._made_from_measured, partial(self._exported, [PAGE_FORMAT])),
             Stage(f"{own}/exports", self._made_from_measured, self._exports),
         )
 
@@ -245,9 +245,6 @@ class Job:
 
     def _report(self, report: Report) -> list[Path]:
         return [report_run(self._run, scene=self._loaded, progress=_named_parts(report))]
-
-    def _page(self, report: Report) -> list[Path]:
-        return self._exported([PAGE_FORMAT], report)
 
     def _exports(self, report: Report) -> list[Path]:
         formats = []

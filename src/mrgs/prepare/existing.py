@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import torch
 
@@ -60,8 +60,8 @@ def existing_poses(
         pairs: of the views, if the poses' images have the names of the photos.
         two_cameras: whether there is a thermal camera to be found, which needs points.
     """
-    given = _read(folder)
-    counts = Counter(pose.name for pose in given.poses)
+    given, cloud, file, notes, world = _read(folder)
+    counts = Counter(pose.name for pose in given)
     if several := sorted(name for name, count in counts.items() if count > 1):
         raise scene_error(
             folder,
@@ -73,7 +73,7 @@ def existing_poses(
     }
     if len({*originals.values()}) < len(images):  # photos of several folders share a name
         originals = {name: name for name in images}
-    by_name = {pose.name: pose for pose in given.poses}
+    by_name = {pose.name: pose for pose in given}
     poses = {name: by_name[own] for name, own in originals.items() if own in by_name}
     viewmats = {name: poses[name].viewmat for name in images if name in poses}
     if len(viewmats) < MIN_VIEWS:
@@ -83,42 +83,35 @@ def existing_poses(
             f"{MIN_VIEWS} are needed; the names there are like {', '.join(sorted(by_name)[:3])}: "
             f"give the poses of these photos",
         )
-    warnings = tuple(given.notes.repaired)
-    if given.points is None and two_cameras:
+    warnings = tuple(notes.repaired)
+    if cloud is None and two_cameras:
         warnings += (
-            f"{given.file} has no points: the thermal camera cannot be found from the photos "
-            f"without them.",
+            f"{file} has no points: the thermal camera cannot be found from the photos without "
+            f"them.",
         )
-    reason = f"{given.file} has no pose of this name"
+    reason = f"{file} has no pose of this name"
     return Reconstruction(
         viewmats,
         {name: _scaled(poses[name].lens, images[name]) for name in viewmats},
-        given.points or PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)),
+        cloud or PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)),
         None,
         tuple(Skipped(name, reason) for name in images if name not in poses),
         None,
-        f"The poses of {len(viewmats)} of {len(images)} photos are those of {given.file}.",
+        f"The poses of {len(viewmats)} of {len(images)} photos are those of {file}.",
         warnings=warnings,
-        world=given.world,
+        world=world,
     )
-
-
-class _Given(NamedTuple):
-    """Poses by the names of their images without folders and extension, points, the name of the
-    file, what was repaired, and what is known of the world."""
-
-    poses: Sequence[RegisteredImage]
-    points: PointCloud | None
-    file: str
-    notes: ReadingNotes
-    world: WorldFrame = WorldFrame()
 
 
 def _is_transforms(path: Path) -> bool:
     return path.suffix == ".json" and is_file(path)
 
 
-def _read(folder: Path) -> _Given:
+def _read(
+    folder: Path,
+) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes, WorldFrame]:
+    """Poses by the names of their images without folders and extension, points, the name of the
+    file, what was repaired, and what is known of the world."""
     root, file = folder.resolve(), None
     if _is_transforms(folder):
         root = folder.parent.resolve()
@@ -129,7 +122,7 @@ def _read(folder: Path) -> _Given:
         source = read_transforms(root, file)
         firsts = [(view.key, _first(view.images)) for view in source.views]
         poses = [RegisteredImage(_stem(key), image.lens, image.viewmat) for key, image in firsts]
-        return _Given(poses, source.points, file.name, source.notes, source.world)
+        return poses, source.points, file.name, source.notes, source.world
     notes = ReadingNotes()
     model = largest_model(root, notes) or find_model(root, ["."])
     if model is None:
@@ -143,7 +136,7 @@ def _read(folder: Path) -> _Given:
         for image in read_images(model)
     ]
     points = point_cloud(*read_points3d(model), notes)
-    return _Given(poses, points, model.file("images").name, notes)
+    return poses, points, model.file("images").name, notes, WorldFrame()
 
 
 def _first(images: Mapping[Modality, Item]) -> Item:

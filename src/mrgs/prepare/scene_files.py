@@ -42,12 +42,8 @@ def write_scene(work: Work) -> None:
     Every ``eval_every``-th view is held out, beginning with the first, as in Mip-NeRF 360 and 3DGS.
     Bounds that are not given are the range of the views' temperatures, rounded outwards to whole
     degrees. Without a rig one camera took both images; if their sizes differ, both are taken to
-    show the same field of view.
-
-    Raises:
-        SceneError: no view has a pose, or an image cannot be read.
-        RunError: a file cannot be written.
-    """
+    show the same field of view. SceneError if no view has a pose, or an image cannot be read;
+    RunError if a file cannot be written."""
     scene, posed, rig, eval_every = work.scene, work.posed, work.rig, work.options.eval_every
     views = [view for view in work.images.views if view.name in posed.viewmats]
     if not views:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float64
+
+Points: TypeAlias = Float64[np.ndarray, "n d"]
 
 TRIALS = 500
 _OUTLIER_MEDIANS = 2.5
@@ -21,7 +24,7 @@ class Similarity:
     rotation: Float64[np.ndarray, "d d"]
     translation: Float64[np.ndarray, " d"]
 
-    def __call__(self, points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "n d"]:
+    def __call__(self, points: Points) -> Points:
         """The points under the similarity [N, d]."""
         return self.scale * np.einsum("ij,nj->ni", self.rotation, points) + self.translation
 
@@ -38,17 +41,13 @@ class RobustFit:
     freedom: int
 
 
-def fit_similarity(
-    source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
-) -> Similarity:
+def fit_similarity(source: Points, target: Points) -> Similarity:
     """The least-squares similarity from source to target points (Umeyama, 1991)."""
     scales, rotations, translations = _umeyama(source[None], target[None])
     return Similarity(float(scales[0]), rotations[0], translations[0])
 
 
-def fit_robustly(
-    source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
-) -> RobustFit:
+def fit_robustly(source: Points, target: Points) -> RobustFit:
     """Least median of squares over random triples, then least squares over the inliers (Rousseeuw
     and Leroy, 1987).
 
@@ -68,9 +67,7 @@ def fit_robustly(
     return RobustFit(best, inliers, math.sqrt(squares / freedom), freedom)
 
 
-def _least_median(
-    source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"]
-) -> Similarity:
+def _least_median(source: Points, target: Points) -> Similarity:
     """The one through ``TRIALS`` random triples, or through all points, with the least median
     distance."""
     order = np.random.default_rng(0).random((TRIALS, len(source))).argsort(axis=1)[:, :3]

@@ -180,11 +180,8 @@ def page(work: Work, write_page: Callable[..., Path]) -> StageSummary:
 
 @contextmanager
 def page_on_error(work: Work, write_page: Callable[..., Path]) -> Iterator[None]:
-    """On an error of the photos, write a page of the results so far: it often shows the cause.
-
-    Raises:
-        SceneError: that of the block; it names the page if there is one.
-    """
+    """On an error of the photos, write a page of the results so far: it often shows the cause. The
+    SceneError is that of the block; it names the page if there is one."""
     try:
         yield
     except SceneError as error:
@@ -262,12 +259,8 @@ def summarize_poses(reconstruction: Reconstruction) -> StageSummary:
 def summarize_thermal_camera(
     rig: RigCalibration | None, posed: Modality, metric: bool
 ) -> StageSummary:
-    """Field of view, offset and residuals of the thermal camera.
-
-    Args:
-        rig: None if there is no second camera.
-        metric: whether the unit of the scene's world is the metre.
-    """
+    """Field of view, offset and residuals of the thermal camera; ``rig`` is None without a second
+    camera, ``metric`` whether the scene's unit is the metre."""
     if rig is None:
         alone = posed == THERMAL
         return StageSummary(

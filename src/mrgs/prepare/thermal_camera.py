@@ -79,17 +79,10 @@ Calibrate = Callable[..., RigCalibration]
 
 
 def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration | None:
-    """Calibrate the thermal camera from the posed photos and the user's options.
-
-    Returns:
-        The calibration in the scene's world; None if one camera took both images of a pair, or if
-        there are only thermal images.
-
-    Raises:
-        SceneError: the photos do not determine the thermal camera, or a given one does not fit
-            them.
-        ConfigError: an option on the thermal camera, for a set of thermal images only.
-    """
+    """Calibrate the thermal camera from the posed photos and the user's options, in the scene's
+    world; None if one camera took both images of a pair, or if there are only thermal images.
+    SceneError if the photos do not determine the thermal camera, or a given one does not fit them;
+    ConfigError for an option on it, for a set of thermal images only."""
     options, posed = work.options, work.posed
     if posed.images == THERMAL:
         names = ["thermal_camera", "target", "one_camera"]

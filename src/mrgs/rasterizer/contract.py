@@ -109,13 +109,9 @@ class Layer(NamedTuple):
 
 
 class Raster(NamedTuple):
-    """The result of a rasterizer.
-
-    Attributes:
-        blends: one Blend per layer, in the order of the layers.
-        radii: [N], the largest distance in pixels from the centre at which α reaches 1/255 in any
-            layer; 0 for Gaussians that are left out. Carries no gradient.
-    """
+    """The result of a rasterizer: a Blend per layer, in their order; and the largest distance in
+    pixels from the centre of each Gaussian at which α reaches 1/255 in any layer, 0 for those that
+    are left out, without gradient."""
 
     blends: tuple[Blend, ...]
     radii: Float[Tensor, " n"]
@@ -127,15 +123,11 @@ LEAST_DILATION_PX2 = 0.01
 
 @dataclass(frozen=True)
 class Dilation:
-    """What is added to the diagonal of projected covariances (d in ``rasterizer.contract``).
-
-    Attributes:
-        px2: variance in px².
-        finest_focal_px: focal length in pixels of the finest photos. Cameras with coarser pixels
-            dilate by the same angle rather than by the same number of pixels; otherwise small
-            images would show everything too thick. None: the same px² for every camera, as in
-            3DGS.
-    """
+    """What is added to the diagonal of projected covariances (d in ``rasterizer.contract``): a
+    variance of ``px2`` px². Cameras with coarser pixels than those of the finest photos, whose
+    focal length is ``finest_focal_px``, dilate by the same angle rather than by as many pixels;
+    otherwise small images would show everything too thick. None: the same px² for every camera, as
+    in 3DGS."""
 
     px2: float = DILATION_PX2
     finest_focal_px: float | None = None

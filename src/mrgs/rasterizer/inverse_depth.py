@@ -21,13 +21,7 @@ from mrgs.rasterizer.reference import pixel_centres, rotation_matrices, to_camer
 
 class InverseDepths(NamedTuple):
     """What a pixel's ray meets; w are the weights of the Gaussians in the image, ρ = 1/z where the
-    ray meets them.
-
-    Attributes:
-        weight: Σ w, the accumulated alpha.
-        sum: Σ w ρ, in 1 / scene unit.
-        squares: Σ w ρ².
-    """
+    ray meets them. Σ w is the accumulated alpha, ``sum`` Σ w ρ and ``squares`` Σ w ρ²."""
 
     weight: Float[Tensor, "h w"]
     sum: Float[Tensor, "h w"]

@@ -32,13 +32,9 @@ _READERS = 4
 
 
 class ImageFingerprint(NamedTuple):
-    """Identifies one training image.
-
-    Attributes:
-        photo: digest of its files (the photo, and its mask if it has one).
-        pose: the upper three rows of the camera's viewmat, row by row.
-        intrinsics: fx, fy, cx, cy, width and height in pixels.
-    """
+    """Identifies one training image: the digest of its files (the photo, and its mask if it has
+    one); the upper three rows of the camera's viewmat, row by row; and fx, fy, cx, cy, width and
+    height in pixels."""
 
     photo: str
     pose: Annotated[tuple[float, ...], msgspec.Meta(min_length=12, max_length=12)]

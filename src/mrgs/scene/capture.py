@@ -22,12 +22,8 @@ Length: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=sys.float_info.max)]
 
 
 class Viewpoint(NamedTuple):
-    """Position and viewing direction of a camera, in world coordinates.
-
-    Attributes:
-        position: of the camera, in scene extents.
-        forward: viewing direction, unit length.
-    """
+    """Position of a camera, in scene extents, and its viewing direction, unit length, in world
+    coordinates."""
 
     position: tuple[Finite, Finite, Finite]
     forward: tuple[Finite, Finite, Finite]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -13,6 +13,8 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from mrgs.scene.camera import Camera
 from mrgs.scene.view import evenly_spaced
 from mrgs.system.memory import row_chunks
+
+Points: TypeAlias = Float32[np.ndarray, "n 3"]
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -30,13 +32,8 @@ has no depth."""
 
 
 class PointsInImage(NamedTuple):
-    """Some of the points that were asked for, as a camera has them in its image.
-
-    Attributes:
-        rows: their places among the points, [M].
-        pixels: row and column of the pixel of each, [M] each.
-        z: their z-depth in scene units, [M].
-    """
+    """Some of the points that were asked for, as a camera has them in its image: their places among
+    the points, row and column of the pixel of each, and z-depths in scene units."""
 
     rows: Int64[np.ndarray, " m"]
     pixels: tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]
@@ -45,13 +42,8 @@ class PointsInImage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """Depth and image of one camera.
-
-    Attributes:
-        depth: z-depth in scene units, infinite where nothing but the sky is seen, NaN where it is
-            not known, [H, W].
-        image: any C channels to be carried over to the surface, [H, W, C].
-    """
+    """Depth and image of one camera: z-depth in scene units, infinite where nothing but the sky is
+    seen, NaN where it is not known; any C channels to be carried over to the surface."""
 
     camera: Camera
     depth: Float32[np.ndarray, "h w"]
@@ -66,18 +58,11 @@ class DepthMap:
         return self.camera.unproject(pixels, depth + offset).numpy()
 
     def shown(
-        self,
-        points: Float32[np.ndarray, "n 3"],
-        relative_tolerance: float = SURFACE_DEPTH,
-        tolerance: float = 0.0,
+        self, points: Points, relative_tolerance: float = SURFACE_DEPTH, tolerance: float = 0.0
     ) -> PointsInImage:
-        """The points that lie on the surface which the camera sees.
-
-        Args:
-            relative_tolerance: a point this far before or behind the depth of its pixel is still
-                seen there, as a share of the point's depth.
-            tolerance: the same in scene units; the larger of the two applies.
-        """
+        """The points that lie on the surface which the camera sees: no farther before or behind the
+        depth of their pixel than the larger of ``tolerance``, scene units, and
+        ``relative_tolerance``, as a share of their depth."""
         rows, pixels, z = visible(self.camera, points)
         away = np.abs(self.depth[pixels] - z)
         seen = away < np.maximum(tolerance, relative_tolerance * z)  # false for NaN
@@ -85,20 +70,11 @@ class DepthMap:
 
 
 def carry_over(
-    maps: Sequence[DepthMap],
-    points: Float32[np.ndarray, "n 3"],
-    tolerance: float,
-    relative_tolerance: float = 0.0,
+    maps: Sequence[DepthMap], points: Points, tolerance: float, relative_tolerance: float = 0.0
 ) -> tuple[Float32[np.ndarray, "n c"], Bool[np.ndarray, " n"]]:
-    """Image values of each point [N, C], averaged over the cameras that see it with weights
-    1 / z², and whether any camera does [N]. Pixels with NaN do not count.
-
-    Args:
-        tolerance: a point this far before or behind the depth of its pixel is still seen there,
-            scene units.
-        relative_tolerance: tolerance as a share of the point's depth; the larger of the two
-            tolerances applies.
-    """
+    """Image values of each point [N, C], averaged over the cameras that see it with weights 1 / z²,
+    and whether any camera does [N]. Pixels with NaN do not count. For the tolerances see
+    ``DepthMap.shown``."""
     total = np.zeros((len(points), maps[0].image.shape[2]), dtype=np.float32)
     weight = np.zeros(len(points), dtype=np.float32)
     for item in maps:
@@ -111,16 +87,14 @@ def carry_over(
     return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
 
 
-def shown_temperatures(
-    maps: Sequence[DepthMap], points: Float32[np.ndarray, "n 3"]
-) -> Float32[np.ndarray, " n"]:
+def shown_temperatures(maps: Sequence[DepthMap], points: Points) -> Float32[np.ndarray, " n"]:
     """What the thermal cameras of maps with one channel see at points on surfaces, NaN where none
     sees one, [N]: the temperature of a place, wherever one is stated."""
     values, seen = carry_over(maps, points, 0.0, SURFACE_DEPTH)
     return np.where(seen, values[:, 0], np.float32(np.nan))
 
 
-def visible(camera: Camera, positions: Float32[np.ndarray, "n 3"]) -> PointsInImage:
+def visible(camera: Camera, positions: Points) -> PointsInImage:
     """The points inside a camera's image."""
     found = []
     for chunk in row_chunks(len(positions)):

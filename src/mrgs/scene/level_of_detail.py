@@ -28,12 +28,8 @@ _KEY = (0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB)
 
 
 class Merged(NamedTuple):
-    """Gaussians that stand for more of them.
-
-    Attributes:
-        of: which of them each of the N became a part of, [N].
-        weights: of each of the N in it, [N]; they add up to 1.
-    """
+    """Gaussians that stand for more of them: ``of`` says which of them each of the N became a part
+    of, ``weights`` with what share of it."""
 
     gaussians: Gaussians
     of: Int64[Tensor, " n"]

@@ -95,13 +95,9 @@ def coincident_points(
 ) -> list[Int64[np.ndarray, "_"]]:
     """Indices of the points at each position that more than ``max(most, kept)`` points share.
 
-    A k-d tree cannot divide coincident points, and would compare each with all of them.
-
-    Args:
-        points: at least one.
-        kept: number of the points at a position that the caller keeps.
-        most: number of coincident points that are still fast.
-    """
+    A k-d tree cannot divide coincident points, and would compare each with all of them. ``kept`` is
+    the number of the points at a position that the caller keeps, ``most`` how many coincident ones
+    are still fast."""
     most = max(most, kept)
     if np.unique(points[:, 0], return_counts=True)[1].max() <= most:  # much faster than all axes
         return []

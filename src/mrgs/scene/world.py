@@ -61,12 +61,8 @@ camera moves from photo to photo."""
 
 
 class SceneBounds(NamedTuple):
-    """A sphere around the cameras and nearly all start points.
-
-    Attributes:
-        centre: of the cameras, world coordinates, [3].
-        radius: scene units.
-    """
+    """A sphere around the cameras, of which it has the centre, and nearly all start points; in
+    world coordinates and scene units."""
 
     centre: Float64[Tensor, "3"]
     radius: float

@@ -31,13 +31,9 @@ class Child:
     come."""
 
     def __init__(self, arguments: Sequence[str], request: Any, log: Path, **variables: str) -> None:
-        """Start Python in a session of its own, so that Ctrl-C reaches the parent alone.
-
-        Args:
-            arguments: such as ``("-m", "package.module")``.
-            request: anything that JSON can express.
-            variables: changes of the environment.
-        """
+        """Start Python in a session of its own, so that Ctrl-C reaches the parent alone. The
+        ``arguments`` are such as ``("-m", "package.module")``, the ``request`` anything that JSON
+        can express, ``variables`` changes of the environment."""
         self.log = log
         self.end: Message = {}
         # Threads that spin while they wait would starve those that work.

@@ -22,13 +22,9 @@ from torch import Tensor
 
 class CudaGraph:
     """A CUDA graph, and a number that it leaves for the host. RuntimeError if the work waits for
-    the GPU, or its memory does not suffice.
-
-    Args:
-        work: what is recorded: it queues the same work for tensors at the same places whenever it
-            is called, does not wait for the GPU, and returns the number.
-        cuda: torch's module, or a stand-in.
-    """
+    the GPU, or its memory does not suffice. ``work`` is what is recorded: it queues the same work
+    for tensors at the same places whenever it is called, does not wait for the GPU, and returns the
+    number. ``cuda`` is torch's module, or a stand-in."""
 
     def __init__(
         self, work: Callable[[], Int64[Tensor, ""]], device: torch.device, cuda: Any = torch.cuda
@@ -96,12 +92,8 @@ def _set_sync_debug_mode(mode: int | str, cuda: Any) -> None:
 
 
 class ListRoom:
-    """The room of the lists that are made within ``lists_have``.
-
-    Attributes:
-        size: entries of each list; None to measure how many are needed.
-        measured: entries of the longest list, where the size is None.
-    """
+    """The room of the lists that are made within ``lists_have``: ``size`` entries each; without a
+    size, those of the longest list are ``measured``."""
 
     def __init__(self, size: int | None = None) -> None:
         self.size = size

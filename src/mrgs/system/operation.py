@@ -66,13 +66,9 @@ def register_kernels(*kernels: Kernel) -> None:
 
 
 class Operation(Generic[P, R]):
-    """A function with a plain definition and, for some devices, a kernel.
-
-    Attributes:
-        name: full name of the plain definition.
-        measure: what is compared of a result, from the result and the arguments.
-        rejected: its kernels that were found to differ, so that they are not used.
-    """
+    """A function with a plain definition, whose full name it has, and, for some devices, a kernel;
+    ``measure`` is what is compared of a result, from the result and the arguments, and ``rejected``
+    are the kernels that were found to differ, so that they are not used."""
 
     __name__: str
 

@@ -28,12 +28,8 @@ SMALLEST = 1e-30
 
 
 class KernelComparison(NamedTuple):
-    """What kernels of an operation are compared with, and how.
-
-    Attributes:
-        measure: as of the operation; None for all of a result.
-        gradients: whether to compare gradients as well as results.
-    """
+    """What kernels of an operation are compared with, and how: by the operation's ``measure``, None
+    for all of a result; and whether by ``gradients`` as well."""
 
     plain: Callable[..., Any]
     measure: Callable[..., Tensor] | None

@@ -72,11 +72,8 @@ def save(path: Path, state: TrainingState, facts: CheckpointFacts) -> None:
 
 def load_model(path: Path, config: TrainConfig) -> tuple[Model, CheckpointFacts, ImageModel]:
     """The model of a checkpoint, to render with, and what its scene's cameras do to the images.
-
-    Raises:
-        DamagedCheckpointError: it is not what was written, or not finite.
-        RunError: it cannot be read, has another format, or does not fit the configuration.
-    """
+    DamagedCheckpointError if it is not what was written, or not finite; RunError if it cannot be
+    read, has another format, or does not fit the configuration."""
     needed = ("gaussians.", "field.", "image_model.", "neighbours")
     tensors, facts, _ = read(
         path, lambda name: name.startswith(needed) and not name.startswith("gaussians.adam.")
@@ -98,13 +95,9 @@ def load_state(
     terms: Sequence[Term] = (),
 ) -> TrainingState:
     """The whole state of a checkpoint that was written on any device, to train on with the strategy
-    and the terms that the run was given.
-
-    Raises:
-        DamagedCheckpointError: it is not what was written, or not finite.
-        RunError: it cannot be read, has another format, does not fit the configuration, or was
-            written with another strategy, a strategy with other settings, or other terms.
-    """
+    and the terms that the run was given. DamagedCheckpointError if it is not what was written, or
+    not finite; RunError if it cannot be read, has another format, does not fit the configuration,
+    or was written with another strategy, a strategy with other settings, or other terms."""
     tensors, facts, header = read(path)
     chosen = config.densification if strategy is None else strategy
     with fitting(path):

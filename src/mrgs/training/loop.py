@@ -35,12 +35,7 @@ Result = TypeVar("Result")
 
 class Trainer:
     """Trains Gaussians: choose views, take a step on them, control the density; log, checkpoint.
-
-    Attributes:
-        folder: the run's folder, locked by the caller.
-        scene: at the run's resolution.
-        state: all that changes during training.
-    """
+    The run's folder is locked by the caller; the scene has the run's resolution."""
 
     def __init__(
         self,
@@ -101,14 +96,10 @@ class Trainer:
             self._record.save_if_due(last)
 
     def save(self) -> None:
-        """Write a checkpoint of the last step; Ctrl-C waits for its end.
-
-        Raises:
-            NotFiniteError: the state has a NaN or an infinity.
-            TrainingError: the step was interrupted half-way.
-            RunError: the training has ended, or the checkpoint cannot be written.
-            MrgsError: this process was forked from the one that trains.
-        """
+        """Write a checkpoint of the last step; Ctrl-C waits for its end. NotFiniteError if the
+        state has a NaN or an infinity; TrainingError if the step was interrupted half-way; RunError
+        if the training has ended, or the checkpoint cannot be written; MrgsError if this process
+        was forked from the one that trains."""
         require_own_threads()
         with ctrl_c_waits(), self.between_steps():
             if self._is_closed:

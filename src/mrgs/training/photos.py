@@ -117,13 +117,8 @@ class TrainingPhotos:
 
 
 class _Stored(NamedTuple):
-    """The pixels of a photo as they are kept.
-
-    Attributes:
-        values: uint8 where all are multiples of 1 / 255, as those of 8-bit photos are; else as they
-            are used.
-        valid: the mask, if there is one.
-    """
+    """The pixels of a photo as they are kept: uint8 where all are multiples of 1 / 255, as those of
+    8-bit photos are, else as they are used; and the mask, if there is one."""
 
     values: Tensor
     valid: Tensor | None

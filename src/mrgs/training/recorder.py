@@ -42,12 +42,8 @@ class Recorder:
     For the first view of a kind the pass runs as it is, which shows how long the lists of the
     rasterizer are; with the second one it is recorded. Where views differ by more than poses and
     photos (in size, intrinsics, modalities), each kind has a recording. All are forgotten when the
-    parameters are others: when Gaussians are added or removed.
-
-    Args:
-        graph: what records there.
-        watched: makes errors of waits for the device.
-    """
+    parameters are others: when Gaussians are added or removed. ``graph`` is what records there, and
+    ``watched`` makes errors of waits for the device."""
 
     def __init__(
         self,

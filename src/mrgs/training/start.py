@@ -58,13 +58,9 @@ class Hooks:
 
 
 class TrainingPart(NamedTuple):
-    """A training of a part of a scene.
-
-    Attributes:
-        views: numbers of the training views that take part, in ascending order.
-        strategy: density control; defines which Gaussians move.
-        start: returns the state at step 0, from the scene, the configuration and the device.
-    """
+    """A training of a part of a scene: the numbers of the training views that take part, in
+    ascending order; density control, which defines which Gaussians move; and what returns the state
+    at step 0, from the scene, the configuration and the device."""
 
     views: Sequence[int]
     strategy: Strategy

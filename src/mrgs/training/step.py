@@ -25,12 +25,8 @@ from mrgs.training.view_pass import (
 
 
 class StepResult(NamedTuple):
-    """A step that has moved the parameters, before density control.
-
-    Attributes:
-        observed: the strategy's observations, summed over the views.
-        finite: whether loss and gradients were finite; on the device.
-    """
+    """A step that has moved the parameters, before density control: what the strategy observed,
+    summed over the views, and whether loss and gradients were finite, on the device."""
 
     statistics: StepStatistics
     observed: Mapping[str, Float[Tensor, " n"]]
@@ -67,13 +63,8 @@ def training_step(
     """Render views, compare them with their photos, move the parameters once.
 
     A step whose loss or gradients are not finite moves nothing. On a GPU that is decided there,
-    without waiting on the host.
-
-    Args:
-        state: changed in place.
-        views: as many as the ``batch`` of the configuration.
-        recorder: replays the pass of a step's only view on a GPU.
-    """
+    without waiting on the host. There are as many views as the ``batch`` of the configuration;
+    ``recorder`` replays the pass of a step's only view on a GPU."""
     state.step += 1
     state.model.sh_degree = config.sh_degree_at(state.step)
     state.refresh_neighbours(config)

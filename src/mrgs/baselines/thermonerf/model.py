@@ -6,7 +6,7 @@ Intervals along a ray are edges [R, S + 1] in normalised distance s, from 0 to 1
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import torch
 from jaxtyping import Float
@@ -15,6 +15,8 @@ from torch import Tensor, nn
 from mrgs.baselines.thermonerf.networks import Field, Proposal, harmonics_of
 from mrgs.baselines.thermonerf.rays import CameraRays, Rays, SceneFrame
 from mrgs.scene import RGB, Blend, Camera, Modality, Rendering
+
+PerInterval: TypeAlias = Float[Tensor, "r s"]
 
 CHUNK_RAYS = 8_192
 """Rays that are rendered together, which takes about 170 MB of memory."""
@@ -83,9 +85,7 @@ def resample(
     return start + (end - start) * ((shares - low) / (high - low)).clamp(0, 1)
 
 
-def render_weights(
-    densities: Float[Tensor, "r s"], lengths: Float[Tensor, "r s"]
-) -> Float[Tensor, "r s"]:
+def render_weights(densities: PerInterval, lengths: PerInterval) -> PerInterval:
     """How much each interval contributes to its ray: T_i (1 − exp(−σ_i δ_i)), Eq. 3 of NeRF
     (Mildenhall et al. 2020), from the camera outwards."""
     depths = densities * lengths
@@ -93,16 +93,12 @@ def render_weights(
     return torch.exp(-before) * -torch.expm1(-depths)
 
 
-def composite(
-    weights: Float[Tensor, "r s"], values: Float[Tensor, "r s c"]
-) -> Float[Tensor, "r c"]:
+def composite(weights: PerInterval, values: Float[Tensor, "r s c"]) -> Float[Tensor, "r c"]:
     """Weighted sums along the rays; what the weights lack to 1 counts as black."""
     return (weights[..., None] * values).sum(dim=1)
 
 
-def median_distance(
-    weights: Float[Tensor, "r s"], distances: Float[Tensor, "r s+1"]
-) -> Float[Tensor, " r"]:
+def median_distance(weights: PerInterval, distances: Float[Tensor, "r s+1"]) -> Float[Tensor, " r"]:
     """The distance with half of a ray's weight in front, from the distances of the intervals'
     edges; a mean would be drawn far away by the little that never stops."""
     total = weights.cumsum(dim=1)
@@ -124,7 +120,7 @@ class Samples(NamedTuple):
     """
 
     edges: Float[Tensor, "r e"]
-    weights: Float[Tensor, "r s"]
+    weights: PerInterval
     proposal_edges: Float[Tensor, "r q"]
     proposal_weights: Float[Tensor, "r p"]
 
@@ -219,7 +215,7 @@ class ThermoNerf(nn.Module):
 
     def _intervals(
         self, rays: Rays, edges: Float[Tensor, "r e"]
-    ) -> tuple[Float[Tensor, "r s 3"], Float[Tensor, "r s"], Float[Tensor, "r e"]]:
+    ) -> tuple[Float[Tensor, "r s 3"], PerInterval, Float[Tensor, "r e"]]:
         """Middles and lengths of intervals, and the distances of their edges, in radii."""
         distances = self._spacing.distance(edges)
         middles = 0.5 * (distances[:, 1:] + distances[:, :-1])
@@ -229,7 +225,7 @@ class ThermoNerf(nn.Module):
     def _values(
         self,
         modality: Modality,
-        weights: Float[Tensor, "r s"],
+        weights: PerInterval,
         features: Float[Tensor, "r s f"],
         directions: Float[Tensor, "r 3"],
     ) -> Float[Tensor, "r c"]:

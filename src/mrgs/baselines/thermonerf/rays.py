@@ -77,14 +77,9 @@ def contract(positions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
 
 
 class Rays(NamedTuple):
-    """Half lines from camera centres.
-
-    Attributes:
-        origins: in radii from the scene's centre, [R, 3].
-        directions: unit vectors in world axes, [R, 3].
-        cosines: of the angles to the optical axes, [R]: distance along the ray times this is
-            z-depth.
-    """
+    """Half lines from camera centres: their origins, in radii from the scene's centre; unit vectors
+    in world axes; and the cosines of the angles to the optical axes: distance along the ray times
+    this is z-depth."""
 
     origins: Float[Tensor, "r 3"]
     directions: Float[Tensor, "r 3"]

@@ -80,13 +80,8 @@ ADAM_EPSILON = 1e-15
 
 @dataclass
 class NerfState:
-    """All that changes during training, and so all that a checkpoint contains.
-
-    Attributes:
-        optimizer: Adam over all its parameters.
-        generator: of every random choice after the start.
-        skipped_in_a_row: steps skipped since the last good one.
-    """
+    """All that changes during training, and so all that a checkpoint contains; Adam is over all of
+    the model's parameters, and the generator of every random choice after the start."""
 
     step: int
     model: ThermoNerf

@@ -48,12 +48,8 @@ def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPho
     ``TOOL`` is run as a program with a time limit, and what it writes is checked like a file of
     anybody's. Without overrides the photo's own emissivity, distance, humidity and reflected
     temperature count. Of the overrides emissivity, distance, humidity, reflected and air
-    temperature are handed on.
-
-    Raises:
-        ToolError: the tool is not installed, cannot be run, does not end or fails.
-        SceneError: it writes what is no image of a DJI camera.
-    """
+    temperature are handed on. ToolError if the tool is not installed, cannot be run, does not end
+    or fails; SceneError if it writes what is no image of a DJI camera."""
     tool = shutil.which(TOOL)
     if tool is None:
         raise _tool_error(

@@ -90,7 +90,7 @@ def read_exif(data: bytes) -> ExifFacts:
 
 def _facts(tags: Mapping[int, Any], gps: Mapping[int, Any], width: int) -> ExifFacts:
     """From the tags of the main and of the Exif directory, which some cameras do not tell apart."""
-    stated = [each for each in _TIMES if _is_stated(tags.get(each[0]))]
+    stated = [each for each in _TIMES if re.search("[1-9]", clean_text(tags.get(each[0])) or "")]
     if len(stated) > 1:
         stated = [each for each in stated if each is not _TIMES[-1]]
     times = (_time(*map(tags.get, each)) for each in stated)
@@ -134,20 +134,11 @@ def _field_of_view_deg(tags: Mapping[int, Any], width: int, focal_mm: float | No
 
 def clean_text(value: object) -> str | None:
     """A short printable text from a file up to its first null; None if nothing is left."""
-    text = (
-        value.decode("latin-1")
-        if isinstance(value, bytes)
-        else value
-        if isinstance(value, str)
-        else ""
-    )
+    if isinstance(value, bytes):
+        value = value.decode("latin-1")
+    text = value if isinstance(value, str) else ""
     text = "".join(char for char in text.partition("\0")[0] if char.isprintable())
     return text.strip()[:64] or None
-
-
-def _is_stated(value: object) -> bool:
-    """Whether a time is more than blanks and zeros."""
-    return bool(re.search("[1-9]", clean_text(value) or ""))
 
 
 def _time(

@@ -20,13 +20,7 @@ from mrgs.data.files import scene_error
 from mrgs.data.images import opened
 from mrgs.data.radiometric.exif import ExifFacts, clean_text
 from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, object_temperature
-from mrgs.data.radiometric.photo import (
-    Alignment,
-    Overrides,
-    PhotoFacts,
-    ThermalPhoto,
-    VisibleImage,
-)
+from mrgs.data.radiometric.photo import Alignment, Overrides, PhotoFacts, ThermalPhoto, VisibleImage
 from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import WIRIS_UNITS
 from mrgs.errors import SceneError
@@ -50,12 +44,8 @@ _WORKSWELL = b"WWP"
 
 
 class CameraFacts(NamedTuple):
-    """What a record says of its camera; None where it does not.
-
-    Attributes:
-        field_of_view_deg: horizontal, of the lens that was on the camera.
-        taken: time by the camera's own clock, without a time zone.
-    """
+    """What a record says of its camera; None where it does not: the horizontal field of view of the
+    lens that was on it, and the time by its own clock, without a time zone."""
 
     model: str | None = None
     serial: str | None = None
@@ -92,7 +82,7 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         for name in _SURROUNDINGS
         if _is_kelvin(value := getattr(stored, name))
     }
-    parameters = overrides.applied_to(replace(stored, **corrected))
+    parameters = replace(stored, **{**corrected, **given})
     if problem := parameters.problem():
         name, sentence = problem
         raise scene_error(path, f"its {name} of {sentence}; give the true one", options=(name,))
@@ -327,12 +317,9 @@ class RecordFields:
 
     def read(self, offset: int, form: str) -> tuple[float | int, ...] | None:
         """The numbers of ``struct``'s ``form`` at ``offset``."""
-        end = offset + struct.calcsize(f"{self.order}{form}")
-        return (
-            struct.unpack(f"{self.order}{form}", self.data[offset:end])
-            if end <= len(self.data)
-            else None
-        )
+        layout = struct.Struct(f"{self.order}{form}")
+        is_whole = offset + layout.size <= len(self.data)
+        return layout.unpack_from(self.data, offset) if is_whole else None
 
     def number(self, offset: int) -> float | None:
         """A 32-bit float as the shortest decimal number that it represents, so that 0.95 is

@@ -24,12 +24,8 @@ MAX_TRANSMISSION = 1.05
 @dataclass(frozen=True)
 class Measurement:
     """The measurement formula for one photo: S = τ_w (ε τ S_obj + (1 − ε) τ S_refl + (1 − τ) S_atm)
-    + (1 − τ_w) S_win.
-
-    Attributes:
-        parameters: checked by ``ObjectParameters.problem``.
-        transmission: τ of the air, over 0 to ``MAX_TRANSMISSION``.
-    """
+    + (1 − τ_w) S_win. The ``parameters`` are checked by ``ObjectParameters.problem``;
+    ``transmission`` is τ of the air, over 0 to ``MAX_TRANSMISSION``."""
 
     planck: Planck
     parameters: ObjectParameters

@@ -77,10 +77,6 @@ class Overrides:
         given = {name: getattr(self, name) for name in PARAMETER_LIMITS}
         return {name: value for name, value in given.items() if value is not None}
 
-    def applied_to(self, parameters: ObjectParameters) -> ObjectParameters:
-        """The parameters with the given ones replaced."""
-        return replace(parameters, **self.of_parameters())
-
 
 @dataclass(frozen=True)
 class Alignment:
@@ -104,13 +100,9 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class VisibleImage:
-    """A visible photo inside a thermal one.
-
-    Attributes:
-        data: the image file, JPEG or PNG, as the camera wrote it.
-        source: the file that it was found in, for messages.
-        alignment: None if the camera does not say.
-    """
+    """A visible photo inside a thermal one: the image file, JPEG or PNG, as the camera wrote it;
+    the file that it was found in, for messages; and its alignment, None if the camera does not
+    say."""
 
     data: bytes
     source: Path

@@ -49,12 +49,8 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     pixel without temperature. The separator is a semicolon, a tab, a comma or a blank; a comma
     inside quotes, or beside another separator, is a decimal comma, and where commas are both, every
     second one. Under headings lines may be a pixel's place and temperature. SceneError if there is
-    no such block, or the numbers are no temperatures.
-
-    Args:
-        data: the file's content; see ``decoded_text`` for its encodings.
-        overrides: ``unit``, where the numbers are not °C.
-    """
+    no such block, or the numbers are no temperatures. See ``decoded_text`` for the encodings; of
+    the ``overrides`` the ``unit`` counts, where the numbers are not °C."""
     if len(data) > MAX_BYTES:
         raise scene_error(path, f"has {len(data)} bytes, too long for a photo's table; check it")
     text = decoded_text(data).replace("º", "°").replace("−", "-").replace("–", "-")

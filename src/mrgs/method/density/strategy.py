@@ -51,12 +51,8 @@ class DensityStep(NamedTuple):
 
 
 class DensityUpdate(NamedTuple):
-    """What a strategy returns after a step.
-
-    Attributes:
-        state: what it remembers from now on.
-        counts: for the log, by name, where it added, removed or moved Gaussians; else None.
-    """
+    """What a strategy returns after a step: the ``state`` that it remembers from now on; and
+    ``counts`` for the log, by name, where it added, removed or moved Gaussians, else None."""
 
     state: StrategyState
     counts: Mapping[str, int] | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import torch
 from jaxtyping import Bool, Float
@@ -16,6 +17,9 @@ from mrgs.method.losses.ssim import structural_similarity
 from mrgs.scene.radiometry import TemperatureRange
 from mrgs.system.limits import MOST_WEIGHT, require_within
 from mrgs.system.operation import operation
+
+Plane: TypeAlias = Float[Tensor, "h w"]
+"""A number for each pixel."""
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """The paper's τ, in W m⁻² K⁻⁴."""
@@ -71,29 +75,20 @@ def boltzmann_weight(step: int, config: RadiationConfig) -> float:
 
 
 def thermal_radiation(
-    target: Float[Tensor, "h w"],
-    depth: Float[Tensor, "h w"],
-    extent: float,
-    temperature: TemperatureRange | None,
-) -> Float[Tensor, "h w"]:
+    target: Plane, depth: Plane, extent: float, temperature: TemperatureRange | None
+) -> Plane:
     """E_r, the radiation that arrives at the camera, up to a constant.
 
     Eq. 13 (stefan_boltzmann), Sec. Depth-aware Thermal Radiation: τ t_GT⁴ / D_t². Differentiable in
-    the depth where it exceeds its floor of 1e-3 extents.
-
-    Args:
-        target: normalised temperatures of the photo.
-        depth: rendered thermal depth D_t in scene units, as the scene's extent.
-        temperature: turns the target into kelvin; without it the normalised values stand for t_GT.
-    """
+    the depth where it exceeds its floor of 1e-3 extents. The ``target`` are the photo's normalised
+    temperatures, which ``temperature`` turns into kelvin; without it they stand for t_GT. The
+    rendered thermal depth D_t is in scene units, as the extent."""
     kelvin = target if temperature is None else temperature.to_kelvin(target)
     root = math.sqrt(STEFAN_BOLTZMANN) * kelvin**2 / depth.clamp_min(DEPTH_FLOOR * extent)
     return root * root  # differentiated at a third of the cost of a power
 
 
-def normalise_radiation(
-    radiation: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"] | None = None
-) -> Float[Tensor, "h w"]:
+def normalise_radiation(radiation: Plane, valid: Bool[Tensor, "h w"] | None = None) -> Plane:
     """E_r brought to [0, 1] by the quantiles of 1 % and 99 % of its valid pixels, as S-SSIM needs
     it to have the scale of I_t; what is beyond them is clipped.
 
@@ -128,26 +123,21 @@ class DepthUncertainty(nn.Module):
         super().__init__()
         self.psi = nn.Conv2d(1, 1, kernel_size=3, padding=1)
 
-    def forward(self, depth: Float[Tensor, "h w"], extent: float) -> Float[Tensor, "h w"]:
+    def forward(self, depth: Plane, extent: float) -> Plane:
         """u in (0, 1) of each pixel; depth and extent in scene units."""
         assert self.psi.bias is not None
         return convolve(depth / extent, self.psi.weight[0, 0], self.psi.bias).sigmoid()
 
 
 @operation
-def convolve(
-    plane: Float[Tensor, "h w"], weights: Float[Tensor, "3 3"], bias: Float[Tensor, "1"]
-) -> Float[Tensor, "h w"]:
+def convolve(plane: Plane, weights: Float[Tensor, "3 3"], bias: Float[Tensor, "1"]) -> Plane:
     """ψ of Eq. 15: a 3 × 3 convolution with zeros beyond the border."""
     return nn.functional.conv2d(plane[None, None], weights[None, None], bias, padding=1)[0, 0]
 
 
 @operation
 def boltzmann_loss(
-    thermal: Float[Tensor, "h w"],
-    radiation: Float[Tensor, "h w"],
-    uncertainty: Float[Tensor, "h w"],
-    valid: Bool[Tensor, "h w"] | None = None,
+    thermal: Plane, radiation: Plane, uncertainty: Plane, valid: Bool[Tensor, "h w"] | None = None
 ) -> Float[Tensor, ""]:
     """L_boltz, the mean over the pixels of (1 − S-SSIM(I_t, E_r)) / exp(u) + u.
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+Planes: TypeAlias = Float[Tensor, "c h w"]
 
 RADIUS_PX = 5
 """The window has 11 × 11 pixels."""
@@ -31,7 +33,7 @@ WEIGHTS = _window_weights()
 itself."""
 
 
-def window_mean(planes: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
+def window_mean(planes: Planes) -> Planes:
     """Mean of each pixel's 11 × 11 neighbourhood, Gaussian weights (σ = 1.5 px), zeros beyond the
     border (as 3DGS)."""
     for axis, padding in ((1, (0, 0, RADIUS_PX, RADIUS_PX)), (2, (RADIUS_PX, RADIUS_PX))):
@@ -45,14 +47,14 @@ def window_mean(planes: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
 class LocalStatistics(NamedTuple):
     """Local moments of two images, each [C, H, W]."""
 
-    mean_x: Float[Tensor, "c h w"]
-    mean_y: Float[Tensor, "c h w"]
-    variance_x: Float[Tensor, "c h w"]
-    variance_y: Float[Tensor, "c h w"]
-    covariance: Float[Tensor, "c h w"]
+    mean_x: Planes
+    mean_y: Planes
+    variance_x: Planes
+    variance_y: Planes
+    covariance: Planes
 
 
-def local_statistics(x: Float[Tensor, "c h w"], y: Float[Tensor, "c h w"]) -> LocalStatistics:
+def local_statistics(x: Planes, y: Planes) -> LocalStatistics:
     """Means, variances and covariance of both images under the window."""
     mean_x, square_x, product = window_mean(torch.cat([x, x * x, x * y])).chunk(3)
     # Apart, because a target asks for no backward pass.
@@ -66,11 +68,7 @@ def local_statistics(x: Float[Tensor, "c h w"], y: Float[Tensor, "c h w"]) -> Lo
     )
 
 
-def ssim_map(
-    x: Float[Tensor, "c h w"],
-    y: Float[Tensor, "c h w"],
-    data_range: float | Float[Tensor, ""] = 1.0,
-) -> Float[Tensor, "c h w"]:
+def ssim_map(x: Planes, y: Planes, data_range: float | Float[Tensor, ""] = 1.0) -> Planes:
     """SSIM of every pixel (Wang et al. 2004).
 
     3DGS takes the mean of the whole map. torchmetrics up to 1.4.1 takes that of its interior,
@@ -87,9 +85,7 @@ def ssim_map(
     return luminance * (2 * local.covariance + c2) / (local.variance_x + local.variance_y + c2)
 
 
-def structural_similarity(
-    x: Float[Tensor, "c h w"], y: Float[Tensor, "c h w"]
-) -> Float[Tensor, "c h w"]:
+def structural_similarity(x: Planes, y: Planes) -> Planes:
     """S-SSIM of every pixel: the structure term alone, blind to brightness.
 
     Eq. 14 (S-SSIM), Sec. Uncertainty-aware S-SSIM: 2 C_xy / (C_x + C_y). 9e-4 is added to numerator

@@ -43,12 +43,8 @@ LOWEST_SHARE = 0.01
 
 
 class DistantPoints(NamedTuple):
-    """M points that are about equally far from each other.
-
-    Attributes:
-        positions: in world coordinates, [M, 3].
-        spacing: scene units.
-    """
+    """M points in world coordinates that are about equally far from each other, ``spacing`` in
+    scene units."""
 
     positions: Float[Tensor, "m 3"]
     spacing: float

@@ -36,13 +36,8 @@ PAGE = "check.html"
 
 @dataclass(frozen=True)
 class SceneCheck:
-    """Result of ``check_scene``.
-
-    Attributes:
-        problems: worst first.
-        lines: facts about the scene, one sentence each.
-        page: the page that shows it.
-    """
+    """Result of ``check_scene``: the problems, worst first; facts about the scene, one sentence
+    each; and the page that shows it."""
 
     problems: tuple[Problem, ...]
     lines: tuple[str, ...]

@@ -39,13 +39,9 @@ class PreviewImage(NamedTuple):
 
 
 class Preview(NamedTuple):
-    """A view at the size in which the page shows it.
-
-    Attributes:
-        status: "training" or "held out", or why the view is not in the scene.
-        registered: whether it has a pose.
-        images: by modality, RGB first; without those that are missing.
-    """
+    """A view at the size in which the page shows it: ``status`` is "training" or "held out", or why
+    it is not in the scene; ``registered``, whether it has a pose; and the images are by modality,
+    RGB first, without those that are missing."""
 
     name: str
     status: str
@@ -120,14 +116,9 @@ def thermal_overlay(
     the thermal image.
 
     Each pixel of the photo is unprojected to the surface between the sparse points, and projected
-    from there into the thermal image. Occlusions are ignored.
-
-    Args:
-        visible: indices of the points that the photo shows; None if not known.
-
-    Returns:
-        [H, W] of the photo's preview; None if the view has no pose, no thermal image or no other.
-    """
+    from there into the thermal image. Occlusions are ignored. ``visible`` are the points that the
+    photo shows; None if not known. There is none where the view has no pose, no thermal image or no
+    other."""
     photo, thermal = next(iter(preview.images.values()), None), preview.images.get(THERMAL)
     if photo is None or thermal is None or photo is thermal:
         return None
@@ -235,12 +226,8 @@ def pairs(
     unit: str,
     total: int,
 ) -> PairsSection:
-    """Draw the views that are shown.
-
-    Args:
-        overlays: thermal images warped onto the photos, by the view's name.
-        unit: of the thermal values; empty where they are relative.
-    """
+    """Draw the views that are shown, with the ``overlays`` of ``thermal_overlays``; the ``unit`` of
+    the thermal values is empty where they are relative."""
     thermal = [view.images[THERMAL].pixels for view in previews if THERMAL in view.images]
     limits = (0.0, 1.0)
     if thermal:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Collection, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +14,8 @@ from scipy.spatial import cKDTree
 from mrgs.pictures.page_data import camera_facts, world_facts
 from mrgs.scene import Camera, PointCloud, Scene
 from mrgs.scene.view import evenly_spaced
+
+Vector: TypeAlias = Float[np.ndarray, "3"]
 
 MOST_POINTS = 4000
 _TRIM = 0.08
@@ -75,7 +77,7 @@ def orbit_facts(world: World) -> dict[str, Any]:
 
 def _box(
     positions: Float[np.ndarray, "n 3"], points: Float[np.ndarray, "k 3"]
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+) -> tuple[Vector, Vector]:
     """The box of the cameras and of nearly all points."""
     low, high = positions.min(axis=0), positions.max(axis=0)
     if len(points):
@@ -92,12 +94,7 @@ def frustum_size(positions: Float[np.ndarray, "n 3"], size: float) -> float:
     return float(np.clip(0.8 * nearest, 0.02 * size, 0.06 * size))
 
 
-def _viewpoints(
-    world: World,
-    up: Float[np.ndarray, "3"],
-    low: Float[np.ndarray, "3"],
-    high: Float[np.ndarray, "3"],
-) -> dict[str, Any]:
+def _viewpoints(world: World, up: Vector, low: Vector, high: Vector) -> dict[str, Any]:
     """Cameras that see the whole box: aslant, from above, and from the side."""
     ahead = np.array([0.0, 1.0, 0.0])
     if not world.north:
@@ -109,14 +106,12 @@ def _viewpoints(
         ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, up)
 
-    def seen_from(
-        side: Float[np.ndarray, "3"], top: Float[np.ndarray, "3"], far: float, length: float
-    ) -> dict[str, Any]:
+    def seen_from(side: Vector, top: Vector, far: float, length: float) -> dict[str, Any]:
         lens = Camera.from_fov(400, 400, 2 * math.degrees(math.atan(0.5 / far)))
         centre = (low + high) / 2
         return camera_facts(lens.look_at(centre + far * length * side, centre, top))
 
-    def extent(*axes: Float[np.ndarray, "3"]) -> float:
+    def extent(*axes: Vector) -> float:
         return 1.08 * max(float(np.abs(axis) @ (high - low)) for axis in axes)
 
     aslant = 0.5 * up - 0.7 * ahead + 0.5 * right

@@ -27,13 +27,9 @@ _RANK_S = 1e-5
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """Offset between the clocks of two cameras.
-
-    Attributes:
-        seconds: time on the first clock minus time on the second, at the same moment.
-        pairs: number of pairs with this offset.
-        rival: another offset with nearly as many pairs; None if there is none.
-    """
+    """Offset between the clocks of two cameras: time on the first minus time on the second, at the
+    same moment; the number of pairs with this offset; and another one with nearly as many, None if
+    there is none."""
 
     seconds: float
     pairs: int

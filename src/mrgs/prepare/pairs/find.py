@@ -14,14 +14,7 @@ from mrgs.errors import ConfigError, SceneError, printable
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras, shifted
 from mrgs.prepare.pairs.inventory import NOT_READ, Inventory, Photo, take_inventory
-from mrgs.prepare.pairs.names import (
-    HEADINGS,
-    PARTNER,
-    REFERENCE,
-    natural,
-    read_stem,
-    view_names,
-)
+from mrgs.prepare.pairs.names import HEADINGS, PARTNER, REFERENCE, natural, read_stem, view_names
 from mrgs.prepare.pairs.rules import (
     NEARLY,
     Match,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,6 +12,8 @@ from scipy.ndimage import gaussian_filter, maximum_filter, zoom
 from scipy.spatial import cKDTree
 
 from mrgs.data.undistort import sampled
+
+Points: TypeAlias = Float[np.ndarray, "n 2"]
 
 _LARGEST_PX, _SMALLEST_PX = 1280, 100
 _SIGMAS_PX = (1.5, 2.5)
@@ -23,18 +25,14 @@ _IRREGULAR_SQUARES = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """The inner corners of a chessboard in an image.
-
-    Attributes:
-        grid: positions x, y in pixels, [rows, columns, 2]. The direction along a row turns
-            clockwise into that along a column: the board is seen from its front. The image does
-            not show which of the board's corners is the first: see ``orderings``.
-    """
+    """The inner corners of a chessboard in an image: positions x, y in pixels. The direction along
+    a row turns clockwise into that along a column: the board is seen from its front. The image does
+    not show which of the board's corners is the first: see ``orderings``."""
 
     grid: Float[np.ndarray, "rows columns 2"]
 
     @property
-    def pixels(self) -> Float[np.ndarray, "n 2"]:
+    def pixels(self) -> Points:
         """Positions x, y in pixels, row by row."""
         return self.grid.reshape(-1, 2)
 
@@ -59,12 +57,8 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
 
     Saddle points are found at several scales, linked to a grid along their edges, and placed to a
     fraction of a pixel. At each corner the four squares around must alternate. Which squares are
-    the bright ones does not matter.
-
-    Args:
-        image: any unit; with or without lens distortion.
-        inner: how many inner corners there are in a row and in a column, both 3 or more.
-    """
+    the bright ones does not matter. The image may have any unit and lens distortion; ``inner`` is
+    how many inner corners are in a row and in a column, both 3 or more."""
     image = (image - np.median(image)).astype(np.float32)
     for saddles in _at_scales(image):
         for lattice in _lattices(saddles):
@@ -75,14 +69,12 @@ def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -
     return None
 
 
-def board_points(columns: int, rows: int) -> Float[np.ndarray, "n 2"]:
+def board_points(columns: int, rows: int) -> Points:
     """The inner corners on a board whose squares are 1 wide: x, y, row by row."""
     return np.indices((rows, columns))[::-1].reshape(2, -1).T.astype(np.float64)
 
 
-def homography(
-    source: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "3 3"]:
+def homography(source: Points, target: Points) -> Float[np.ndarray, "3 3"]:
     """The projective map of four or more points onto others, by the normalised direct linear
     transformation (Hartley and Zisserman, algorithm 4.2)."""
     normal_a, normal_b = _normalisation(source), _normalisation(target)
@@ -94,16 +86,14 @@ def homography(
     return np.linalg.inv(normal_b) @ matrix @ normal_a
 
 
-def _normalisation(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3 3"]:
+def _normalisation(points: Points) -> Float[np.ndarray, "3 3"]:
     """The map that centres points and makes their mean distance from the centre √2."""
     x, y = points.mean(axis=0)
     scale = np.sqrt(2) / np.hypot(points[:, 0] - x, points[:, 1] - y).mean()
     return np.array([[scale, 0, -scale * x], [0, scale, -scale * y], [0, 0, 1]])
 
 
-def transformed(
-    matrix: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n 2"]:
+def transformed(matrix: Float[np.ndarray, "3 3"], points: Points) -> Points:
     """Points under a projective map."""
     lifted = np.einsum("ij,nj->ni", matrix[:, :2], points) + matrix[:, 2]
     return lifted[:, :2] / lifted[:, 2:]
@@ -198,7 +188,7 @@ class _Saddles(NamedTuple):
     each, radians, in turn from x to y (clockwise in the image), the first two and their opposites;
     and whether the quarter between the first two edges is the brighter one."""
 
-    pixels: Float[np.ndarray, "n 2"]
+    pixels: Points
     angles: Float[np.ndarray, "n 4"]
     bright: Bool[np.ndarray, " n"]
 
@@ -253,10 +243,8 @@ def _find_saddles(image: Float[np.ndarray, "h w"], sigma_px: float) -> _Saddles:
 
 
 def _refined(
-    image: Float[np.ndarray, "h w"],
-    pixels: Float[np.ndarray, "n 2"],
-    radius_px: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "n 2"]:
+    image: Float[np.ndarray, "h w"], pixels: Points, radius_px: Float[np.ndarray, " n"]
+) -> Points:
     """Saddle points to a fraction of a pixel; NaN where there is none within the radius.
 
     A second-degree polynomial is fitted to the values around, with Gaussian weights; its stationary
@@ -280,7 +268,7 @@ def _refined(
 
 def _stationary(
     xx: np.ndarray, xy: np.ndarray, yy: np.ndarray, x: np.ndarray, y: np.ndarray
-) -> Float[np.ndarray, "n 2"]:
+) -> Points:
     """Where polynomials with these derivatives at 0 are stationary."""
     with np.errstate(all="ignore"):
         return np.column_stack([xy * y - yy * x, xy * x - xx * y]) / (xx * yy - xy**2)[:, None]

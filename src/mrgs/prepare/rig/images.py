@@ -45,12 +45,8 @@ def inverse_depth(
     points: Float[np.ndarray, "n 3"], camera: Camera, visible: Int[np.ndarray, " k"] | None = None
 ) -> InverseDepth | None:
     """The inverse depth of a photo, interpolated between the points that it sees; None if they are
-    too few.
-
-    Args:
-        points: [N, 3], in world coordinates.
-        visible: indices of the points that the photo sees; None to find hidden ones by their depth.
-    """
+    too few. ``points`` are in world coordinates; ``visible`` are those that the photo sees, None to
+    find hidden ones by their depth."""
     pixels, depth = camera.project(points if visible is None else points[visible])
     seen = camera.contains(pixels)
     uv, first = np.unique(pixels[seen].numpy(), axis=0, return_index=True)
@@ -184,12 +180,9 @@ def structure(
     """Strength of the edges in each of ``DIRECTIONS`` directions, less its mean in the
     surroundings.
 
-    It does not change when the image is inverted, scaled or shifted in value.
-
-    Args:
-        blur_px: distance at which edges still correlate (σ of a Gaussian), pixels.
-        valid: mask of usable pixels; the structure is 0 at and near the others.
-    """
+    It does not change when the image is inverted, scaled or shifted in value. ``blur_px`` is the
+    distance at which edges still correlate (σ of a Gaussian); the structure is 0 at and near pixels
+    that are not ``valid``."""
     if valid is not None:
         image = np.where(valid, image, np.median(image[valid]) if valid.any() else 0.0)
     down, right = np.gradient(gaussian_filter(image.astype(np.float32), _GRADIENT_SIGMA_PX))

@@ -33,13 +33,8 @@ _LEAST_CURVATURE = 1e-5
 
 @dataclass(frozen=True)
 class Patches:
-    """The layout of the patches; all lengths in pixels of the compared images.
-
-    Attributes:
-        sigma: of the Gaussian window.
-        spacing: of the patches' centres.
-        reach: largest displacement that is searched, in x and in y.
-    """
+    """The layout of the patches, in pixels of the compared images: the σ of the Gaussian window,
+    the spacing of the centres, and the largest displacement that is searched, in x and in y."""
 
     sigma: float
     spacing: int
@@ -227,12 +222,8 @@ def refine(
     corners: Observations | None = None,
 ) -> tuple[Adjusted, Observations]:
     """The cameras that fit all pairs best, and the observations of the last level. SceneError if
-    hardly any patch is matched.
-
-    Args:
-        size: width and height of the thermal files.
-        corners: of a target, with which the initial cameras agree.
-    """
+    hardly any patch is matched. ``size`` is that of the thermal files; the initial cameras agree
+    with the ``corners`` of a target."""
     width = pairs[0].thermal.values.shape[1]
     levels = [level for level in LEVELS if level.width_px <= width] or [LEVELS[0]]
     done, total = itertools.count(), (len(levels) + 1) * len(pairs)

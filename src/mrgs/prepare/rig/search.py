@@ -95,12 +95,9 @@ def first_guess(
     """Search fields of view from 15° to 100° (or around a given one), rotations up to 6°, and
     shifts up to 0.4 widths; without what all images of a camera have in common, and if nothing
     stands out, with it; then at the larger width. If still nothing does, the same about each
-    quarter turn: one camera may be mounted on its side, or only one may note how it was held.
-
-    Args:
-        field_of_view_deg: horizontal, of the thermal camera; None if not known.
-        report: counts the cameras that were tried, of all that are planned so far.
-    """
+    quarter turn: one camera may be mounted on its side, or only one may note how it was held. The
+    field of view is horizontal, of the thermal camera; ``report`` counts the cameras that were
+    tried, of all that are planned so far."""
     focals = _focals(field_of_view_deg)
     each = len(focals) + len(_FINE_STEPS) * len(_TURNS_DEG)
     counts = itertools.count()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -23,6 +23,8 @@ from mrgs.prepare.similarity import fit_similarity
 from mrgs.scene import Camera
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform, rotvec_from_matrix
 from mrgs.scene.view import evenly_spaced
+
+Coordinates: TypeAlias = Float[np.ndarray, "n 2"]
 
 CORNERS = 1
 """The kind of a target's corners among observations; patches are 0."""
@@ -46,7 +48,7 @@ class Sighting:
     thermal: Corners | None
 
     @property
-    def rays(self) -> Float[np.ndarray, "n 2"]:
+    def rays(self) -> Coordinates:
         """x / z and y / z of the corners, in the axes of the photo's camera."""
         K = self.camera.K.numpy()
         return (self.photo.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
@@ -134,12 +136,8 @@ def find_target(
     report: Progress,
 ) -> LocatedTarget:
     """Detect a target in all pairs and locate its corners. SceneError if no pair shows it in both
-    images, its distance is ambiguous, or an image cannot be read.
-
-    Args:
-        pairs: photos and thermal images, with the same side up.
-        metres_per_unit: of the scene; None if not known.
-    """
+    images, its distance is ambiguous, or an image cannot be read. Photos and thermal images have
+    the same side up."""
     found, in_thermal = [], 0
     for index, pair in enumerate(pairs):
         report("looking for the target", index, len(pairs))
@@ -189,7 +187,7 @@ class _Board(NamedTuple):
     origin: Float[np.ndarray, "3"]
     square: float
 
-    def corners(self, plane: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    def corners(self, plane: Coordinates) -> Float[np.ndarray, "n 3"]:
         return self.origin + self.square * np.einsum("ij,nj->ni", self.rotation[:, :2], plane)
 
 
@@ -229,18 +227,12 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Loca
     return LocatedTarget(tuple(located), tuple(points), width, len(stationary))
 
 
-def plane_pose(
-    rays: Float[np.ndarray, "n 2"], plane: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "4 4"]:
+def plane_pose(rays: Coordinates, plane: Coordinates) -> Float[np.ndarray, "4 4"]:
     """The rigid motion from a plane's axes to the camera that sees its points (x, y, 0).
 
     From the homography (Zhang 2000, section 3.1), then by least squares of the distances in the
-    image.
-
-    Args:
-        rays: normalised coordinates x / z and y / z in the camera.
-        plane: the points, in any unit of length; the motion is in the same.
-    """
+    image. ``rays`` are x / z and y / z in the camera; the motion is in the unit of the ``plane``'s
+    points."""
     columns = homography(plane, rays)
     columns = columns / np.linalg.norm(columns[:, :2], axis=0).mean() * np.sign(columns[2, 2])
     u, _, v = np.linalg.svd(np.column_stack([columns[:, :2], np.cross(*columns.T[:2])]))
@@ -256,7 +248,7 @@ def plane_pose(
 
 
 def _stationary_board(
-    views: Sequence[Sequence[_BoardPose]], plane: Float[np.ndarray, "n 2"]
+    views: Sequence[Sequence[_BoardPose]], plane: Coordinates
 ) -> tuple[_Board | None, dict[int, _BoardPose]]:
     """The board at the place where most photos see it, and the poses of these photos, with their
     corners in one order; None if there are too few, or if they were taken from nearly the same
@@ -293,10 +285,7 @@ def _from_two(first: _BoardPose, second: Sequence[_BoardPose]) -> _Board | None:
 
 
 def _consistent(
-    board: _Board,
-    views: Sequence[Sequence[_BoardPose]],
-    plane: Float[np.ndarray, "n 2"],
-    tolerance: float,
+    board: _Board, views: Sequence[Sequence[_BoardPose]], plane: Coordinates, tolerance: float
 ) -> dict[int, _BoardPose]:
     """The views whose median reprojection error is below a share of a square, with the corners in
     the board's order."""
@@ -315,7 +304,7 @@ def _consistent(
 
 
 def _fitted(
-    board: _Board, sightings: Sequence[Sighting], plane: Float[np.ndarray, "n 2"]
+    board: _Board, sightings: Sequence[Sighting], plane: Coordinates
 ) -> tuple[_Board, float]:
     """The board with the least reprojection error, and its uncertainty: one standard deviation of
     the width of a square, as a share of it."""

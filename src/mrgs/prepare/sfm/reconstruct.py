@@ -102,16 +102,9 @@ LEAST_VERSION = 4
 
 
 def run_colmap(folder: Path, progress: Progress, program: Sequence[str] = CHILD) -> None:
-    """Complete the job in ``folder``; see ``mrgs.prepare.sfm``.
-
-    Args:
-        folder: of the job; a log of the process is written there.
-        program: arguments of the Python interpreter that start the process.
-
-    Raises:
-        SceneError: the process failed, crashed, or was killed.
-        RunError: the folder cannot be written.
-    """
+    """Complete the job in ``folder``, where a log is written; see ``mrgs.prepare.sfm``. ``program``
+    are the arguments of the Python interpreter that start the process. SceneError if that failed,
+    crashed, or was killed; RunError if the folder cannot be written."""
     log = folder / LOG_FILE
     try:
         child = Child(program, str(folder.resolve()), log)

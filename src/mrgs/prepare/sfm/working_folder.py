@@ -31,17 +31,10 @@ def set_up(
 ) -> None:
     """Set up the folder; features and matches of an earlier call stay if nothing has changed.
 
-    The images are named by numbers, so that no name can be misread.
-
-    Args:
-        thermal: whether the images are thermal: their local contrast is then made even.
-        positions: where the images were taken, metres east, north and up.
-        focal_widths: focal length in image widths; None if not known.
-
-    Raises:
-        SceneError: an image cannot be read.
-        RunError: the folder cannot be written.
-    """
+    The images are named by numbers, so that no name can be misread. The local contrast of
+    ``thermal`` images is made even; ``positions`` are where images were taken, metres east, north
+    and up; ``focal_widths`` is the focal length in image widths. SceneError if an image cannot be
+    read, RunError if the folder cannot be written."""
     named = tuple(
         JobImage(
             f"{number:06d}{'.png' if thermal else source.suffix.lower()}", name, digest(source)
