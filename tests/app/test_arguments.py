@@ -75,9 +75,11 @@ def test_help_explains_every_option(name, capsys):
     ended(0, name, "--help")
     text = capsys.readouterr().out
     fields = [*dataclasses.fields(commands.COMMANDS[name])]
-    if any(field.name == "photo" for field in fields):
-        fields = [field for field in fields if field.name != "photo"]
-        fields += dataclasses.fields(commands.PhotoOptions)
+    groups = {"photo": commands.PhotoOptions, "settings": commands.PhotoSettings}
+    for field in [each for each in fields if each.default is dataclasses.MISSING]:
+        if field.name in groups and field.default_factory is groups[field.name]:
+            fields.remove(field)
+            fields += dataclasses.fields(groups[field.name])
     for field in fields:
         positional = field.default is dataclasses.MISSING
         option = "positional arguments" if positional else f"--{field.name.replace('_', '-')} "
@@ -85,7 +87,9 @@ def test_help_explains_every_option(name, capsys):
     assert "None" not in text
 
 
-@pytest.mark.parametrize("kind", [*commands.COMMANDS.values(), commands.PhotoOptions])
+@pytest.mark.parametrize(
+    "kind", [*commands.COMMANDS.values(), commands.PhotoOptions, commands.PhotoSettings]
+)
 def test_help_of_an_option_is_one_line_in_the_code(kind):
     """tyro would keep the line break and the indentation."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body[1:]

@@ -146,6 +146,7 @@ def _run(argv: list[str] | None) -> int:
         commands.RunAll: lambda given: follow_pipeline(
             given.photos, given, given.photo.options(), given.yes, given.flat_field
         ),
+        commands.Read: imported("mrgs.app.reading", "read"),
         commands.Prepare: _prepare,
         commands.Check: _check,
         commands.Train: train,

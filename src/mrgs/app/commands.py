@@ -12,6 +12,7 @@ from mrgs.export.formats import FORMATS
 from mrgs.runs.registry import registered_methods
 
 if TYPE_CHECKING:
+    from mrgs.data.radiometric import Overrides
     from mrgs.prepare import PrepareOptions
 
 # tyro keeps the line breaks in docstrings of fields; longer helps are given as arguments.
@@ -75,17 +76,9 @@ _OF_PREPARE = ("pairs", "pair_table", "poses", "one_camera", "thermal_camera", "
 
 
 @dataclass(frozen=True)
-class PhotoOptions:
-    """Facts about the photos that their files do not hold."""
+class PhotoSettings:
+    """What temperatures in thermal photos are computed with."""
 
-    pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
-    """How photos are paired: by file names, two folders or time; thermal: thermal photos only."""
-    pair_table: Maybe[Path] = None
-    """CSV file with the columns rgb and thermal, if pairs cannot be inferred from file names."""
-    tolerance: float = 2.0
-    """Maximum time difference within a pair, in seconds."""
-    poses: Maybe[Path] = None
-    """Folder with poses of these photos from COLMAP or nerfstudio; they are used as they are."""
     emissivity: Maybe[float] = None
     """Surface emissivity. This and the next six options override the values in the photos."""
     reflected: Maybe[float] = None
@@ -104,6 +97,36 @@ class PhotoOptions:
     """Unit of the values in TIFF, PNG and CSV files: celsius, kelvin*100, (celsius+100)*40 ..."""
     bounds: Maybe[tuple[float, float]] = None
     """Temperatures (°C) of black and white, for greyscale thermal photos with a fixed span."""
+
+    def overrides(self) -> Overrides:
+        """The settings for readers of photos. ConfigError for an invalid value."""
+        from mrgs.data.radiometric import Overrides
+
+        return Overrides(
+            distance_m=self.distance,
+            reflected_c=self.reflected,
+            atmospheric_c=self.atmospheric,
+            window_c=self.window,
+            bounds_c=self.bounds,
+            emissivity=self.emissivity,
+            humidity=self.humidity,
+            window_transmission=self.window_transmission,
+            unit=self.unit,
+        )
+
+
+@dataclass(frozen=True)
+class PhotoOptions(PhotoSettings):
+    """Facts about the photos that their files do not hold."""
+
+    pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
+    """How photos are paired: by file names, two folders or time; thermal: thermal photos only."""
+    pair_table: Maybe[Path] = None
+    """CSV file with the columns rgb and thermal, if pairs cannot be inferred from file names."""
+    tolerance: float = 2.0
+    """Maximum time difference within a pair, in seconds."""
+    poses: Maybe[Path] = None
+    """Folder with poses of these photos from COLMAP or nerfstudio; they are used as they are."""
     thermal_fov: Maybe[float] = None
     """Horizontal field of view of the thermal camera in degrees, from its data sheet."""
     thermal_camera: Maybe[Path] = None
@@ -120,26 +143,32 @@ class PhotoOptions:
     def options(self) -> PrepareOptions:
         """The options of ``prepare``. ConfigError for an invalid value, or two options that exclude
         each other."""
-        from mrgs.data.radiometric import Overrides
         from mrgs.prepare import PrepareOptions, parse_known_distance, parse_target
 
-        settings = ("emissivity", "humidity", "window_transmission", "unit")
         target, known = self.target, self.known_distance
         return PrepareOptions(
-            overrides=Overrides(
-                distance_m=self.distance,
-                reflected_c=self.reflected,
-                atmospheric_c=self.atmospheric,
-                window_c=self.window,
-                bounds_c=self.bounds,
-                **{name: getattr(self, name) for name in settings},
-            ),
+            overrides=self.overrides(),
             tolerance_s=self.tolerance,
             thermal_fov_deg=self.thermal_fov,
             target=None if target is None else parse_target(*target),
             known_distance=None if known is None else parse_known_distance(*known),
             **{name: getattr(self, name) for name in _OF_PREPARE},
         )
+
+
+@dataclass(frozen=True)
+class Read:
+    """Read the temperatures of one thermal photo.
+
+    Prints what the file says: kind, camera, settings, range, coldest and hottest pixel; writes the
+    temperatures with --output.
+    """
+
+    photo: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTO")]
+    """Thermal photo: radiometric JPEG, TIFF, PNG, FFF, or a table."""
+    output: Maybe[Path] = None
+    """File to write: .csv, a table of °C, or .tiff, float32."""
+    settings: tyro.conf.OmitArgPrefixes[PhotoSettings] = field(default_factory=PhotoSettings)
 
 
 @dataclass(frozen=True)
@@ -495,6 +524,7 @@ class Synth:
 COMMANDS: dict[str, type] = {
     "run": RunAll,
     "demo": Demo,
+    "read": Read,
     "prepare": Prepare,
     "check": Check,
     "train": Train,
