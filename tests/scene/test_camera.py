@@ -309,3 +309,23 @@ def test_tensors_in_lists_may_require_gradients():
 def test_a_camera_is_one_short_line():
     made = Camera.from_fov(640, 480, 60).look_at([1.0, -2, 0.5], [0.0, 0, 0])
     assert repr(made) == "Camera(640×480, 60° wide, at 1, -2, 0.5)"
+
+
+@pytest.mark.parametrize("axes", ["opencv", "opengl"])
+def test_a_camera_from_its_pose_is_the_one_of_its_view(axes):
+    expected = Camera.from_fov(64, 48, 60.0).look_at([1.0, -2.0, 3.0], [0.5, 0.0, 1.0])
+    pose = torch.linalg.inv(expected.viewmat)
+    if axes == "opengl":
+        pose = pose @ torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+    made = Camera.from_pose(expected.K, pose.tolist(), 64, 48, axes)
+    torch.testing.assert_close(made.viewmat, expected.viewmat)
+    torch.testing.assert_close(made.position, torch.tensor([1.0, -2.0, 3.0]).double())
+    assert (made.width, made.height) == (64, 48)
+
+
+def test_a_pose_that_is_none_is_refused():
+    K = Camera.from_fov(64, 48, 60.0).K
+    with pytest.raises(ValueError, match="'blender'"):
+        Camera.from_pose(K, torch.eye(4), 64, 48, "blender")
+    with pytest.raises(ValueError, match="mirrored"):
+        Camera.from_pose(K, torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0])), 64, 48)

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from mrgs.scene.arrays import Array, as_finite, as_floats, as_whole
-from mrgs.scene.rotations import checked_intrinsics, checked_pose
+from mrgs.scene.rotations import (
+    OPENGL_FROM_OPENCV,
+    checked_intrinsics,
+    checked_pose,
+    rigid_transform,
+)
 
 MIN_DEPTH = 1e-6
 """Scene units; a point nearer to the plane through the camera's centre may lie on either side of
@@ -65,6 +70,27 @@ class Camera:
             _tensors={},
             _resized={},
         )
+
+    @classmethod
+    def from_pose(
+        cls,
+        K: Array,
+        camera_to_world: Array,
+        width: int,
+        height: int,
+        axes: Literal["opencv", "opengl"] = "opencv",
+    ) -> Camera:
+        """A camera from its pose in the world, [4, 4], as robots and most programs have it. Its
+        axes are x right, y down, z forward, or with "opengl" x right, y up, z backward, as those of
+        nerfstudio and Blender. Errors as for ``Camera``, and ValueError for other axes."""
+        if axes not in ("opencv", "opengl"):
+            raise ValueError(f"axes are 'opencv' or 'opengl', not {axes!r}")
+        pose = as_finite(camera_to_world, (4, 4), "camera_to_world")
+        if axes == "opengl":
+            pose = pose @ torch.from_numpy(OPENGL_FROM_OPENCV)
+        rotation, position = checked_pose(pose)[:3].split([3, 1], dim=1)
+        viewmat = rigid_transform(rotation.T, -(rotation.T @ position)[:, 0])
+        return cls(K, viewmat, width, height)
 
     @classmethod
     def from_fov(cls, width: int, height: int, fov_deg: float) -> Camera:
