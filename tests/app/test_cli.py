@@ -423,7 +423,7 @@ def test_bad_lpips_weights_are_named(trained, tmp_path, capsys):
 def test_a_path_needs_frames(own_run, capsys):
     refused(
         capsys,
-        "at least one frame",
+        "frames must be 1 to .*--frames",
         "render",
         own_run,
         "--split",

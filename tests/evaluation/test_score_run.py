@@ -13,8 +13,8 @@ from PIL import Image
 from mrgs.errors import ConfigError, MrgsWarning, SceneError
 from mrgs.evaluation import evaluate_run, render_run, score_run
 from mrgs.evaluation.report import ScoredData
-from mrgs.evaluation.score_run import facts_of, score_views
-from mrgs.pictures.files import to_rgb8
+from mrgs.evaluation.score_run import PathOptions, facts_of, score_views
+from mrgs.pictures.files import to_picture, to_rgb8
 from mrgs.render import render, render_view
 from mrgs.run_files.facts import CheckpointFacts, fingerprints
 from mrgs.run_files.folder import RunFolder
@@ -105,14 +105,15 @@ def test_rendered_temperatures_are_those_of_the_model(run):
 def test_the_memory_of_each_rendering_is_given_back(split, run, monkeypatch):
     rendered, given_back = [], []
     monkeypatch.setattr(score_run, "give_back_freed", lambda: given_back.append(len(rendered)))
-    render_run(run, split, frames=3, progress=lambda done, total: rendered.append(total))
+    path = PathOptions(frames=3) if split == "path" else None
+    render_run(run, split, path=path, progress=lambda done, total: rendered.append(total))
     assert given_back == list(range(rendered[0]))
 
 
 def test_each_modality_has_its_own_frames_along_a_path(run):
     told = []
     folder = render_run(
-        run, "path", frames=2, progress=lambda done, total: told.append((done, total))
+        run, "path", path=PathOptions(2), progress=lambda done, total: told.append((done, total))
     )
     assert told == [(1, 2), (2, 2)]  # both modalities are rendered at once
     assert sorted(path.name for path in folder.glob("*.mp4")) == ["rgb.mp4", "thermal.mp4"]
@@ -123,6 +124,28 @@ def test_each_modality_has_its_own_frames_along_a_path(run):
         thermal = pixels(folder / "thermal" / f"{number:05d}.png")
         assert thermal.shape == frame.shape
         assert not np.array_equal(thermal, frame)
+
+
+def test_a_path_has_the_width_and_the_scale_bar_that_are_asked_for(run):
+    folder = render_run(run, "path", path=PathOptions(2, width=24, fps=5, scale_bar=True))
+    frame, thermal = (pixels(folder / name / "00001.png") for name in ("rgb", "thermal"))
+    assert frame.shape[1] == 24
+    assert thermal.shape[0] == frame.shape[0]
+    assert thermal.shape[1] > 24
+    camera = orbit(run.load_scene().train_cameras, 2)[1].with_width(24)
+    shown = to_picture(THERMAL, run.render(camera)[THERMAL].image, run.temperature, "inferno")
+    np.testing.assert_array_equal(thermal[:, :24], shown)
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    _, seconds = imageio_ffmpeg.count_frames_and_secs(str(folder / "thermal.mp4"))
+    assert seconds == pytest.approx(2 / 5)
+
+
+def test_options_of_a_path_are_for_paths(run):
+    with pytest.raises(ConfigError, match="choose the split path"):
+        render_run(run, "eval", path=PathOptions(2))
+    with pytest.raises(ConfigError, match="fps must be 1 to 240, not 0") as caught:
+        PathOptions(fps=0)
+    assert caught.value.options == ("fps",)
 
 
 def test_a_scene_without_held_out_views_cannot_be_scored(run, tmp_path):

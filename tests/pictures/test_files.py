@@ -13,11 +13,11 @@ from mrgs.evaluation.evaluate import read_float_tiff
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import (
     to_rgb8,
+    with_scale_bar,
     write_depth_png,
     write_float_tiff,
     write_png,
     write_rendering,
-    write_scaled_png,
 )
 from mrgs.pictures.palette import palette_table
 from mrgs.scene import RGB, THERMAL, Blend, Rendering, SceneBounds, View
@@ -111,7 +111,8 @@ def test_a_third_modality_is_a_grey_picture(tmp_path: Path) -> None:
 
 def test_the_map_keeps_its_pixels_beside_the_bar(tmp_path: Path) -> None:
     values = np.linspace(10, 30, 60 * 80, dtype=np.float32).reshape(60, 80)
-    path = write_scaled_png(tmp_path / "t.png", values, Scale("iron", 10.0, 30.0, "°C"))
+    scale = Scale("iron", 10.0, 30.0, "°C")
+    path = write_png(tmp_path / "t.png", with_scale_bar(values, scale))
     with Image.open(path) as image:
         pixels = np.asarray(image)
     assert pixels.shape[0] == 60

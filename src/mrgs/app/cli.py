@@ -251,12 +251,17 @@ def _eval(command: commands.Eval) -> None:
 
 def _render(command: commands.Render) -> None:
     from mrgs.evaluation import render_run
+    from mrgs.evaluation.score_run import PathOptions
     from mrgs.runs.open import open_run
 
+    options = {name: getattr(command, name) for name in ("frames", "width", "fps")}
+    given = {name: value for name, value in options.items() if value is not None}
+    given |= {"scale_bar": True} if command.scale_bar else {}
+    path = PathOptions(**given) if given else None
     run = open_run(command.run, command.scene, command.device)
     with counter("rendering") as progress:
-        folder = render_run(run, command.split, command.palette, command.frames, progress)
-    say(f"images: {folder}")
+        folder = render_run(run, command.split, command.palette, path, progress)
+    say(f"images: {folder}", *(f"video:  {film}" for film in sorted(folder.glob("*.mp4"))))
 
 
 def _view(command: commands.ViewRun) -> None:

@@ -285,8 +285,14 @@ class Render:
     """Evaluation views, training views, or a camera path (frames; a video with mrgs[video])."""
     palette: PaletteChoice = "inferno"
     """Palette of the thermal images."""
-    frames: int = 120
-    """Number of frames of the camera path."""
+    frames: Maybe[int] = None
+    """Number of frames of the camera path, by default 120."""
+    width: Maybe[int] = None
+    """Width of its frames in pixels, by default that of the photos."""
+    fps: Maybe[int] = None
+    """Frames per second of its videos, by default 24."""
+    scale_bar: bool = False
+    """Draw a scale bar beside the temperatures of its frames."""
     device: RenderDevice = "auto"
 
 

@@ -6,13 +6,14 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float, Float64, UInt8
 from torch import Tensor
 
 from mrgs.errors import ConfigError, SceneError, warn_user
@@ -31,18 +32,44 @@ from mrgs.method.camera_model.pose_error import (
     pose_error,
 )
 from mrgs.method.camera_model.pose_refinement import as_matrix, effect, motion_axes
-from mrgs.pictures.files import to_picture, write_png, write_rendering
+from mrgs.pictures.files import (
+    full_scale,
+    shown_values,
+    to_picture,
+    with_scale_bar,
+    write_png,
+    write_rendering,
+)
 from mrgs.pictures.palette import PaletteName
-from mrgs.pictures.video import frame_writer
+from mrgs.pictures.video import VIDEO_FPS, frame_writer
 from mrgs.runs.open import Run, TrainedRun
 from mrgs.runs.refined_poses import moved_cameras, moved_view
-from mrgs.scene import Camera, CameraResponse, Rendering, Scene, View, ideal_cameras
+from mrgs.scene import CameraResponse, Modality, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
 from mrgs.system.memory import give_back_freed
 from mrgs.training.pose_check import looked_at, spread
 from mrgs.training.view_pass import pixel_sizes
 
-PATH_FRAMES = 120
+
+@dataclass(frozen=True)
+class PathOptions:
+    """How a camera path is rendered: frames, their width in pixels (by default that of the photos),
+    frames per second of its films, and whether images in °C have a scale bar. ConfigError for
+    values out of range."""
+
+    frames: int = 120
+    width: int | None = None
+    fps: int = VIDEO_FPS
+    scale_bar: bool = False
+
+    def __post_init__(self) -> None:
+        for name, least, most in (("frames", 1, 100_000), ("width", 16, 8192), ("fps", 1, 240)):
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise ConfigError(
+                    f"{name} must be {least:,} to {most:,}, not {value:,}", options=(name,)
+                )
+
 
 Split: TypeAlias = Literal["eval", "train", "path"]
 """The held-out views, those that were trained on, or a camera path around the scene."""
@@ -334,7 +361,7 @@ def render_run(
     run: TrainedRun,
     split: Split = "eval",
     palette: PaletteName = "inferno",
-    frames: int = PATH_FRAMES,
+    path: PathOptions | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Write the run's images of a split into the run's folder ``renders/SPLIT``; returns that
@@ -342,17 +369,19 @@ def render_run(
 
     Per view: what ``write_rendering`` writes. For ``path``, a camera path around the scene: frames
     of each modality as PNG, and as mp4 where the extra ``video`` is installed. SceneError if the
-    scene cannot be read, ConfigError for an unknown split, or one without views, RunError if a file
-    cannot be written."""
+    scene cannot be read, ConfigError for an unknown split, or one without views, or options of a
+    path where there is none, RunError if a file cannot be written."""
     if split not in get_args(Split):
         raise ConfigError(
             f"unknown split {split!r}; choose one of {', '.join(get_args(Split))}",
             options=("split",),
         )
+    if path is not None and split != "path":
+        raise ConfigError("frames, width and scale bar are those of a path: choose the split path")
     scene = run.load_scene()
     folder = run.folder.path / "renders" / split
     if split == "path":
-        _write_path(run, scene, orbit(scene.train_cameras, frames), folder, palette, progress)
+        _write_path(run, scene, path or PathOptions(), folder, palette, progress)
         return folder
     views = scene.eval if split == "eval" else scene.train
     if not views:
@@ -372,24 +401,34 @@ def render_run(
 def _write_path(
     run: TrainedRun,
     scene: Scene,
-    cameras: list[Camera],
+    options: PathOptions,
     folder: Path,
     palette: PaletteName,
     progress: Progress | None,
 ) -> None:
     """The frames of each modality along a camera path, each camera rendered once."""
-    size = (cameras[0].width, cameras[0].height)
+    cameras = orbit(scene.train_cameras, options.frames)
+    if options.width is not None:
+        cameras = [camera.with_width(options.width) for camera in cameras]
+
+    def picture(modality: Modality, image: Float[Tensor, "h w c"]) -> UInt8[np.ndarray, "h w 3"]:
+        if not (options.scale_bar and modality.is_metric):
+            return to_picture(modality, image, run.temperature, palette)
+        values = shown_values(modality, image, run.temperature)
+        return np.asarray(with_scale_bar(values, full_scale(modality, run.temperature, palette)))
+
     with ExitStack() as stack:
-        writers = {
-            modality: stack.enter_context(frame_writer(folder, modality.name, size))
-            for modality in scene.modalities
-            if modality in run.modalities
-        }
+        writers = {}
+        for modality in scene.modalities:
+            if modality in run.modalities:
+                empty = torch.zeros(cameras[0].height, cameras[0].width, modality.channels)
+                height, width, _ = picture(modality, empty).shape
+                writer = frame_writer(folder, modality.name, (width, height), fps=options.fps)
+                writers[modality] = stack.enter_context(writer)
         for number, camera in enumerate(cameras, start=1):
             rendering = run.render(dict.fromkeys(writers, camera))
             for modality, add in writers.items():
-                image = rendering[modality].image
-                add(to_picture(modality, image, run.temperature, palette))
+                add(picture(modality, rendering[modality].image))
             give_back_freed()
             if progress is not None:
                 progress(number, len(cameras))

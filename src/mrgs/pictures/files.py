@@ -54,7 +54,8 @@ def write_rendering(
         values = shown_values(modality, blend.image, temperature)
         kind, text = folder_of_values(modality, temperature)
         paths.append(write_float_tiff(folder / kind / f"{name}.tiff", values, text))
-        paths.append(write_scaled_png(png, values, full_scale(modality, temperature, palette)))
+        scale = full_scale(modality, temperature, palette)
+        paths.append(write_png(png, with_scale_bar(values, scale)))
     for modality in rendering:
         if rendering.has_depth(modality):
             surface = rendering.surface_depth(modality)
@@ -121,15 +122,14 @@ def write_float_tiff(path: Path, values: Float[np.ndarray, "h w"], description: 
     return path
 
 
-def write_scaled_png(path: Path, values: Float[np.ndarray, "h w"], scale: Scale) -> Path:
-    """Write a colour-mapped PNG with a scale bar at its right; the map's own pixels keep their
-    size."""
+def with_scale_bar(values: Float[np.ndarray, "h w"], scale: Scale) -> Image.Image:
+    """A colour-mapped image with a scale bar at its right; the map's own pixels keep their size."""
     height, width = values.shape
     bar = scale_bar(scale, height, "vertical", size=max(10, min(18, height // 24)))
     image = blank((width + 2 * _MARGIN_PX + bar.width, height))
     image.paste(Image.fromarray(scale.colorize(values)), (0, 0))
     image.paste(bar, (width + _MARGIN_PX, 0))
-    return write_png(path, image)
+    return image
 
 
 def write_depth_png(path: Path, depth: Float[np.ndarray, "h w"]) -> Path:

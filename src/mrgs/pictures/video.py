@@ -32,7 +32,11 @@ def can_write_mp4() -> bool:
 
 @contextmanager
 def frame_writer(
-    folder: Path, name: str, size: tuple[int, int], mp4: bool | None = None
+    folder: Path,
+    name: str,
+    size: tuple[int, int],
+    mp4: bool | None = None,
+    fps: int = VIDEO_FPS,
 ) -> Iterator[AddFrame]:
     """Give a function that writes frames into ``NAME/00000.png`` and so on and, if asked for or by
     default if imageio-ffmpeg is installed, into ``NAME.mp4``.
@@ -45,7 +49,7 @@ def frame_writer(
         add_to_mp4 = None
         if can_write_mp4() if mp4 is None else mp4:
             temporary = stack.enter_context(replacing(folder / f"{name}.mp4"))
-            add_to_mp4 = stack.enter_context(_mp4_encoder(temporary, size))
+            add_to_mp4 = stack.enter_context(_mp4_encoder(temporary, size, fps))
         count = 0
 
         def add(frame: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -72,11 +76,11 @@ def _remove_video(folder: Path, name: str) -> None:
 
 
 @contextmanager
-def _mp4_encoder(path: Path, size: tuple[int, int]) -> Iterator[AddFrame]:
+def _mp4_encoder(path: Path, size: tuple[int, int], fps: int) -> Iterator[AddFrame]:
     """Feed frames to ffmpeg; an OSError with the last line that it printed if it fails."""
     import imageio_ffmpeg  # an extra: only where it is installed
 
-    raw = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {VIDEO_FPS} -i -".split()
+    raw = f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {fps} -i -".split()
     even = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0"]
     # H.264 in the pixel format that every player knows.
     target = ["-c:v", "libx264", "-crf", str(CRF), "-pix_fmt", "yuv420p", str(path)]
