@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -26,6 +27,18 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run(*arguments: object) -> int:
     return main([str(argument) for argument in arguments])
+
+
+def test_the_time_counts_other_programs(tmp_path, monkeypatch):
+    alone, busy = r"about 10 minutes \(", "about 10 minutes, about 25 minutes if other programs"
+    for factor, expected in ((1.0, alone), (2.5, busy)):
+        plan = SimpleNamespace(
+            seconds=600.0, quality=QUALITIES["fast"], stages=(), cores=2, free_memory=None,
+            memory=1, disk=1, output=tmp_path, device="cpu",
+            intake=SimpleNamespace(kind="scene", source="s", summary="", facts=()),
+        )  # fmt: skip
+        monkeypatch.setattr(pipeline, "waiting_factor", lambda factor=factor: factor)
+        assert re.match(expected, pipeline._plan_lines(plan)["time"])
 
 
 class Terminal(io.StringIO):

@@ -20,9 +20,12 @@ from mrgs.run_files.folder import RunConfig
 from mrgs.run_files.record import StepStatistics
 from mrgs.scene import Scene
 from mrgs.system.disk import free_disk
+from mrgs.system.threads import waiting_factor
 from mrgs.system.wording import counted, quoted
 
 GIGABYTE = 1e9
+BUSY = 1.3
+"""Other programs that make it so many times as long are worth a word."""
 
 
 def follow_pipeline(
@@ -173,6 +176,8 @@ def _plan_lines(plan: PipelinePlan) -> dict[str, str]:
             amounts = f"{free / GIGABYTE:.1f} GB {what} free (about {needed / GIGABYTE:.1f} needed)"
             facts.append(amounts)
     facts += [plan.device] if plan.device != "cpu" else []
+    factor = waiting_factor()
+    slower = f", {rough(factor * plan.seconds)} if other programs go on" if factor > BUSY else ""
     stages = ", ".join(
         f"{stage.name} {'done' if stage.is_done else duration(stage.seconds)}"
         for stage in plan.stages
@@ -184,7 +189,7 @@ def _plan_lines(plan: PipelinePlan) -> dict[str, str]:
         "quality": f"{quality.name}: {quality.max_steps:,} steps, at most "
         f"{quality.max_gaussians:,} Gaussians, photos at most {quality.resolution:,} px wide",
         "results": str(plan.output),
-        "time": f"{rough(plan.seconds)} ({stages})",
+        "time": f"{rough(plan.seconds)}{slower} ({stages})",
     }
 
 

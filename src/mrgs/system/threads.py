@@ -16,6 +16,13 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
+def waiting_factor() -> float:
+    """How many times as long work on all cores takes if other programs go on as in the last minute:
+    1 where they do nothing, or it is not known."""
+    busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    return 1 + busy / available_cores()
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Compute on the calling thread alone for a while.
