@@ -58,6 +58,12 @@ def test_where_nothing_is_seen_nothing_changes():
         assert torch.equal(path.received(radiance, seen), radiance)
 
 
+def test_the_sky_is_left_as_the_photo_says():
+    path, radiance = AirPath.of(RECORDS, RADIANCE, farthest=100.0), torch.rand(1, 2, 1)
+    received = path.received(radiance, blend(torch.tensor([[99.0, 101.0]])))
+    assert (received == radiance).flatten().tolist() == [False, True]
+
+
 def test_the_depth_gets_no_gradient():
     path = AirPath.of(RECORDS, RADIANCE)
     depth, radiance = torch.full((2, 3), 40.0, requires_grad=True), torch.rand(2, 3, 1)

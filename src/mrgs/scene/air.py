@@ -60,6 +60,8 @@ class AirPath(NamedTuple):
         decay1, decay2: of τ(D) = x exp(−decay1 √D) + (1 − x) exp(−decay2 √D), 1 / √m.
         noted: τ(d).
         added: A.
+        farthest: distance, m, beyond which there is only background, the sky for instance, of which
+            a photo says what reaches the camera through all of the air.
     """
 
     decay1: float
@@ -67,9 +69,15 @@ class AirPath(NamedTuple):
     x: float
     noted: float
     added: float
+    farthest: float = math.inf
 
     @classmethod
-    def of(cls, records: Iterable[PhotoRecord], radiance: BandRadiance | None) -> AirPath | None:
+    def of(
+        cls,
+        records: Iterable[PhotoRecord],
+        radiance: BandRadiance | None,
+        farthest: float = math.inf,
+    ) -> AirPath | None:
         """That of a scene's photos; None where their parameters are not known."""
         noted = usual_parameters(records)
         if noted is None or radiance is None:
@@ -77,12 +85,14 @@ class AirPath(NamedTuple):
         share, decays = noted.emissivity, USUAL_AIR.decays(noted.atmospheric_c, noted.humidity)
         air, reflected = map(radiance.of_celsius, (noted.atmospheric_c, noted.reflected_c))
         tau = USUAL_AIR.transmission(noted.distance_m, noted.atmospheric_c, noted.humidity)
-        return cls(*decays, USUAL_AIR.x, tau, (air - (1 - share) * reflected) / share)
+        added = (air - (1 - share) * reflected) / share
+        return cls(*decays, USUAL_AIR.x, tau, added, farthest)
 
     def received(self, radiance: Float[Tensor, "h w 1"], blend: Blend) -> Float[Tensor, "h w 1"]:
-        """R' of R and the blend's depth, in metres; R where the blend shows no surface. No gradient
-        moves the depth."""
-        depth, is_solid = (blend.depth / blend.alpha).detach(), blend.alpha >= SOLID_ALPHA
+        """R' of R and the blend's depth, in metres; R where the blend shows no surface or only
+        background. No gradient moves the depth."""
+        depth = (blend.depth / blend.alpha).detach()
+        is_solid = (blend.alpha >= SOLID_ALPHA) & (depth <= self.farthest)
         tau = _transmission(depth.clamp_min(0), self.decay1, self.decay2, self.x)
         share = torch.where(is_solid, tau / self.noted, 1.0)[:, :, None]
         return share * radiance + (1 - share) * self.added

@@ -90,7 +90,9 @@ class Capture:
             tuple(map(minutes, scene.train)),
             tuple((viewpoint, when) for viewpoint, when in held_out if when is not None),
             radiance,
-            AirPath.of(scene.records, radiance) if scene.world.metric else None,
+            AirPath.of(scene.records, radiance, scene.reach.background_begins)
+            if scene.world.metric
+            else None,
         )
 
     @property

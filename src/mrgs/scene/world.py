@@ -81,11 +81,16 @@ class SceneBounds(NamedTuple):
         """Distance of the background from the centre, scene units."""
         return TIMES_AS_FAR * self.radius
 
+    @property
+    def background_begins(self) -> float:
+        """Distance from the centre between the scene and the background, scene units."""
+        return (self.background_distance + self.radius) / 2
+
     def is_background(self, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
         """Whether points of the world, [..., 3], are nearer to the background than to the scene;
         NaN does not."""
         centre = constant(tuple(self.centre.tolist()), points)
-        return (points - centre).norm(dim=-1) > (self.background_distance + self.radius) / 2
+        return (points - centre).norm(dim=-1) > self.background_begins
 
     def without_background(
         self, camera: Camera, depth: Float[Tensor, "h w"]
