@@ -245,7 +245,7 @@ class Render:
     """Render images of a run: colour, temperature, depth.
 
     Writes RGB as PNG, temperature as float32 TIFF in °C and colour-mapped, and depth to
-    RUN/renders.
+    RUN/renders. Temperatures have the emissivity of the photos, also in marked areas.
     """
 
     run: RunPath

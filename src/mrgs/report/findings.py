@@ -16,18 +16,8 @@ from mrgs.marks import MarkReading, RunMarks, tables
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import COVERAGE
-from mrgs.pictures.drawing import (
-    COLDEST,
-    HOTTEST,
-    PAPER,
-    Scale,
-    above_scale,
-    cross,
-    draw_dot,
-    draw_plate,
-    draw_strokes,
-    text_width,
-)
+from mrgs.pictures import drawing
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.numbers import number_text
@@ -81,7 +71,7 @@ def mark_pictures(
     scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
     thermal = Image.fromarray(scale.colorize(values))
     _draw(thermal, reading, camera)
-    whole = above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)
+    whole = drawing.above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)
     pictures = [inline_image(whole, f"{name}, thermal", quality=90)]
     if RGB in view.images:
         photo_camera = _about(reading.mark, view.images[RGB].camera)
@@ -133,7 +123,7 @@ def _cropped(view: View, wanted: Camera) -> Image.Image:
         Image.Transform.EXTENT,
         (left, top, right, bottom),
         Image.Resampling.BICUBIC,
-        fillcolor=PAPER,
+        fillcolor=drawing.PAPER,
     )
 
 
@@ -144,17 +134,17 @@ def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
     corners = [(x, y) for x, y in pixels.tolist()]
     x, y = min(corners, key=lambda corner: corner[1])
     if mark.kind == "spot":
-        draw_strokes(image, cross(x, y, CROSS_PX), STROKE_PX)
+        drawing.draw_strokes(image, drawing.cross(x, y, CROSS_PX), STROKE_PX)
     else:
-        draw_strokes(image, [[*corners, corners[0]] if mark.is_area else corners], STROKE_PX)
-        for place, color in ((reading.low_at, COLDEST), (reading.high_at, HOTTEST)):
+        drawing.draw_outline(image, corners, mark.is_area, STROKE_PX)
+        for place, color in ((reading.low_at, drawing.COLDEST), (reading.high_at, drawing.HOTTEST)):
             if place:
                 pixel = camera.project(torch.tensor(place).double())[0]
-                draw_dot(image, pixel.tolist(), DOT_PX, color)
-    wide = text_width(mark.name, NAME_PX) + 14
+                drawing.draw_dot(image, pixel.tolist(), DOT_PX, color)
+    wide = drawing.text_width(mark.name, NAME_PX) + 14
     left = min(max(x + 10, 2), image.width - wide - 2)
     top = min(max(y - NAME_PX - 22, 2), image.height - NAME_PX - 12)
-    draw_plate(image, (left, top, left + wide, top + NAME_PX + 10), mark.name, NAME_PX)
+    drawing.draw_plate(image, (left, top, left + wide, top + NAME_PX + 10), mark.name, NAME_PX)
 
 
 CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 64
@@ -331,7 +321,8 @@ def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
         values = span_c * shading(SHADING_PX * 3 // 4, SHADING_PX)[..., 0].double().numpy()
         most = max(float(np.abs(values).max()), 0.05)
         scale = Scale("error", -most, most, "K", t.decimal)
-        drawn = above_scale(Image.fromarray(scale.colorize(values)), scale, 13, SCALE_GAP_PX)
+        shown = Image.fromarray(scale.colorize(values))
+        drawn = drawing.above_scale(shown, scale, 13, SCALE_GAP_PX)
         picture = inline_image(drawn, "shading", png=True)
     constant = span_c * float(run.image_model.constant)
     return CameraEffects(chart, picture, kelvin(constant) if constant else "")

@@ -22,19 +22,8 @@ from mrgs.marks.mark import Mark
 from mrgs.marks.photo_survey import PhotoSurvey
 from mrgs.marks.regions import Regions
 from mrgs.marks.surface import SurfaceRenderer
-from mrgs.pictures.drawing import (
-    INK,
-    MUTED,
-    PAPER,
-    Box,
-    Scale,
-    above_scale,
-    draw_plate,
-    draw_strokes,
-    draw_text,
-    fit_text,
-    text_width,
-)
+from mrgs.pictures import drawing
+from mrgs.pictures.drawing import Box, Scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import display_range, round_down
 from mrgs.pictures.values import in_unit, unit_label
@@ -66,7 +55,7 @@ def draw_marks(
             for r, color, width in ((RING_PX + 1, BLACK, 5), (RING_PX, WHITE, 3)):
                 draw.ellipse([x - r, y - r, x + r, y + r], outline=color, width=width)
         else:
-            draw_strokes(image, [[*path, path[0]] if marks[name].is_area else path], STROKE_PX)
+            drawing.draw_outline(image, path, marks[name].is_area, STROKE_PX)
     draw_names_at(image, places)
 
 
@@ -101,14 +90,14 @@ def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) ->
     """Write names beside their places, so that none covers another, nor another's place: many in
     smaller letters, farther away where it is crowded, and none without room. Returns the boxes."""
     size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
-    labels = {name: fit_text(name, size, image.width / 2) for name in places}
+    labels = {name: drawing.fit_text(name, size, image.width / 2) for name in places}
     boxes = _boxes_of(image, labels, places, size)
     for name, box in boxes.items():
         (x, y), (left, top, right, bottom) = places[name], box
         end = (min(max(x, left), right), min(max(y, top), bottom))
-        ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
+        ImageDraw.Draw(image).line((x, y, *end), fill=drawing.INK, width=2)
     for name, box in boxes.items():
-        draw_plate(image, box, labels[name], size)
+        drawing.draw_plate(image, box, labels[name], size)
     return boxes
 
 
@@ -124,7 +113,7 @@ def _boxes_of(
         taken[_pixels_of((x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX))] = True
     found = {}
     for name, (x, y) in places.items():
-        wide, half = text_width(labels[name], size) + size / 2, size / 2 + 4
+        wide, half = drawing.text_width(labels[name], size) + size / 2, size / 2 + 4
         for box in _boxes_about(x, y, wide, half):
             left, top, right, bottom = box
             inside = left >= 0 and top >= 0 and right <= image.width and bottom <= image.height
@@ -213,7 +202,7 @@ class Plan:
         self, flat: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"]
     ) -> Image.Image:
         """The surfaces, the farthest first, and the cameras."""
-        image = Image.new("RGB", (WIDTH_PX, self._height), PAPER)
+        image = Image.new("RGB", (WIDTH_PX, self._height), drawing.PAPER)
         draw = ImageDraw.Draw(image)
         inside = ((flat[:, :2] >= self._low) & (flat[:, :2] <= self._high)).all(axis=1)
         order = np.flatnonzero(inside)[np.argsort(flat[inside, 2])]
@@ -230,12 +219,13 @@ class Plan:
         if self._metric:
             length = round_down(0.2 * WIDTH_PX / self._scale)
             end = MARGIN_PX + length * self._scale
-            draw.line((MARGIN_PX, bottom, end, bottom), fill=INK, width=4)
-            draw_text(image, (end + 10, bottom + 4), f"{length:g} m", 20, MUTED)
+            draw.line((MARGIN_PX, bottom, end, bottom), fill=drawing.INK, width=4)
+            drawing.draw_text(image, (end + 10, bottom + 4), f"{length:g} m", 20, drawing.MUTED)
         if self._north and not self.from_the_front:
             x, y = WIDTH_PX - MARGIN_PX, MARGIN_PX
-            draw.polygon([(x, y - 30), (x + 11, y + 6), (x, y - 3), (x - 11, y + 6)], fill=INK)
-            draw_text(image, (x, y + 28), "N", 22, INK, anchor="ms")
+            arrow = [(x, y - 30), (x + 11, y + 6), (x, y - 3), (x - 11, y + 6)]
+            draw.polygon(arrow, fill=drawing.INK)
+            drawing.draw_text(image, (x, y + 28), "N", 22, drawing.INK, anchor="ms")
 
     @property
     def _height(self) -> int:
@@ -427,9 +417,9 @@ def _overview(
             if np.isfinite(corners).all():  # not behind the camera
                 shown[name] = corners
         draw_marks(picture, marks, shown)
-        pictures.append(
-            picture if modality != THERMAL else above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
-        )
+        if modality == THERMAL:
+            picture = drawing.above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
+        pictures.append(picture)
     return Overview(view.name, list(marks), pictures)
 
 

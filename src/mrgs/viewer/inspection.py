@@ -97,8 +97,14 @@ class Inspection:
     ) -> DrawnPicture:
         """A picture in known scales, or in measured ones where there are none, or where the user's
         choices have changed."""
-        panes = panes_of(settings.mode, camera, self.view)
+        panes = tuple(map(self._titled, panes_of(settings.mode, camera, self.view)))
         images = tuple(self._images(pane, moving) for pane in panes)
+        # What hides a mark in a photo is known from the model beside it.
+        depths = {pane.photo: shown.depth for pane, shown in zip(panes, images, strict=True)}
+        images = tuple(
+            replace(shown, depth=depths[pane.photo]) if pane.kind == "photo" else shown
+            for pane, shown in zip(panes, images, strict=True)
+        )
         scales = dict(known)
         for key, scale in self._measured(panes, images, settings).items():
             kept = scales.get(key)
@@ -199,6 +205,13 @@ class Inspection:
         assert pane.photo is not None
         (modality,) = pane.modalities
         return self._photo_images(modality, pane.photo, self.subject.temperature)
+
+    def _titled(self, pane: Pane) -> Pane:
+        """The model that is compared with a thermal photo says if others are corrected."""
+        corrects = self.subject.board is not None and self.subject.board.regions
+        if not corrects or pane.photo is None or pane.kind == "photo" or pane.scaled != THERMAL:
+            return pane
+        return replace(pane, title=f"{pane.title}, emissivity of the photo")
 
     def _regions(self, pane: Pane) -> Regions | None:
         """Surfaces with an emissivity of their own; None beside photos, which have none."""

@@ -114,6 +114,7 @@ class Page {
       note: ({ text }) => this.noted(text),
       hover: ({ text }) => this.showTip(text),
       point: ({ of }) => this.showPoint(of),
+      measuring: () => this.measuring(true),
       marks: (facts) => this.marksChanged(facts),
       refused: ({ mark, text }) => { if (!this.marks.refuse(mark, text)) this.sayOfMarks(text, true); },
       limits: ({ of }) => this.limitsChanged(of),
@@ -321,7 +322,13 @@ class Page {
     this.showRange();
   }
 
+  // What is being measured anew is grey until it is known.
+  measuring(begun) {
+    for (const id of ["measure-section", "marks"]) element(id).classList.toggle("measuring", begun);
+  }
+
   marksChanged({ of: marks, proposals, notes, problems }) {
+    this.measuring(false);
     const send = (type, facts) => this.connection.send(type, facts);
     this.marks.show(marks);
     element("proposal-list").replaceChildren(...proposals.map((mark) => proposalRow(mark, send)));
