@@ -25,11 +25,28 @@ from mrgs.marks.surface import SurfaceRenderer
 from mrgs.pictures import drawing
 from mrgs.pictures.drawing import Box, Scale
 from mrgs.pictures.files import to_array, to_picture
-from mrgs.pictures.palette import display_range, round_down
+from mrgs.pictures.palette import PaletteName, display_range, round_down
 from mrgs.pictures.values import in_unit, unit_label
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
+from mrgs.scene import THERMAL, Camera, Rendering, Scene, TemperatureRange, View, in_order
+
+
+class Style(NamedTuple):
+    """How temperatures are drawn: the palette, the limits of all pictures in the unit of their
+    values, None for each its own, and the sign before decimals."""
+
+    palette: PaletteName = "inferno"
+    limits: tuple[float, float] | None = None
+    decimal: str = "."
+
+    def scale(self, limits: tuple[float, float], temperature: TemperatureRange | None) -> Scale:
+        """The scale of a picture, whose own limits are given."""
+        unit = unit_label(THERMAL, temperature)
+        return Scale(self.palette, *(self.limits or limits), unit, self.decimal)
+
+
+PLAIN = Style()
 
 LABEL_PX = 24
 SMALL_PX = 420
@@ -285,10 +302,10 @@ class TemperatureMap:
         corners, size = self._pixels(mark), self.drawn.celsius.shape[::-1]
         return bool(((corners >= 0) & (corners <= size)).all())
 
-    def picture(self, marks: Mapping[str, Mark], decimal: str = ".") -> Image.Image:
-        """The temperatures with legend and scale bar, and the marks on the map under their names;
-        ``decimal`` is written before the decimals of the legend's numbers."""
-        scale = map_scale(self.drawn, "inferno")._replace(decimal=decimal)
+    def picture(self, marks: Mapping[str, Mark], style: Style = PLAIN) -> Image.Image:
+        """The temperatures with legend and scale bar, and the marks on the map under their
+        names."""
+        scale = map_scale(self.drawn, style.palette, style.limits)._replace(decimal=style.decimal)
         body, metres_per_px = map_body(self.drawn, scale)
         zoom = self.drawn.grid.pixel_m / metres_per_px
         shown = {
@@ -377,11 +394,11 @@ def overviews(
     marks: Mapping[str, Mark],
     survey: PhotoSurvey,
     render: SurfaceRenderer,
-    decimal: str = ".",
+    style: Style = PLAIN,
 ) -> list[Overview]:
     """The views that together see most marks by their middles, the one that sees most first; at
-    most ``MOST_OVERVIEWS``, by the survey of the scene's thermal training photos. ``decimal`` is
-    written before the decimals of the scale's numbers. SceneError if a photo cannot be read."""
+    most ``MOST_OVERVIEWS``, by the survey of the scene's thermal training photos. SceneError if a
+    photo cannot be read."""
     thermal = [view for view in scene.train if THERMAL in view.images]
     names = np.array([*marks])
     middles = np.array([np.mean(mark.points, axis=0) for mark in marks.values()], np.float32)
@@ -393,19 +410,24 @@ def overviews(
             break
         shown = {name: marks[name] for name in seen[best] if name in left}
         view = thermal[survey.chosen[best]]
-        chosen.append(_overview(view, shown, scene, render, decimal))
+        chosen.append(overview(view, shown, scene, render, style))
         left -= set(shown)
     return chosen
 
 
-def _overview(
-    view: View, marks: Mapping[str, Mark], scene: Scene, render: SurfaceRenderer, decimal: str
+def overview(
+    view: View,
+    marks: Mapping[str, Mark],
+    scene: Scene,
+    render: SurfaceRenderer,
+    style: Style,
 ) -> Overview:
+    """Photos and thermal rendering of a view with marks. SceneError if a photo cannot be read."""
     pictures = []
     for modality in sorted(in_order(view.images), key=lambda each: each == THERMAL):
         camera = view.images[modality].camera
         if modality == THERMAL:
-            picture, scale = _thermal(render(camera), camera, scene, decimal)
+            picture, scale = _thermal(render(camera), camera, scene, style)
         else:
             pixels = to_picture(modality, view.images[modality].load().values, None, "inferno")
             picture = Image.fromarray(pixels)
@@ -424,11 +446,11 @@ def _overview(
 
 
 def _thermal(
-    rendering: Rendering, camera: Camera, scene: Scene, decimal: str
+    rendering: Rendering, camera: Camera, scene: Scene, style: Style
 ) -> tuple[Image.Image, Scale]:
     """The thermal image and its scale, which its surfaces use up; the sky may be beyond it."""
     values = in_unit(THERMAL, to_array(rendering[THERMAL].image[..., 0]), scene.temperature)
     surface = scene.reach.without_background(camera, rendering.surface_depth(THERMAL))
     limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
-    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
+    scale = style.scale(limits, scene.temperature)
     return Image.fromarray(scale.colorize(values)), scale

@@ -147,7 +147,7 @@ class Inspection:
         return labels
 
     def proposals(self) -> list[MarkLabel]:
-        """The anomalies that the report proposes."""
+        """The places that the report proposes."""
         board = self.subject.board if self.settings.marks else None
         return [self._label(each, " ?") for each in (() if board is None else board.proposals)]
 
