@@ -282,17 +282,8 @@ def _export(command: commands.Export) -> None:
     maps = MapOptions(plane, command.pixel_size, command.crs)
     scene = run.load_scene()
     with counter("export", expect_export(run, scene, command.format)) as progress:
-        paths = export(
-            run,
-            scene,
-            command.format,
-            folder,
-            command.palette,
-            command.range_c,
-            maps,
-            on_baked=print_baking_loss,
-            progress=progress,
-        )
+        write = partial(export, run, scene, command.format, folder, command.palette)
+        paths = write(command.range_c, maps, on_baked=print_baking_loss, progress=progress)
     print_exported(folder, paths)
 
 

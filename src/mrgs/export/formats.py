@@ -36,13 +36,9 @@ class Format:
 def _format(name: str, files: str, writer: str = "", required: str = "", **options: Any) -> Format:
     """A format; writer, by default ``NAME:export``, and requirement are ``MODULE:FUNCTION``."""
     if required:
-        options["require"] = imported(*_in_room(required))
-    return Format(name, files, imported(*_in_room(writer or f"{name}:export")), **options)
-
-
-def _in_room(place: str) -> tuple[str, str]:
-    module, _, function = place.partition(":")
-    return f"mrgs.export.{module}", function
+        options["require"] = imported(*f"mrgs.export.{required}".split(":"))
+    write = imported(*f"mrgs.export.{writer or f'{name}:export'}".split(":"))
+    return Format(name, files, write, **options)
 
 
 _FORMATS = (

@@ -87,8 +87,8 @@ def report_run(
     begin(0)
     marks = open_marks(run, scene)
     regions = marks.meter.regions(marks.marks)
-    has_celsius = has_thermal and scene.temperature is not None
-    found = propose(marks, scene, regions, survey) if has_celsius else Proposals({}, 0)
+    has_c = has_thermal and scene.temperature is not None
+    found = propose(marks, scene, regions, survey) if has_c else Proposals({}, 0)
     begin(1)
     findings = show_findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
@@ -111,11 +111,8 @@ def report_run(
         stated=sections.stated_rows(survey, t),
         conditions=sections.conditions_of(survey, sections.thermal_pixel_m(scene)),
         styles=[PAGE_STYLE, "report/report.css"],
-        run_folder=run.folder.path,
         quoted=quoted,
-        facts=run.facts,
-        config=run.config,
-        gaussian_count=run.gaussian_count,
+        run=run,
         has_thermal=has_thermal,
         temperature=scene.temperature,
         held_back=found.held_back,
@@ -127,7 +124,6 @@ def report_run(
         every=every,
         air_around=f"{air_uncertainty(survey):g}",
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
-        has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
         capture=sections.capture_rows(scene, survey, t),
         settings=settings_of(scene.records),
