@@ -13,8 +13,9 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Scene, SceneBounds
+from mrgs.survey import SURVEY_FILE, Survey, write_survey
 from mrgs.training import make_config, train
-from mrgs.viewer.facts import header_text, point_text
+from mrgs.viewer.facts import header_text, hello_facts, point_text
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.painting import SCALE_FROM_PX, MarkLabel, seen_labels
 from mrgs.viewer.saving import render_video, save_keyframes, save_screenshot
@@ -110,6 +111,19 @@ def test_the_scale_is_locked_unless_it_follows(inspection, camera):
     near = scale(camera)
     assert scale(far, moving=True) == near
     assert scale(far) != near
+
+
+def test_it_begins_with_the_colours_that_the_survey_states(subject, camera):
+    survey = subject.board._store.folder / SURVEY_FILE
+    write_survey(survey, Survey(palette="iron", scale_low_c=11.0, scale_high_c=29.0))
+    try:
+        subject.board.refresh()
+        inspection = Inspection(subject)
+        facts = hello_facts(inspection, {})
+    finally:
+        survey.unlink()
+    assert inspection.picture(camera).scales[THERMAL][:3] == ("iron", 11.0, 29.0)
+    assert (facts["palette"], facts["modalities"][0]["range"]) == ("iron", [11.0, 29.0])
 
 
 def test_the_scale_is_locked_at_what_the_photos_show(subject, camera):

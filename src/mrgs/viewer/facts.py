@@ -69,6 +69,7 @@ def hello_facts(inspection: Inspection, start: Mapping[str, Any]) -> dict[str, A
         "views": [{"name": view.name, **camera_facts(view.camera)} for view in subject.views],
         "palettes": palette_facts([*PALETTE_CHOICES, "depth", "error"]),
         "choices": PALETTE_CHOICES,
+        "palette": inspection.settings.palette,
         "modalities": [
             modality_facts(each, scale, inspection.settings.limits.get(each, range_of(each, scale)))
             for each in subject.modalities

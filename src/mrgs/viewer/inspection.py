@@ -16,7 +16,9 @@ from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import label_text
 from mrgs.pictures.page_data import rounded
+from mrgs.pictures.palette import PaletteName
 from mrgs.scene import THERMAL, Camera, Modality, View
+from mrgs.survey import Survey
 from mrgs.viewer.painting import DrawnPicture, MarkLabel, Scales, annotate, compose, measure_scales
 from mrgs.viewer.panes import (
     Pane,
@@ -61,11 +63,13 @@ class Inspection:
 
     def __init__(self, subject: Subject) -> None:
         self.subject = subject
-        self.settings = Settings(
-            mode=subject.modes[0],
-            limits=subject.limits,
-            scaled=subject.scaled or subject.modalities[0],
-        )
+        stated = Survey() if subject.board is None else subject.board.survey
+        limits = dict(subject.limits)
+        if THERMAL in limits and subject.temperature is not None and stated.scale is not None:
+            limits[THERMAL] = stated.scale
+        palette: PaletteName = stated.palette or Settings.palette
+        scaled = subject.scaled or subject.modalities[0]
+        self.settings = Settings(subject.modes[0], palette, limits, scaled=scaled)
         self.drawn: DrawnPicture | None = None
         self.view_index: int | None = None
         self.point: PointReading | None = None

@@ -165,6 +165,7 @@ class Page {
     }
     modes.forEach(({ label, compares }, index) => { if (compares) element("compare").add(new Option(label, index)); });
     for (const name of choices) element("palette").add(new Option(name === "grey" ? "grey (white-hot)" : name, name));
+    element("palette").value = this.facts.palette;
     for (const { name } of views) element("photo").add(new Option(name));
     element("photo-section").hidden = views.length === 0;
     element("measure-section").hidden = !marks;
