@@ -744,7 +744,7 @@ def test_export_and_report(own_run, capsys):
     assert capsys.readouterr().out.endswith(f"open:  {page} (in a browser)\n")
     assert run("report", own_run) == 0
     said = capsys.readouterr().out
-    assert re.search(r"^report 3 of 3: scores and page \| 0:\d\d left$", said, re.MULTILINE)
+    assert re.search(r"^report 3 of 3: page \| 0:\d\d left$", said, re.MULTILINE)
     assert "Limits of the measurement" in (own_run / "report.html").read_text(encoding="utf-8")
 
 

@@ -27,7 +27,7 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 def picture(page: Any) -> np.ndarray:
     """The picture alone, without what lies over it."""
     show = "(nodes, visibility) => nodes.forEach((node) => { node.style.visibility = visibility; })"
-    over = page.locator("#scales, .tools, #tip, #marker")
+    over = page.locator("#scales, .tools, #tip, #marks")
     over.evaluate_all(show, "hidden")
     content = page.locator("#view").screenshot()
     over.evaluate_all(show, "")

@@ -111,6 +111,24 @@ def test_marks_are_kept_with_the_run(marks, run, view) -> None:
 
 
 @pytest.mark.slow
+def test_renderings_and_points_can_have_the_emissivity_of_areas(marks, run, view):
+    camera = view.images[THERMAL].camera
+    before = run.temperatures_c(run.render(camera))
+    depth = run.render(camera).surface_depth(THERMAL)
+    rows, columns = np.array([48, 8]), np.array([50, 8])
+    pixels = torch.from_numpy(np.stack([columns, rows], axis=1) + 0.5)
+    points = camera.unproject(pixels, depth[rows, columns].double())
+    assert np.allclose(marks.temperature_at(points), run.temperature_at(points), equal_nan=True)
+    marks.box(camera, (60, 52), (40, 44), emissivity=0.5, reflected_c=0.0)
+    after = run.temperatures_c(marks.render(camera))
+    changed = marks.temperature_at(points) - run.temperature_at(points)
+    assert changed[0] == pytest.approx(float((after - before)[48, 50]), abs=0.5)
+    assert changed[0] > 3
+    assert not changed[1] > 0  # beside the area, or nothing known
+    assert torch.equal(run.temperatures_c(run.render(camera)), before)
+
+
+@pytest.mark.slow
 def test_a_copy_of_another_runs_marks_is_refused(marks, view, small_scene, tmp_path_factory):
     marks.spot(view.images[THERMAL].camera, (48, 40))
     output = tmp_path_factory.mktemp("other") / "run"

@@ -23,6 +23,7 @@ from mrgs.pipeline.intake import take_in
 from mrgs.pipeline.plan import QUALITIES, Quality
 from mrgs.pipeline.stages import LEDGER
 from mrgs.prepare import Preparation, PrepareOptions, StageReport
+from mrgs.survey import SURVEY_FILE, Survey, read_survey
 from tests.helpers.photos import photo
 from tests.helpers.scenes import write_scene
 
@@ -116,6 +117,7 @@ def test_everything_lands_in_one_folder(finished, small_scene):
     assert (results.exports / "points.ply").is_file()
     assert any(results.renders.rglob("*.tiff"))
     assert results.run == finished / "fast"
+    assert read_survey(results.run / SURVEY_FILE) == Survey()
     assert sorted(path for path in small_scene.rglob("*")) == before, "the scene is only read"
 
 

@@ -126,16 +126,17 @@ def test_words_about_rain_are_no_number():
 @pytest.mark.parametrize(("language", "row"), [("en", "21.5 °C"), ("de", "21,5 °C")])
 def test_what_is_stated_is_shown_in_its_language(language, row):
     t = Texts(language)
-    rows = stated_rows(Survey(client="Town", inside_c=21.5), t)
-    assert rows == [(t("Client"), "Town"), (t("Air inside"), row)]
+    survey = Survey(client="Town", inside_c=21.5)
+    assert stated_rows(survey, t, on_cover=True) == [(t("Client"), "Town")]
+    assert stated_rows(survey, t) == [(t("Air inside"), row)]
 
 
 def test_the_inspectors_words_are_not_translated_but_a_side_is():
     t = Texts("de")
     assert t("Clouds") != "Clouds"
-    rows = stated_rows(Survey(client="Clouds", parts_observed="inside", side="inside"), t)
-    assert rows == [
-        (t("Client"), "Clouds"),
+    survey = Survey(client="Clouds", parts_observed="inside", side="inside")
+    assert stated_rows(survey, t, on_cover=True) == [(t("Client"), "Clouds")]
+    assert stated_rows(survey, t) == [
         (t("Parts observed"), "inside"),
         (t("Photographed from"), t("inside")),
     ]

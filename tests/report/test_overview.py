@@ -17,6 +17,7 @@ from mrgs.report.anomalies import Spot, photo_value, surroundings
 from mrgs.report.overview import (
     OVERVIEW_PX,
     Overview,
+    Style,
     _thermal,
     overviews,
 )
@@ -118,7 +119,7 @@ def test_the_colours_of_an_overview_are_used_up_by_surfaces():
     made, camera = scene([0.0]), before(0.0)
     image, depth = torch.linspace(0.5, 0.7, 80).repeat(60, 1), torch.full((60, 80), 6.0)
     image[:20], depth[:20] = 0.0, torch.nan  # the sky
-    _, scale = _thermal(rendered(image, depth), camera, made, ".")
+    _, scale = _thermal(rendered(image, depth), camera, made, Style())
     assert (scale.low, scale.high) == (pytest.approx(20, abs=0.6), pytest.approx(24, abs=0.6))
 
 

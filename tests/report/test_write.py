@@ -97,9 +97,9 @@ def plain(opened: Run, sharp: Scene, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_the_report_tells_spots_capture_training_and_limits(plain):
     for words in (
-        "Anomalies", "H1", "x, y, z",
+        "Hottest and coldest places", "H1", "x, y, z",
         "6 training", "8, 80 × 60", "10.0 °C", "30.0 °C",
-        "60 of 60", "Emissivity", "Reflections", "not covered", "photo reads",
+        "Emissivity", "Reflections", "not covered", "photo reads",
     ):  # fmt: skip
         assert words in plain.text
     spots = [float(value) for value in re.findall(r"[HC]\d (\d+\.\d) ± \d+\.\d °C", plain.text)]
@@ -113,9 +113,13 @@ def test_everything_is_in_the_file(plain):
     assert not plain.tags & {"script", "link", "iframe", "object"}
 
 
-def test_without_scores_and_a_contact_sheet_it_says_how_to_get_them(plain, run):
-    assert plain.text.count(f"mrgs eval {run.folder.path}") == 2
-    assert "Not scored" in plain.text
+def test_the_appendix_is_there_where_it_is_asked_for(plain, run, tmp_path):
+    asked = Page(report_run(run, tmp_path / "report.html", appendix=True)).text
+    assert asked.count(f"mrgs eval {run.folder.path}") == 2
+    for words in ("Not scored", "Appendix", "60 of 60"):
+        assert words in asked
+        assert words not in plain.text
+    assert "mrgs eval" not in plain.text
 
 
 @pytest.mark.usefixtures("without_spots")
@@ -123,7 +127,7 @@ def test_commands_in_the_report_can_be_pasted_whatever_the_folder_is_called(run,
     folder = tmp_path / "my $(run)"
     shutil.copytree(run.folder.path, folder)
     moved = replace(run, folder=RunFolder(folder))
-    text = Page(report_run(moved, tmp_path / "report.html")).text
+    text = Page(report_run(moved, tmp_path / "report.html", appendix=True)).text
     assert text.count(f"mrgs eval '{folder}'") == 2
 
 
@@ -131,7 +135,7 @@ def test_commands_in_the_report_can_be_pasted_whatever_the_folder_is_called(run,
 def test_scores_and_contact_sheet_are_shown(run, tmp_path):
     (run.folder.path / "eval" / "metrics.json").write_text(json.dumps(METRICS), encoding="utf-8")
     Image.new("RGB", (64, 32), (200, 10, 10)).save(run.folder.path / "eval" / "contact_sheet.png")
-    page = Page(report_run(run, tmp_path / "report.html"))
+    page = Page(report_run(run, tmp_path / "report.html", appendix=True))
     assert "PSNR, dB 41.24" in page.text
     assert "RGB, SSIM 0.8400" in page.text
     assert "LPIPS" not in page.text
@@ -139,30 +143,19 @@ def test_scores_and_contact_sheet_are_shown(run, tmp_path):
 
 
 @pytest.mark.usefixtures("without_spots")
-def test_scores_with_aligned_poses_and_what_the_parts_of_the_model_add_are_shown(run, tmp_path):
+def test_scores_with_aligned_poses_are_shown(run, tmp_path):
     poses = {
         "error_px": 1.7,
         "aligned": {"thermal": {"psnr": 49.876}, "rgb": {"psnr": 30.0}, "truth": {"mae_c": 0.1}},
     }
-    parts = {
-        "temperature_residual_std_c": 0.51239,
-        "heat_exchange_std_c": 0.0,
-        "color_residual_std": None,
-        "knock_out": {
-            "temperature_residual": {"thermal_psnr": 38.456, "rgb_psnr": 27.4, "truth_mae_c": None}
-        },
-    }
     (run.folder.path / "eval" / "metrics.json").write_text(
-        json.dumps(METRICS | {"poses": poses, "parts": parts}), encoding="utf-8"
+        json.dumps(METRICS | {"poses": poses}), encoding="utf-8"
     )
-    text = Page(report_run(run, tmp_path / "report.html", language="de")).text
+    path = report_run(run, tmp_path / "report.html", language="de", appendix=True)
+    text = Page(path).text
     assert "PSNR, dB 49,88" in text
     assert "41,24" not in text
     assert "1,7 Pixel" in text
-    assert "0,5124 °C" in text
-    assert "Wärmeaustausch 0,0000 °C" in text
-    assert "Farbanteil" not in text
-    assert "38,46 27,40 –" in text
 
 
 @pytest.mark.usefixtures("without_spots")
@@ -170,7 +163,7 @@ def test_scores_of_an_older_step_are_said_to_be_old(run, tmp_path):
     (run.folder.path / "eval" / "metrics.json").write_text(
         json.dumps(METRICS | {"steps": 30}), encoding="utf-8"
     )
-    text = Page(report_run(run, tmp_path / "report.html")).text
+    text = Page(report_run(run, tmp_path / "report.html", appendix=True)).text
     assert re.search(r"step 30\b.* step 60\b", text)
 
 
@@ -182,14 +175,12 @@ def test_foreign_metrics_are_named(run, tmp_path):
         "[]",
         '{"mean": {}}',
         '{"steps": 1, "mean": {"thermal": {"x": 1}, "rgb": {}}}',
-        '{"steps": 1, "mean": {}, "parts": {"heat_exchange_std_c": "much"}}',
-        '{"steps": 1, "mean": {}, "parts": {"knock_out": {"unknown": {}}}}',
     ):
         file.write_text(content, encoding="utf-8")
         with pytest.raises(RunError, match=r"metrics\.json .*`mrgs eval`"):
             read_scores(run, Texts())
     with pytest.raises(RunError, match=r"metrics\.json"):
-        report_run(run, tmp_path / "report.html")
+        report_run(run, tmp_path / "report.html", appendix=True)
     assert not list(tmp_path.iterdir())
 
 
@@ -197,7 +188,7 @@ def test_foreign_metrics_are_named(run, tmp_path):
 def test_a_broken_contact_sheet_is_named(run, tmp_path):
     (run.folder.path / "eval" / "contact_sheet.png").write_bytes(b"not a picture")
     with pytest.raises(RunError, match=r"contact_sheet\.png .*`mrgs eval`"):
-        report_run(run, tmp_path / "report.html")
+        report_run(run, tmp_path / "report.html", appendix=True)
 
 
 @pytest.mark.usefixtures("without_spots")
@@ -218,7 +209,9 @@ def test_names_from_files_are_escaped(run, tmp_path):
 def test_the_inspectors_words_are_escaped(run, tmp_path):
     evil = "\"><img src=x onerror=alert(1)></td></title><script>alert(2)</script>'&amp;"
     texts = [
-        name for name, field in Survey.__dataclass_fields__.items() if field.type == "str | None"
+        name
+        for name, field in Survey.__dataclass_fields__.items()
+        if field.type == "str | None" and name != "logo"
     ]
     assert len(texts) > 15
     survey = replace(
@@ -247,7 +240,6 @@ def test_a_scene_without_celsius_has_relative_values(run, sharp, tmp_path):
     assert "no °C" in text
     assert "were computed" not in text
     assert "Without °C" in text
-    assert re.search(r"H1 \d\.\d{3}", text)
 
 
 @pytest.mark.parametrize(

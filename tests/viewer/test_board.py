@@ -87,14 +87,14 @@ def test_a_change_of_one_field_leaves_what_another_program_wrote(board, disk, ad
 def test_what_another_program_does_is_found_and_told(board, disk, add):
     add()
     board.refresh()
-    told: list[int] = []
-    board.subscribe(lambda: told.append(len(board.marks)))
+    told: list[tuple[int, bool]] = []
+    board.subscribe(lambda: told.append((len(board.marks), board.is_measuring)))
     assert not board.is_stale
     disk.edit(lambda marks: marks.without("B1"))
     assert board.is_stale
     board.refresh()
     board.refresh()
-    assert told == [0]
+    assert told == [(1, True), (0, False)]
 
 
 def test_a_file_that_is_deleted_right_after_a_change_is_noticed(board, disk, add):
@@ -158,7 +158,8 @@ def test_a_change_is_saved_though_it_cannot_be_measured(subject, disk, add, smal
     board.refresh()
     (disk.folder / SURVEY_FILE).write_text("camera_accuracy_c: 5")
     board.refresh()
-    assert set(told) == {("x.jpg is torn",)}
+    assert not board.is_measuring
+    assert set(told[1:]) == {("x.jpg is torn",)}
     assert disk.read().marks[0].emissivity == 0.6
     source.failure = ""
     board.change(board.numbers[0], {"severity": "2"})

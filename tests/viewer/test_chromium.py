@@ -292,6 +292,22 @@ def test_a_change_that_is_taken_back_before_its_answer_is_saved(open_page, viewe
     assert note.input_value() == ""
 
 
+def test_what_is_being_measured_anew_is_grey(open_page, board, monkeypatch):
+    page = open_page()
+    row = draw_box(page)
+    go, measure = threading.Event(), board._meter.measure
+    monkeypatch.setattr(board._meter, "measure", lambda *of: (go.wait(60), measure(*of))[1])
+    value = row.locator("summary span").last
+    known = value.evaluate("each => getComputedStyle(each).color")
+    row.get_by_label("Emissivity").fill("0.5")
+    page.keyboard.press("Tab")
+    page.wait_for_selector("#measure-section.measuring")
+    assert value.evaluate("each => getComputedStyle(each).color") != known
+    go.set()
+    page.wait_for_selector("#measure-section:not(.measuring)")
+    assert value.evaluate("each => getComputedStyle(each).color") == known
+
+
 def test_what_another_browser_saves_meanwhile_is_said(open_page, board, disk):
     page = open_page()
     row = draw_box(page)

@@ -13,11 +13,11 @@ from mrgs.errors import ConfigError, RunError
 from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.open import load_run
 from mrgs.scene import RGB, THERMAL, Scene, SceneBounds
-from mrgs.scene.rendering import SOLID_ALPHA
+from mrgs.survey import SURVEY_FILE, Survey, write_survey
 from mrgs.training import make_config, train
-from mrgs.viewer.facts import header_text, point_text
+from mrgs.viewer.facts import header_text, hello_facts, point_text
 from mrgs.viewer.inspection import Inspection
-from mrgs.viewer.painting import SCALE_FROM_PX
+from mrgs.viewer.painting import SCALE_FROM_PX, MarkLabel, seen_labels
 from mrgs.viewer.saving import render_video, save_keyframes, save_screenshot
 from mrgs.viewer.server import board_of
 from mrgs.viewer.settings import Mode, Settings
@@ -113,6 +113,19 @@ def test_the_scale_is_locked_unless_it_follows(inspection, camera):
     assert scale(far) != near
 
 
+def test_it_begins_with_the_colours_that_the_survey_states(subject, camera):
+    survey = subject.board._store.folder / SURVEY_FILE
+    write_survey(survey, Survey(palette="iron", scale_low_c=11.0, scale_high_c=29.0))
+    try:
+        subject.board.refresh()
+        inspection = Inspection(subject)
+        facts = hello_facts(inspection, {})
+    finally:
+        survey.unlink()
+    assert inspection.picture(camera).scales[THERMAL][:3] == ("iron", 11.0, 29.0)
+    assert (facts["palette"], facts["modalities"][0]["range"]) == ("iron", [11.0, 29.0])
+
+
 def test_the_scale_is_locked_at_what_the_photos_show(subject, camera):
     low, high = subject.limits[THERMAL]
     seen = [view.images[THERMAL].load().values for view in subject.scene.train]
@@ -206,6 +219,29 @@ def test_a_surface_with_its_own_emissivity_is_shown_with_it(inspection, camera, 
     inspection.settings = Settings(MODES["photos"])
     photo, model = inspection.picture(camera).images[-2:]
     assert np.nanmax(model.images[THERMAL]) < np.nanmax(photo.images[THERMAL]) + 3
+    titles = [pane.title for pane in inspection.drawn.panes]
+    assert titles[-1] == "thermal, the model, emissivity of the photo"
+    assert not any("emissivity" in title for title in titles[:-1])
+    inspection.settings = Settings(MODES["difference"])
+    assert inspection.picture(camera).panes[0].title.endswith(", emissivity of the photo")
+
+
+def test_what_hides_a_mark_hides_it_in_the_photo_too(inspection, camera, balls):
+    inspection.settings = Settings(MODES["photos"])
+    drawn = inspection.picture(camera)
+    view = inspection.view
+    for pane, shown in zip(drawn.panes, drawn.images, strict=True):
+        rows, columns = np.nonzero(np.isfinite(shown.depth))
+        row, column = int(np.median(rows)), int(np.median(columns))
+        height, width = shown.depth.shape
+        own = pane.camera.resized(width, height)
+        places = [
+            own.unproject([column + 0.5, row + 0.5], share * float(shown.depth[row, column]))
+            for share in (1.0, 1.5)
+        ]
+        labels = [MarkLabel(each.numpy()[None], f"S{i}") for i, each in enumerate(places)]
+        assert [each.label for each in seen_labels(pane, shown, labels)] == ["S0"]
+    assert len(drawn.panes) == 2 * len(view.images)
 
 
 def test_screenshots_are_numbered(inspection, camera, subject):
@@ -343,6 +379,5 @@ def test_uncertainty_is_drawn_with_the_dilation_of_the_model(small_run, balls, c
     inspection = Inspection(subject_of(run, balls, tmp_path))
     inspection.settings = Settings(MODES["uncertainty"])
     (shown,) = inspection.picture(camera).images
-    blend = run.render(camera)[THERMAL]
-    depth = (blend.depth / blend.alpha.clamp_min(SOLID_ALPHA)).numpy()
+    depth = run.render(camera).visible_depth().numpy()
     assert shown.depth[shown.solid] == pytest.approx(depth[shown.solid], rel=1e-5)

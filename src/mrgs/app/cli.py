@@ -8,7 +8,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import partial, reduce
 from importlib.metadata import version
 from operator import or_
 from pathlib import Path
@@ -288,17 +288,8 @@ def _export(command: commands.Export) -> None:
     maps = MapOptions(plane, command.pixel_size, command.crs)
     scene = run.load_scene()
     with counter("export", expect_export(run, scene, command.format)) as progress:
-        paths = export(
-            run,
-            scene,
-            command.format,
-            folder,
-            command.palette,
-            command.range_c,
-            maps,
-            on_baked=print_baking_loss,
-            progress=progress,
-        )
+        write = partial(export, run, scene, command.format, folder, command.palette)
+        paths = write(command.range_c, maps, on_baked=print_baking_loss, progress=progress)
     print_exported(folder, paths)
 
 
@@ -315,24 +306,22 @@ def _report(command: commands.Report) -> None:
     _state_survey(command)
     scene = run.load_scene()
     with counter("report", expect_report(run, scene)) as progress:
-        path = report_run(
-            run, command.output, command.language, command.pdf, scene=scene, progress=progress
-        )
+        write = partial(report_run, run, command.output, command.language, command.pdf)
+        path = write(appendix=command.appendix, scene=scene, progress=progress)
     say(f"report: {path}", *([f"pdf: {path.with_suffix('.pdf')}"] if command.pdf else []))
 
 
 def _state_survey(command: commands.Report) -> None:
-    """Write the survey that the options state to the run's folder, or an empty one to fill in."""
-    from mrgs.survey import SURVEY_FILE, read_survey, write_survey
+    """Write the survey that the options state to the run's folder."""
+    from mrgs.survey import SURVEY_FILE, read_survey, survey_of, write_survey
 
     own = command.run / SURVEY_FILE
     if command.survey is not None and not command.survey.is_file():
         raise ConfigError(f"--survey {command.survey}: there is no such file")
-    if command.survey is None and not command.set and own.exists():
-        return
-    survey = read_survey(command.survey or own).stating(command.set, "--set")
-    write_survey(own, survey)
-    if not survey:
+    if command.survey is not None or command.set:
+        write_survey(own, read_survey(command.survey or own).stating(command.set, "--set"))
+    elif not own.exists():
+        survey_of(command.run)
         print(f"survey: fill in {own}, and write the report again")
 
 

@@ -276,7 +276,7 @@ class Render:
     """Render images of a run: colour, temperature, depth.
 
     Writes RGB as PNG, temperature as float32 TIFF in °C and colour-mapped, and depth to
-    RUN/renders.
+    RUN/renders. Temperatures have the emissivity of the photos, also in marked areas.
     """
 
     run: RunPath
@@ -334,10 +334,10 @@ class Export:
 
 @dataclass(frozen=True)
 class Report:
-    """Write a report: survey, marks with ±, proposed anomalies, limits.
+    """Write a report: marks with ±, hottest and coldest places, survey, limits.
 
-    Object, client, weather and conditions come from RUN/survey.yaml, which the first report writes
-    for you to fill in.
+    Object, client, weather, logo, palette and range come from RUN/survey.yaml, which mrgs run and
+    the first report write for you to fill in.
     """
 
     run: RunPath
@@ -351,6 +351,8 @@ class Report:
     """Language of the report."""
     pdf: bool = False
     """Also write a PDF beside it. Needs mrgs[report]."""
+    appendix: bool = False
+    """With scores, contact sheet, training, and drift and shading of the thermal camera."""
     scene: MovedScene = None
     device: RenderDevice = "auto"
 
@@ -360,7 +362,7 @@ class Measure:
     """Measure marks on a run's surfaces: spots, lines, boxes, polygons.
 
     Without further options, lists the marks in RUN/marks.json with their temperatures, differences
-    and sizes, and the anomalies that mrgs report proposes. Places are pixels of a view's thermal
+    and sizes, and the places that mrgs report proposes. Places are pixels of a view's thermal
     image: VIEW:X,Y, then X,Y of the same view.
     """
 
@@ -390,9 +392,9 @@ class Measure:
     reference: Maybe[str] = None
     """Mark that all differences refer to, '' for none; S1=12.4 shifts the run to its true °C."""
     accept: Annotated[Several[str], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """Anomalies proposed by mrgs report that become marks, such as H1 C2."""
+    """Places proposed by mrgs report that become marks, such as H1 C2."""
     drop: Annotated[Several[str], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """Reject proposed anomalies; they will not be proposed again."""
+    """Reject proposed places; they will not be proposed again."""
     delete: Maybe[str] = None
     """Mark to delete."""
     undo: bool = False

@@ -61,7 +61,7 @@ def follow_pipeline(
 def what_to_open(results: PipelineResults) -> str:
     """The last lines: the files to open, and a command to continue with."""
     files = {
-        results.report: "measurements, proposed anomalies, scores, limits",
+        results.report: "measurements, hottest and coldest places, limits",
         results.page: "the model in your browser: colour, temperature under the cursor",
         results.contact_sheet: "photos beside renderings of the same views",
         results.scene_page: "pairs, cameras and temperatures that were found",

@@ -33,10 +33,12 @@ class Format:
     in_all: bool = True
 
 
-def _format(name: str, files: str, writer: str = "", **options: Any) -> Format:
-    """The format whose writer is ``export`` of the module of its name, or ``MODULE:FUNCTION``."""
-    module, _, function = (writer or f"{name}:export").partition(":")
-    return Format(name, files, imported(f"mrgs.export.{module}", function), **options)
+def _format(name: str, files: str, writer: str = "", required: str = "", **options: Any) -> Format:
+    """A format; writer, by default ``NAME:export``, and requirement are ``MODULE:FUNCTION``."""
+    if required:
+        options["require"] = imported(*f"mrgs.export.{required}".split(":"))
+    write = imported(*f"mrgs.export.{writer or f'{name}:export'}".split(":"))
+    return Format(name, files, write, **options)
 
 
 _FORMATS = (
@@ -44,30 +46,16 @@ _FORMATS = (
     _format("spz", "splats, compressed"),
     _format("glb", "splats as glTF with KHR_gaussian_splatting"),
     _format("points", "the opaque splats as points with colour and temperature"),
-    _format(
-        "las",
-        "the same points",
-        "points:export_las",
-        require=imported("mrgs.export.points", "require_las"),
-    ),
+    _format("las", "the same points", "points:export_las", "points:require_las"),
     _format("mesh", "triangles with colour and temperature"),
     _format("cameras", "transforms.json, a COLMAP model and the undistorted images"),
     _format("page", "one HTML file", "page.write:export"),
-    _format(
-        "ortho",
-        "map from above in °C: GeoTIFF and PNG; not part of all",
-        "maps:export_ortho",
-        require=imported("mrgs.export.maps", "require_ortho"),
-        in_all=False,
+    *(
+        _format(name, f"{what} in °C: GeoTIFF and PNG; not part of all", f"maps:export_{name}",
+                f"maps:require_{name}", in_all=False)
+        for name, what in (("ortho", "map from above"), ("elevation", "map of a façade"))
     ),
-    _format(
-        "elevation",
-        "map of a façade in °C: GeoTIFF and PNG; not part of all",
-        "maps:export_elevation",
-        require=imported("mrgs.export.maps", "require_elevation"),
-        in_all=False,
-    ),
-)
+)  # fmt: skip
 
 FORMATS: dict[str, Format] = {each.name: each for each in _FORMATS}
 """By name, in the order of the help."""

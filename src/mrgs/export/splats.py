@@ -58,13 +58,17 @@ def thermal_scale(
         raise ConfigError(
             "a range in °C was given, but the scene has no temperature range: leave the range out"
         )
-    low, high = limits
+    require_ascending(*limits)
+    return whole._replace(low=float(limits[0]), high=float(limits[1]))
+
+
+def require_ascending(low: float, high: float) -> None:
+    """ConfigError unless these are the ends of a range of temperatures."""
     if not -np.inf < low < high < np.inf:
         raise ConfigError(
             f"the temperature range {low:g} to {high:g} °C is not ascending: give the lower end "
             f"first"
         )
-    return whole._replace(low=float(low), high=float(high))
 
 
 def require_exportable(baked: BakedModel) -> None:

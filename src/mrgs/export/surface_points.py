@@ -16,6 +16,7 @@ from jaxtyping import Float32, UInt8
 
 from mrgs.errors import RunError
 from mrgs.export.splats import to_bytes, value_names
+from mrgs.maps.surfaces import NO_SURFACE
 from mrgs.pictures.files import to_array
 from mrgs.pictures.values import in_unit
 from mrgs.runs.baked import BakedModel
@@ -49,9 +50,7 @@ def depth_maps(baked: BakedModel, scene: Scene) -> list[DepthMap]:
         ]
         maps.append(DepthMap(camera, distant, np.concatenate(images, axis=2)))
     if not any(np.isfinite(item.depth).any() for item in maps):
-        raise RunError(
-            "no view of the model is opaque enough to show a surface: train the model longer"
-        )
+        raise RunError(NO_SURFACE)
     return maps
 
 

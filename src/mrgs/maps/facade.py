@@ -110,15 +110,15 @@ def given_facade(
     return _outlined(surfaces.points[members], normal, corners[0], upwards, eye)
 
 
+NO_FACADE = "no façade was found: the photos show no wall; give three of its points"
+
+
 def surfaces_of(maps: Sequence[DepthMap]) -> Surfaces:
     """Points with normals from depth maps, thinned evenly to ``SAMPLES``; RunError for none."""
     parts = [_surfaces(item) for item in maps]
     points, normals, depths = (np.concatenate([part[k] for part in parts]) for k in range(3))
     if not len(points):
-        raise RunError(
-            "no façade was found: the photos show no wall; give three of its points",
-            options=("plane",),
-        )
+        raise RunError(NO_FACADE, options=("plane",))
     chosen = np.random.default_rng(0).permutation(len(points))[:SAMPLES]
     distance = float(np.median(depths))
     return Surfaces(points[chosen], normals[chosen], distance)
@@ -148,10 +148,7 @@ def _upright_plane(
     """The normal of the upright plane with most of the surfaces, and a point on it."""
     rows = np.flatnonzero(walls)
     if not len(rows):
-        raise RunError(
-            "no façade was found: the photos show no wall; give three of its points",
-            options=("plane",),
-        )
+        raise RunError(NO_FACADE, options=("plane",))
     tried = np.random.default_rng(1).choice(rows, CANDIDATES)
     best, most = (np.zeros(3), np.zeros(3)), -1
     for row in tried:

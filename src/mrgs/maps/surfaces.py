@@ -128,6 +128,7 @@ def _span(places: Float64[np.ndarray, " n"], size: int) -> slice:
 SURVEY_PX = 240
 """Width of the depth maps in which surfaces are looked for."""
 
+NO_SURFACE = "no view of the model is opaque enough to show a surface: train the model longer"
 RENDERED, MEASURED = 0, 1
 """Channels of a photo's map: °C as the model shows them, and as the photo does."""
 
@@ -141,9 +142,7 @@ def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
         depth = _surface_depth(baked.render({surface: camera}, surface), scene, camera)
         maps.append(DepthMap(camera, depth, np.empty((*depth.shape, 0), np.float32)))
     if not any(np.isfinite(item.depth).any() for item in maps):
-        raise RunError(
-            "no view of the model is opaque enough to show a surface: train the model longer"
-        )
+        raise RunError(NO_SURFACE)
     return maps
 
 

@@ -143,7 +143,7 @@ class Marks:
     Attributes:
         marks: that the user has drawn or accepted.
         reference: name of the mark that ΔT refers to; empty for none.
-        proposals: anomalies that the report has found and nobody has judged yet.
+        proposals: hot and cold places that the report has found and nobody has judged yet.
         dropped: rejected proposals; nothing is proposed in their places again.
 
     All names differ.

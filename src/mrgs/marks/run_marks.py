@@ -9,18 +9,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.measure import MarkMeter, MarkReading
 from mrgs.marks.photo_readings import PhotoReadings
+from mrgs.marks.regions import Regions
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
 from mrgs.marks.surface import SeenSurface, before_background, see, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Camera, Scene, WorldFrame
+from mrgs.scene import THERMAL, Camera, Rendering, Scene, WorldFrame
+from mrgs.scene.arrays import Array, as_tensor
 from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.training.checkpoint import shift_temperatures
 
@@ -171,10 +174,24 @@ class RunMarks:
         """Measure all marks in the model as it is now."""
         return self.meter.measure(self.marks)
 
+    def render(self, camera: Camera) -> Rendering:
+        """What ``Run.render`` shows, with the temperatures of areas that have an emissivity of
+        their own corrected."""
+        return self._regions.applied_to(self.run.render(camera), camera)
+
+    def temperature_at(self, points: Array) -> Float[torch.Tensor, " n"]:
+        """``Run.temperature_at``, corrected in the same areas."""
+        celsius = self.run.temperature_at(points).numpy()
+        positions = as_tensor(points, torch.float32, (None, 3), "points").numpy()
+        return torch.from_numpy(self._regions.corrected_at(positions, celsius))
+
+    @property
+    def _regions(self) -> Regions:
+        return self.meter.regions(self.marks)
+
     def measure_proposals(self) -> list[MarkReading]:
         """Measure the proposals of the report, in the same way."""
-        marks = self.marks
-        return self.meter.measure(Marks(marks.proposals), self.meter.regions(marks))
+        return self.meter.measure(Marks(self.marks.proposals), self._regions)
 
 
 def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:

@@ -108,35 +108,25 @@ def text_rows(
 ) -> list[tuple[str, ...]]:
     """A row of texts for each reading, under ``HEADINGS``."""
 
-    def number(value: float, sign: bool = False) -> str:
-        return value_text(value, temperature, sign=sign)
-
-    return [
-        (
-            reading.mark.name,
-            reading.mark.kind,
-            number(reading.mean),
+    def row(reading: MarkReading) -> tuple[str, ...]:
+        mark, note = reading.mark, " ".join(reading.mark.note.split())
+        said = (reading.problem, corrected_text(reading), *reading.remarks, note)
+        low, high = (value_text(each, temperature) for each in (reading.low, reading.high))
+        return (
+            mark.name,
+            mark.kind,
+            value_text(reading.mean, temperature),
             around_text(total_uncertainty(reading), temperature),
-            number(reading.low),
-            number(reading.high),
-            number(reading.difference, sign=True),
+            low,
+            high,
+            value_text(reading.difference, temperature, sign=True),
             size_text(reading, world),
             DASH if reading.photos is None else str(reading.photos),
-            reading.mark.severity or DASH,
-            "; ".join(
-                filter(
-                    None,
-                    (
-                        reading.problem,
-                        corrected_text(reading),
-                        *reading.remarks,
-                        " ".join(reading.mark.note.split()),
-                    ),
-                )
-            ),
+            mark.severity or DASH,
+            "; ".join(filter(None, said)),
         )
-        for reading in readings
-    ]
+
+    return [row(each) for each in readings]
 
 
 def facts_of_reading(

@@ -129,6 +129,13 @@ def draw_strokes(
             draw.line([*path], fill=color, width=wide, joint="curve")
 
 
+def draw_outline(
+    image: Image.Image, corners: Sequence[tuple[float, ...]], closed: bool, width: int
+) -> None:
+    """Draw the strokes through some corners, of an area also back to the first."""
+    draw_strokes(image, [[*corners, corners[0]] if closed else corners], width)
+
+
 def draw_dot(
     image: Image.Image, place: Sequence[float], radius: int, color: tuple[int, int, int]
 ) -> None:

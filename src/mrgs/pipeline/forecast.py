@@ -143,9 +143,9 @@ def stage_parts(work: Workload, cores: int | None = None) -> dict[str, dict[str,
         "score": {"scoring": 1 + held_out * (8 * render + 0.2e-3 * kpx)},
         "render": {"rendering": (held_out or views) * (render + 0.5e-3 * kpx)},
         "report": {
-            "anomalies": 1 + surface + views * render,
+            "hottest and coldest places": 1 + surface + views * render,
             "measurements and pictures": 5 + 3 * surface,
-            "scores and page": 1,
+            "page": 1,
         },
         "page": {BAKING: baking, "page": 0.5},
         "exports": {

@@ -32,7 +32,7 @@ from mrgs.run_files.record import StepStatistics
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
-from mrgs.survey import SURVEY_FILE
+from mrgs.survey import SURVEY_FILE, survey_of
 from mrgs.system.atomic import write_text
 from mrgs.system.disk import read_text
 from mrgs.system.gpu import DeviceName
@@ -100,7 +100,7 @@ class Job:
             Stage(f"{own}/train", self._made_from_scene, self._train),
             Stage(f"{own}/score", self._made_from_model, self._score),
             Stage(f"{own}/render", self._made_from_model, self._render),
-            Stage(f"{own}/report", self._made_from_scores, self._report),
+            Stage(f"{own}/report", self._made_from_measured, self._report),
             Stage(f"{own}/page", self._made_from_measured, partial(self._exported, [PAGE_FORMAT])),
             Stage(f"{own}/exports", self._made_from_measured, self._exports),
         )
@@ -125,11 +125,6 @@ class Job:
         newest = RunFolder(self.model).newest_checkpoint()
         stamp = file_stamp(newest, self.model)
         return fingerprint(version("mrgs"), stamp, self._scene_contents())
-
-    def _made_from_scores(self) -> str:
-        scores = self.model / "eval" / "metrics.json"
-        stamps = [file_stamp(scores, self.model)] if scores.is_file() else []
-        return fingerprint(self._made_from_measured(), stamps)
 
     def _made_from_measured(self) -> str:
         """The model, and what the user has stated and marked in its folder."""
@@ -206,6 +201,7 @@ class Job:
         find_method(DEFAULT_METHOD).train(self.scene, self.model, self.config, options, hooks)
         if last < self.config.max_steps:
             raise KeyboardInterrupt
+        survey_of(self.model)  # to be filled in
         return [folder.config_file, folder.newest_checkpoint()]
 
     def _set_aside(self) -> None:

@@ -4,7 +4,9 @@ the thermal rendering and the photo with the mark drawn in, and its place on the
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
+from statistics import median
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,29 +18,20 @@ from mrgs.marks import MarkReading, RunMarks, tables
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import COVERAGE
-from mrgs.pictures.drawing import (
-    COLDEST,
-    HOTTEST,
-    PAPER,
-    Scale,
-    above_scale,
-    cross,
-    draw_dot,
-    draw_plate,
-    draw_strokes,
-    text_width,
-)
+from mrgs.pictures import drawing
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range
-from mrgs.pictures.values import in_unit, unit_label
+from mrgs.pictures.values import in_unit
+from mrgs.report import overview
 from mrgs.report.anomalies import Anomaly, photo_value
-from mrgs.report.overview import STROKE_PX, Plan, TemperatureMap, overviews, temperature_map
 from mrgs.report.sections import pixel_cm_text
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange, View
+from mrgs.scene.preview import best_view
 from mrgs.survey import Survey
 
 WIDTH_PX = 640
@@ -69,19 +62,23 @@ def nearest_view(mark: Mark, scene: Scene) -> View | None:
 
 
 def mark_pictures(
-    reading: MarkReading, view: View, regions: Regions, scene: Scene, decimal: str = "."
+    reading: MarkReading,
+    view: View,
+    regions: Regions,
+    scene: Scene,
+    style: overview.Style = overview.PLAIN,
 ) -> list[InlineImage]:
-    """The thermal rendering of a view with its scale, and its photo. ``decimal`` is written before
-    the decimals of the scale's numbers. SceneError if the photo cannot be read."""
+    """The thermal rendering of a view with its scale, and its photo. SceneError if the photo cannot
+    be read."""
     name = reading.mark.name
     camera = _about(reading.mark, view.images[THERMAL].camera)
     values = to_array(regions.render(camera)[THERMAL].image[..., 0])
     values = in_unit(THERMAL, values, scene.temperature)
     limits = display_range(values[_part_about(reading.mark, camera)])
-    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
+    scale = style.scale(limits, scene.temperature)
     thermal = Image.fromarray(scale.colorize(values))
     _draw(thermal, reading, camera)
-    whole = above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)
+    whole = drawing.above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)
     pictures = [inline_image(whole, f"{name}, thermal", quality=90)]
     if RGB in view.images:
         photo_camera = _about(reading.mark, view.images[RGB].camera)
@@ -133,7 +130,7 @@ def _cropped(view: View, wanted: Camera) -> Image.Image:
         Image.Transform.EXTENT,
         (left, top, right, bottom),
         Image.Resampling.BICUBIC,
-        fillcolor=PAPER,
+        fillcolor=drawing.PAPER,
     )
 
 
@@ -144,17 +141,17 @@ def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
     corners = [(x, y) for x, y in pixels.tolist()]
     x, y = min(corners, key=lambda corner: corner[1])
     if mark.kind == "spot":
-        draw_strokes(image, cross(x, y, CROSS_PX), STROKE_PX)
+        drawing.draw_strokes(image, drawing.cross(x, y, CROSS_PX), overview.STROKE_PX)
     else:
-        draw_strokes(image, [[*corners, corners[0]] if mark.is_area else corners], STROKE_PX)
-        for place, color in ((reading.low_at, COLDEST), (reading.high_at, HOTTEST)):
+        drawing.draw_outline(image, corners, mark.is_area, overview.STROKE_PX)
+        for place, color in ((reading.low_at, drawing.COLDEST), (reading.high_at, drawing.HOTTEST)):
             if place:
                 pixel = camera.project(torch.tensor(place).double())[0]
-                draw_dot(image, pixel.tolist(), DOT_PX, color)
-    wide = text_width(mark.name, NAME_PX) + 14
+                drawing.draw_dot(image, pixel.tolist(), DOT_PX, color)
+    wide = drawing.text_width(mark.name, NAME_PX) + 14
     left = min(max(x + 10, 2), image.width - wide - 2)
     top = min(max(y - NAME_PX - 22, 2), image.height - NAME_PX - 12)
-    draw_plate(image, (left, top, left + wide, top + NAME_PX + 10), mark.name, NAME_PX)
+    drawing.draw_plate(image, (left, top, left + wide, top + NAME_PX + 10), mark.name, NAME_PX)
 
 
 CHART_WIDTH, CHART_HEIGHT, CHART_LEFT = 560, 150, 64
@@ -186,16 +183,14 @@ def show_marks(
     scene: Scene,
     survey: Survey,
     place: Callable[[Mark], Image.Image],
-    decimal: str = ".",
+    style: overview.Style = overview.PLAIN,
 ) -> list[ShownMark]:
-    """Measured marks as the template reads them; SceneError if a photo cannot be read.
+    """Measured marks as the template reads them, with formatted numbers; SceneError if a photo
+    cannot be read.
 
-    Numbers are formatted. ``parts`` of the uncertainty are by their names, a dash for an unknown
-    one; ``around`` is empty if not known; ``factor``, by the survey's air inside and outside, is a
-    dash if that is not known or it is not from 0 to 1; ``settings`` are empty if they are the
-    photos'; ``pictures`` are the thermal rendering, then the photo, of ``view``, none without one.
-    ``reference`` is the name of the mark that all differences refer to, empty for none; ``decimal``
-    is written before the decimals of the numbers beside the colours of a picture."""
+    ``around`` is empty if not known, a part of the uncertainty and ``factor`` a dash; ``settings``
+    are empty if they are the photos'; ``pictures`` are the thermal rendering, then the photo, of
+    ``view``. ``reference`` is the mark that all differences refer to, empty for none."""
     temperature, found = scene.temperature, []
     for reading in readings:
         mark, view = reading.mark, nearest_view(reading.mark, scene)
@@ -222,9 +217,7 @@ def show_marks(
             "problem": reading.problem,
             "remarks": reading.remarks,
             "view": "" if view is None else view.name,
-            "pictures": []
-            if view is None
-            else mark_pictures(reading, view, regions, scene, decimal),
+            "pictures": [] if view is None else mark_pictures(reading, view, regions, scene, style),
             "chart": _chart(reading, scene),
             "plan": inline_image(place(mark), f"{mark.name}, plan", quality=85),
         }
@@ -251,16 +244,10 @@ def _factor(lowest: float, around: float, survey: Survey) -> str:
     ``around`` is the mark's ±; its own follows from that and from the air inside, sensitivity
     coefficient f_Rsi, and outside."""
     inside, outside = survey.inside_c, survey.outside_c
-    if (
-        survey.side != "inside"
-        or inside is None
-        or outside is None
-        or not inside > outside
-        or math.isnan(lowest)
-    ):
+    if survey.side != "inside" or inside is None or outside is None or not inside > outside:
         return tables.DASH
     factor = (lowest - outside) / (inside - outside)
-    if not 0 <= factor <= 1:
+    if not 0 <= factor <= 1:  # nor NaN
         return tables.DASH
     if math.isnan(around):
         return f"{factor:.2f}"
@@ -331,7 +318,8 @@ def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
         values = span_c * shading(SHADING_PX * 3 // 4, SHADING_PX)[..., 0].double().numpy()
         most = max(float(np.abs(values).max()), 0.05)
         scale = Scale("error", -most, most, "K", t.decimal)
-        drawn = above_scale(Image.fromarray(scale.colorize(values)), scale, 13, SCALE_GAP_PX)
+        shown = Image.fromarray(scale.colorize(values))
+        drawn = drawing.above_scale(shown, scale, 13, SCALE_GAP_PX)
         picture = inline_image(drawn, "shading", png=True)
     constant = span_c * float(run.image_model.constant)
     return CameraEffects(chart, picture, kelvin(constant) if constant else "")
@@ -339,15 +327,17 @@ def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
 
 class Findings(NamedTuple):
     """What was measured and what was found; the plan is None without marks, or where the map shows
-    them all, the map where the scene has none."""
+    them all, the map where the scene has none; ``map_size`` is its width and height, m, and its
+    pixel, cm. For ``like`` see ``like_parts``."""
 
     marks: Sequence[ShownMark] = ()
+    like: Sequence[Mapping[str, Any]] = ()
     proposals: Sequence[Mapping[str, Any]] = ()
     overviews: Sequence[Mapping[str, Any]] = ()
     plan: InlineImage | None = None
     from_the_front: bool = False
     map: InlineImage | None = None
-    map_caption: str = ""
+    map_size: Sequence[str] = ()
 
 
 def show_findings(
@@ -364,14 +354,24 @@ def show_findings(
     readings = marks.meter.measure(known, regions)
     proposed = [anomaly.reading for anomaly in anomalies.values()]
     named = {reading.mark.name: reading.mark for reading in (*readings, *proposed)}
-    drawn = temperature_map(marks.run, scene, regions)
-    found = Findings()
+    limits = None if scene.temperature is None else survey.scale
+    style = overview.Style(survey.palette or "inferno", limits, t.decimal)
+    drawn = overview.temperature_map(marks.run, scene, regions)
+    found = Findings(from_the_front=overview.faces_one_side(scene))
     if drawn is not None:
-        picture = inline_image(drawn.picture(named, t.decimal), "map", quality=90)
-        found = Findings(map=picture, map_caption=_map_caption(drawn, t))
+        picture = inline_image(drawn.picture(named, style), "map", quality=90)
+        grid = drawn.drawn.grid
+        sides = [f"{pixels * grid.pixel_m:.1f}" for pixels in (grid.width, grid.height)]
+        found = found._replace(map=picture, map_size=[*sides, pixel_cm_text(grid.pixel_m)])
     if not named:
-        return found
-    plan = Plan(scene, list(named.values()))
+        views = [view for view in scene.train if THERMAL in view.images]
+        if not views or not len(scene.points.positions):
+            return found
+        cameras = [view.images[THERMAL].camera for view in views]
+        view = views[best_view(cameras, scene.points.positions)]
+        cover = overview.overview(view, {}, scene, regions.render, style)
+        return found._replace(overviews=[_inline(cover)])
+    plan = overview.Plan(scene, list(named.values()))
 
     def place(mark: Mark) -> Image.Image:
         return plan.small(mark) if drawn is None or not drawn.shows(mark) else drawn.small(mark)
@@ -379,42 +379,56 @@ def show_findings(
     all_on_map = drawn is not None and all(map(drawn.shows, named.values()))
     found = found._replace(
         overviews=[
-            {
-                "view": each.view,
-                "pictures": [
-                    inline_image(one, ", ".join(each.seen), quality=88) for one in each.pictures
-                ],
-            }
-            for each in overviews(scene, named, marks.meter.survey, regions.render, t.decimal)
+            _inline(each)
+            for each in overview.overviews(scene, named, marks.meter.survey, regions.render, style)
         ],
         plan=None if all_on_map else inline_image(plan.whole(named), "plan", png=True),
-        from_the_front=plan.from_the_front,
     )
     shown, candidates = (
-        show_marks(each, reference, regions, scene, survey, place, t.decimal)
+        show_marks(each, reference, regions, scene, survey, place, style)
         for each, reference in ((readings, known.reference), (proposed, ""))
     )
     return found._replace(
         marks=shown,
+        like=like_parts(readings, scene.temperature),
         proposals=[_shown(anomalies[mark["name"]], mark, marks.run, scene) for mark in candidates],
     )
 
 
-def _map_caption(drawn: TemperatureMap, t: Texts) -> str:
-    grid = drawn.drawn.grid
-    what = (
-        t("Temperatures of the façade from the front, to scale:")
-        if drawn.from_the_front
-        else t("Temperatures from above, to scale:")
-    )
-    rest = t(
-        "{width} × {height} m, {pixel} cm per pixel.",
-        width=t.number(f"{grid.width * grid.pixel_m:.1f}"),
-        height=t.number(f"{grid.height * grid.pixel_m:.1f}"),
-        pixel=t.number(pixel_cm_text(grid.pixel_m)),
-    )
-    white = t("White: no surface, or too few photos look there.")
-    return f"{what} {rest} {white}"
+def _inline(shown: overview.Overview) -> dict[str, Any]:
+    text = ", ".join(shown.seen) or shown.view
+    pictures = [inline_image(each, text, quality=88) for each in shown.pictures]
+    return {"view": shown.view, "pictures": pictures}
+
+
+AUTOMATIC = ("B", "P")
+"""Names, without their numbers, that areas have until they are given others."""
+
+
+def like_parts(
+    readings: Sequence[MarkReading], temperature: TemperatureRange | None
+) -> list[dict[str, Any]]:
+    """Areas whose names differ in the number at their end alone, such as the modules of a plant or
+    the windows of a house: how many, the median of their means, and what the coldest and the
+    hottest differ from it by; numbers are formatted."""
+    groups: dict[str, list[MarkReading]] = {}
+    for reading in readings:
+        name = re.sub(r"[\W_]*\d+$", "", reading.mark.name)
+        if reading.mark.is_area and name not in ("", *AUTOMATIC) and not math.isnan(reading.mean):
+            groups.setdefault(name, []).append(reading)
+    found = []
+    for name, parts in groups.items():
+        if len(parts) < 2:
+            continue
+        middle = median(part.mean for part in parts)
+        parts.sort(key=lambda part: part.mean)
+        ends = [
+            (part.mark.name, tables.value_text(part.mean - middle, temperature, sign=True))
+            for part in (parts[0], parts[-1])
+        ]
+        row = {"name": name, "count": len(parts), "ends": ends}
+        found.append({**row, "median": tables.value_text(middle, temperature)})
+    return found
 
 
 def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> dict[str, Any]:

@@ -22,25 +22,31 @@ from mrgs.marks.mark import Mark
 from mrgs.marks.photo_survey import PhotoSurvey
 from mrgs.marks.regions import Regions
 from mrgs.marks.surface import SurfaceRenderer
-from mrgs.pictures.drawing import (
-    INK,
-    MUTED,
-    PAPER,
-    Box,
-    Scale,
-    above_scale,
-    draw_plate,
-    draw_strokes,
-    draw_text,
-    fit_text,
-    text_width,
-)
+from mrgs.pictures import drawing
+from mrgs.pictures.drawing import Box, Scale
 from mrgs.pictures.files import to_array, to_picture
-from mrgs.pictures.palette import display_range, round_down
+from mrgs.pictures.palette import PaletteName, display_range, round_down
 from mrgs.pictures.values import in_unit, unit_label
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Camera, Rendering, Scene, View, in_order
+from mrgs.scene import THERMAL, Camera, Rendering, Scene, TemperatureRange, View, in_order
+
+
+class Style(NamedTuple):
+    """How temperatures are drawn: the palette, the limits of all pictures in the unit of their
+    values, None for each its own, and the sign before decimals."""
+
+    palette: PaletteName = "inferno"
+    limits: tuple[float, float] | None = None
+    decimal: str = "."
+
+    def scale(self, limits: tuple[float, float], temperature: TemperatureRange | None) -> Scale:
+        """The scale of a picture, whose own limits are given."""
+        unit = unit_label(THERMAL, temperature)
+        return Scale(self.palette, *(self.limits or limits), unit, self.decimal)
+
+
+PLAIN = Style()
 
 LABEL_PX = 24
 SMALL_PX = 420
@@ -66,7 +72,7 @@ def draw_marks(
             for r, color, width in ((RING_PX + 1, BLACK, 5), (RING_PX, WHITE, 3)):
                 draw.ellipse([x - r, y - r, x + r, y + r], outline=color, width=width)
         else:
-            draw_strokes(image, [[*path, path[0]] if marks[name].is_area else path], STROKE_PX)
+            drawing.draw_outline(image, path, marks[name].is_area, STROKE_PX)
     draw_names_at(image, places)
 
 
@@ -101,14 +107,14 @@ def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) ->
     """Write names beside their places, so that none covers another, nor another's place: many in
     smaller letters, farther away where it is crowded, and none without room. Returns the boxes."""
     size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
-    labels = {name: fit_text(name, size, image.width / 2) for name in places}
+    labels = {name: drawing.fit_text(name, size, image.width / 2) for name in places}
     boxes = _boxes_of(image, labels, places, size)
     for name, box in boxes.items():
         (x, y), (left, top, right, bottom) = places[name], box
         end = (min(max(x, left), right), min(max(y, top), bottom))
-        ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
+        ImageDraw.Draw(image).line((x, y, *end), fill=drawing.INK, width=2)
     for name, box in boxes.items():
-        draw_plate(image, box, labels[name], size)
+        drawing.draw_plate(image, box, labels[name], size)
     return boxes
 
 
@@ -124,7 +130,7 @@ def _boxes_of(
         taken[_pixels_of((x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX))] = True
     found = {}
     for name, (x, y) in places.items():
-        wide, half = text_width(labels[name], size) + size / 2, size / 2 + 4
+        wide, half = drawing.text_width(labels[name], size) + size / 2, size / 2 + 4
         for box in _boxes_about(x, y, wide, half):
             left, top, right, bottom = box
             inside = left >= 0 and top >= 0 and right <= image.width and bottom <= image.height
@@ -213,7 +219,7 @@ class Plan:
         self, flat: Float64[np.ndarray, "n 3"], colors: Float32[np.ndarray, "n 3"]
     ) -> Image.Image:
         """The surfaces, the farthest first, and the cameras."""
-        image = Image.new("RGB", (WIDTH_PX, self._height), PAPER)
+        image = Image.new("RGB", (WIDTH_PX, self._height), drawing.PAPER)
         draw = ImageDraw.Draw(image)
         inside = ((flat[:, :2] >= self._low) & (flat[:, :2] <= self._high)).all(axis=1)
         order = np.flatnonzero(inside)[np.argsort(flat[inside, 2])]
@@ -230,12 +236,13 @@ class Plan:
         if self._metric:
             length = round_down(0.2 * WIDTH_PX / self._scale)
             end = MARGIN_PX + length * self._scale
-            draw.line((MARGIN_PX, bottom, end, bottom), fill=INK, width=4)
-            draw_text(image, (end + 10, bottom + 4), f"{length:g} m", 20, MUTED)
+            draw.line((MARGIN_PX, bottom, end, bottom), fill=drawing.INK, width=4)
+            drawing.draw_text(image, (end + 10, bottom + 4), f"{length:g} m", 20, drawing.MUTED)
         if self._north and not self.from_the_front:
             x, y = WIDTH_PX - MARGIN_PX, MARGIN_PX
-            draw.polygon([(x, y - 30), (x + 11, y + 6), (x, y - 3), (x - 11, y + 6)], fill=INK)
-            draw_text(image, (x, y + 28), "N", 22, INK, anchor="ms")
+            arrow = [(x, y - 30), (x + 11, y + 6), (x, y - 3), (x - 11, y + 6)]
+            draw.polygon(arrow, fill=drawing.INK)
+            drawing.draw_text(image, (x, y + 28), "N", 22, drawing.INK, anchor="ms")
 
     @property
     def _height(self) -> int:
@@ -295,10 +302,10 @@ class TemperatureMap:
         corners, size = self._pixels(mark), self.drawn.celsius.shape[::-1]
         return bool(((corners >= 0) & (corners <= size)).all())
 
-    def picture(self, marks: Mapping[str, Mark], decimal: str = ".") -> Image.Image:
-        """The temperatures with legend and scale bar, and the marks on the map under their names;
-        ``decimal`` is written before the decimals of the legend's numbers."""
-        scale = map_scale(self.drawn, "inferno")._replace(decimal=decimal)
+    def picture(self, marks: Mapping[str, Mark], style: Style = PLAIN) -> Image.Image:
+        """The temperatures with legend and scale bar, and the marks on the map under their
+        names."""
+        scale = map_scale(self.drawn, style.palette, style.limits)._replace(decimal=style.decimal)
         body, metres_per_px = map_body(self.drawn, scale)
         zoom = self.drawn.grid.pixel_m / metres_per_px
         shown = {
@@ -387,11 +394,11 @@ def overviews(
     marks: Mapping[str, Mark],
     survey: PhotoSurvey,
     render: SurfaceRenderer,
-    decimal: str = ".",
+    style: Style = PLAIN,
 ) -> list[Overview]:
     """The views that together see most marks by their middles, the one that sees most first; at
-    most ``MOST_OVERVIEWS``, by the survey of the scene's thermal training photos. ``decimal`` is
-    written before the decimals of the scale's numbers. SceneError if a photo cannot be read."""
+    most ``MOST_OVERVIEWS``, by the survey of the scene's thermal training photos. SceneError if a
+    photo cannot be read."""
     thermal = [view for view in scene.train if THERMAL in view.images]
     names = np.array([*marks])
     middles = np.array([np.mean(mark.points, axis=0) for mark in marks.values()], np.float32)
@@ -403,19 +410,24 @@ def overviews(
             break
         shown = {name: marks[name] for name in seen[best] if name in left}
         view = thermal[survey.chosen[best]]
-        chosen.append(_overview(view, shown, scene, render, decimal))
+        chosen.append(overview(view, shown, scene, render, style))
         left -= set(shown)
     return chosen
 
 
-def _overview(
-    view: View, marks: Mapping[str, Mark], scene: Scene, render: SurfaceRenderer, decimal: str
+def overview(
+    view: View,
+    marks: Mapping[str, Mark],
+    scene: Scene,
+    render: SurfaceRenderer,
+    style: Style,
 ) -> Overview:
+    """Photos and thermal rendering of a view with marks. SceneError if a photo cannot be read."""
     pictures = []
     for modality in sorted(in_order(view.images), key=lambda each: each == THERMAL):
         camera = view.images[modality].camera
         if modality == THERMAL:
-            picture, scale = _thermal(render(camera), camera, scene, decimal)
+            picture, scale = _thermal(render(camera), camera, scene, style)
         else:
             pixels = to_picture(modality, view.images[modality].load().values, None, "inferno")
             picture = Image.fromarray(pixels)
@@ -427,18 +439,18 @@ def _overview(
             if np.isfinite(corners).all():  # not behind the camera
                 shown[name] = corners
         draw_marks(picture, marks, shown)
-        pictures.append(
-            picture if modality != THERMAL else above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
-        )
+        if modality == THERMAL:
+            picture = drawing.above_scale(picture, scale, LABEL_PX, SCALE_GAP_PX)
+        pictures.append(picture)
     return Overview(view.name, list(marks), pictures)
 
 
 def _thermal(
-    rendering: Rendering, camera: Camera, scene: Scene, decimal: str
+    rendering: Rendering, camera: Camera, scene: Scene, style: Style
 ) -> tuple[Image.Image, Scale]:
     """The thermal image and its scale, which its surfaces use up; the sky may be beyond it."""
     values = in_unit(THERMAL, to_array(rendering[THERMAL].image[..., 0]), scene.temperature)
     surface = scene.reach.without_background(camera, rendering.surface_depth(THERMAL))
     limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
-    scale = Scale("inferno", *limits, unit_label(THERMAL, scene.temperature), decimal)
+    scale = style.scale(limits, scene.temperature)
     return Image.fromarray(scale.colorize(values)), scale

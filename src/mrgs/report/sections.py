@@ -5,18 +5,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import date
 from decimal import Decimal
 from itertools import pairwise
+from pathlib import Path
 from statistics import median
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from PIL import Image
 
-from mrgs.errors import RunError
+from mrgs.errors import ConfigError, RunError
 from mrgs.evaluation.metrics import REPORTED
-from mrgs.evaluation.report import COLUMNS, PART_NAMES, SPREADS
+from mrgs.evaluation.report import COLUMNS
 from mrgs.marks.tables import digits
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.numbers import number_text
@@ -131,12 +132,12 @@ def _rounded(value: float) -> float:
     return round(value, 1) + 0.0
 
 
-def stated_rows(survey: Survey, t: Texts) -> list[tuple[str, str]]:
-    """Label and value of what the survey states, translated."""
+def stated_rows(survey: Survey, t: Texts, on_cover: bool = False) -> list[tuple[str, str]]:
+    """Label and value of what the survey states, on the cover or after the results; translated."""
     rows = []
     for name, (label, unit) in LABELS.items():
         value = getattr(survey, name)
-        if value is None:
+        if value is None or (name in COVER) != on_cover:
             continue
         if isinstance(value, float):
             text = t.number(_given(value, unit))
@@ -148,50 +149,32 @@ def stated_rows(survey: Survey, t: Texts) -> list[tuple[str, str]]:
     return rows
 
 
-def emissivity_sentence(settings: Mapping[str, Setting], t: Texts) -> str:
-    """Which emissivity the temperatures are for. They are apparent ones only where it is 1."""
-    emissivity, reflected = settings["emissivity"], settings["reflected_c"]
-    if emissivity.value == reflected.value == "":
-        return t(
-            "Emissivity: the scene's files do not record the emissivity and the reflected "
-            "temperature that the temperatures were computed with; look them up in the camera or "
-            "its original photos. Only surfaces with an emissivity of their own are corrected."
-        )
-    if emissivity.low == "1.00":
-        return t(
-            "Emissivity: the temperatures are apparent ones (emissivity {emissivity}); only "
-            "surfaces with an emissivity of their own are corrected.",
-            emissivity=_value(emissivity, t),
-        )
-    return t(
-        "Emissivity: the temperatures were computed with emissivity {emissivity} and reflected "
-        "temperature {reflected}; only surfaces with an emissivity of their own are corrected.",
-        emissivity=_value(emissivity, t),
-        reflected=_value(reflected, t),
-    )
+COVER = ("object", "address", "client", "inspector", "company", "qualification", "purpose", "date")
+"""Fields of the survey that the cover has."""
+
+LOGO_PX = 480, 160
 
 
-def air_sentence(settings: Mapping[str, Setting], t: Texts) -> str:
-    """What was corrected for the air."""
-    distance, air, humidity = (
-        settings[name] for name in ("distance_m", "atmospheric_c", "humidity")
-    )
-    if distance.value == air.value == humidity.value == "":
-        return t("Air: humidity, distance and wind are not corrected beyond what the camera did.")
-    return t(
-        "Air: the temperatures were computed with distance {distance}, air temperature {air} and "
-        "relative humidity {humidity}. Wind is not corrected.",
-        distance=_value(distance, t),
-        air=_value(air, t),
-        humidity=_value(humidity, t),
-    )
+def read_logo(survey: Survey, folder: Path) -> InlineImage | None:
+    """The survey's logo, by its path from the folder; ConfigError if it cannot be read."""
+    if survey.logo is None:
+        return None
+    try:
+        with Image.open(folder / survey.logo) as picture:
+            image = picture.convert("RGBA")
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise ConfigError(
+            f"the survey's logo {survey.logo} cannot be read ({error}): give a PNG or JPEG file"
+        ) from None
+    image.thumbnail(LOGO_PX)
+    return inline_image(image, survey.company or "logo", png=True)
 
 
 def _listed(settings: Iterable[Setting], t: Texts) -> str:
     return "; ".join(f"{t(each.label)} {_range(each, t)}" for each in settings)
 
 
-def _value(setting: Setting, t: Texts) -> str:
+def setting_text(setting: Setting, t: Texts) -> str:
     """A setting and where it is from, for a sentence."""
     if not setting.value:
         unknown = t("not in the scene's files")
@@ -209,21 +192,14 @@ def _range(setting: Setting, t: Texts) -> str:
 JPEG_QUALITY = 88
 SHEET_WIDTH_PX = 1600
 
-KNOCK_OUT_DECIMALS = {"thermal_psnr": 2, "rgb_psnr": 2, "truth_mae_c": 3}
-"""Figures of a knocked-out model, in the order of the report's columns."""
-
 
 class Scores(NamedTuple):
     """Contents of ``eval/metrics.json``: name and value of each score, with aligned poses where
-    those of the photos are wrong, by ``pose_error_px``; name and standard deviation of what the
-    paper's parts add to a Gaussian, and what is knocked out of the model with its scores then, both
-    empty for a model without them."""
+    those of the photos are wrong, by ``pose_error_px``."""
 
     steps: int
     rows: list[tuple[str, str]]
     pose_error_px: float | None
-    spreads: list[tuple[str, str]]
-    knock_outs: list[list[str]]
 
 
 def capture_rows(scene: Scene, survey: Survey, t: Texts) -> list[tuple[str, str]]:
@@ -302,23 +278,6 @@ def _record_rows(records: Sequence[PhotoRecord], survey: Survey, t: Texts) -> li
     ]
 
 
-def training_rows(run: Run, t: Texts) -> list[tuple[str, str]]:
-    """Method, steps, size and cost of the training; translated."""
-    facts = run.facts
-    memory = facts.peak_memory_bytes
-    steps = {"step": t.count(facts.step), "steps": t.count(run.config.max_steps)}
-    minutes = t.number(f"{facts.train_seconds / 60:.1f}")
-    return [
-        (t("Run"), run.folder.path.resolve().name),
-        (t("Method"), run.config.method),
-        (t("Preset"), run.config.preset),
-        (t("Steps"), t("{step} of {steps}", **steps)),
-        (t("Gaussians"), t.count(len(run.model.gaussians))),
-        (t("Duration"), t("{minutes} minutes", minutes=minutes)),
-        (t("Memory"), f"{t.count(round(memory / 2**20))} MiB" if memory else t("not measured")),
-    ]
-
-
 def read_scores(run: Run, t: Texts) -> Scores | None:
     """The mean scores of ``eval/metrics.json``; None if the run has not been scored, RunError if
     the file is not what ``mrgs eval`` writes."""
@@ -342,32 +301,11 @@ def read_scores(run: Run, t: Texts) -> Scores | None:
         if not isinstance(document["steps"], int):
             raise ValueError("the number of steps is not a whole number")
         error_px = float(poses["error_px"]) if aligned else None
-        parts = _parts_rows(document.get("parts") or {}, t)
-        return Scores(document["steps"], rows, error_px, *parts)
+        return Scores(document["steps"], rows, error_px)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RunError(
             f"{path} is not what `mrgs eval` writes ({error}); run `mrgs eval` again"
         ) from error
-
-
-def _parts_rows(
-    parts: Mapping[str, Any], t: Texts
-) -> tuple[list[tuple[str, str]], list[list[str]]]:
-    """``spreads`` and ``knock_outs`` of ``Scores``."""
-    spreads = [
-        (t(name), t.number(f"{parts[key]:.4f}") + unit)
-        for key, (name, unit) in SPREADS.items()
-        if parts.get(key) is not None
-    ]
-    knock_outs = [
-        [t(PART_NAMES[part])]
-        + [
-            "–" if figures[name] is None else t.number(f"{figures[name]:.{decimals}f}")
-            for name, decimals in KNOCK_OUT_DECIMALS.items()
-        ]
-        for part, figures in parts.get("knock_out", {}).items()
-    ]
-    return spreads, knock_outs
 
 
 def read_contact_sheet(run: Run) -> InlineImage | None:

@@ -29,14 +29,14 @@ from mrgs.report.findings import (
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
-from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.survey import survey_of
 from mrgs.system.atomic import replacing
 from mrgs.system.wording import quoted
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
 
-PARTS = ("anomalies", "measurements and pictures", "scores and page")
+PARTS = ("hottest and coldest places", "measurements and pictures", "page")
 
 
 def report_run(
@@ -45,30 +45,31 @@ def report_run(
     language: Language = "en",
     pdf: bool = False,
     *,
+    appendix: bool = False,
     scene: Scene | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a page about a run for a thermographer; returns its path.
+    """Write a page about a run for a thermographer, which also fits printing on A4; returns its
+    path.
 
-    It has the contents of ``survey.yaml`` in the run's folder, the marks of the run with their
-    uncertainties, pictures and places on a plan, the proposed anomalies, the data of the capture,
-    the limits of the measurement, and in an appendix scores, the contact sheet of ``RUN/eval`` (or
-    how to get them) and the training. It needs no script and nothing from the network; its style
-    sheet also fits printing on A4.
-
-    The hottest and the coldest spots are proposed as anomalies, and kept in ``marks.json`` until
-    they are accepted (``RunMarks.accept``), which makes them marks, or dropped.
+    It has the marks, where there are °C the hottest and the coldest places, the limits of the
+    measurement, and what ``survey.yaml`` in the run's folder states, which is written to be filled
+    in if there is none. The places are kept in ``marks.json`` until they are accepted as marks
+    (``RunMarks.accept``) or dropped.
 
     Args:
         run: what ``load_run`` or ``train`` returns.
         path: ends with .html; ``report.html`` in the run's folder if None.
         language: of the page.
         pdf: also write a PDF beside it; needs mrgs[report].
+        appendix: with the thermal camera's drift and shading, the training, and scores and contact
+            sheet of ``RUN/eval``, or how to get them.
         scene: that the run was trained on, where it has been read before.
         progress: called before each of ``PARTS``.
 
     Raises:
-        ConfigError: the survey has a value that cannot be, or weasyprint is not installed.
+        ConfigError: the survey has a value that cannot be, its logo cannot be read, or weasyprint
+            is not installed.
         SceneError: the scene, or a photo that is to be shown, cannot be read.
         RunError: scores or contact sheet cannot be read, or the file cannot be written.
     """
@@ -80,37 +81,38 @@ def report_run(
     if pdf:
         require_weasyprint()
     scene, t = scene or run.load_scene(), Texts(language)
-    survey = read_survey(run.folder.path / SURVEY_FILE)
+    survey = survey_of(run.folder.path)
+    logo = sections.read_logo(survey, run.folder.path)
     has_thermal = THERMAL in scene.modalities
-    settings = settings_of(scene.records)
     begin(0)
     marks = open_marks(run, scene)
     regions = marks.meter.regions(marks.marks)
-    found = propose(marks, scene, regions, survey) if has_thermal else Proposals({}, 0)
+    has_c = has_thermal and scene.temperature is not None
+    found = propose(marks, scene, regions, survey) if has_c else Proposals({}, 0)
     begin(1)
     findings = show_findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
     every = (*findings.marks, *(each["mark"] for each in findings.proposals))
     known = [mark["parts"] for mark in every if mark["around"]]
     parts = [name for name in PART_NAMES.values() if any(each[name] != DASH for each in known)]
-    who = [each for each in (survey.inspector, survey.company) if each]
-    compared_with = {mark["compared_with"] for mark in findings.marks} - {""}
     page = write_html(
         run.folder.path / "report.html" if path is None else Path(path),
         "report/report.html",
         findings=findings,
         camera=camera_effects(run, t),
-        title=survey.title or t("Thermal report: {name}", name=scene.name),
-        subtitle=" · ".join([*([", ".join(who)] if who else []), t.date(date.today())]),
+        title=survey.title or "",
+        name=scene.name,
+        subtitle=t.date(date.today()),
+        logo=logo,
+        cover=sections.stated_rows(survey, t, on_cover=True),
         language=language,
         t=t,
         survey=survey,
         stated=sections.stated_rows(survey, t),
         conditions=sections.conditions_of(survey, sections.thermal_pixel_m(scene)),
         styles=[PAGE_STYLE, "report/report.css"],
-        run_folder=run.folder.path,
         quoted=quoted,
-        step=run.facts.step,
+        run=run,
         has_thermal=has_thermal,
         temperature=scene.temperature,
         held_back=found.held_back,
@@ -120,19 +122,16 @@ def report_run(
         parts_of_uncertainty=parts,
         camera_is_known=PART_NAMES["camera"] in parts,
         every=every,
-        compared_with=compared_with.pop() if len(compared_with) == 1 else "",
-        has_factor=any(mark["factor"] != DASH for mark in every),
         air_around=f"{air_uncertainty(survey):g}",
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
-        has_thermal_gains=run.image_model.thermal_gain is not None,
         depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
         capture=sections.capture_rows(scene, survey, t),
-        emissivity_sentence=sections.emissivity_sentence(settings, t),
-        air_sentence=sections.air_sentence(settings, t),
+        settings=settings_of(scene.records),
+        setting_text=sections.setting_text,
         notes=[t(note) for note in scene.notes],
-        scores=sections.read_scores(run, t),
-        contact_sheet=sections.read_contact_sheet(run),
-        training=sections.training_rows(run, t),
+        appendix=appendix,
+        scores=sections.read_scores(run, t) if appendix else None,
+        contact_sheet=sections.read_contact_sheet(run) if appendix else None,
     )
     if pdf:
         write_pdf(page, page.with_suffix(".pdf"))

@@ -73,7 +73,8 @@ class TrainedRun(ABC):
 
     def render(self, cameras: Camera | Mapping[Modality, Camera]) -> Rendering:
         """Render any camera, without gradients: one for all modalities of the model, or one for
-        each modality to render, ``{RGB: ..., THERMAL: ...}``. ValueError if ``cameras`` is
+        each modality to render, ``{RGB: ..., THERMAL: ...}``; with the emissivity of the photos,
+        also in marked areas (``RunMarks.render`` has theirs). ValueError if ``cameras`` is
         something else, or asks for what the run does not render."""
         return self.render_cameras(asked_cameras(cameras, self.modalities))
 
@@ -117,8 +118,9 @@ class TrainedRun(ABC):
 
         A point counts as seen by a camera where the rendered surface lies within 3 % of its depth:
         points behind a surface, in the air or on an outline are not. The value is the mean over the
-        cameras that see it, nearer ones weighing more. The first call renders at most 64 training
-        cameras; later ones only look the points up.
+        cameras that see it, nearer ones weighing more, with the emissivity of the photos
+        (``RunMarks.temperature_at`` has that of marked areas). The first call renders at most 64
+        training cameras; later ones only look the points up.
 
         ValueError if the scene has no thermal photos to learn from or no known °C, or ``points``
         has another shape; SceneError if the scene is no longer where it was, or cannot be used."""

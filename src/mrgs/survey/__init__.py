@@ -23,6 +23,7 @@ LONGEST_TEXT = 2_000
 
 Standard = Literal["EN 13187", "ISO 6781-3", "IEC TS 62446-3"]
 Side = Literal["inside", "outside"]
+Palette = Literal["inferno", "iron", "grey", "black-hot", "rainbow", "arctic", "lava"]
 
 
 def _stated(label: str = "", unit: str = "", low: float = 0.0, high: float = 0.0) -> Any:
@@ -50,7 +51,10 @@ class Survey:
             of the two counts. Without the K, 2 K are assumed.
         emissivity_uncertainty: standard uncertainty of the emissivities.
         air_uncertainty_c: standard uncertainty of the air inside and outside.
-        hot_places: largest number of hottest places that are proposed as anomalies.
+        hot_places: largest number of hottest places that the report lists.
+        least_f_rsi: the report lists what is below it, such as the 0.7 of DIN 4108-2.
+        logo: picture for the report's cover; its path, from the run's folder if it is relative.
+        scale_low_c: with ``scale_high_c``, the ends of the palette in all pictures and on the page.
     """
 
     title: str | None = _stated()
@@ -93,6 +97,11 @@ class Survey:
     air_uncertainty_c: float | None = _stated(unit="K", high=50)
     hot_places: int | None = _stated(high=100)
     cold_places: int | None = _stated(high=100)
+    least_f_rsi: float | None = _stated(high=1)
+    logo: str | None = _stated()
+    palette: Palette | None = _stated()  # noqa: RUF009 - a field
+    scale_low_c: float | None = _stated(unit="°C", low=-273, high=5000)
+    scale_high_c: float | None = _stated(unit="°C", low=-273, high=5000)
     statement: str | None = _stated()
     remarks: str | None = _stated("Remarks")
 
@@ -109,6 +118,16 @@ class Survey:
             if isinstance(value, (int, float)) and not low <= value <= high:
                 limits = f"{low:g} to {high:g} {unit}".rstrip()
                 raise ConfigError(f"{name} must be from {limits}, not {shown(value)}")
+        if (self.scale_low_c is None) != (self.scale_high_c is None):
+            raise ConfigError("give both scale_low_c and scale_high_c, or neither")
+        if self.scale is not None and not self.scale[0] < self.scale[1]:
+            raise ConfigError("scale_high_c must be above scale_low_c")
+
+    @property
+    def scale(self) -> tuple[float, float] | None:
+        """Temperatures of the palette's first and last colour, °C."""
+        low, high = self.scale_low_c, self.scale_high_c
+        return None if low is None or high is None else (low, high)
 
     def __bool__(self) -> bool:
         return any(value is not None for value in asdict(self).values())
@@ -158,6 +177,14 @@ def read_survey(path: Path) -> Survey:
     if parse_yaml(text, str(path)) is None:
         return Survey()
     return read_yaml(Survey, text, str(path))
+
+
+def survey_of(folder: Path) -> Survey:
+    """The survey of a run; where it has none, one to fill in is written into its folder. Errors as
+    for ``read_survey``, also RunError if it cannot be written."""
+    if not (folder / SURVEY_FILE).exists():
+        write_survey(folder / SURVEY_FILE, Survey())
+    return read_survey(folder / SURVEY_FILE)
 
 
 def write_survey(path: Path, survey: Survey) -> Path:

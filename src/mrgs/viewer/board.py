@@ -67,6 +67,7 @@ class MarkBoard:
         numbers: of each; it stays the same when a mark is renamed.
         proposals: of the report, measured in the same way.
         problems: why the files of the run are not what is shown, a sentence each.
+        is_measuring: whether what is shown is being measured anew.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class MarkBoard:
         self.proposals: list[MarkReading] = []
         self.regions: Regions = picker.meter.regions(self.marks)
         self.problems: tuple[str, ...] = ()
+        self.is_measuring = False
         self._store = store
         self._picker = picker
         self._meter = picker.meter
@@ -151,7 +153,7 @@ class MarkBoard:
         if caught:  # of a damaged file, which reading has moved away
             self.problems = (*self.problems, *(str(each.message) for each in caught))
             self._files = self._files_now()
-        if (self.marks, self.survey, self.problems) != before:
+        if self.is_measuring or (self.marks, self.survey, self.problems) != before:
             self._notify()
 
     def draw(self, kind: MarkKind, camera: Camera, pixels: Sequence[tuple[float, float]]) -> None:
@@ -196,6 +198,7 @@ class MarkBoard:
         self._notify()
 
     def _measure(self, marks: Marks) -> None:
+        self._notify(measuring=True)
         regions = self._meter.regions(marks)
         readings = self._meter.measure(marks, regions)
         proposals = self._meter.measure(Marks(marks.proposals), regions)
@@ -203,7 +206,8 @@ class MarkBoard:
         self.marks, self.numbers = marks, self._identities.of(marks.marks)
         self._measured = marks, self.survey
 
-    def _notify(self) -> None:
+    def _notify(self, measuring: bool = False) -> None:
+        self.is_measuring = measuring
         with self._lock:
             listeners = list(self._listeners)
         for listener in listeners:

@@ -23,16 +23,8 @@ from mrgs.marks.mark import MarkKind, Marks
 from mrgs.pictures.palette import PaletteName
 from mrgs.scene import Camera
 from mrgs.scene.rotations import rigid_transform
+from mrgs.viewer import facts
 from mrgs.viewer.board import MarkBoard
-from mrgs.viewer.facts import (
-    LONGEST_SIDE_PX,
-    VIDEO_SECONDS,
-    encode,
-    hello_facts,
-    marks_facts,
-    picture_message,
-    point_text,
-)
 from mrgs.viewer.inspection import Inspection
 from mrgs.viewer.panes import fitted_size
 from mrgs.viewer.saving import VideoProgress, render_video, save_keyframes, save_screenshot
@@ -77,7 +69,7 @@ class Browser:
         self._changes = itertools.count()
         self._changed_s: deque[float] = deque(maxlen=MOST_CHANGES)
         self._moving_side_px = float(subject.source.most_pixels["moving"])
-        self.send("hello", **hello_facts(self.inspection, start), note=note)
+        self.send("hello", **facts.hello_facts(self.inspection, start), note=note)
         if subject.board is not None:
             subject.board.subscribe(self._send_marks)
             self.enqueue("marks", self._measure_marks)
@@ -136,9 +128,9 @@ class Browser:
         number = next(self._changes) if name == CHANGE else 0
         self._worker.put((id(self), name, number), contained)
 
-    def send(self, kind: str, **facts: Any) -> None:
+    def send(self, kind: str, **more: Any) -> None:
         """Send facts, under the name that the page knows them by."""
-        self._send_data(encode({"type": kind, **facts}))
+        self._send_data(facts.encode({"type": kind, **more}))
 
     def report(self, text: str, failed: bool = False) -> None:
         """Show a text below the picture, perhaps as an error."""
@@ -176,7 +168,7 @@ class Browser:
         else:
             drawn = self.inspection.picture(camera)
         longest = max(look.width, look.height)
-        message = picture_message(self.inspection, drawn, look.number, look.effort, longest)
+        message = facts.picture_message(self.inspection, drawn, look.number, look.effort, longest)
         if moving:
             # More or fewer pixels for the next picture, as this one took less or more time.
             factor = math.sqrt(MOVING_S / max(time.thread_time() - started_s, 1e-3))
@@ -206,13 +198,16 @@ class Browser:
             self._send_marks()
 
     def _send_marks(self) -> None:
-        self.send("marks", **marks_facts(self.board, self.subject))
+        if self.board.is_measuring:
+            self.send("measuring")
+            return
+        self.send("marks", **facts.marks_facts(self.board, self.subject))
         self.redraw()
 
     def send_point(self) -> None:
         """Send the point that was read last; it is gone where there is none."""
         point = self.inspection.point
-        self.send("point", of=None if point is None else point_text(point, self.subject))
+        self.send("point", of=None if point is None else facts.point_text(point, self.subject))
 
     def send_keyframes(self) -> None:
         """Send how many keyframes the path has, and what it still needs."""
@@ -243,9 +238,11 @@ FARTHEST = 1e9
 Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-FARTHEST, le=FARTHEST)]
 Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=1e-3, le=FARTHEST)]
 Share: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1)]
-Side: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=LONGEST_SIDE_PX)]
+Side: TypeAlias = Annotated[int, msgspec.Meta(ge=1, le=facts.LONGEST_SIDE_PX)]
 Index: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
-Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=VIDEO_SECONDS[0], le=VIDEO_SECONDS[1])]
+Seconds: TypeAlias = Annotated[
+    float, msgspec.Meta(ge=facts.VIDEO_SECONDS[0], le=facts.VIDEO_SECONDS[1])
+]
 Limits: TypeAlias = tuple[Number, Number]
 Corners: TypeAlias = Annotated[
     tuple[tuple[Share, Share], ...], msgspec.Meta(min_length=1, max_length=200)

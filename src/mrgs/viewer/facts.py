@@ -4,6 +4,7 @@ are plain: the page shows them as text, so that nothing in them can become a tag
 from __future__ import annotations
 
 import io
+import json
 import struct
 from collections.abc import Mapping
 from typing import Any
@@ -68,6 +69,7 @@ def hello_facts(inspection: Inspection, start: Mapping[str, Any]) -> dict[str, A
         "views": [{"name": view.name, **camera_facts(view.camera)} for view in subject.views],
         "palettes": palette_facts([*PALETTE_CHOICES, "depth", "error"]),
         "choices": PALETTE_CHOICES,
+        "palette": inspection.settings.palette,
         "modalities": [
             modality_facts(each, scale, inspection.settings.limits.get(each, range_of(each, scale)))
             for each in subject.modalities
@@ -186,16 +188,5 @@ def encode(value: object) -> str:
     try:
         return msgspec.json.encode(value, enc_hook=str).decode()  # a Message is a text
     except UnicodeEncodeError:
-        return msgspec.json.encode(_with_valid_texts(value)).decode()
-
-
-def _with_valid_texts(value: Any) -> Any:
-    """Plain values, with ? for what is not UTF-8 in their texts."""
-    match value:
-        case str():
-            return value.encode("utf-8", "replace").decode()
-        case list() | tuple():
-            return [_with_valid_texts(each) for each in value]
-        case dict():
-            return {name: _with_valid_texts(each) for name, each in value.items()}
-    return value
+        text = json.dumps(value, default=str, ensure_ascii=False).encode("utf-8", "replace")
+        return msgspec.json.encode(json.loads(text)).decode()

@@ -16,7 +16,9 @@ from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.tables import label_text
 from mrgs.pictures.page_data import rounded
+from mrgs.pictures.palette import PaletteName
 from mrgs.scene import THERMAL, Camera, Modality, View
+from mrgs.survey import Survey
 from mrgs.viewer.painting import DrawnPicture, MarkLabel, Scales, annotate, compose, measure_scales
 from mrgs.viewer.panes import (
     Pane,
@@ -61,11 +63,13 @@ class Inspection:
 
     def __init__(self, subject: Subject) -> None:
         self.subject = subject
-        self.settings = Settings(
-            mode=subject.modes[0],
-            limits=subject.limits,
-            scaled=subject.scaled or subject.modalities[0],
-        )
+        stated = Survey() if subject.board is None else subject.board.survey
+        limits = dict(subject.limits)
+        if THERMAL in limits and subject.temperature is not None and stated.scale is not None:
+            limits[THERMAL] = stated.scale
+        palette: PaletteName = stated.palette or Settings.palette
+        scaled = subject.scaled or subject.modalities[0]
+        self.settings = Settings(subject.modes[0], palette, limits, scaled=scaled)
         self.drawn: DrawnPicture | None = None
         self.view_index: int | None = None
         self.point: PointReading | None = None
@@ -97,8 +101,14 @@ class Inspection:
     ) -> DrawnPicture:
         """A picture in known scales, or in measured ones where there are none, or where the user's
         choices have changed."""
-        panes = panes_of(settings.mode, camera, self.view)
+        panes = tuple(map(self._titled, panes_of(settings.mode, camera, self.view)))
         images = tuple(self._images(pane, moving) for pane in panes)
+        # What hides a mark in a photo is known from the model beside it.
+        depths = {pane.photo: shown.depth for pane, shown in zip(panes, images, strict=True)}
+        images = tuple(
+            replace(shown, depth=depths[pane.photo]) if pane.kind == "photo" else shown
+            for pane, shown in zip(panes, images, strict=True)
+        )
         scales = dict(known)
         for key, scale in self._measured(panes, images, settings).items():
             kept = scales.get(key)
@@ -141,7 +151,7 @@ class Inspection:
         return labels
 
     def proposals(self) -> list[MarkLabel]:
-        """The anomalies that the report proposes."""
+        """The places that the report proposes."""
         board = self.subject.board if self.settings.marks else None
         return [self._label(each, " ?") for each in (() if board is None else board.proposals)]
 
@@ -199,6 +209,13 @@ class Inspection:
         assert pane.photo is not None
         (modality,) = pane.modalities
         return self._photo_images(modality, pane.photo, self.subject.temperature)
+
+    def _titled(self, pane: Pane) -> Pane:
+        """The model that is compared with a thermal photo says if others are corrected."""
+        corrects = self.subject.board is not None and self.subject.board.regions
+        if not corrects or pane.photo is None or pane.kind == "photo" or pane.scaled != THERMAL:
+            return pane
+        return replace(pane, title=f"{pane.title}, emissivity of the photo")
 
     def _regions(self, pane: Pane) -> Regions | None:
         """Surfaces with an emissivity of their own; None beside photos, which have none."""

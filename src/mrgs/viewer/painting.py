@@ -11,21 +11,8 @@ import torch
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
-from mrgs.pictures.drawing import (
-    COLDEST,
-    HOTTEST,
-    INK,
-    PAPER,
-    Scale,
-    blank,
-    cross,
-    draw_dot,
-    draw_strokes,
-    draw_text,
-    fit_text,
-    scale_bar,
-    text_width,
-)
+from mrgs.pictures import drawing
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import full_scale, unit_of
 from mrgs.scene import Camera, Modality, SceneBounds, TemperatureRange
@@ -201,7 +188,7 @@ def compose(
     ]
     if len(panes) == 1 and painted[0].shape[1::-1] == size:
         return painted[0]
-    picture = blank(size, EMPTY_COLOR)
+    picture = drawing.blank(size, EMPTY_COLOR)
     for pane, colors in zip(panes, painted, strict=True):
         part = Image.fromarray(np.ascontiguousarray(colors))
         wanted = (pane.camera.width, pane.camera.height)
@@ -253,7 +240,7 @@ def annotate(drawn: DrawnPicture, labels: Sequence[MarkLabel]) -> Colors:
         for seen in seen_labels(pane, shown, labels):
             _draw_label(part, seen)
         if pane.title:
-            _draw_card(part, (8, 8), fit_text(pane.title, TEXT_PX, part.width - 32))
+            _draw_card(part, (8, 8), drawing.fit_text(pane.title, TEXT_PX, part.width - 32))
         scale = pane_scale(pane, drawn.scales)
         if scale is not None and part.height >= SCALE_FROM_PX:
             _draw_scale(part, scale)
@@ -289,7 +276,7 @@ def _seen_place(
     pane: Pane, images: PaneImages, point: Sequence[float] | Float[np.ndarray, "3"]
 ) -> tuple[float, float] | None:
     """Where a pane shows a point of the world, x and y from 0 to 1; None outside of it and behind a
-    surface, of which photos know none."""
+    surface."""
     if not len(point):
         return None
     camera = pane.camera
@@ -308,30 +295,31 @@ def _draw_label(image: Image.Image, seen: SeenLabel) -> None:
     corners = [(x * image.width, y * image.height) for x, y in seen.corners]
     if len(corners) == 1:
         x, y = (round(each) for each in corners[0])
-        draw_strokes(image, cross(x, y, CROSS_PX), STROKE_PX)
+        drawing.draw_strokes(image, drawing.cross(x, y, CROSS_PX), STROKE_PX)
         _draw_card(image, (x + 12, y - TEXT_PX - 10), seen.label)
         return
-    draw_strokes(image, [[*corners, corners[0]] if seen.closed else corners], STROKE_PX)
+    drawing.draw_outline(image, corners, seen.closed, STROKE_PX)
     top = min(corners, key=lambda corner: corner[1])
     _draw_card(image, (top[0] + 6, top[1] - TEXT_PX - 12), seen.label)
-    for place, color in ((seen.low, COLDEST), (seen.high, HOTTEST)):
+    for place, color in ((seen.low, drawing.COLDEST), (seen.high, drawing.HOTTEST)):
         if place is not None:
-            draw_dot(image, (place[0] * image.width, place[1] * image.height), DOT_PX, color)
+            at = place[0] * image.width, place[1] * image.height
+            drawing.draw_dot(image, at, DOT_PX, color)
 
 
 def _draw_card(image: Image.Image, corner: tuple[float, float], text: str) -> None:
     """A line of text on a white card, moved into the image."""
-    width, height = round(text_width(text, TEXT_PX)) + 12, TEXT_PX + 8
+    width, height = round(drawing.text_width(text, TEXT_PX)) + 12, TEXT_PX + 8
     x = max(0, min(round(corner[0]), image.width - width))
     y = max(0, min(round(corner[1]), image.height - height))
-    ImageDraw.Draw(image).rounded_rectangle((x, y, x + width, y + height), 4, fill=PAPER)
-    draw_text(image, (x + 6, y + height // 2), text, TEXT_PX, INK, anchor="lm")
+    ImageDraw.Draw(image).rounded_rectangle((x, y, x + width, y + height), 4, fill=drawing.PAPER)
+    drawing.draw_text(image, (x + 6, y + height // 2), text, TEXT_PX, drawing.INK, anchor="lm")
 
 
 def _draw_scale(image: Image.Image, scale: Scale) -> None:
     """A scale bar on a white card in the lower left corner."""
-    bar = scale_bar(scale, min(260, image.height - 80), "vertical", TEXT_PX)
+    bar = drawing.scale_bar(scale, min(260, image.height - 80), "vertical", TEXT_PX)
     left, top = 8, image.height - bar.height - 24
     card = (left, top, left + bar.width + 16, image.height - 8)
-    ImageDraw.Draw(image).rounded_rectangle(card, 4, fill=PAPER)
+    ImageDraw.Draw(image).rounded_rectangle(card, 4, fill=drawing.PAPER)
     image.paste(bar, (left + 8, top + 8))

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from mrgs.marks.regions import Regions
+from mrgs.marks.surface import seen_depth
 from mrgs.pictures.files import shown_values, to_array, to_rgb8
 from mrgs.pictures.values import in_unit, range_of
 from mrgs.rasterizer import Geometry, Layer, rasterize
@@ -152,8 +153,9 @@ ShownImage: TypeAlias = UInt8[np.ndarray, "h w 3"] | Float[np.ndarray, "h w"]
 @dataclass(frozen=True, eq=False)
 class PaneImages:
     """Images of one pane, all of the same size: colours [h, w, 3], values in their unit or their
-    differences to the photo [h, w], NaN where the photo is masked; z-depth in scene units, NaN
-    where the model is empty, None for a photo; and where model or photo show something."""
+    differences to the photo [h, w], NaN where the photo is masked; z-depth of the model in scene
+    units, NaN where it is empty, None where it is not known; and where model or photo show
+    something."""
 
     images: Mapping[Modality, ShownImage]
     depth: Float[np.ndarray, "h w"] | None
@@ -233,8 +235,7 @@ LEAST_SEEN = 0.5
 
 class UncertaintyPictures:
     """Draws the uncertainty: computed once at each splat that a thermal photo sees, then blended as
-    temperatures are; by the board's present meter and surfaces with an emissivity of their own.
-    """
+    temperatures are; by the board's present meter and regions."""
 
     def __init__(
         self, board: MarkBoard, source: Source, temperature: TemperatureRange | None
@@ -256,18 +257,27 @@ class UncertaintyPictures:
                 found = meter.of_photos(means.float().numpy())
                 self._of_splats = torch.from_numpy(found)
             of_splats = self._of_splats
-        blend = self._source.run(lambda model: _blend_uncertainty(model, camera, of_splats))
+        blend, depth = self._source.run(
+            lambda model: (_blend_uncertainty(model, camera, of_splats), _depth(model, camera))
+        )
         alpha = blend.alpha.clamp_min(SOLID_ALPHA)
         doubt, seen, value = (blend.image[..., i].double().numpy() for i in range(3))
         solid = (blend.alpha.numpy() >= SOLID_ALPHA) & (seen >= LEAST_SEEN * alpha.numpy())
         of_photos = np.where(solid, doubt / np.maximum(seen, 1e-9), np.nan)
         if self._temperature is not None:
             value = self._temperature.to_celsius(value)
-        depth = blend.depth / alpha
-        points = camera.unproject_image(depth.double()).numpy()
+        # The depths by which ``Regions.applied_to`` decides what is on a region: an area whose
+        # temperatures are corrected has the uncertainty of corrected ones throughout.
+        points = camera.unproject_image(torch.from_numpy(depth)).numpy()
         eye = camera.position.double().numpy()
         total = meter.together(of_photos, points, value, self._board.regions, eye)
-        return PaneImages({THERMAL: total.astype(np.float32)}, depth.numpy(), solid)
+        return PaneImages({THERMAL: total.astype(np.float32)}, depth, solid)
+
+
+def _depth(model: Model, camera: Camera) -> Float[np.ndarray, "h w"]:
+    """z-depths of the thermal surface, as pictures of temperatures have them."""
+    with torch.no_grad():
+        return seen_depth(render(model, {THERMAL: camera}, with_median_depth=True)[0])
 
 
 def _blend(

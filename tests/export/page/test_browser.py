@@ -272,7 +272,7 @@ def test_keys_turn_the_view_and_read_its_middle(open_page):
     page = open_page(viewport={"width": 800, "height": 600})
     view = page.get_by_role("application", name="3D view")
     view.press("Enter")
-    page.wait_for_selector("#marker-text:text-matches('°C')")
+    page.wait_for_selector("#spot-list span:text-matches('°C')")
     middle = page.locator("#value").inner_text()
     for _ in range(8):
         view.press("ArrowLeft")
@@ -358,8 +358,9 @@ def test_a_tap_on_a_phone_reads_a_temperature(open_page):
     page = open_page(viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
     box = page.locator("#view").bounding_box()
     page.touchscreen.tap(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.wait_for_selector("#marker-text:text-matches('°C')")
-    assert page.locator("#value").inner_text() == page.locator("#marker-text").inner_text()
+    page.wait_for_selector("#spot-list span:text-matches('°C')")
+    told = page.locator("#spot-list span").first.inner_text()
+    assert page.locator("#value").inner_text() == told
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
@@ -374,4 +375,4 @@ def test_a_page_of_one_modality_shows_that_alone(open_page):
     )
     assert psnr(picture(colour), picture(thermal)) < 20
     colour.mouse.click(200, 200)
-    assert not colour.locator("#marker").is_visible()
+    assert not colour.locator("#spots").is_visible()

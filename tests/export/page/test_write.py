@@ -5,18 +5,30 @@ import gzip
 import hashlib
 import json
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
+from mrgs import export_run
 from mrgs.errors import ConfigError, RunError
-from mrgs.export.page.write import PageContent, area_facts, visible_range, write_page
+from mrgs.export.page import write
+from mrgs.export.page.write import (
+    PHOTO_PX,
+    PageContent,
+    area_facts,
+    view_photos,
+    visible_range,
+    write_page,
+)
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import TYPICAL_LAW, CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions
+from mrgs.run_files.folder import RunFolder
 from mrgs.scene import THERMAL
+from mrgs.survey import SURVEY_FILE, Survey, write_survey
 from tests.helpers.packed import pack
 from tests.helpers.walls import RANGE, render_wall
 
@@ -108,9 +120,7 @@ def test_areas_have_their_depths_where_the_model_shows_them():
 
 
 def test_nothing_comes_from_elsewhere(page):
-    assert not [
-        tag for tag in page.tags if tag[0] in ("link", "img", "iframe", "object", "embed", "base")
-    ]
+    assert not [tag for tag in page.tags if tag[0] in ("link", "iframe", "object", "embed", "base")]
     assert not [
         value
         for _, attributes in page.tags
@@ -155,7 +165,7 @@ def test_whatever_marks_and_modalities_are_called_the_facts_stay_one_element(
     ).read_text(encoding="utf-8")  # fmt: skip
     page = Elements(text)
     assert json.loads(page.texts["facts"])["marks"] == [mark]
-    assert "<img" not in text
+    assert "<img src" not in text
     assert "<!--" not in text
     assert evil.replace("\u2028", r"\u2028") in page.texts["li"]
     assert [tag for tag, _ in page.tags].count("script") == 4
@@ -176,6 +186,45 @@ def test_the_page_says_what_its_temperatures_are(page, baked, cameras, tmp_path)
     assert "hold no °C" in text.texts["li"]
     heat = json.loads(text.texts["facts"])["modalities"][0]
     assert heat["scale"] == {"min": 0.0, "max": 1.0, "unit": "", "decimals": 3}
+
+
+@pytest.mark.parametrize("settings", ["", "emissivity 0.70"])
+@pytest.mark.parametrize("areas", [None, {"areas": []}])
+def test_sentences_are_apart(baked, cameras, tmp_path, monkeypatch, settings, areas):
+    monkeypatch.setattr(write, "area_facts", lambda regions: areas)
+    square = tuple((x, 0.0, z) for x, z in SQUARE)
+    box = Mark("B1", "box", square, (0.0, -5.0, 0.5), emissivity=0.5, reflected_c=20.0)
+    regions = Regions(Marks((box,)), render_wall, RANGE, CaptureSettings())
+    content = PageContent(settings=settings, regions=regions)
+    for shown in (baked, replace(baked, temperature=None)):
+        path = write_page(shown, cameras, "t", tmp_path / "p.html", content)
+        html = path.read_text(encoding="utf-8")
+        said = re.sub("<[^>]*>", " | ", html[html.index("<h1>") : html.index("</main>")])
+        assert "Bare metal" in said
+        assert re.findall(r"[a-z0-9][.:;][A-Z]\w*", said) == []
+
+
+def test_the_photos_of_the_views_come_last(baked, cameras, scene, tmp_path):
+    photos = view_photos(scene)
+    assert list(photos) == [view.name for view in scene.views]
+    assert max(max(each.width, each.height) for each in photos.values()) <= PHOTO_PX
+    named = dict(zip(photos, cameras.values(), strict=False))
+    path = write_page(baked, named, "t", tmp_path / "p.html", PageContent(photos=photos))
+    text = path.read_text(encoding="utf-8")
+    shown = re.findall(r'<script type="text/plain" class="photo" data-camera="(\d+)">(.{11})', text)
+    assert shown == [(str(index), "data:image/") for index in range(len(named))]
+    assert text.index('class="photo"') > text.rindex('class="part"')
+
+
+def test_the_page_begins_with_the_colours_that_the_survey_states(run, tmp_path):
+    own = replace(run, folder=RunFolder(shutil.copytree(run.folder.path, tmp_path / "run")))
+    stated = Survey(palette="iron", scale_low_c=12.0, scale_high_c=28.0)
+    write_survey(own.folder.path / SURVEY_FILE, stated)
+    for palette, expected in (("inferno", "iron"), ("grey", "grey")):
+        (path,) = export_run(own, format="page", palette=palette)
+        page = Elements(path.read_text(encoding="utf-8"))
+        assert json.loads(page.texts["facts"])["modalities"][0]["range"] == [12.0, 28.0]
+        assert {"value": expected, "selected": None} in [a for tag, a in page.tags]
 
 
 def test_depths_have_the_unit_of_the_scene(page, baked, cameras, tmp_path):

@@ -30,9 +30,12 @@ class Page {
     this.lastFrame = 0;
     this.overMs = 0;
     this.inMotion = false;
-    this.spot = null;
     this.hover = null;
     this.hidden = new Set();
+    this.memory = new Memory(element("facts").textContent);
+    const scales = Object.fromEntries(Object.values(this.modalities).map(({ name, scale }) => [name, scale]));
+    this.spots = new Spots(scales, this.memory, () => this.spotsChanged());
+    if (this.memory.kept.palette in this.palettes) element("palette").value = this.memory.kept.palette;
     this.connectControls();
     this.listMarks();
     this.navigation = new Navigation(this.canvas, this.viewpoint, {
@@ -127,7 +130,15 @@ class Page {
 
   connectControls() {
     for (const button of modalityButtons()) button.addEventListener("click", () => this.show(button.dataset.modality));
-    element("palette").addEventListener("change", () => this.drawScale());
+    element("palette").addEventListener("change", () => {
+      this.memory.keep({ palette: element("palette").value });
+      this.drawScale();
+    });
+    element("clear-spots").addEventListener("click", () => this.spots.clear());
+    element("save").addEventListener("click", () => this.savePicture());
+    for (const id of ["photo", "photo-large"]) element(id).addEventListener("click", () => this.enlargePhoto(id === "photo"));
+    addEventListener("keydown", (event) => { if (event.key === "Escape") this.enlargePhoto(false); });
+    document.addEventListener("DOMContentLoaded", () => this.showPhoto());
     this.rangeControl = new RangeControl((low, high) => this.setRange(low, high));
     element("fit").addEventListener("click", () => this.fit());
     element("whole").addEventListener("click", () => this.setRange(this.scaled.scale.min, this.scaled.scale.max));
@@ -150,6 +161,28 @@ class Page {
     const cameras = element("camera");
     cameras.selectedIndex = (index + cameras.length) % cameras.length;
     this.viewpoint.jumpTo(this.facts.cameras[cameras.selectedIndex]);
+    this.showPhoto();
+  }
+
+  // The photo of the view that is chosen; they come last in the file.
+  showPhoto() {
+    const source = document.querySelector(`script.photo[data-camera="${element("camera").selectedIndex}"]`)?.textContent;
+    element("photo").hidden = !source;
+    if (source) element("photo").src = source;
+    if (!element("photo-large").hidden) this.enlargePhoto(Boolean(source));
+  }
+
+  // Over the picture, until it is clicked.
+  enlargePhoto(large) {
+    element("photo-large").hidden = !large;
+    if (large) element("photo-large").src = element("photo").src;
+  }
+
+  savePicture() {
+    const camera = this.viewpoint.cameraFor(this.canvas.width, this.canvas.height);
+    this.renderer.draw(camera, this.look(camera));
+    const { selectedOptions } = element("camera");
+    saveImage(composed(this.canvas, element("marks"), element("scales")), `${document.title} ${selectedOptions[0].text}.png`);
   }
 
   show(name) {
@@ -164,7 +197,7 @@ class Page {
     this.scaled = modality;
     element("scale-title").textContent = scaleTitle(modality);
     this.isothermControl.reset(modality.range, modality.scale);
-    this.setRange(...modality.range);
+    this.setRange(...keptRange(this.memory.kept.ranges?.[modality.name]) ?? modality.range);
   }
 
   // The modality whose values are read: the one that is shown if it has one channel.
@@ -176,6 +209,7 @@ class Page {
   // Numbers as on the page.
   setRange(low, high) {
     this.range = [low, high];
+    this.memory.keep({ ranges: { ...this.memory.kept.ranges, [this.scaled.name]: this.range } });
     this.rangeControl.show(this.range, this.scaled.scale);
     this.readIsotherm();
     this.drawScale();
@@ -281,7 +315,6 @@ class Page {
     this.renderer.draw(camera, this.look(camera));
     if (!this.complete) this.timeDrawing();
     const drawn = performance.now();
-    this.placeMarker();
     this.drawMarks();
     this.overMs = performance.now() - drawn;
     if (inMotion) {
@@ -324,9 +357,9 @@ class Page {
     this.ask(x, y, (reading, camera, pixel) => {
       this.showReading(reading);
       const seen = reading.alpha >= SURFACE_ALPHA;
-      if (seen) this.viewpoint.holdAt(reading.depth);
-      this.spot = seen ? { point: pointAt(camera, pixel, reading.depth), text: this.textOf(reading) } : null;
-      this.placeMarker();
+      if (!seen) return;
+      this.viewpoint.holdAt(reading.depth);
+      this.spots.add(pointAt(camera, pixel, reading.depth), reading);
     });
   }
 
@@ -405,17 +438,28 @@ class Page {
     }));
   }
 
+  // Those of the run, and the reader's spots.
+  get marks() {
+    return [...this.facts.marks, ...this.spots.marks];
+  }
+
+  spotsChanged() {
+    this.hidden = new Set([...this.hidden].filter((index) => index < this.facts.marks.length));
+    this.lookedVersion = null;
+    this.requestFrame();
+  }
+
   drawMarks() {
     const over = element("marks");
     over.replaceChildren();
-    if (!this.facts.marks.length || !element("show-marks").checked) return;
+    const first = element("show-marks")?.checked === false ? this.facts.marks.length : 0;
     const { clientWidth, clientHeight } = this.canvas;
     const camera = this.viewpoint.cameraFor(clientWidth, clientHeight);
     const place = (point) => point && project(camera, point);
     const labels = new Labels(over, clientWidth, clientHeight);
-    this.facts.marks.forEach((mark, index) => {
+    this.marks.forEach((mark, index) => {
       const corners = mark.points.map(place);
-      if (this.hidden.has(index) || corners.includes(null)) return;
+      if (index < first || this.hidden.has(index) || corners.includes(null)) return;
       const { name: short, label, closed } = mark;
       if (mark.kind === "spot") drawMark(labels, ...corners[0], [label, short]);
       else drawOutline(labels, (...at) => at, { corners, closed, label, short, low: place(mark.lowAt), high: place(mark.highAt) });
@@ -428,7 +472,7 @@ class Page {
     this.lookedVersion = this.version;
     const { clientWidth, clientHeight } = this.canvas;
     const camera = this.viewpoint.cameraFor(clientWidth, clientHeight);
-    this.facts.marks.forEach((mark, index) => {
+    this.marks.forEach((mark, index) => {
       const place = project(camera, mark.points[0]);
       const id = [index, this.version];
       if (place) this.worker.postMessage({ read: { camera, x: place[0], y: place[1], modality: this.read.name, id } });
@@ -436,25 +480,17 @@ class Page {
   }
 
   seen({ reading, id: [index, version] }) {
-    if (version !== this.version) return;
+    if (version !== this.version || index >= this.marks.length) return;
     const { position, rotation } = this.viewpoint;
-    const depth = dot(rotation.slice(6, 9), subtract(this.facts.marks[index].points[0], position));
+    const depth = dot(rotation.slice(6, 9), subtract(this.marks[index].points[0], position));
     if (reading.alpha >= SURFACE_ALPHA && depth > HIDDEN_BEHIND * reading.depth) this.hidden.add(index);
     else this.hidden.delete(index);
     this.drawMarks();
   }
-
-  placeMarker() {
-    const marker = element("marker");
-    const { clientWidth, clientHeight } = this.canvas;
-    const camera = this.viewpoint.cameraFor(clientWidth, clientHeight);
-    const place = this.spot && project(camera, this.spot.point);
-    marker.hidden = !place || place[0] < 0 || place[1] < 0 || place[0] > clientWidth || place[1] > clientHeight;
-    if (marker.hidden) return;
-    marker.style.transform = `translate(${place[0]}px, ${place[1]}px)`;
-    element("marker-text").textContent = this.spot.text;
-  }
 }
+
+// Two rising numbers; null for anything else.
+const keptRange = (range) => (Array.isArray(range) && range.length === 2 && range[0] < range[1] ? range : null);
 
 function showFailure(message) {
   element("status").dataset.failed = "true";

@@ -13,25 +13,27 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from markupsafe import Markup
+from PIL import Image
 
 from mrgs.errors import ConfigError
 from mrgs.export.job import ExportJob
 from mrgs.export.page.packing import GZIP_LEVEL, PART, PageModel
+from mrgs.export.splats import require_ascending
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.regions import REGION_DEPTH, RegionPlane, Regions, SurfaceRegion
 from mrgs.marks.run_marks import RunMarks
 from mrgs.marks.tables import corrected_text, label_text, mark_text
 from mrgs.pictures import page_data
-from mrgs.pictures.files import shown_values
-from mrgs.pictures.html import asset, script_json, write_html
+from mrgs.pictures.files import shown_values, to_picture
+from mrgs.pictures.html import InlineImage, asset, inline_image, script_json, write_html
 from mrgs.pictures.page_data import PALETTE_CHOICES, air_facts
 from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.settings import settings_of, settings_text
 from mrgs.pictures.values import in_unit, range_of
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import THERMAL, Camera, Modality, WorldFrame, evenly_spaced, in_order, metric_first
+from mrgs.scene import THERMAL, Camera, Modality, Scene, evenly_spaced, in_order, metric_first
 from mrgs.scene.preview import best_view
-from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
 DEPTH_STEP = 1e-3
 """Quantisation step of the logarithms of depths: an eightieth of what they may differ by."""
@@ -114,18 +116,21 @@ def page_marks(marks: RunMarks) -> tuple[list[PageMark], tuple[str, ...]]:
     return shown, (*of_uncertainty, *(marks.meter.capture.notes if has_own else ()))
 
 
-OWN_SCRIPTS = ("dilation", "radiance", "areas", "shaders", "surface", "renderer", "stream", "app")
+DRAWING = ("dilation", "radiance", "areas", "shaders", "surface", "renderer", "stream")
+OWN_SCRIPTS = (*DRAWING, "spots", "saving", "app")
 WORKER_SCRIPTS = [
     page_data.BASE64_SCRIPT,
     *(f"export/page/{name}.js" for name in ("dilation", "radiance", "decode", "worker")),
 ]
 ASSETS: dict[str, Any] = {
-    "styles": [page_data.STAGE_STYLE, page_data.MARKS_STYLE],
+    "styles": [page_data.STAGE_STYLE, page_data.MARKS_STYLE, "export/page/page.css"],
     "scripts": [*page_data.STAGE_SCRIPTS, *(f"export/page/{name}.js" for name in OWN_SCRIPTS)],
     "sources": ["worker-src blob:"],
 }
 """Style sheet, scripts and their policy, see ``write_html``."""
 
+PALETTE: PaletteName = "inferno"
+MOST_PHOTOS, PHOTO_PX = 120, 640
 RANGE_VIEWS = 8
 RANGE_WIDTH_PX = 160
 SURFACE_ALPHA = 0.5
@@ -144,23 +149,23 @@ class PageContent:
         modalities: to show; None shows all of the model's. The page opens on the first of them that
             has a unit.
         start: name of the view that the page opens at; None takes the first.
-        marks: that the page lists and draws, see ``page_marks``.
+        marks, air, settings, photos: see ``page_marks``, ``air_facts``, ``settings_text`` and
+            ``view_photos``.
         regions: surfaces with an emissivity of their own, whose temperatures the page corrects.
-        air: that the alarms of the isotherm begin with, see ``air_facts``.
-        settings: that the temperatures were computed with, see ``settings_text``.
         part_size: splats of a part, see ``PageModel``.
     """
 
-    palette: PaletteName = "inferno"
+    palette: PaletteName = PALETTE
     range_c: tuple[float, float] | None = None
     notes: Sequence[str] = ()
     modalities: Sequence[Modality] | None = None
     start: str | None = None
     marks: Sequence[PageMark] = ()
     regions: Regions | None = None
-    length_unit: str = WorldFrame().length_unit
+    length_unit: str = "scene units"
     air: Mapping[str, float | None] = field(default_factory=dict)
     settings: str = ""
+    photos: Mapping[str, InlineImage] = field(default_factory=dict)
     part_size: int = PART
 
 
@@ -168,11 +173,13 @@ def export(job: ExportJob) -> list[Path]:
     """Write ``page.html`` into the job's folder; returns its path."""
     scene = job.scene
     marks, assumptions = ([], ()) if job.marks is None else page_marks(job.marks)
-    range_c = job.range_c
+    survey = Survey() if job.run is None else read_survey(job.run.folder.path / SURVEY_FILE)
+    range_c = job.range_c or (survey.scale if scene.temperature is not None else None)
     if range_c is None and not job.regions and THERMAL in job.modalities:
         range_c = page_data.starting_limits((THERMAL,), scene, scene.temperature)[THERMAL]
     content = PageContent(
-        job.palette,
+        # The survey's, unless another was asked for.
+        survey.palette or PALETTE if job.palette == PALETTE else job.palette,
         range_c,
         (*scene.notes, *assumptions),
         job.modalities,
@@ -180,12 +187,25 @@ def export(job: ExportJob) -> list[Path]:
         marks,
         job.regions,
         scene.world.length_unit,
-        {} if job.run is None else air_facts(read_survey(job.run.folder.path / SURVEY_FILE)),
+        air_facts(survey) if job.run else {},
         settings_text(settings_of(scene.records), "given by the user"),
+        view_photos(scene),
     )
     cameras = {view.name: view.camera for view in (*scene.eval, *scene.train)}
     title = f"{scene.name}: thermal model"
     return [write_page(job.baked, cameras, title, job.folder / "page.html", content)]
+
+
+def view_photos(scene: Scene) -> dict[str, InlineImage]:
+    """Small photos of at most ``MOST_PHOTOS`` views by their names; the thermal one where there is
+    no other. SceneError if one cannot be read."""
+    views, temperature, found = scene.views, scene.temperature, {}
+    for view in (views[index] for index in evenly_spaced(len(views), MOST_PHOTOS)):
+        modality, photo = next((each, view.images[each]) for each in in_order(view.images))
+        picture = Image.fromarray(to_picture(modality, photo.load().values, temperature, PALETTE))
+        picture.thumbnail((PHOTO_PX, PHOTO_PX))
+        found[view.name] = inline_image(picture, view.name, quality=72)
+    return found
 
 
 def write_page(
@@ -233,15 +253,11 @@ def write_page(
         date=date.today().isoformat(),
         temperature=baked.temperature,
         palettes=PALETTE_CHOICES,
-        palette=content.palette,
         cameras=list(cameras),
         start=start,
-        notes=content.notes,
-        marks=content.marks,
         splats=model.count,
         left_out=len(baked) - model.count,
-        length_unit=content.length_unit,
-        settings=content.settings,
+        content=content,
         facts=script_json(facts),
         worker=Markup("\n").join(map(asset, WORKER_SCRIPTS)),
         parts=(Markup(part.to_json()) for part in model.parts()),
@@ -269,7 +285,6 @@ def visible_range(
 def _check(
     modalities: Sequence[Modality], cameras: Mapping[str, Camera], content: PageContent
 ) -> None:
-    range_c = content.range_c
     if not modalities:
         raise ConfigError("the page needs at least one modality to show")
     if not cameras:
@@ -278,11 +293,8 @@ def _check(
         raise ConfigError(
             f"the page has no palette {content.palette}; choose one of {', '.join(PALETTE_CHOICES)}"
         )
-    if range_c is not None and not -np.inf < range_c[0] < range_c[1] < np.inf:
-        raise ConfigError(
-            f"the temperature range {range_c[0]:g} to {range_c[1]:g} must rise from a number to a "
-            f"larger one"
-        )
+    if content.range_c is not None:
+        require_ascending(*content.range_c)
 
 
 def _modality_facts(

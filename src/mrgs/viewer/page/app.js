@@ -114,6 +114,7 @@ class Page {
       note: ({ text }) => this.noted(text),
       hover: ({ text }) => this.showTip(text),
       point: ({ of }) => this.showPoint(of),
+      measuring: () => this.measuring(true),
       marks: (facts) => this.marksChanged(facts),
       refused: ({ mark, text }) => { if (!this.marks.refuse(mark, text)) this.sayOfMarks(text, true); },
       limits: ({ of }) => this.limitsChanged(of),
@@ -164,6 +165,7 @@ class Page {
     }
     modes.forEach(({ label, compares }, index) => { if (compares) element("compare").add(new Option(label, index)); });
     for (const name of choices) element("palette").add(new Option(name === "grey" ? "grey (white-hot)" : name, name));
+    element("palette").value = this.facts.palette;
     for (const { name } of views) element("photo").add(new Option(name));
     element("photo-section").hidden = views.length === 0;
     element("measure-section").hidden = !marks;
@@ -321,7 +323,13 @@ class Page {
     this.showRange();
   }
 
+  // What is being measured anew is grey until it is known.
+  measuring(begun) {
+    for (const id of ["measure-section", "marks"]) element(id).classList.toggle("measuring", begun);
+  }
+
   marksChanged({ of: marks, proposals, notes, problems }) {
+    this.measuring(false);
     const send = (type, facts) => this.connection.send(type, facts);
     this.marks.show(marks);
     element("proposal-list").replaceChildren(...proposals.map((mark) => proposalRow(mark, send)));
