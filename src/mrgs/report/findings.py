@@ -282,12 +282,13 @@ def _curve(
 
 class CameraEffects(NamedTuple):
     """What was learned of a drifting and shading thermal camera: the photos' offsets over time, the
-    shading as a picture, each None where it is not modelled, and by how much a reference
-    temperature has shifted the run, empty where there is none."""
+    shading as a picture, each None where it is not modelled, by how much a reference temperature
+    has shifted the run, empty where there is none, and whether the air is modelled."""
 
     offsets: ProfileChart | None
     shading: InlineImage | None
     shift: str
+    has_air: bool
 
 
 def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
@@ -322,7 +323,8 @@ def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
         drawn = drawing.above_scale(shown, scale, 13, SCALE_GAP_PX)
         picture = inline_image(drawn, "shading", png=True)
     constant = span_c * float(run.image_model.constant)
-    return CameraEffects(chart, picture, kelvin(constant) if constant else "")
+    has_air = run.image_model.air is not None
+    return CameraEffects(chart, picture, kelvin(constant) if constant else "", has_air)
 
 
 class Findings(NamedTuple):

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from mrgs.scene.radiometry import BandRadiance, ObjectParameters, PhotoRecord
 from mrgs.scene.rendering import SOLID_ALPHA, Blend
+from mrgs.system.typed_json import Finite
 
 
 class Atmosphere(NamedTuple):
@@ -64,12 +65,12 @@ class AirPath(NamedTuple):
             a photo says what reaches the camera through all of the air.
     """
 
-    decay1: float
-    decay2: float
-    x: float
-    noted: float
-    added: float
-    farthest: float = math.inf
+    decay1: Finite
+    decay2: Finite
+    x: Finite
+    noted: Finite
+    added: Finite
+    farthest: Finite
 
     @classmethod
     def of(

@@ -11,8 +11,9 @@ from mrgs.errors import ConfigError
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering, TemperatureRange
+from mrgs.scene.air import AirPath
 from mrgs.scene.capture import Capture, Viewpoint
-from mrgs.scene.radiometry import BandRadiance
+from mrgs.scene.radiometry import BandRadiance, ObjectParameters, PhotoRecord
 from mrgs.system.typed_json import from_json
 
 
@@ -51,6 +52,27 @@ def point_spread(sigma_px: float) -> PointSpread:
     spread = PointSpread()
     spread.log_sigma.data.fill_(math.log(sigma_px))
     return spread
+
+
+def test_air_is_between_the_object_and_the_lens():
+    radiance = BandRadiance.of(TemperatureRange(-20.0, 100.0))
+    noted = ObjectParameters(0.95, 1.0, 20.0, 5.0, 0.5)
+    air = AirPath.of([PhotoRecord(parameters=noted)], radiance, farthest=500.0)
+    capture = replace(CAPTURE, has_celsius=True, radiance=radiance, air=air)
+    assert from_json(Capture, json.loads(json.dumps(asdict(capture)))) == capture
+    seen, view = rendering(), torch.zeros(1, dtype=torch.int64)
+    far = seen[THERMAL]._replace(depth=torch.linspace(2.0, 90.0, 12).expand(9, 12))
+    config = replace(ALL, radiance=True, air=True)
+    model = ImageModel(config, capture)
+    received = air.received(radiance.of_value(far.image), far)
+    expected = radiance.to_value(model.point_spread(received))
+    found = model(Rendering({THERMAL: far}), view)[THERMAL].image
+    torch.testing.assert_close(found, expected)
+    colder = model(Rendering({THERMAL: far._replace(image=torch.ones(9, 12, 1))}), view)
+    across = colder[THERMAL].image[4, 2:-2, 0].diff()
+    assert (across < 0).all(), "the farther the colder, of a hot wall in cold air"
+    for without in (replace(config, air=False), replace(config, radiance=False)):
+        assert ImageModel(without, capture).air is None
 
 
 @pytest.mark.parametrize("start_px", [0.8, 0.01])
