@@ -84,6 +84,26 @@ def test_a_place_reads_the_same_as_a_mark_and_by_its_coordinates(marks, run) -> 
 
 
 @pytest.mark.slow
+def test_points_have_the_interval_that_holds_their_truth(marks, run, view) -> None:
+    exact = read_float_tiff(TABLETOP / "truth" / "temperature" / f"{view.name}.tiff")
+    camera, scale = view.images[THERMAL].camera, exact.shape[1] / 96
+    depth = run.render(camera).surface_depth(THERMAL)
+    rows, columns = (np.arange(6, side - 6, 3) for side in (camera.height, camera.width))
+    x, y = (each.ravel() for each in np.meshgrid(columns, rows))
+    pixels = torch.from_numpy(np.stack([x, y], axis=1) + 0.5)
+    points = camera.unproject(pixels, depth[y, x].double())
+    within = marks.uncertainty_at(points)
+    error = marks.temperature_at(points) - torch.from_numpy(
+        exact[((y + 0.5) * scale).astype(int), ((x + 0.5) * scale).astype(int)]
+    )
+    known = within.isfinite() & error.isfinite()
+    assert known.sum() > 200
+    assert (error.abs() < within)[known].float().mean() > 0.85
+    assert within[known].quantile(0.2) < 0.6, "on even surfaces"
+    assert marks.uncertainty_at([[0.0, 0.0, 50.0]]).isnan().all()
+
+
+@pytest.mark.slow
 def test_lengths_are_those_of_the_world(marks, view) -> None:
     ends = exact_places(view, ON_THE_TABLE[:2])
     mark = marks.line(view.images[THERMAL].camera, ON_THE_TABLE[:2])

@@ -185,6 +185,15 @@ class RunMarks:
         positions = as_tensor(points, torch.float32, (None, 3), "points").numpy()
         return torch.from_numpy(self._regions.corrected_at(positions, celsius))
 
+    def uncertainty_at(self, points: Array) -> Float[torch.Tensor, " n"]:
+        """The ± of ``temperature_at``, K, [N]: the truth lies within it in 95 of 100 cases. NaN
+        where no photo looked, and everywhere if the scene is not there."""
+        positions = as_tensor(points, torch.float32, (None, 3), "points").numpy()
+        if (meter := self.meter.uncertainty) is None:
+            return torch.full((len(positions),), torch.nan)
+        celsius = self.run.temperature_at(points).numpy()
+        return torch.from_numpy(meter.of_points(positions, celsius, self._regions))
+
     @property
     def _regions(self) -> Regions:
         return self.meter.regions(self.marks)
