@@ -7,7 +7,7 @@ import shutil
 import pytest
 from PIL import Image
 
-from mrgs.comparison.plan import Variant, neighbour_methods, plan
+from mrgs.comparison.plan import Options, Variant, neighbour_methods, plan
 from mrgs.errors import ConfigError, MrgsWarning, SceneError
 from mrgs.training import train
 from tests.helpers.comparison import tiny_options
@@ -116,3 +116,12 @@ def test_a_scene_that_is_odd_is_said_before_anything_runs(small_scene, tmp_path)
             Image.new(image.mode, image.size).save(photo)
     with pytest.warns(MrgsWarning, match=r"^odd: .*black"):
         plan([scene], tmp_path / "out", tiny_options())
+
+
+def test_the_setup_of_the_runs_is_a_sentence():
+    options = Options(seeds=3, preset="fast", max_steps=1000, max_gaussians=8000, resolution=160)
+    assert options.setup(48) == (
+        "3 seeds; preset fast, 1,000 steps, at most 8,000 Gaussians, images at most 160 px wide; "
+        "48 held-out views."
+    )
+    assert Options().setup(1) == "1 seed; preset default; 1 held-out view."

@@ -49,6 +49,13 @@ def test_figures_printed_alike_are_marked_alike():
     ]
 
 
+def test_figures_within_the_spread_of_seeds_are_marked_alike():
+    close = [Row(("x",), (Cell(mean, std, 3),)) for mean, std in ((31.0, 0.2), (30.9, 0.1))]
+    assert column("thermal.psnr", *close, row(30.0)) == ["best", "best", "second"]
+    apart = [Row(("x",), (Cell(mean, std, 3),)) for mean, std in ((31.0, 0.2), (30.7, 0.1))]
+    assert column("thermal.psnr", *apart, row(30.65)) == ["best", "second", "second"]
+
+
 def test_blocks_are_ranked_apart():
     assert column("thermal.psnr", row(30.0, "a"), row(20.0, "a"), row(5.0, "b"), row(6.0, "b")) == [
         "best", "second", "second", "best",

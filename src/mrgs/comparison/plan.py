@@ -24,6 +24,7 @@ from mrgs.runs.registry import find_method
 from mrgs.system.atomic import write_text
 from mrgs.system.disk import read_text
 from mrgs.system.strict_yaml import parse_yaml
+from mrgs.system.wording import counted
 from mrgs.training import make_config
 
 NEIGHBOURS_METHOD = "mrgs"
@@ -71,6 +72,15 @@ class Options:
     max_steps: int | None = None
     max_gaussians: int | None = None
     resolution: int | None = None
+
+    def setup(self, held_out: int) -> str:
+        """The settings in words, with the number of held-out views of all scenes."""
+        steps = "" if self.max_steps is None else f", {self.max_steps:,} steps"
+        cap = "" if self.max_gaussians is None else f", at most {self.max_gaussians:,} Gaussians"
+        width = "" if self.resolution is None else f", images at most {self.resolution:,} px wide"
+        seeds = counted(self.seeds, "seed")
+        views = counted(held_out, "held-out view")
+        return f"{seeds}; preset {self.preset}{steps}{cap}{width}; {views}."
 
 
 def configure(variant: Variant, options: Options, seed: int) -> RunConfig:

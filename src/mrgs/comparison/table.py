@@ -9,7 +9,7 @@ import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from string import ascii_lowercase
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from mrgs.evaluation.metrics import REPORTED, Figure, Missing
 from mrgs.pictures.escape import escape_cell, escape_markdown
@@ -268,8 +268,8 @@ def printed(cell: Cell, figure: str, published: bool) -> str:
 def marks(table: Table) -> list[list[Mark]]:
     """Marks of the best and the second best measured rows of each block, by row and column.
 
-    Figures that are printed alike are marked alike. A column with fewer than two measured figures
-    has no marks.
+    Figures that are printed alike, or differ by no more than a standard deviation over the seeds,
+    are marked alike. A column with fewer than two measured figures has no marks.
     """
     result: list[list[Mark]] = [["" for _ in table.figures] for _ in table.rows]
     for column, figure in enumerate(table.figures):
@@ -280,16 +280,21 @@ def marks(table: Table) -> list[list[Mark]]:
 
 
 def _rank(table: Table, block: str, column: int, figure: str) -> dict[int, Mark]:
-    kind, values = kind_of(figure), {}
+    kind, left = kind_of(figure), dict[int, tuple[float, float]]()
     for index, row in enumerate(table.rows):
-        mean = row.cells[column].mean
+        mean, std, *_ = row.cells[column]
         if row.block == block and not row.published and mean is not None:
-            values[index] = round(mean, kind.decimals)
-    if kind.better is None or len(values) < 2:
+            left[index] = round(mean, kind.decimals), std or 0.0
+    if kind.better is None or len(left) < 2:
         return {}
-    order = sorted(set(values.values()), reverse=kind.better == "higher")
-    ranked: dict[float, Mark] = dict(zip(order, ("best", "second"), strict=False))
-    return {index: ranked[value] for index, value in values.items() if value in ranked}
+    best_of, ranked = max if kind.better == "higher" else min, dict[int, Mark]()
+    for mark in get_args(Mark)[:2]:
+        best, spread = best_of(left.values(), default=(math.nan, 0.0))
+        for index, (mean, std) in [*left.items()]:
+            if abs(mean - best) <= max(spread, std):
+                ranked[index] = mark
+                del left[index]
+    return ranked
 
 
 def to_markdown(table: Table) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.resources import files
 from typing import Any
@@ -141,8 +141,8 @@ def _published_cell(table: str, row: str, figure: str, scene: str) -> Cell:
     return Cell(None, note=value.reason) if isinstance(value, Missing) else Cell(value)
 
 
-def all_tables(outcomes: Outcomes) -> list[Table]:
-    """All tables that have contents."""
+def all_tables(outcomes: Outcomes, setup: str = "") -> list[Table]:
+    """All tables that have contents; the setup of their runs ends each caption."""
     tables = []
     if outcomes.methods:
         caption = "novel views of scenes and methods: held-out views, full frame."
@@ -171,7 +171,7 @@ def all_tables(outcomes: Outcomes) -> list[Table]:
                 outcomes, "aligned", caption, lambda _: figures, with_aligned, ALIGNED_REMARKS
             )
         )
-    return tables
+    return [replace(table, caption=f"{table.caption} {setup}".strip()) for table in tables]
 
 
 def _figures_of(outcomes: Outcomes, modality: str, scenes: Sequence[str]) -> tuple[str, ...]:
