@@ -551,11 +551,11 @@ def test_the_times_in_flirs_own_files_count(photos, word):
         ({"a.jpg": "flir", "b.jpg": "jpg"}, ["1 thermal", "1 other", "no pairs"]),
         (
             {
-                f"{c}/{i}.jpg": ("jpg", {"model": f"M{i % 2}"})
+                f"{c}/{i}.jpg": ("jpg", {"model": f"M{i % 3}"})
                 for c in ("rgb", "thermal")
-                for i in range(3)
+                for i in range(5)
             },
-            ["card", "RGB", "2 of M0", "rgb/0.jpg", "1 of M1", "rgb/1.jpg"],
+            ["card", "RGB", "3 cameras", "2 of M0", "rgb/0.jpg", "2 of M1", "1 of M2", "rgb/2.jpg"],
         ),
         (
             {

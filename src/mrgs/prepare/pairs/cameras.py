@@ -14,11 +14,15 @@ from mrgs.prepare.pairs.inventory import Inventory, Photo
 from mrgs.prepare.pairs.names import PARTNER, REFERENCE
 from mrgs.prepare.pairs.rules import NEARLY, Pair
 from mrgs.scene import Modality
+from mrgs.system.wording import listed
 
 Value = TypeVar("Value", bound=Hashable)
 
 _ZOOM = 1.02
 """Focal lengths whose ratio is larger are those of a zoom, not of rounding."""
+
+MOST_NAMED = 5
+"""Cameras in one message."""
 
 _OTHER_LENS = 1.2
 """Fields of view whose ratio is larger are those of two lenses, not of one focused differently."""
@@ -45,13 +49,15 @@ def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...
         ):
             if len(groups) < 2:
                 continue
-            most, other = sorted(groups.values(), key=len, reverse=True)[:2]
+            of_each = [
+                f"{len(own)} of {_described(own[0], inventory)}"
+                for own in sorted(groups.values(), key=len, reverse=True)
+            ]
             raise scene_error(
                 inventory.root,
-                f"the {modality.title} photos are of {len(groups)} cameras or sizes: {len(most)} "
-                f"of {_described(most[0], inventory)}, and {len(other)} of "
-                f"{_described(other[0], inventory)}; prepare each camera separately, from a "
-                f"folder of its own",
+                f"the {modality.title} photos are of {len(groups)} cameras or sizes: "
+                f"{listed(of_each, MOST_NAMED)}; prepare each camera separately, from a folder of "
+                f"its own",
             )
         _check_lenses(modality, photos, inventory)
         focal_mm = [photo.focal_mm for photo in photos if photo.focal_mm is not None]
