@@ -53,6 +53,13 @@ def test_temperatures_are_written_as_they_are_read_again(photo, tmp_path, name, 
     assert written[7, 2] == pytest.approx((31.5 - 32) / 1.8, abs=1e-3)
 
 
+def test_the_photo_itself_is_not_overwritten(photo, capsys):
+    before = photo.read_bytes()
+    assert main(["read", str(photo), "--unit", "kelvin", "--output", str(photo)]) == 2
+    assert "the photo itself" in capsys.readouterr().err
+    assert photo.read_bytes() == before
+
+
 def test_what_cannot_be_written_is_refused(tmp_path, capsys):
     grey = tmp_path / "grey.png"
     Image.fromarray(np.arange(192, dtype=np.uint8).reshape(12, 16)).save(grey)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from PIL import Image
 
 from mrgs.app.cli import _state_survey
 from mrgs.app.commands import Report
@@ -26,6 +27,22 @@ def test_what_is_stated_once_is_kept(tmp_path):
     _state_survey(Report(run, set=("object=School",)))
     stated = read_survey(run / "survey.yaml")
     assert stated == Survey(client="Town", object="School", inside_c=21.5)
+
+
+def test_a_logo_is_beside_the_file_or_the_user_who_states_it(tmp_path, monkeypatch):
+    given, run, here = tmp_path / "given", tmp_path / "run", tmp_path / "here"
+    for folder in (given, run, here):
+        folder.mkdir()
+        Image.new("RGB", (8, 8)).save(folder / f"{folder.name}.png")
+    monkeypatch.chdir(here)
+    (given / "survey.yaml").write_text("logo: given.png\n", encoding="utf-8")
+    _state_survey(Report(run, survey=given / "survey.yaml"))
+    assert read_survey(run / "survey.yaml").logo == str(given / "given.png")
+    _state_survey(Report(run, set=("logo=here.png",)))
+    assert read_survey(run / "survey.yaml").logo == str(here / "here.png")
+    with pytest.raises(ConfigError, match=r"missing\.png"):
+        _state_survey(Report(run, set=("logo=missing.png",)))
+    assert read_survey(run / "survey.yaml").logo == str(here / "here.png"), "as it was"
 
 
 def test_a_survey_that_is_not_there(tmp_path):

@@ -52,6 +52,10 @@ def test_figures_printed_alike_are_marked_alike():
 def test_figures_within_the_spread_of_seeds_are_marked_alike():
     close = [Row(("x",), (Cell(mean, std, 3),)) for mean, std in ((31.0, 0.2), (30.9, 0.1))]
     assert column("thermal.psnr", *close, row(30.0)) == ["best", "best", "second"]
+    unsure = Row(("x",), (Cell(29.0, 2.5, 3),))
+    assert column("thermal.psnr", close[0], row(30.5), unsure) == ["best", "second", ""]
+    even = [Row(("x",), (Cell(mean, 0.1, 3),)) for mean in (31.0, 30.9)]
+    assert column("thermal.psnr", *even, row(30.0)) == ["best", "best", "second"]
     apart = [Row(("x",), (Cell(mean, std, 3),)) for mean, std in ((31.0, 0.2), (30.7, 0.1))]
     assert column("thermal.psnr", *apart, row(30.65)) == ["best", "second", "second"]
 

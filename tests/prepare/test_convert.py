@@ -18,7 +18,7 @@ from PIL import Image
 from mrgs.data.kept import Cache
 from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import RunError, SceneError
-from mrgs.prepare import PrepareOptions, stages
+from mrgs.prepare import PrepareOptions, convert, stages
 from mrgs.prepare.contract import ConvertedPhotos, Pairing, PhotoPair
 from mrgs.prepare.convert import CONTENTS, convert_photos
 from mrgs.prepare.pairs.find import find_pairs
@@ -142,6 +142,22 @@ def test_a_rotated_photo_is_turned_in_its_pixels(made, scene, orientation):
         written = np.asarray(image, dtype=int)
     assert written.shape == upright.shape
     assert np.abs(written - upright).mean() < 2
+
+
+@pytest.mark.parametrize(
+    ("orientation", "expected"), [(1, 40.0), (3, 40.0), (6, 20.63), (8, 20.63)]
+)
+def test_a_stated_field_of_view_is_that_of_the_upright_photo(
+    made, monkeypatch, orientation, expected
+):
+    def wide(path, overrides):
+        found = read_thermal_photo(path, overrides)
+        return replace(found, facts=found.facts.adding(field_of_view_deg=40.0))
+
+    monkeypatch.setattr(convert, "read_thermal_photo", wide)
+    turn = {"size": (32, 16), "orientation": orientation}
+    (view,) = made({"rgb/a.jpg": ("jpg", turn), "thermal/a.tif": ("celsius", turn)}).views
+    assert view.facts.field_of_view_deg == pytest.approx(expected, abs=0.01)
 
 
 def turn_by_exif(orientation: int) -> Image.Transpose:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ from mrgs.pictures.page_data import PALETTE_CHOICES
 from mrgs.report import report_run
 from mrgs.report.findings import like_parts
 from mrgs.report.overview import Style
+from mrgs.report.sections import read_logo
 from mrgs.report.write import require_weasyprint
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run
@@ -109,8 +111,22 @@ def test_like_parts_are_in_the_report(stated: Path):
     assert re.search(r"Like parts .*Window 3 \d\d\.\d Window \d", text_of(stated))
 
 
-def test_the_survey_gives_one_scale_to_all_pictures(stated: Path, opened: Run, tmp_path: Path):
+def test_the_survey_gives_one_scale_to_all_pictures(
+    stated: Path, opened: Run, sharp: Scene, tmp_path: Path
+):
     assert "All thermal pictures have one scale, 5.0 °C to 35.0 °C." in text_of(stated)
+    folder = shutil.copytree(stated.parent, tmp_path / "run")
+    write_survey(folder / SURVEY_FILE, replace(STATED, scale_high_c=45.0))
+    run = replace(opened, folder=RunFolder(folder))
+    other = report_run(run, tmp_path / "other.html", scene=sharp)
+    pictures = [
+        dict(re.findall(r'alt="([^"]*)" src="(data:[^"]+)"', page))
+        for page in (path.read_text(encoding="utf-8") for path in (stated, other))
+    ]
+    thermal = {name for name in pictures[0] if "thermal" in name}
+    assert len(thermal) >= 3
+    assert pictures[0].keys() == pictures[1].keys()
+    assert [name for name in thermal if pictures[0][name] == pictures[1][name]] == []
     assert Style("grey", (5.0, 35.0)).scale((1.0, 2.0), None)[:3] == ("grey", 5.0, 35.0)
     assert Style().scale((1.0, 2.0), TemperatureRange(0.0, 9.0))[:4] == (
         "inferno",
@@ -145,10 +161,17 @@ def test_without_celsius_it_is_a_relative_model(run: Run, sharp: Scene, tmp_path
     assert not marks.marks.proposals
 
 
-def test_a_logo_that_cannot_be_read_is_named(run: Run, tmp_path: Path):
-    write_survey(run.folder.path / SURVEY_FILE, Survey(logo="missing.svg"))
-    with pytest.raises(ConfigError, match=r"logo missing\.svg cannot be read"):
-        report_run(run, tmp_path / "report.html")
+def test_a_logo_that_cannot_be_read_is_named(tmp_path: Path):
+    Image.new("RGB", (9, 9)).save(tmp_path / "logo.png")
+    whole = (tmp_path / "logo.png").read_bytes()
+    (tmp_path / "cut.png").write_bytes(whole[:40])
+    (tmp_path / "drawn.eps").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
+    Image.new("RGB", (9, 9)).save(tmp_path / "moving.gif")
+    os.mkfifo(tmp_path / "pipe.png")
+    for name in ("missing.svg", "cut.png", "drawn.eps", "moving.gif", "pipe.png", "."):
+        with pytest.raises(ConfigError, match=r"logo: .*give a PNG or JPEG file"):
+            read_logo(Survey(logo=name), tmp_path)
+    assert read_logo(Survey(logo="logo.png"), tmp_path) is not None
 
 
 def test_the_survey_knows_the_palettes_and_both_ends_of_a_scale():

@@ -73,6 +73,26 @@ def test_the_depth_gets_no_gradient():
     assert (radiance.grad < 1).all()
 
 
+def test_air_as_cameras_are_delivered_is_not_known():
+    delivered = ObjectParameters(0.95, 1.0, 20.0, 20.0, 0.5)
+    assert AirPath.of([PhotoRecord(parameters=delivered)], RADIANCE) is None
+    given = PhotoRecord(parameters=delivered, given={"atmospheric_c": 20.0})
+    assert AirPath.of([given], RADIANCE) is not None, "somebody has said so"
+    set_ = replace(delivered, atmospheric_c=-5.0)
+    assert AirPath.of([PhotoRecord(parameters=set_)], RADIANCE) is not None
+
+
+def test_kilometres_of_damp_air_let_something_through():
+    damp = ObjectParameters(0.95, 5.0, 18.0, 30.0, 0.9)
+    path = AirPath.of([PhotoRecord(parameters=damp)], RADIANCE)
+    received = path.received(
+        RADIANCE.of_value(torch.full((1, 1, 1), 0.5)), blend(torch.full((1, 1), 5e3))
+    )
+    assert -20 < SCALE.to_celsius(RADIANCE.to_value(received)).item() < 40
+    far = replace(damp, distance_m=3000.0)
+    assert AirPath.of([PhotoRecord(parameters=far)], RADIANCE) is None
+
+
 def test_photos_without_parameters_have_no_known_air():
     assert AirPath.of([PhotoRecord()], RADIANCE) is None
     assert AirPath.of(RECORDS, None) is None

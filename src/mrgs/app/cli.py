@@ -8,6 +8,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial, reduce
 from importlib.metadata import version
 from operator import or_
@@ -313,13 +314,21 @@ def _report(command: commands.Report) -> None:
 
 def _state_survey(command: commands.Report) -> None:
     """Write the survey that the options state to the run's folder."""
+    from mrgs.report.sections import read_logo
     from mrgs.survey import SURVEY_FILE, read_survey, survey_of, write_survey
 
     own = command.run / SURVEY_FILE
     if command.survey is not None and not command.survey.is_file():
         raise ConfigError(f"--survey {command.survey}: there is no such file")
     if command.survey is not None or command.set:
-        write_survey(own, read_survey(command.survey or own).stating(command.set, "--set"))
+        stated = read_survey(command.survey or own)
+        if command.survey is not None and stated.logo is not None:
+            stated = replace(stated, logo=str(command.survey.absolute().parent / stated.logo))
+        stated = stated.stating(command.set, "--set")
+        if stated.logo and any(each.startswith("logo=") for each in command.set):
+            stated = replace(stated, logo=str(Path(stated.logo).absolute()))
+        read_logo(stated, command.run)
+        write_survey(own, stated)
     elif not own.exists():
         survey_of(command.run)
         print(f"survey: fill in {own}, and write the report again")

@@ -320,8 +320,8 @@ class Export:
     output: Maybe[Path] = None
     """Output folder; by default RUN/export."""
     scene: MovedScene = None
-    palette: PaletteChoice = "inferno"
-    """Palette of the temperatures."""
+    palette: Maybe[PaletteChoice] = None
+    """Palette of the temperatures; by default the survey's, else inferno."""
     range_c: Maybe[tuple[float, float]] = None
     """°C of the palette's first and last colour; by default the scene's full range."""
     plane: Maybe[tuple[str, str, str]] = None

@@ -21,6 +21,8 @@ def read(command: Read) -> None:
     output = command.output
     if output is not None and output.suffix.lower() not in (".csv", ".tif", ".tiff"):
         raise ConfigError(f"{output}: name a .csv or a .tiff file", options=("output",))
+    if output is not None and output.exists() and output.samefile(command.photo):
+        raise ConfigError(f"{output} is the photo itself: name another file", options=("output",))
     photo = read_thermal_photo(command.photo, command.settings.overrides())
     say(*(f"{f'{title}:':<14}{text}" for title, text in _facts(photo)))
     for note in photo.facts.notes:

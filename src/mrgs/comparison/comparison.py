@@ -234,7 +234,7 @@ def compare(
         *renders,
     )
     outcomes = Outcomes(tuple(found), tuple(paths), rows, neighbour_methods(options))
-    held_out = {each.scene: len(each.document["views"]) for each in found if each.document}
+    held_out = {each.scene: len(each.document.get("views", [])) for each in found if each.document}
     tables = tuple(all_tables(outcomes, options.setup(sum(held_out.values()))))
     _write_tables(output / "tables", tables)
     _write_results(output / "results.json", outcomes, options, paths)

@@ -205,7 +205,10 @@ MARKDOWN_GROUPS = 3
 LATEX_GROUPS = 5
 """More scenes than these go into further tables below: a page is not wider."""
 
-LEGEND = "Bold: the best, underlined: the second best of what was measured here."
+LEGEND = (
+    "Bold: the best, underlined: the second best of what was measured here; alike where the "
+    "difference is within the ± of the better one."
+)
 
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
@@ -268,8 +271,9 @@ def printed(cell: Cell, figure: str, published: bool) -> str:
 def marks(table: Table) -> list[list[Mark]]:
     """Marks of the best and the second best measured rows of each block, by row and column.
 
-    Figures that are printed alike, or differ by no more than a standard deviation over the seeds,
-    are marked alike. A column with fewer than two measured figures has no marks.
+    Figures that are printed alike, or are behind by no more than the standard deviation of the one
+    before them over its seeds, are marked alike. A column with fewer than two measured figures has
+    no marks.
     """
     result: list[list[Mark]] = [["" for _ in table.figures] for _ in table.rows]
     for column, figure in enumerate(table.figures):
@@ -290,8 +294,8 @@ def _rank(table: Table, block: str, column: int, figure: str) -> dict[int, Mark]
     best_of, ranked = max if kind.better == "higher" else min, dict[int, Mark]()
     for mark in get_args(Mark)[:2]:
         best, spread = best_of(left.values(), default=(math.nan, 0.0))
-        for index, (mean, std) in [*left.items()]:
-            if abs(mean - best) <= max(spread, std):
+        for index, (mean, _) in [*left.items()]:
+            if round(abs(mean - best), kind.decimals) <= spread:
                 ranked[index] = mark
                 del left[index]
     return ranked

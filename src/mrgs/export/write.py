@@ -18,6 +18,7 @@ from mrgs.pictures.palette import PaletteName
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
+from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 """Called with the number of the part that begins, the number of parts, and the part's name."""
@@ -32,7 +33,7 @@ def export_run(
     run: Run,
     folder: str | Path | None = None,
     format: str = "all",
-    palette: PaletteName = "inferno",
+    palette: PaletteName | None = None,
     range_c: tuple[float, float] | None = None,
     maps: MapOptions = DEFAULT_MAPS,
 ) -> list[Path]:
@@ -44,7 +45,8 @@ def export_run(
         folder: made if it does not exist; files of these names are replaced. The run's folder
             ``export`` if None.
         format: the name of one of ``mrgs.export.FORMATS``, or ``all``.
-        palette: colours of the colour-mapped files.
+        palette: colours of the colour-mapped files; None takes that of the run's survey, else
+            inferno.
         range_c: °C of the palette's first and last colour; None takes the scene's whole range
             for splats, a map's own for a map; the page then begins with the viewer's range, or
             with what the model shows to the photos' cameras where areas are corrected.
@@ -65,7 +67,7 @@ def export(
     scene: Scene,
     format: str | Sequence[str],
     folder: Path,
-    palette: PaletteName = "inferno",
+    palette: PaletteName | None = None,
     range_c: tuple[float, float] | None = None,
     maps: MapOptions = DEFAULT_MAPS,
     on_baked: Callable[[BakingLoss], None] | None = None,
@@ -138,7 +140,7 @@ def _job(
     model: Run | BakedModel,
     scene: Scene,
     folder: Path,
-    palette: PaletteName,
+    palette: PaletteName | None,
     range_c: tuple[float, float] | None,
     maps: MapOptions,
 ) -> ExportJob:
@@ -153,6 +155,9 @@ def _job(
             f"scene that it was trained on"
         )
     require_exportable(baked)
+    if palette is None:
+        survey = Survey() if run is None else read_survey(run.folder.path / SURVEY_FILE)
+        palette = survey.palette or "inferno"
     scale, up = thermal_scale(baked, palette, range_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
     facts = facts_of(baked, scene, up, loss, maps.crs)

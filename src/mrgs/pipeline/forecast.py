@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mrgs.errors import MrgsError
+from mrgs.export.page.write import MOST_PHOTOS
 from mrgs.export.write import BAKING
 from mrgs.method.config import TrainConfig
 from mrgs.pipeline.intake import Intake, Size, take_in
@@ -147,7 +148,7 @@ def stage_parts(work: Workload, cores: int | None = None) -> dict[str, dict[str,
             "measurements and pictures": 5 + 3 * surface,
             "page": 1,
         },
-        "page": {BAKING: baking, "page": 0.5},
+        "page": {BAKING: baking, "page": 0.5 + min(views, MOST_PHOTOS) * 0.3e-3 * kpx},
         "exports": {
             BAKING: baking,
             **dict.fromkeys(("ply", "spz", "glb"), 10 * million),

@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import io
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -35,6 +36,7 @@ from mrgs.prepare.contract import (
 )
 from mrgs.prepare.rgb_photo import ImageFile, read_embedded, read_rgb
 from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.scene.camera import field_of_view, focal_length
 from mrgs.system.atomic import remove, replacing
 
 IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
@@ -48,6 +50,9 @@ _VERSION = 9
 
 Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
+
+LYING = 5
+"""From this EXIF orientation on, rows and columns change places in the upright image."""
 
 
 class _Settings(NamedTuple):
@@ -192,7 +197,12 @@ def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> C
     notes = () if unit is None else (f"The numbers are taken for {unit}.",)
     rgb = pair.exif.get(RGB, ExifFacts())
     taken = thermal.facts.taken or rgb.taken
-    facts = thermal.facts.adding(notes=notes, visible=None, taken=taken)
+    view_deg = thermal.facts.field_of_view_deg
+    if view_deg is not None and orientations[THERMAL] >= LYING:
+        height, width = thermal.valid.shape
+        focal_px = focal_length(width, math.radians(view_deg))
+        view_deg = math.degrees(field_of_view(height, focal_px))
+    facts = thermal.facts.adding(notes=notes, visible=None, taken=taken, field_of_view_deg=view_deg)
     own = pair.exif.get(THERMAL, ExifFacts())
     camera = (rgb.make, rgb.model) if rgb.model else (own.make, own.model or facts.camera)
     exif = ExifFacts(*camera, rgb.taken or facts.taken, rgb.gps or facts.gps)

@@ -294,7 +294,8 @@ class CameraEffects(NamedTuple):
 def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
     """The effects that the report shows; None where none is modelled."""
     drift, shading = run.image_model.thermal_drift, run.image_model.thermal_shading
-    if run.temperature is None or (drift is None and shading is None):
+    has_air = run.image_model.air is not None
+    if run.temperature is None or (drift is None and shading is None and not has_air):
         return None
     span_c, chart, picture = run.temperature.span_c, None, None
 
@@ -323,7 +324,6 @@ def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
         drawn = drawing.above_scale(shown, scale, 13, SCALE_GAP_PX)
         picture = inline_image(drawn, "shading", png=True)
     constant = span_c * float(run.image_model.constant)
-    has_air = run.image_model.air is not None
     return CameraEffects(chart, picture, kelvin(constant) if constant else "", has_air)
 
 

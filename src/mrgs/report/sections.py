@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from PIL import Image
 
-from mrgs.errors import ConfigError, RunError
+from mrgs.data.images import opened
+from mrgs.errors import ConfigError, RunError, SceneError
 from mrgs.evaluation.metrics import REPORTED
 from mrgs.evaluation.report import COLUMNS
 from mrgs.marks.tables import digits
@@ -160,12 +161,10 @@ def read_logo(survey: Survey, folder: Path) -> InlineImage | None:
     if survey.logo is None:
         return None
     try:
-        with Image.open(folder / survey.logo) as picture:
+        with opened(folder / survey.logo, formats=("PNG", "JPEG")) as picture:
             image = picture.convert("RGBA")
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise ConfigError(
-            f"the survey's logo {survey.logo} cannot be read ({error}): give a PNG or JPEG file"
-        ) from None
+    except SceneError as error:
+        raise ConfigError(f"the survey's logo: {error}; give a PNG or JPEG file") from None
     image.thumbnail(LOGO_PX)
     return inline_image(image, survey.company or "logo", png=True)
 

@@ -192,7 +192,8 @@ def facts_to_resume(
             f"{scene.name} has changed since the run began ({changed}); training goes on with it "
             f"as it is now"
         )
-    capture = replace(Capture.of(scene), radiance=facts.capture.radiance)  # what it has learned in
+    before = facts.capture  # what the model was trained with, and goes on with
+    capture = replace(Capture.of(scene), radiance=before.radiance, air=before.air)
     return facts._replace(scene=scene.path, capture=capture, images=images)
 
 

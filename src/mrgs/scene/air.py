@@ -44,6 +44,13 @@ USUAL_AIR = Atmosphere(0.006569, 0.01262, -0.002276, -0.00667, 1.9)
 """The constants that FLIR's cameras store."""
 
 
+LEAST_TRANSMISSION = 0.01
+"""The empirical formula falls below 0 in kilometres of damp air."""
+
+DELIVERED_C = 20.0
+"""For which temperature of air and reflection cameras are set when they are delivered."""
+
+
 def usual_parameters(records: Iterable[PhotoRecord]) -> ObjectParameters | None:
     """The medians of the photos' parameters; None if none are known."""
     known = [astuple(each.parameters) for each in records if each.parameters is not None]
@@ -79,24 +86,36 @@ class AirPath(NamedTuple):
         radiance: BandRadiance | None,
         farthest: float = math.inf,
     ) -> AirPath | None:
-        """That of a scene's photos; None where their parameters are not known."""
+        """That of a scene's photos; None where their parameters are not known, or the air is as
+        the camera was delivered: what a path of tens of metres of it would add is not known."""
+        records = list(records)
         noted = usual_parameters(records)
-        if noted is None or radiance is None:
+        if noted is None or radiance is None or not _is_set(noted, records):
             return None
         share, decays = noted.emissivity, USUAL_AIR.decays(noted.atmospheric_c, noted.humidity)
         air, reflected = map(radiance.of_celsius, (noted.atmospheric_c, noted.reflected_c))
         tau = USUAL_AIR.transmission(noted.distance_m, noted.atmospheric_c, noted.humidity)
+        if tau < LEAST_TRANSMISSION:
+            return None
         added = (air - (1 - share) * reflected) / share
         return cls(*decays, USUAL_AIR.x, tau, added, farthest)
 
     def received(self, radiance: Float[Tensor, "h w 1"], blend: Blend) -> Float[Tensor, "h w 1"]:
-        """R' of R and the blend's depth, in metres; R where the blend shows no surface or only
+        """R' of R and the blend's z-depth, in metres; R where the blend shows no surface or only
         background. No gradient moves the depth."""
         depth = (blend.depth / blend.alpha).detach()
         is_solid = (blend.alpha >= SOLID_ALPHA) & (depth <= self.farthest)
         tau = _transmission(depth.clamp_min(0), self.decay1, self.decay2, self.x)
-        share = torch.where(is_solid, tau / self.noted, 1.0)[:, :, None]
+        share = torch.where(is_solid, tau.clamp_min(LEAST_TRANSMISSION) / self.noted, 1.0)
+        share = share[:, :, None]
         return share * radiance + (1 - share) * self.added
+
+
+def _is_set(noted: ObjectParameters, records: Iterable[PhotoRecord]) -> bool:
+    """Whether somebody has set the air, in the camera or for the program."""
+    delivered = noted.atmospheric_c, noted.reflected_c
+    is_as_delivered = all(abs(celsius - DELIVERED_C) < 0.05 for celsius in delivered)
+    return not is_as_delivered or any("atmospheric_c" in each.given for each in records)
 
 
 def _transmission(distance: Tensor, decay1: float, decay2: float, x: float) -> Tensor:

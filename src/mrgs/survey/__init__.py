@@ -53,7 +53,7 @@ class Survey:
         air_uncertainty_c: standard uncertainty of the air inside and outside.
         hot_places: largest number of hottest places that the report lists.
         least_f_rsi: the report lists what is below it, such as the 0.7 of DIN 4108-2.
-        logo: picture for the report's cover; its path, from the run's folder if it is relative.
+        logo: picture for the report's cover; its path, from the survey's folder if it is relative.
         scale_low_c: with ``scale_high_c``, the ends of the palette in all pictures and on the page.
     """
 

@@ -19,8 +19,10 @@ def available_cores() -> int:
 def waiting_factor() -> float:
     """How many times as long work on all cores takes if other programs go on as in the last minute:
     1 where they do nothing, or it is not known."""
-    busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-    return 1 + busy / available_cores()
+    try:
+        return 1 + os.getloadavg()[0] / (os.cpu_count() or 1)
+    except (AttributeError, OSError):  # not on Windows, nor everywhere else
+        return 1.0
 
 
 @contextmanager

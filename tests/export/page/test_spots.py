@@ -76,6 +76,24 @@ def test_spots_palette_and_range_outlast_a_reload(open_page):
     assert kept == ["iron", "15.0", "45.0"]
 
 
+def test_what_else_is_kept_under_its_name_is_ignored(open_page):
+    page = open_page(viewport=WINDOW)
+    place_spots(page, (0.5, 0.5))
+    (key,) = page.evaluate("Object.keys(localStorage)")
+    for kept in (
+        "no", "7", "[]", "null", '{"spots": "abc", "palette": 7, "ranges": 3}',
+        '{"spots": [null, {"name": "P1"}]}',
+        '{"spots": [{"name": "P2", "modality": "toString", "point": [1, 2, 3], "value": 1}]}',
+        '{"palette": "toString", "ranges": {"thermal": ["a", "b"]}}',
+    ):  # fmt: skip
+        page.evaluate("([key, kept]) => localStorage.setItem(key, kept)", [key, kept])
+        page.reload()
+        page.wait_for_selector(SETTLED)
+        assert rows_of(page) == []
+        assert page.input_value("#palette") == "inferno"
+    place_spots(page, (0.5, 0.5))
+
+
 def test_what_is_kept_belongs_to_its_page(open_page, with_nir):
     place_spots(open_page(viewport=WINDOW), (0.5, 0.5))
     assert rows_of(open_page(with_nir, viewport=WINDOW)) == []

@@ -220,7 +220,7 @@ def test_the_page_begins_with_the_colours_that_the_survey_states(run, tmp_path):
     own = replace(run, folder=RunFolder(shutil.copytree(run.folder.path, tmp_path / "run")))
     stated = Survey(palette="iron", scale_low_c=12.0, scale_high_c=28.0)
     write_survey(own.folder.path / SURVEY_FILE, stated)
-    for palette, expected in (("inferno", "iron"), ("grey", "grey")):
+    for palette, expected in ((None, "iron"), ("inferno", "inferno"), ("grey", "grey")):
         (path,) = export_run(own, format="page", palette=palette)
         page = Elements(path.read_text(encoding="utf-8"))
         assert json.loads(page.texts["facts"])["modalities"][0]["range"] == [12.0, 28.0]

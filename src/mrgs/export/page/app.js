@@ -35,7 +35,8 @@ class Page {
     this.memory = new Memory(element("facts").textContent);
     const scales = Object.fromEntries(Object.values(this.modalities).map(({ name, scale }) => [name, scale]));
     this.spots = new Spots(scales, this.memory, () => this.spotsChanged());
-    if (this.memory.kept.palette in this.palettes) element("palette").value = this.memory.kept.palette;
+    const { palette } = this.memory.kept;
+    if (typeof palette === "string" && Object.hasOwn(this.palettes, palette)) element("palette").value = palette;
     this.connectControls();
     this.listMarks();
     this.navigation = new Navigation(this.canvas, this.viewpoint, {
@@ -490,7 +491,8 @@ class Page {
 }
 
 // Two rising numbers; null for anything else.
-const keptRange = (range) => (Array.isArray(range) && range.length === 2 && range[0] < range[1] ? range : null);
+const keptRange = (range) =>
+  (Array.isArray(range) && range.length === 2 && range.every(Number.isFinite) && range[0] < range[1] ? range : null);
 
 function showFailure(message) {
   element("status").dataset.failed = "true";

@@ -8,10 +8,11 @@ class Memory {
   constructor(content) {
     let hash = 5381;
     for (let i = 0; i < content.length; i++) hash = ((hash * 33) ^ content.charCodeAt(i)) >>> 0;
-    this.key = `mrgs page ${hash} ${content.length}`;
+    this.key = `mrgs page 1 ${hash} ${content.length}`;  // 1: of the layout of what is kept
     this.kept = {};
     try {
-      this.kept = JSON.parse(localStorage.getItem(this.key)) ?? {};
+      const kept = JSON.parse(localStorage.getItem(this.key));
+      if (typeof kept === "object" && kept !== null && !Array.isArray(kept)) this.kept = kept;
     } catch { /* a browser that keeps nothing, or something else under this name */ }
   }
 
@@ -27,8 +28,10 @@ class Spots {
   // `scales` are those of the modalities, by name; `onChange` is called after each change.
   constructor(scales, memory, onChange) {
     Object.assign(this, { scales, memory, onChange });
-    const { spots = [], reference = null } = memory.kept;
-    this.list = spots.filter(({ modality, point }) => modality in scales && point?.length === 3);
+    const { spots, reference = null } = memory.kept;
+    const isSpot = (spot) => typeof spot?.name === "string" && Object.hasOwn(scales, spot.modality)
+      && Array.isArray(spot.point) && spot.point.length === 3 && [...spot.point, spot.value].every(Number.isFinite);
+    this.list = Array.isArray(spots) ? spots.filter(isSpot).slice(0, MOST_SPOTS) : [];
     this.reference = this.list.some(({ name }) => name === reference) ? reference : null;
     this.show();
   }

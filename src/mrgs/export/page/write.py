@@ -178,8 +178,7 @@ def export(job: ExportJob) -> list[Path]:
     if range_c is None and not job.regions and THERMAL in job.modalities:
         range_c = page_data.starting_limits((THERMAL,), scene, scene.temperature)[THERMAL]
     content = PageContent(
-        # The survey's, unless another was asked for.
-        survey.palette or PALETTE if job.palette == PALETTE else job.palette,
+        job.palette,
         range_c,
         (*scene.notes, *assumptions),
         job.modalities,
@@ -189,20 +188,21 @@ def export(job: ExportJob) -> list[Path]:
         scene.world.length_unit,
         air_facts(survey) if job.run else {},
         settings_text(settings_of(scene.records), "given by the user"),
-        view_photos(scene),
+        view_photos(scene, job.palette),
     )
     cameras = {view.name: view.camera for view in (*scene.eval, *scene.train)}
     title = f"{scene.name}: thermal model"
     return [write_page(job.baked, cameras, title, job.folder / "page.html", content)]
 
 
-def view_photos(scene: Scene) -> dict[str, InlineImage]:
-    """Small photos of at most ``MOST_PHOTOS`` views by their names; the thermal one where there is
-    no other. SceneError if one cannot be read."""
+def view_photos(scene: Scene, palette: PaletteName = PALETTE) -> dict[str, InlineImage]:
+    """Small photos of at most ``MOST_PHOTOS`` views by their names; the thermal one, in the
+    palette, where there is no other. SceneError if one cannot be read."""
     views, temperature, found = scene.views, scene.temperature, {}
     for view in (views[index] for index in evenly_spaced(len(views), MOST_PHOTOS)):
         modality, photo = next((each, view.images[each]) for each in in_order(view.images))
-        picture = Image.fromarray(to_picture(modality, photo.load().values, temperature, PALETTE))
+        values = photo.look(PHOTO_PX).values
+        picture = Image.fromarray(to_picture(modality, values, temperature, palette))
         picture.thumbnail((PHOTO_PX, PHOTO_PX))
         found[view.name] = inline_image(picture, view.name, quality=72)
     return found
