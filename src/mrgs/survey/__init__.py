@@ -53,6 +53,7 @@ class Survey:
         air_uncertainty_c: standard uncertainty of the air inside and outside.
         hot_places: largest number of hottest places that the report lists.
         least_f_rsi: the report lists what is below it, such as the 0.7 of DIN 4108-2.
+        photos_in_page: whether the exported page shows the photos of its views; it does by default.
         logo: picture for the report's cover; its path, from the survey's folder if it is relative.
         scale_low_c: with ``scale_high_c``, the ends of the palette in all pictures and on the page.
     """
@@ -102,6 +103,7 @@ class Survey:
     palette: Palette | None = _stated()  # noqa: RUF009 - a field
     scale_low_c: float | None = _stated(unit="°C", low=-273, high=5000)
     scale_high_c: float | None = _stated(unit="°C", low=-273, high=5000)
+    photos_in_page: bool | None = _stated(high=1)
     statement: str | None = _stated()
     remarks: str | None = _stated("Remarks")
 

@@ -216,6 +216,14 @@ def test_the_photos_of_the_views_come_last(baked, cameras, scene, tmp_path):
     assert text.index('class="photo"') > text.rindex('class="part"')
 
 
+def test_a_survey_leaves_the_photos_out(run, tmp_path):
+    own = replace(run, folder=RunFolder(shutil.copytree(run.folder.path, tmp_path / "run")))
+    for stated, expected in ((None, True), (False, False)):
+        write_survey(own.folder.path / SURVEY_FILE, Survey(photos_in_page=stated))
+        (path,) = export_run(own, format="page")
+        assert ('class="photo"' in path.read_text(encoding="utf-8")) is expected
+
+
 def test_the_page_begins_with_the_colours_that_the_survey_states(run, tmp_path):
     own = replace(run, folder=RunFolder(shutil.copytree(run.folder.path, tmp_path / "run")))
     stated = Survey(palette="iron", scale_low_c=12.0, scale_high_c=28.0)

@@ -188,7 +188,7 @@ def export(job: ExportJob) -> list[Path]:
         scene.world.length_unit,
         air_facts(survey) if job.run else {},
         settings_text(settings_of(scene.records), "given by the user"),
-        view_photos(scene, job.palette),
+        {} if survey.photos_in_page is False else view_photos(scene, job.palette),
     )
     cameras = {view.name: view.camera for view in (*scene.eval, *scene.train)}
     title = f"{scene.name}: thermal model"
