@@ -296,6 +296,9 @@ def test_a_preset_among_the_changes_brings_all_of_its_values():
     assert config == replace(paper, field=replace(paper.field, neighbours_n=5))
     with pytest.raises(ConfigError, match="preset 'slow'"):
         method.configure(changes="preset: slow")
+    with pytest.raises(ConfigError, match="is for the method") as told:
+        method.configure(changes=f"method: {5_000 * 'x'}", source="changes.yaml")
+    assert len(str(told.value)) < 300
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,8 @@ class Method:
             return config
         changed = self.read_config(changes, source, config)
         if changed.method != self.name:
-            raise ConfigError(f"{source} is for the method {changed.method}, not {self.name}")
+            other = shown(changed.method)
+            raise ConfigError(f"{source} is for the method {other}, not {self.name}")
         return changed
 
 
