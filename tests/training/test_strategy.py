@@ -324,7 +324,7 @@ def test_the_command_line_knows_a_registered_method(small_scene, tmp_path, own_m
     (tmp_path / "other.yaml").write_text("method: mrgs")
     command[command.index(str(tmp_path / "run"))] = str(tmp_path / "other")
     assert main([*command, "--config", str(tmp_path / "other.yaml")]) == 2
-    assert re.search("other.yaml .*mrgs, not doubling", capsys.readouterr().err)
+    assert re.search("other.yaml .*'mrgs', not doubling", capsys.readouterr().err)
 
 
 def test_an_installed_package_may_offer_a_method(tmp_path, own_methods, monkeypatch):
