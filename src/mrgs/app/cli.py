@@ -313,7 +313,7 @@ def _report(command: commands.Report) -> None:
 
 
 def _state_survey(command: commands.Report) -> None:
-    """Write the survey that the options state to the run's folder."""
+    """Write the survey that the options state to the run's folder, or an empty one to fill in."""
     from mrgs.report.sections import read_logo
     from mrgs.survey import SURVEY_FILE, read_survey, survey_of, write_survey
 

@@ -12,6 +12,7 @@ from mrgs.app.terminal import print_note, say
 from mrgs.data.radiometric import ThermalPhoto, read_thermal_photo
 from mrgs.errors import ConfigError
 from mrgs.pictures.files import write_float_tiff
+from mrgs.pictures.numbers import number_text
 from mrgs.system.atomic import write_text
 
 
@@ -50,12 +51,12 @@ def _facts(photo: ThermalPhoto) -> Iterator[tuple[str, str]]:
     if values is None:
         yield "temperatures", "none: brightness alone"
     elif photo.valid.any():
-        low, middle, high = np.nanquantile(values, (0, 0.5, 1))
-        spanned = f"{low:.2f} to {high:.2f} °C, median {middle:.2f} °C"
-        yield "temperatures", spanned.replace("-", "−")
+        quantiles = np.nanquantile(values, (0, 0.5, 1)).tolist()
+        low, middle, high = (number_text(each, 2) for each in quantiles)
+        yield "temperatures", f"{low} to {high} °C, median {middle} °C"
         for title, index in (("coldest", np.nanargmin(values)), ("hottest", np.nanargmax(values))):
             row, column = np.unravel_index(index, values.shape)
-            celsius = f"{values[row, column]:.2f}".replace("-", "−")
+            celsius = number_text(float(values[row, column]), 2)
             yield title, f"{celsius} °C in column {column}, row {row}"
     if missing := int((~photo.valid).sum()):
         yield "masked", f"{missing:,} of {photo.valid.size:,} pixels"

@@ -65,6 +65,7 @@ class ExportJob:
         marks: of the run that was baked; None if only the baked model is available.
         regions: marked surfaces with an emissivity of their own; None without.
         loss: PSNR lost by baking, dB; None without a run.
+        survey: of the run, empty without one.
         range_c: °C of the palette's first and last colour, as the caller gave them.
     """
 
@@ -77,6 +78,7 @@ class ExportJob:
     marks: RunMarks | None
     regions: Regions | None
     loss: BakingLoss | None
+    survey: Survey
     palette: PaletteName
     range_c: tuple[float, float] | None
     maps: MapOptions

@@ -155,9 +155,8 @@ def _job(
             f"scene that it was trained on"
         )
     require_exportable(baked)
-    if palette is None:
-        survey = Survey() if run is None else read_survey(run.folder.path / SURVEY_FILE)
-        palette = survey.palette or "inferno"
+    survey = Survey() if run is None else read_survey(run.folder.path / SURVEY_FILE)
+    palette = palette or survey.palette or "inferno"
     scale, up = thermal_scale(baked, palette, range_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
     facts = facts_of(baked, scene, up, loss, maps.crs)
@@ -166,5 +165,5 @@ def _job(
     if marks is not None and scene.train_photos(THERMAL):
         regions = marks.meter.regions(marks.marks) or None
     return ExportJob(
-        baked, scene, folder, scale, up, facts, marks, regions, loss, palette, range_c, maps
+        baked, scene, folder, scale, up, facts, marks, regions, loss, survey, palette, range_c, maps
     )

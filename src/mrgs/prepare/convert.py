@@ -45,7 +45,7 @@ IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 VIEWS, CONTENTS = "photos", "contents.json"
 """Of the cache: the folder with a result for each pair, and the file with digests of the photos."""
 
-_VERSION = 9
+_VERSION = 10
 """Raise it when the same photos give other images or facts."""
 
 Orientations = Mapping[Modality, int]

@@ -67,7 +67,7 @@ class MarkBoard:
         numbers: of each; it stays the same when a mark is renamed.
         proposals: of the report, measured in the same way.
         problems: why the files of the run are not what is shown, a sentence each.
-        is_measuring: whether what is shown is being measured anew.
+        is_measuring: whether what is shown is being measured again.
     """
 
     def __init__(

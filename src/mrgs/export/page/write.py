@@ -33,7 +33,6 @@ from mrgs.pictures.values import in_unit, range_of
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Modality, Scene, evenly_spaced, in_order, metric_first
 from mrgs.scene.preview import best_view
-from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
 DEPTH_STEP = 1e-3
 """Quantisation step of the logarithms of depths: an eightieth of what they may differ by."""
@@ -173,7 +172,7 @@ def export(job: ExportJob) -> list[Path]:
     """Write ``page.html`` into the job's folder; returns its path."""
     scene = job.scene
     marks, assumptions = ([], ()) if job.marks is None else page_marks(job.marks)
-    survey = Survey() if job.run is None else read_survey(job.run.folder.path / SURVEY_FILE)
+    survey = job.survey
     range_c = job.range_c or (survey.scale if scene.temperature is not None else None)
     if range_c is None and not job.regions and THERMAL in job.modalities:
         range_c = page_data.starting_limits((THERMAL,), scene, scene.temperature)[THERMAL]

@@ -323,7 +323,7 @@ class Page {
     this.showRange();
   }
 
-  // What is being measured anew is grey until it is known.
+  // Values are grey while they are being measured again.
   measuring(begun) {
     for (const id of ["measure-section", "marks"]) element(id).classList.toggle("measuring", begun);
   }
