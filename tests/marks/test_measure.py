@@ -14,7 +14,6 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.measure import NO_PHOTO, NO_PLANE, NO_SURFACE, NO_THERMAL, MarkMeter
 from mrgs.marks.run_marks import picked_places
 from mrgs.marks.surface import (
-    before_background,
     has_flat_outline,
     outline_area,
     see,
@@ -23,6 +22,7 @@ from mrgs.marks.surface import (
 from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model, render
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Rendering, Scene
+from mrgs.scene.depth_map import before_background
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
@@ -220,10 +220,10 @@ def test_the_sky_is_refused():
     scene = Scene.from_arrays([camera], celsius=celsius, points=np.array(corners))
     aside = camera.look_at([0, -5, 0], [4.0, 0, 0])
     assert picked_places(see(wall_before_sky, aside), [(150.0, 60.0)])
-    surface = see(before_background(wall_before_sky, scene), aside)
+    surface = see(before_background(wall_before_sky, scene.reach), aside)
     with pytest.raises(ConfigError, match=r"surface .* 150, 60"):
         picked_places(surface, [(150.0, 60.0)])
-    meter = MarkMeter(before_background(wall_before_sky, scene), RANGE)
+    meter = MarkMeter(before_background(wall_before_sky, scene.reach), RANGE)
     sky = replace(BOX, points=tuple((x + 120, 100.0, z) for x, _, z in SQUARE))
     assert meter.read(sky).problem == NO_SURFACE
     over_the_end = replace(BOX, points=tuple((x + 2.5, y, z) for x, y, z in SQUARE))

@@ -11,7 +11,7 @@ import torch
 from mrgs.marks import Mark
 from mrgs.marks.measure import NARROW_COLD, NARROW_HOT, MarkMeter
 from mrgs.marks.photo_readings import BLURRED, READING, RENDERED, USUAL_BLUR_PX, PhotoReadings
-from mrgs.marks.photo_survey import PhotoSurvey, Resolution
+from mrgs.marks.resolution import Resolution
 from mrgs.marks.tables import facts_of_reading, mark_text, text_rows
 from mrgs.marks.uncertainty import Budget, UncertaintyMeter
 from mrgs.method.camera_model.point_spread import blur
@@ -26,6 +26,7 @@ from mrgs.scene import (
     WorldFrame,
     ideal_cameras,
 )
+from mrgs.scene.depth_map import PhotoSurvey
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
 EYE = (0.0, -5.0, 0.0)

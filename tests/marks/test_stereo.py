@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.marks.photo_survey import PhotoSurvey
 from mrgs.marks.run_marks import picked_places
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.surface import see
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, PosedImage, Rendering, View
+from mrgs.scene.depth_map import PhotoSurvey
 from tests.helpers.walls import camera_before_wall, render_wall
 
 PIXEL = (70.0, 50.0)

@@ -11,8 +11,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mrgs.marks import Mark
-from mrgs.marks.photo_survey import PhotoSurvey
-from mrgs.marks.surface import SurfaceRenderer
 from mrgs.report.anomalies import Spot, photo_value, surroundings
 from mrgs.report.overview import (
     OVERVIEW_PX,
@@ -22,7 +20,7 @@ from mrgs.report.overview import (
     overviews,
 )
 from mrgs.scene import THERMAL, Camera, Pixels, PosedImage, Rendering, Scene, View
-from mrgs.scene.depth_map import MAX_VIEWS
+from mrgs.scene.depth_map import MAX_VIEWS, PhotoSurvey, SurfaceRenderer
 from mrgs.scene.rendering import Blend
 
 CAMERA = Camera.from_fov(80, 60, 50)

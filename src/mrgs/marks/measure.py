@@ -14,10 +14,9 @@ from jaxtyping import Float
 from mrgs.errors import ConfigError
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.mark import MOST_MARKS, Mark, Marks
-from mrgs.marks.photo_survey import RESOLVED_PX, PhotoSurvey, Resolution
 from mrgs.marks.regions import Regions
+from mrgs.marks.resolution import RESOLVED_PX, Resolution
 from mrgs.marks.surface import (
-    SurfaceRenderer,
     checked_points,
     has_flat_outline,
     line_samples,
@@ -30,7 +29,7 @@ from mrgs.marks.surface import (
 from mrgs.marks.uncertainty import Uncertainty, UncertaintyMeter
 from mrgs.pictures.values import in_unit
 from mrgs.scene import THERMAL, Camera, TemperatureRange
-from mrgs.scene.depth_map import shown_temperatures
+from mrgs.scene.depth_map import PhotoSurvey, SurfaceRenderer
 
 NO_SURFACE = "no surface there: draw it on the model"
 NO_PHOTO = "no photo looks at it, so its temperature is not known"
@@ -204,7 +203,7 @@ class MarkMeter:
         to first order. One that is turned towards a place is none that the model was fitted to."""
         in_photos = shown
         if self._photos and not self._changes:
-            seen = shown_temperatures(list(self.survey), places.astype(np.float32))
+            seen = self.survey.temperatures(places.astype(np.float32))
             in_photos = np.where(np.isnan(seen), shown, seen)
         corrected = regions.corrected_at(places, in_photos, self._temperature, eye)
         unit = self._temperature

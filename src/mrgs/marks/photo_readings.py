@@ -17,9 +17,9 @@ from jaxtyping import Float, Float32, Int64
 
 from mrgs.data.images import opened, scaling_of
 from mrgs.errors import SceneError
-from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
+from mrgs.marks.surface import seen_depth, thermal_values
 from mrgs.scene import THERMAL, CameraResponse, TemperatureRange, View, evenly_spaced
-from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, visible
+from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, SurfaceRenderer, visible
 from mrgs.system.memory import row_chunks
 
 OF_ONE_VALUE = 2 / 12**0.5

@@ -15,7 +15,6 @@ from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.mark import Mark, Marks
 from mrgs.marks.surface import (
     SeenSurface,
-    SurfaceRenderer,
     fitted_plane,
     measuring_camera,
     outline_mask,
@@ -26,6 +25,7 @@ from mrgs.marks.surface import (
 )
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import THERMAL, Camera, Rendering, TemperatureRange
+from mrgs.scene.depth_map import SurfaceRenderer
 from mrgs.system.memory import row_chunks
 from mrgs.system.wording import Message
 

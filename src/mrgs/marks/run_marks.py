@@ -19,11 +19,12 @@ from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import SeenSurface, before_background, see, steady_depth
+from mrgs.marks.surface import SeenSurface, see, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, WorldFrame
 from mrgs.scene.arrays import Array, as_tensor
+from mrgs.scene.depth_map import before_background
 from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.training.checkpoint import shift_temperatures
 
@@ -52,7 +53,7 @@ class RunMarks:
             readings = PhotoReadings(run.render, run.camera_response, scene.train, run.temperature)
             uncertainty = UncertaintyMeter.of(readings, scene, run.temperature, survey)
         self.meter = MarkMeter(
-            before_background(run.render, scene),
+            before_background(run.render, None if scene is None else scene.reach),
             run.temperature,
             thermal_cameras(scene),
             CaptureSettings.of(scene),

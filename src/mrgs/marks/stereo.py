@@ -17,10 +17,9 @@ import torch
 from jaxtyping import Float
 from torch.nn.functional import interpolate
 
-from mrgs.marks.photo_survey import PhotoSurvey
 from mrgs.marks.surface import ROBUST_STEPS, SAME_SURFACE, tukey_weights
 from mrgs.scene import RGB, THERMAL, Camera, View, evenly_spaced
-from mrgs.scene.depth_map import DepthMap
+from mrgs.scene.depth_map import DepthMap, PhotoSurvey
 
 Vector: TypeAlias = Float[np.ndarray, "3"]
 Samples: TypeAlias = Float[np.ndarray, "v s c"]

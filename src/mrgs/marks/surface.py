@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,12 +14,10 @@ from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError
 from mrgs.marks.mark import Mark, Place
-from mrgs.scene import THERMAL, Camera, Rendering, Scene
+from mrgs.scene import THERMAL, Camera, Rendering
 from mrgs.scene.camera import viewmat_towards
+from mrgs.scene.depth_map import SurfaceRenderer
 from mrgs.system.wording import Message
-
-SurfaceRenderer = Callable[[Camera], Rendering]
-"""Renders all modalities of a model from a camera, with the depths of their surfaces."""
 
 PROFILE_SAMPLES = 200
 
@@ -86,23 +84,6 @@ class PixelPlaces(NamedTuple):
     rows: Int64[np.ndarray, " n"]
     columns: Int64[np.ndarray, " n"]
     inside: Bool[np.ndarray, " n"]
-
-
-def before_background(render: SurfaceRenderer, scene: Scene | None) -> SurfaceRenderer:
-    """Renders a model without the background of its scene, where that is known: nothing can be
-    measured on the sky."""
-    if scene is None:
-        return render
-    ball = scene.reach
-
-    def draw(camera: Camera) -> Rendering:
-        def nearer(depth: Float[torch.Tensor, "h w"]) -> Float[torch.Tensor, "h w"]:
-            known = ball.without_background(camera, depth)
-            return torch.where(known.isinf(), torch.nan, known)
-
-        return render(camera).with_depths(nearer)
-
-    return draw
 
 
 def see(render: SurfaceRenderer, camera: Camera) -> SeenSurface:

@@ -32,13 +32,12 @@ from scipy.ndimage import distance_transform_edt, label
 
 from mrgs.marks import MarkReading, Marks, RunMarks
 from mrgs.marks.mark import Mark, places_of
-from mrgs.marks.photo_survey import square_about
 from mrgs.marks.regions import Regions
+from mrgs.marks.resolution import square_about
 from mrgs.marks.run_marks import eye_of, spot_radius
-from mrgs.marks.surface import SurfaceRenderer
 from mrgs.pictures.files import to_array
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, SceneBounds, View, evenly_spaced
-from mrgs.scene.depth_map import DepthMap, visible
+from mrgs.scene.depth_map import DepthMap, SurfaceRenderer, visible
 from mrgs.survey import Survey
 
 VIEWS = 60

@@ -19,9 +19,7 @@ from mrgs.maps.facade import facade_map
 from mrgs.maps.options import MapOptions
 from mrgs.maps.picture import frame_map, map_body, map_scale
 from mrgs.marks.mark import Mark
-from mrgs.marks.photo_survey import PhotoSurvey
 from mrgs.marks.regions import Regions
-from mrgs.marks.surface import SurfaceRenderer
 from mrgs.pictures import drawing
 from mrgs.pictures.drawing import Box, Scale
 from mrgs.pictures.files import to_array, to_picture
@@ -30,6 +28,7 @@ from mrgs.pictures.values import in_unit, unit_label
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, TemperatureRange, View, in_order
+from mrgs.scene.depth_map import PhotoSurvey, SurfaceRenderer
 
 
 class Style(NamedTuple):

@@ -28,13 +28,7 @@ from mrgs.scene import (
     View,
 )
 from mrgs.scene.arrays import as_tensor
-from mrgs.scene.depth_map import (
-    MAX_STEP,
-    MIN_ALPHA,
-    DepthMap,
-    shown_temperatures,
-    surveying_cameras,
-)
+from mrgs.scene.depth_map import MIN_ALPHA, PhotoSurvey, before_background
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -125,23 +119,19 @@ class TrainedRun(ABC):
         ValueError if the scene has no thermal photos to learn from or no known °C, or ``points``
         has another shape; SceneError if the scene is no longer where it was, or cannot be used."""
         positions = as_tensor(points, torch.float32, (None, 3), "points").numpy()
-        return torch.from_numpy(shown_temperatures(self._thermal_maps, positions))
+        survey = self._photo_survey
+        if self.temperature is None:
+            raise ValueError("no °C: the scene has no temperature range")
+        return self.temperature.to_celsius(torch.from_numpy(survey.temperatures(positions)))
 
     @cached_property
-    def _thermal_maps(self) -> list[DepthMap]:
-        """Depths and °C from the scene's thermal cameras."""
+    def _photo_survey(self) -> PhotoSurvey:
+        """What the scene's thermal cameras see of the model."""
         scene = self.load_scene()
         cameras = [photo.camera for photo in scene.train_photos(THERMAL)]
         if not cameras:
             raise ValueError("no °C: the scene has no thermal photos to learn from")
-        maps = []
-        for camera in surveying_cameras(cameras):
-            rendering = self.render_cameras({THERMAL: camera})
-            depth = rendering.surface_depth(THERMAL, MIN_ALPHA, MAX_STEP)
-            distant = scene.reach.without_background(camera, depth).float()
-            celsius = self.temperatures_c(rendering)[..., None]
-            maps.append(DepthMap(camera, distant.numpy(), celsius.numpy()))
-        return maps
+        return PhotoSurvey(before_background(self.render, scene.reach), cameras)
 
     def load_scene(self) -> Scene:
         """The scene that the run was trained on, at the run's resolution. SceneError if the scene

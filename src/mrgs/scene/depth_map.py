@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from mrgs.scene.camera import Camera
+from mrgs.scene.modality import THERMAL
+from mrgs.scene.rendering import Rendering
 from mrgs.scene.view import evenly_spaced
+from mrgs.scene.world import SceneBounds
 from mrgs.system.memory import row_chunks
 
 Points: TypeAlias = Float32[np.ndarray, "n 3"]
+SurfaceRenderer: TypeAlias = Callable[[Camera], Rendering]
+"""Renders all modalities of a model from a camera, with the depths of their surfaces."""
 
 MAX_VIEWS = 64
 MAX_WIDTH_PX = 480
@@ -87,13 +92,6 @@ def carry_over(
     return total / np.where(weight > 0, weight, 1)[:, None], weight > 0
 
 
-def shown_temperatures(maps: Sequence[DepthMap], points: Points) -> Float32[np.ndarray, " n"]:
-    """What the thermal cameras of maps with one channel see at points on surfaces, NaN where none
-    sees one, [N]: the temperature of a place, wherever one is stated."""
-    values, seen = carry_over(maps, points, 0.0, SURFACE_DEPTH)
-    return np.where(seen, values[:, 0], np.float32(np.nan))
-
-
 def visible(camera: Camera, positions: Points) -> PointsInImage:
     """The points inside a camera's image."""
     found = []
@@ -113,3 +111,52 @@ def surveying_cameras(cameras: Sequence[Camera]) -> list[Camera]:
         camera if camera.width <= MAX_WIDTH_PX else camera.with_width(MAX_WIDTH_PX)
         for camera in chosen
     ]
+
+
+def before_background(render: SurfaceRenderer, bounds: SceneBounds | None) -> SurfaceRenderer:
+    """Renders a model without the background of its scene, where the bounds are known: nothing can
+    be measured on the sky."""
+    if bounds is None:
+        return render
+
+    def draw(camera: Camera) -> Rendering:
+        def nearer(depth: Float[torch.Tensor, "h w"]) -> Float[torch.Tensor, "h w"]:
+            known = bounds.without_background(camera, depth)
+            return torch.where(known.isinf(), torch.nan, known)
+
+        return render(camera).with_depths(nearer)
+
+    return draw
+
+
+class PhotoSurvey:
+    """What the photos' cameras see of the model, rendered when it is first asked for. ``chosen``
+    are the indices of the cameras that are surveyed, at most ``MAX_VIEWS``, spread evenly."""
+
+    def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
+        self.chosen = evenly_spaced(len(cameras), MAX_VIEWS)
+        self._render = render
+        self.cameras = [cameras[index] for index in self.chosen]
+        self.maps: list[DepthMap] = []
+
+    def __iter__(self) -> Iterator[DepthMap]:
+        """Depth and normalised temperature of each camera that is surveyed, in the order of
+        ``chosen``; no temperature on outlines."""
+        if not self.maps:
+            maps = []  # all or none, if a rendering fails
+            for small in surveying_cameras(self.cameras):
+                rendering = self._render(small).cpu()
+                values = torch.full((small.height, small.width), torch.nan)
+                if THERMAL in rendering:
+                    inner = rendering.surface_depth(THERMAL, max_step=MAX_STEP).isfinite()
+                    values = torch.where(inner, rendering[THERMAL].image[..., 0], values)
+                depth = rendering.visible_depth().float().numpy()
+                maps.append(DepthMap(small, depth, values[..., None].numpy()))
+            self.maps = maps
+        return iter(self.maps)
+
+    def temperatures(self, points: Points) -> Float32[np.ndarray, " n"]:
+        """What the cameras see at points on surfaces, NaN where none sees one, [N], normalised: the
+        temperature of a place, wherever one is stated."""
+        values, seen = carry_over(list(self), points, 0.0, SURFACE_DEPTH)
+        return np.where(seen, values[:, 0], np.float32(np.nan))

@@ -22,12 +22,12 @@ from mrgs.marks.measure import CachedMeter, MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.run_marks import MarkPicker, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import before_background
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.page_data import camera_facts, world_facts
 from mrgs.render import Model
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, CameraResponse, Rendering, Scene
+from mrgs.scene.depth_map import before_background
 from mrgs.scene.preview import best_view
 from mrgs.training import StepStatistics, TrainConfig
 from mrgs.viewer.board import Appraiser, MarkBoard
@@ -221,7 +221,7 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
 
     changes = not isinstance(subject.source, TrainedSource)  # what is found is of one step alone
     meter = (MarkMeter if changes else CachedMeter)(
-        before_background(draw, subject.scene),
+        before_background(draw, None if subject.scene is None else subject.scene.reach),
         subject.temperature,
         thermal_cameras(subject.scene),
         CaptureSettings.of(subject.scene),

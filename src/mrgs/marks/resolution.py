@@ -1,4 +1,4 @@
-"""What the thermal photos see of a model's surfaces, and which hot and cold places they resolve.
+"""Which hot and cold places of a model the thermal photos resolve.
 
 A camera measures the temperature of what covers about three of its pixels (the measurement field of
 view of its data sheet); anything narrower is mixed with what is beside it, so that a hot wire
@@ -7,7 +7,7 @@ looks colder than it is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -15,38 +15,8 @@ import torch
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
-from mrgs.marks.surface import SurfaceRenderer, seen_depth, thermal_values
-from mrgs.scene import THERMAL, Camera
-from mrgs.scene.depth_map import MAX_STEP, MAX_VIEWS, DepthMap, surveying_cameras
-from mrgs.scene.view import evenly_spaced
-
-
-class PhotoSurvey:
-    """What the photos' cameras see of the model, rendered when it is first asked for. ``chosen``
-    are the indices of the cameras that are surveyed, at most ``MAX_VIEWS``, spread evenly."""
-
-    def __init__(self, render: SurfaceRenderer, cameras: Sequence[Camera]) -> None:
-        self.chosen = evenly_spaced(len(cameras), MAX_VIEWS)
-        self._render = render
-        self.cameras = [cameras[index] for index in self.chosen]
-        self.maps: list[DepthMap] = []
-
-    def __iter__(self) -> Iterator[DepthMap]:
-        """Depth and normalised temperature of each camera that is surveyed, in the order of
-        ``chosen``; no temperature on outlines."""
-        if not self.maps:
-            maps = []  # all or none, if a rendering fails
-            for small in surveying_cameras(self.cameras):
-                rendering = self._render(small)
-                depth = seen_depth(rendering).astype(np.float32)
-                values = np.full(depth.shape, np.nan, np.float32)
-                if THERMAL in rendering:
-                    inner = rendering.surface_depth(THERMAL, max_step=MAX_STEP).isfinite().numpy()
-                    values[inner] = thermal_values(rendering)[inner]
-                maps.append(DepthMap(small, depth, values[..., None]))
-            self.maps = maps
-        return iter(self.maps)
-
+from mrgs.marks.surface import thermal_values
+from mrgs.scene.depth_map import PhotoSurvey, SurfaceRenderer
 
 RESOLVED_PX = 3.0
 """Width from which on a temperature is measured."""
