@@ -10,6 +10,7 @@ the same as the exported page draws them, the thermal photos that see it, and in
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +54,10 @@ def compared(path: Path, seed: int, places: int = PLACES) -> list[dict[str, floa
     for _ in range(20 * places):
         view = scene.eval[generator.integers(len(scene.eval))]
         camera = view.images[THERMAL].camera
-        x, y = generator.uniform(BORDER_PX, [camera.width - BORDER_PX, camera.height - BORDER_PX])
+        border = int(BORDER_PX)
+        x, y = generator.integers(border, [camera.width - border, camera.height - border])
         try:
-            mark = marks.spot(camera, (x, y))
+            mark = marks.spot(camera, (x + 0.5, y + 0.5))
         except ConfigError:
             continue
         marks.remove(mark.name)
@@ -65,9 +67,8 @@ def compared(path: Path, seed: int, places: int = PLACES) -> list[dict[str, floa
         place = np.array(mark.points)
         said = {"spot": reading.mean, "±": reading.uncertainty.total}
         said["temperature_at"] = float(run.temperature_at(place.astype(np.float32))[0])
-        pixel = int(y), int(x)
-        turned = camera.look_at(camera.position, place[0])
-        middle = int(turned.K[1, 2]), int(turned.K[0, 2])
+        pixel = y, x
+        turned, middle = _turned(camera, place[0])
         said["picture"] = celsius(run.render({THERMAL: camera}))[pixel]
         said["picture, turned"] = celsius(run.render({THERMAL: turned}))[middle]
         said["page"] = celsius(baked.render({THERMAL: camera}))[pixel]
@@ -79,6 +80,14 @@ def compared(path: Path, seed: int, places: int = PLACES) -> list[dict[str, floa
         if len(found) == places:
             break
     return found
+
+
+def _turned(camera: Camera, place: Float[np.ndarray, "3"]) -> tuple[Camera, tuple[int, int]]:
+    """The camera turned towards a place, and row and column of the pixel whose centre shows it."""
+    row, column = camera.height // 2, camera.width // 2
+    K = camera.K.clone()
+    K[0, 2], K[1, 2] = column + 0.5, row + 0.5
+    return replace(camera, K=K).look_at(camera.position, place), (row, column)
 
 
 def _of_photos(

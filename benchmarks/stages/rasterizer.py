@@ -15,7 +15,7 @@ from benchmarks.timing import Stages, Timing
 from benchmarks.workload import camera, layers_of, room
 from mrgs.kernels.rasterize.cpu.blend import LayerImages, blend, blend_backward
 from mrgs.kernels.rasterize.cpu.projection import GaussianArrays, project, project_backward
-from mrgs.kernels.rasterize.cpu.tiles import depth_order, gather_splats, tile_lists
+from mrgs.kernels.rasterize.cpu.tiles import gather_splats, nearest_first, tile_lists
 from mrgs.rasterizer import Geometry, rasterize, splat
 from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.system.gpu import HOST
@@ -110,9 +110,9 @@ class PassInStages:
         project(self._gaussians, self._projection, self._offset, self._records, self._radii)
 
     def sort(self) -> None:
-        """The visible Gaussians by depth."""
-        self.order = depth_order(
-            np.ascontiguousarray(self._records[:, splat.DEPTH]), self._radii > 0
+        """The visible Gaussians, nearest first."""
+        self.order = nearest_first(
+            np.ascontiguousarray(self._records[:, splat.DISTANCE]), self._radii > 0
         )
 
     def gather(self) -> None:

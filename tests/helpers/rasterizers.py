@@ -127,7 +127,7 @@ def random_scene(
     One in ten lies behind the camera or before the near plane, about a third of the rest outside
     the image. Most project to a few pixels, some to less than one, one in fifteen to more than the
     image; these lie so far off that the clamp in the Jacobian acts on some. Opacities reach below
-    1/255 and above 0.999. Depths keep a distance, so that no rounding can swap two Gaussians. The
+    1/255 and above 0.999. Distances differ, so that no rounding can swap two Gaussians. The
     dilation is that of 3DGS or smaller, by the seed.
     """
     rng = torch.Generator().manual_seed(seed)
@@ -142,14 +142,13 @@ def random_scene(
     viewmat[:3, :3] = reference.rotation_matrices(uniform(-1, 1, 1, 4))[0]
     viewmat[:3, 3] = uniform(-2, 2, 3)
 
-    depths = 1 + 5 * (torch.randperm(n, generator=rng) + uniform(0, 0.5, n)) / max(n, 1)
+    distances = 1 + 5 * (torch.randperm(n, generator=rng) + uniform(0, 0.5, n)) / max(n, 1)
     means2d = uniform(-0.1, 1.1, n, 2)
     means2d[3::15] = uniform(-0.7, 1.7, len(means2d[3::15]), 2)
     means2d *= torch.tensor([width, height])
-    means_camera = (
-        torch.cat([(means2d - K[:2, 2]) / K.diagonal()[:2], torch.ones(n, 1)], dim=1)
-        * depths[:, None]
-    )
+    rays = torch.cat([(means2d - K[:2, 2]) / K.diagonal()[:2], torch.ones(n, 1)], dim=1)
+    depths = distances / rays.norm(dim=1)
+    means_camera = rays * depths[:, None]
     means_camera[::20] *= -1
     means_camera[10::20] *= 0.005 / depths[10::20, None]
     extent_px = torch.exp(uniform(-1, 2, n))

@@ -242,7 +242,7 @@ def test_too_many_pairs_are_refused(gpu_device):
     from mrgs.kernels.rasterize.gpu.rasterize import rasterize as function
 
     each = torch.full((2,), 2**31 - 1, dtype=torch.int32, device=gpu_device)
-    listed = {"depths": torch.ones(2, device=gpu_device), "tiles": 4, "pair_counts": each}
+    listed = {"distances": torch.ones(2, device=gpu_device), "tiles": 4, "pair_counts": each}
     with pytest.raises(MrgsError, match="4,294,967,294 tiles"):
         inspect.getmodule(function)._list(listed)
 

@@ -87,13 +87,23 @@ def test_the_nearer_gaussian_is_blended_first(depths):
     )
 
 
-def test_equal_depths_are_blended_in_the_order_of_their_index():
+def test_equal_distances_are_blended_in_the_order_of_their_index():
     n = 40  # an unstable sort may leave short lists alone
     opacities, features = np.linspace(0.05, 0.3, n), np.linspace(0, 1, n)
     image, _, _ = at_centre(on_axis([2.0] * n, grey(opacities, features)))
     transmittance = np.concatenate([[1], np.cumprod(1 - opacities)[:-1]])
     assert transmittance[-1] > 1e-4
     assert image == pytest.approx((opacities * transmittance * features).sum())
+
+
+def test_the_order_does_not_depend_on_where_the_camera_points():
+    aside, ahead = [1.0, 0.0, 2.0], [0.0, 0.0, 2.1]  # the nearer one in z is the farther one
+    geometry = isotropic(tensor(aside, ahead), 0.1)
+    for angle in (0.0, 0.3, -0.3):
+        viewmat = torch.eye(4, dtype=torch.float64)
+        viewmat[:3, :3] = torch.from_numpy(Rotation.from_euler("y", angle).as_matrix())
+        splats = reference.project(geometry, CAMERA._replace(viewmat=viewmat))
+        assert splats.indices.tolist() == [1, 0]
 
 
 def test_the_gaussian_that_ends_the_pixel_counts_and_no_later_one_does():
@@ -211,7 +221,9 @@ def walk_pixel(scene, modality, column, row):
     lowest = -K[:2, 2] / (fx, fy) - 0.3 * size / (2 * fx, 2 * fy)
     highest = (size - K[:2, 2]) / (fx, fy) + 0.3 * size / (2 * fx, 2 * fy)
     image, depth, transmittance = np.zeros_like(t[f"{modality}.background"]), 0.0, 1.0
-    for z, i in sorted((z, i) for i, z in enumerate(cameras[:, 2])):
+    distances = np.linalg.norm(cameras, axis=1)
+    for _, i in sorted((distance, i) for i, distance in enumerate(distances)):
+        z = cameras[i, 2]
         if z < 0.01 or transmittance < 1e-4:
             continue
         x, y = cameras[i, 0] / z, cameras[i, 1] / z
@@ -287,7 +299,7 @@ def test_moving_world_and_camera_together_changes_nothing(seed, axis):
 
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**20), order=st.permutations(range(20)))
-def test_the_order_of_rows_does_not_matter_when_depths_differ(seed, order):
+def test_the_order_of_rows_does_not_matter_when_distances_differ(seed, order):
     scene = random_scene(seed, n=20)
     shuffled = {k: v if "background" in k else v[list(order)] for k, v in scene.tensors.items()}
     raster, shuffled_raster = (

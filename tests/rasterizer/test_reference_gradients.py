@@ -74,7 +74,7 @@ def test_gradient_of_a_crowded_scene_against_central_differences(seed):
     cotangents = random_cotangents(raster, scene.pixels_near_a_threshold(), seed)
     gradient = scene.gradients(raster, cotangents)
     rng = torch.Generator().manual_seed(seed)
-    step = 1e-7  # far under the margins of pixels_near_a_threshold
+    step = 1e-6  # far under the margins of pixels_near_a_threshold, and no smaller: rounding
 
     @torch.no_grad()
     def loss(moved):

@@ -3,13 +3,14 @@
 The image model, for the Gaussian i, the pixel centre x' and a layer with opacities o:
 
     α_i = min(0.999, o_i · exp(−½ (x' − μ'_i)ᵀ Σ'_i⁻¹ (x' − μ'_i)))   (the paper's alpha blending)
-    w_i = α_i · T_i,  T_i = Π_{j<i} (1 − α_j)     front to back in z-depth, ties by index
+    w_i = α_i · T_i,  T_i = Π_{j<i} (1 − α_j)     front to back by distance, ties by index
     image = Σ w_i f_i + T_end · background,  depth = Σ w_i z_i,  alpha = 1 − T_end
 
 μ' is the perspective projection, Σ' = J R_w Σ R_wᵀ Jᵀ + d I the EWA projection (px²) with the
-dilation d, 0.3 px² in 3DGS. A Gaussian is left out of a pixel where α_i < 1/255, and a pixel is
-finished once T < 1e-4 (the Gaussian that brings T below still counts). The depth is not divided by
-alpha, as in the paper.
+dilation d, 0.3 px² in 3DGS. The distance is that of μ from the camera's centre; 3DGS sorts by z,
+so that the order, and with it the image, depends on where a camera points. A Gaussian is left out
+of a pixel where α_i < 1/255, and a pixel is finished once T < 1e-4 (the Gaussian that brings T
+below still counts). The depth is not divided by alpha, as in the paper.
 
 J expands the projection to first order about the centre, which means nothing for a Gaussian that
 reaches the plane of the camera: one whose standard deviation along the view's axis exceeds its

@@ -175,13 +175,13 @@ def project(
     geometry: Geometry, projection: Projection, means2d_offset: Float[Tensor, "n 2"] | None = None
 ) -> Splats:
     """Drop what lies before the near plane or reaches the plane of the camera, sort the rest by
-    depth (ties by index) and project it."""
+    distance from the camera's centre (ties by index) and project it."""
     viewmat, K, width, height, dilation_px2 = projection
     means_camera = to_camera(geometry.means, viewmat)
     covs = covariances(geometry.quats, geometry.scales)
     z, depth_variances = means_camera[:, 2], viewmat[2, :3] @ covs @ viewmat[2, :3]
     in_front = torch.nonzero((z >= NEAR_PLANE) & (depth_variances <= z**2)).squeeze(1)
-    indices = in_front[torch.argsort(z[in_front], stable=True)]
+    indices = in_front[torch.argsort(means_camera[in_front].norm(dim=1), stable=True)]
     means_camera, covs = means_camera[indices], covs[indices]
     means2d = perspective(means_camera, K)
     if means2d_offset is not None:

@@ -27,6 +27,8 @@ HALF_WIDTH = 7
 """Half the width of the ellipse along the line dy = 0, in pixels."""
 
 DEPTH = 8
+DISTANCE = 9
+"""z-depth, and the distance from the camera's centre, by which a CPU sorts."""
 
 COLOR = 10
 SCALAR = 14

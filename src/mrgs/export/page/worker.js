@@ -93,22 +93,26 @@ function drawnAppearances(appearances, count) {
   return drawn;
 }
 
-// Indices of the splats in front of the camera, farthest first: two counting sorts by 16 bits of the depth. The bits of
+// Indices of the splats in front of the camera, farthest first: two counting sorts by 16 bits of the distance. The bits of
 // a positive float rise with its value, so that both together sort exactly.
 function farToNear(rotation, translation) {
   const { means, slots, active } = model;
-  const depths = new Float32Array(slots);
-  const [x, y, z, offset] = [rotation[6], rotation[7], rotation[8], translation[2]];
+  const distances = new Float32Array(slots);
+  const [r, t] = [rotation, translation];
   let visible = new Uint32Array(slots);
   let inFront = 0;
   for (const [start, end] of active) {
     for (let i = start; i < end; i++) {
-      const depth = x * means[3 * i] + y * means[3 * i + 1] + z * means[3 * i + 2] + offset;
-      depths[i] = depth;
-      if (depth >= NEAR_PLANE) visible[inFront++] = i;
+      const [mx, my, mz] = [means[3 * i], means[3 * i + 1], means[3 * i + 2]];
+      const z = r[6] * mx + r[7] * my + r[8] * mz + t[2];
+      if (z < NEAR_PLANE) continue;
+      const x = r[0] * mx + r[1] * my + r[2] * mz + t[0];
+      const y = r[3] * mx + r[4] * my + r[5] * mz + t[1];
+      distances[i] = Math.sqrt(x * x + y * y + z * z);
+      visible[inFront++] = i;
     }
   }
-  const keys = new Uint32Array(depths.buffer);
+  const keys = new Uint32Array(distances.buffer);
   visible = visible.subarray(0, inFront);
   const byLowBits = countingSort(visible, (i) => ~keys[i] & 0xffff);
   return countingSort(byLowBits, (i) => (~keys[i] >>> 16) & 0xffff);
@@ -135,7 +139,7 @@ function readPixel({ camera, x, y, modality }) {
       if (hit) hits.push(hit);
     }
   }
-  hits.sort((a, b) => a.z - b.z || a.index - b.index);
+  hits.sort((a, b) => a.distance - b.distance || a.index - b.index);
   let transmittance = 1;
   let value = 0;
   let depth = 0;
@@ -215,7 +219,8 @@ function splatAt(camera, dilation, px, py, i, opacity) {
   const [xz, yz] = [dot(n0, along), dot(n1, along)];
   const slope = [(yy + dilation) * xz - xy * yz, (xx + dilation) * yz - xy * xz].map((each) => each / determinant);
   const nearness = 1 - (dx * slope[0] + dy * slope[1]) / z;
-  return { index: i, z, depth: z / Math.max(nearness, 1 / STEEPEST), alpha };
+  const distance = z * Math.hypot(1, slopeX, slopeY);
+  return { index: i, distance, depth: z / Math.max(nearness, 1 / STEEPEST), alpha };
 }
 
 function clampSlope(slope, centre, focal, size) {

@@ -253,7 +253,7 @@ def blend(splats, tile_splats, tile_starts, backgrounds, color, scalar):
     """Fill the images of both layers, of 3 channels and of 1.
 
     Args:
-        splats: records in depth order, [V, 16].
+        splats: records, nearest first, [V, 16].
         tile_splats, tile_starts: the tiles' lists.
         backgrounds: red, green, blue, temperature, [4].
         color, scalar: ``LayerImages``, filled.
@@ -391,7 +391,7 @@ def blend_backward(
     """Fill ``pair_grads`` [P, 12], the gradient moments of every (tile, splat) pair.
 
     Args:
-        splats: records in depth order, [V, 16].
+        splats: records, nearest first, [V, 16].
         tile_splats, tile_starts: the tiles' lists.
         color, scalar: ``LayerImages`` that ``blend`` filled.
         grad_color, grad_scalar: their gradients.
@@ -449,7 +449,7 @@ def median(splats, tile_splats, tile_starts, depth):
     """Fill the median depth [H, W] of the first layer, whose opacities are at ``splat.COLOR``.
 
     Args:
-        splats: records in depth order, [V, 16].
+        splats: records, nearest first, [V, 16].
         tile_splats, tile_starts: the tiles' lists.
         depth: NaN where more than half of the light passes all splats.
     """

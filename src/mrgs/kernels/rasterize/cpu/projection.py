@@ -160,6 +160,7 @@ def project(gaussians, projection, means2d_offset, splats, radii):
         splats[i, splat.ALONG] = -0.5 * LOG2_E / yy
         splats[i, splat.THRESHOLD] = -0.5 * LOG2_E * reach
         splats[i, splat.DEPTH] = point[2]
+        splats[i, splat.DISTANCE] = math.sqrt(dot(point, point))
         splats[i, splat.COLOR] = opacities[i, 0]
         for channel in range(3):
             splats[i, splat.COLOR + 1 + channel] = features[i, channel]

@@ -21,9 +21,9 @@ from mrgs.kernels.rasterize.cpu.projection import (
 )
 from mrgs.kernels.rasterize.cpu.tiles import (
     TileLists,
-    depth_order,
     empty_splats,
     gather_splats,
+    nearest_first,
     tile_lists,
 )
 from mrgs.rasterizer import splat
@@ -98,7 +98,7 @@ def _by_slot(arrays: Sequence[np.ndarray]) -> tuple[LayerImages, LayerImages]:
 def _listed_splats(
     gaussians: GaussianArrays, projection: Projection, offset: np.ndarray, for_gradients: bool
 ) -> tuple[np.ndarray, TileLists, np.ndarray]:
-    """The projected Gaussians in depth order [V, 16], the tiles' lists of them, with the pairs of
+    """The projected Gaussians nearest first [V, 16], the tiles' lists of them, with the pairs of
     each Gaussian where gradients are wanted, and the radii [N]. ``offset`` [N, 2] is that of the
     projected centres."""
     count = len(gaussians.means)
@@ -109,7 +109,7 @@ def _listed_splats(
     else:
         splats, radii = _drawn_splats(gaussians, projection, offset)
         is_drawn = np.ones(len(splats), np.bool_)
-    order = depth_order(np.ascontiguousarray(splats[:, splat.DEPTH]), is_drawn)
+    order = nearest_first(np.ascontiguousarray(splats[:, splat.DISTANCE]), is_drawn)
     splats = gather_splats(splats, order)
     listed = count if for_gradients else 0
     lists = tile_lists(splats, order, listed, projection.width, projection.height)

@@ -1,8 +1,9 @@
-"""Depth order and tile lists.
+"""Order and tile lists of the Gaussians.
 
-The image is cut into tiles of 8×16 pixels. Each tile gets the list of the splats that reach it, in
-depth order. The Gaussians are sorted by depth once; then the lists are counted and filled in that
-order, so that no (tile, depth) keys need sorting. Results do not depend on the number of threads.
+The image is cut into tiles of 8×16 pixels. Each tile gets the list of the splats that reach it,
+nearest first. The Gaussians are sorted by distance once; then the lists are counted and filled in
+that order, so that no (tile, distance) keys need sorting. Results do not depend on the number of
+threads.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from mrgs.rasterizer import splat
 TILE_WIDTH = 8
 TILE_HEIGHT = 16
 CHUNKS = 16
-"""Depth chunks that are counted and filled in parallel; a constant, so that it does not follow the
-thread count."""
+"""Parts of the order that are counted and filled in parallel; a constant, so that it does not
+follow the thread count."""
 
 PREFETCH_AHEAD = 4
 """Records come in an order that the processor cannot foresee: each is asked for this many turns
@@ -43,10 +44,10 @@ _RADIX = 1 << _RADIX_BITS
 
 
 @strict_kernel()
-def depth_order(depths, visible):
+def nearest_first(distances, visible):
     """Indices of the visible Gaussians, nearest first, ties by index: a stable radix sort of the
-    bits of float32 depths [N], which are positive where visible."""
-    keys = depths.view(np.uint32)
+    bits of float32 distances [N], which are positive where visible."""
+    keys = distances.view(np.uint32)
     count = 0
     for i in range(visible.size):
         count += visible[i]
@@ -154,7 +155,7 @@ def _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts):
 @strict_kernel()
 def _prefix_sums(chunk_counts, pair_counts):
     """Counts -> starts, in place for the chunks: the tiles one after the other, in each the chunks
-    in depth order."""
+    in their order."""
     tiles = chunk_counts.shape[1]
     tile_starts = np.empty(tiles + 1, np.int64)
     total = 0
@@ -215,7 +216,7 @@ class TileLists(NamedTuple):
 def tile_lists(
     splats: np.ndarray, order: np.ndarray, gaussians: int, width: int, height: int
 ) -> TileLists:
-    """The tile lists of the splats [V, 16] in depth order, which are those of the Gaussians
+    """The tile lists of the splats [V, 16], nearest first, which are those of the Gaussians
     ``order`` [V] of N = ``gaussians``; 0 if their pairs are not wanted, which gradients need.
     MrgsError if there are more pairs than the lists can number."""
     tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)

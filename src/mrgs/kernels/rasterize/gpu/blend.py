@@ -332,11 +332,11 @@ def sum_pairs(
     """Add up the moments of each Gaussian's pairs, always in the same order; 0 for a Gaussian
     without.
 
-    A program takes several ranks of the depth order at once, and of each several pairs at once.
+    A program takes several ranks of the order at once, and of each several pairs at once.
 
     Args:
         pair_grads: [P, 12].
-        pair_ends, order: cumulated counts of pairs in depth order, and the Gaussians in this order,
+        pair_ends, order: cumulated counts of pairs, nearest first, and the Gaussians in this order,
             int64 [N].
         gaussian_grads: filled, [N, 12].
     """

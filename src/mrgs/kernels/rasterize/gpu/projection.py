@@ -125,11 +125,11 @@ def _store_layers(
 def project(
     means, quats, scales, opacities_color, features_color, opacities_scalar, features_scalar,
     means2d_offset, viewmat, K,
-    splats, radii, depths, pair_counts, count, width, height, dilation,
+    splats, radii, distances, pair_counts, count, width, height, dilation,
     HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Fill the records [N, 16], radii [N], depths [N] (infinite if left out) and the numbers of
-    tiles reached [N].
+    """Fill the records [N, 16], radii [N], distances from the camera's centre [N] (infinite if
+    left out) and the numbers of tiles reached [N].
 
     Args:
         means, quats, scales: [N, 3], [N, 4], [N, 3].
@@ -178,7 +178,8 @@ def project(
         tl.where(visible, tl.maximum(tl.sqrt(reach * largest_variance), 1e-6), 0.0),
         mask=inside,
     )
-    tl.store(depths + i, tl.where(visible, z, float("inf")), mask=inside)
+    distance = tl.sqrt(x * x + y * y + z * z)
+    tl.store(distances + i, tl.where(visible, distance, float("inf")), mask=inside)
     tl.store(pair_counts + i, pairs, mask=inside)
     record = splats + i * SPLAT_FLOATS
     tl.store(record + MEAN_X, mean_x, mask=visible)

@@ -186,21 +186,21 @@ def _programs(items: int, per_program: int = BLOCK) -> tuple[int]:
 
 
 def _project(what: _Pass, buffers: Arguments) -> None:
-    """Add the records, radii, depths and numbers of pairs."""
+    """Add the records, radii, distances and numbers of pairs."""
     count, means = buffers["count"], buffers["means"]
     # One record at least: where there is nothing to draw, the blender still fetches the first
     # ahead.
     buffers["splats"] = means.new_empty(max(count, 1), SPLAT_FLOATS.value)
-    buffers["radii"], buffers["depths"] = means.new_empty(count), means.new_empty(count)
+    buffers["radii"], buffers["distances"] = means.new_empty(count), means.new_empty(count)
     buffers["pair_counts"] = means.new_empty(count, dtype=torch.int32)
     PROJECT[what.layers].launch(_programs(count), buffers)
 
 
 def _list(buffers: Arguments) -> None:
-    """Add the lists of the tiles, and where each Gaussian's pairs stand: sort by depth, then stably
-    by tile. MrgsError if there are more pairs than the kernels can number."""
-    depths, tiles = buffers["depths"], buffers["tiles"]
-    order = torch.argsort(depths, stable=True)
+    """Add the lists of the tiles, and where each Gaussian's pairs stand: sort by distance, then
+    stably by tile. MrgsError if there are more pairs than the kernels can number."""
+    distances, tiles = buffers["distances"], buffers["tiles"]
+    order = torch.argsort(distances, stable=True)
     counts = buffers["pair_counts"].index_select(0, order)
     pair_ends = torch.cumsum(counts, dim=0, dtype=torch.int64)
     pairs = room_of_list(pair_ends[-1:]) if len(pair_ends) else 0
@@ -211,13 +211,13 @@ def _list(buffers: Arguments) -> None:
         )
     pair_ends = pair_ends.clamp_max(pairs)  # where a recorded list has too little room
     dtype = torch.int16 if tiles <= _MOST_SHORT_TILES else torch.int32
-    tile_of_pair = depths.new_empty(pairs, dtype=dtype)
-    splat_of_pair = depths.new_empty(pairs, dtype=torch.int32)
+    tile_of_pair = distances.new_empty(pairs, dtype=dtype)
+    splat_of_pair = distances.new_empty(pairs, dtype=torch.int32)
     buffers |= {"order": order, "pair_ends": pair_ends, "pairs": pairs}
     given = buffers | {"tile_of_pair": tile_of_pair, "splat_of_pair": splat_of_pair}
     LIST_PAIRS[dtype].launch(_programs(pairs), given)
     tile_of_pair, tile_pairs = torch.sort(tile_of_pair, stable=True)
-    every_tile = torch.arange(tiles + 1, dtype=dtype, device=depths.device)
+    every_tile = torch.arange(tiles + 1, dtype=dtype, device=distances.device)
     buffers["tile_starts"] = torch.searchsorted(tile_of_pair, every_tile, out_int32=True)
     buffers["tile_splats"] = splat_of_pair.index_select(0, tile_pairs)
     buffers["tile_pairs"] = tile_pairs

@@ -1,8 +1,8 @@
 """Which tiles a splat reaches: counted by ``projection.project``, listed by ``list_pairs``, by the
 same functions.
 
-A pair is a tile and a splat that reaches it. The pairs are numbered Gaussian by Gaussian in depth
-order; sorted by tile, with a stable sort, they are the lists of the tiles in depth order.
+A pair is a tile and a splat that reaches it. The pairs are numbered Gaussian by Gaussian, nearest
+first; sorted by tile, with a stable sort, they are the lists of the tiles in that order.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def list_pairs(
 
     Args:
         splats: records, [N, 16].
-        order: splats in depth order, int64 [N].
+        order: splats, nearest first, int64 [N].
         pair_ends: cumulated counts of pairs in this order, int64 [N].
         tile_of_pair, splat_of_pair: filled, [P], the first of any integer type.
         pairs, count: P, the room of the list, and N.
