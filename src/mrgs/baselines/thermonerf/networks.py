@@ -49,8 +49,7 @@ class GridSize(NamedTuple):
 
 
 class HashGrid(nn.Module):
-    """Features of points in [0, 1]³. ``table`` has the features of all levels, one after the other,
-    [entries, 4]."""
+    """Features of points in [0, 1]³; ``table`` has those of all levels in order, [entries, 4]."""
 
     resolutions: Tensor
     offsets: Tensor
@@ -189,8 +188,7 @@ def harmonics_of(directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 16"]:
 
 
 class Field(nn.Module):
-    """Density shared by both modalities, colour that depends on the view, temperature that does
-    not."""
+    """Density shared by both modalities, colour by the view, temperature the same for all."""
 
     def __init__(self, grid: GridSize = FIELD_GRID, units: int = FIELD_UNITS) -> None:
         super().__init__()
@@ -202,21 +200,18 @@ class Field(nn.Module):
     def density(
         self, positions: Float[Tensor, "n 3"]
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n f"]]:
-        """Densities per radius, and the geometry features; positions are in radii from the scene's
-        centre."""
+        """Density per radius, and the geometry features; positions are in radii from the centre."""
         outputs = self.geometry(self.grid(contract(positions)))
         return density_of(outputs[:, 0]), outputs[:, 1:]
 
     def color(
         self, features: Float[Tensor, "n f"], harmonics: Float[Tensor, "n 16"]
     ) -> Float[Tensor, "n 3"]:
-        """RGB in (0, 1) of geometry features seen along directions (as ``harmonics_of`` gives
-        them)."""
+        """RGB in (0, 1) of geometry features, along directions as ``harmonics_of`` gives them."""
         return self.color_head(torch.cat([features, harmonics], dim=1)).sigmoid()
 
     def temperature(self, features: Float[Tensor, "n f"]) -> Float[Tensor, "n 1"]:
-        """Normalised temperature in (0, 1), the same from every side: thermal radiation is
-        Lambertian here."""
+        """Normalised temperature in (0, 1), the same from every side: taken for Lambertian."""
         return self.temperature_head(features).sigmoid()
 
 

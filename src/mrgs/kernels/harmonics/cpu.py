@@ -1,5 +1,4 @@
-"""Spherical harmonics of each Gaussian seen from a camera: SH2RGB of Eq. 4 (rgb_alphblending),
-where clamped at 0."""
+"""Spherical harmonics of Gaussians seen from a camera: SH2RGB of Eq. 4, where clamped at 0."""
 
 from __future__ import annotations
 
@@ -160,8 +159,7 @@ def direction(means, camera, row):
 
 @reordering_inner_function
 def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
-    """Add (I − d dᵀ) g / distance, the gradient of a unit direction d, to that of the Gaussian's
-    mean."""
+    """Add (I − d dᵀ) g / distance, the gradient of a unit direction d, to that of the mean."""
     along = x * grad[0] + y * grad[1] + z * grad[2]
     grad_means[row, 0] += inverse * (grad[0] - along * x)
     grad_means[row, 1] += inverse * (grad[1] - along * y)
@@ -170,8 +168,7 @@ def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
 
 @reordering_inner_function
 def _set_basis(x, y, z, bands, basis):
-    """The 15 basis functions of degrees 1 to 3, as in ``spherical_harmonics``; only ``bands`` of
-    them are set."""
+    """The 15 basis functions of degrees 1 to 3, see ``spherical_harmonics``; ``bands`` count."""
     xx, yy, zz = x * x, y * y, z * z
     if bands >= 3:
         basis[0], basis[1], basis[2] = -_C1 * y, _C1 * z, -_C1 * x

@@ -1,9 +1,6 @@
-"""Depth order and tile lists.
-
-The image is cut into tiles of 8×16 pixels. Each tile gets the list of the splats that reach it, in
-depth order. The Gaussians are sorted by depth once; then the lists are counted and filled in that
-order, so that no (tile, depth) keys need sorting. Results do not depend on the number of threads.
-"""
+"""Depth order and tile lists: for each tile of 8×16 pixels the splats that reach it, in depth
+order. The Gaussians are sorted by depth once; the lists are counted and filled in that order, so
+that no (tile, depth) keys need sorting. Results do not depend on the number of threads."""
 
 from __future__ import annotations
 
@@ -21,12 +18,10 @@ from mrgs.rasterizer import splat
 TILE_WIDTH = 8
 TILE_HEIGHT = 16
 CHUNKS = 16
-"""Depth chunks that are counted and filled in parallel; a constant, so that it does not follow the
-thread count."""
+"""Depth chunks counted and filled in parallel; constant, so as not to follow the thread count."""
 
 PREFETCH_AHEAD = 4
-"""Records come in an order that the processor cannot foresee: each is asked for this many turns
-before it is read."""
+"""Records come in an unforeseeable order: each is prefetched this many turns before it is read."""
 
 _CACHE_LINE = 64
 """Bytes of a record, too."""
@@ -35,8 +30,7 @@ _MOST_PAIRS = 2**31 - 1
 """The lists number pairs with 32 bits."""
 
 _SLACK_PX = 1e-3
-"""Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a
-pixel."""
+"""Widens the ellipse against rounding: a tile too many costs time, one too few a pixel."""
 
 _RADIX_BITS = 11
 _RADIX = 1 << _RADIX_BITS
@@ -112,12 +106,8 @@ def _half_width_at(record, dy):
 @strict_inner_function()
 def _tile_columns(record, tile_row, tiles_x):
     """First and last tile of a row of tiles that the ellipse α >= 1/255 reaches (first > last if
-    none).
-
-    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own
-    rightmost point, or at the band's edge nearest to it; likewise on the left, where that point is
-    mirrored.
-    """
+    none). Its rightmost point within the row's band of pixel centres is its own, or at the band's
+    edge nearest to it; on the left likewise, where that point is mirrored."""
     band_top = tile_row * TILE_HEIGHT + 0.5 - record[splat.MEAN_Y]
     band_bottom = band_top + TILE_HEIGHT - 1.0
     sheared = record[splat.SHEAR] * record[splat.EXTENT_Y]
@@ -153,8 +143,7 @@ def _count(splats, order, tiles_x, tiles_y, chunk_counts, pair_counts):
 
 @strict_kernel()
 def _prefix_sums(chunk_counts, pair_counts):
-    """Counts -> starts, in place for the chunks: the tiles one after the other, in each the chunks
-    in depth order."""
+    """Counts -> starts, in place: the tiles one after the other, in each the chunks by depth."""
     tiles = chunk_counts.shape[1]
     tile_starts = np.empty(tiles + 1, np.int64)
     total = 0
