@@ -85,8 +85,7 @@ def _write_images(job: ReconstructionJob) -> None:
 
 
 def _camera(job: ReconstructionJob) -> pycolmap.Camera:
-    """The camera with its known focal length, the median one in its images' EXIF data, or else
-    COLMAP's guess."""
+    """The camera, its focal length known, the median of its images' EXIF, or COLMAP's guess."""
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = CAMERA_MODEL
     guesses = [pycolmap.infer_camera_from_image(job.root / file, reader) for file in job.files]
