@@ -57,11 +57,8 @@ def palette_table(name: PaletteName) -> UInt8[np.ndarray, "256 3"]:
 def colorize(
     values: Float[np.ndarray, "h w"], low: float, high: float, palette: PaletteName
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Colours of the values, from ``low`` (the palette's first colour) to ``high`` (its last); NaN
-    turns light grey.
-
-    ``low`` may be the larger number: then the palette runs the other way.
-    """
+    """Colours of the values from ``low``, the palette's first, to ``high``, its last, which may be
+    the smaller number; NaN turns light grey."""
     position = np.nan_to_num((values - low) / (high - low), nan=0.0, posinf=1.0, neginf=0.0)
     image = palette_table(palette)[np.rint(position.clip(0, 1) * 255).astype(np.uint8)]
     image[np.isnan(values)] = INVALID_COLOR
@@ -111,8 +108,7 @@ def tick_labels(ticks: list[float], decimal: str = ".") -> list[str]:
 
 
 def display_range(values: Float[np.ndarray, "..."], tail: float = 0.5) -> tuple[float, float]:
-    """The limits to show values between: percentiles ``tail`` and 100 − ``tail`` of the finite
-    ones, never equal."""
+    """Limits to show values between: percentiles ``tail`` and 100 − ``tail``, never equal."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 1.0

@@ -165,8 +165,7 @@ def require_scene(scene: object) -> None:
 
 
 def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
-    """Check that a scene has the cameras and the temperatures that its run was trained with.
-    RunError if it does not."""
+    """Check that a scene has its run's cameras and temperatures. RunError if it does not."""
     problems = [*_mismatches(facts, scene)]
     if not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
         problems.append(("has other cameras than the run's scene", _AS_IT_WAS))
@@ -198,8 +197,7 @@ def facts_to_resume(
 
 
 def differences(facts: CheckpointFacts, scene: Scene) -> str:
-    """How a scene differs from the run's, for a message; empty if it does not. SceneError if a
-    photo cannot be read."""
+    """How a scene differs from its run's; may be empty. SceneError if a photo cannot be read."""
     for what, _ in _incompatible(facts, scene):
         return f"it {what}"
     return changes(facts.images, fingerprints(scene), scene)
@@ -223,8 +221,7 @@ def _incompatible(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, s
 
 
 def _mismatches(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
-    """How the numbers of a scene's images differ from the run's, its thermal views, or its
-    temperatures."""
+    """How the images' numbers, the thermal views or the temperatures differ from the run's."""
     trained = model_modalities(facts.modalities)
     count = sum(modality in trained for view in scene.train for modality in view.images)
     thermal = [THERMAL in view.images for view in scene.train]
