@@ -352,8 +352,15 @@ def agreements(
     """The agreement of each image with the others; None where it shares too few points with them.
     Medians over views and points make up for occlusions. The ``images`` are [H, W] each, in one
     unit; NaN where not valid; None for a view without one."""
-    values = _values_at_points(images, cameras, points)
-    usual = np.full(values.shape[1], np.nan)
+    positions = points.positions[evenly_spaced(len(points.positions), _MOST_POINTS)].double()
+    values = np.full((len(images), len(positions)), np.nan)  # also where an image sees no point
+    for row, image, camera in zip(values, images, cameras, strict=True):
+        if image is not None and camera is not None:
+            pixels, _ = camera.project(positions)
+            seen = camera.contains(pixels).numpy()
+            x, y = pixels.numpy()[seen].T
+            row[seen] = sampled(image.astype(np.float64), x, y)
+    usual = np.full(len(positions), np.nan)
     enough = np.isfinite(values).sum(axis=0) >= FEWEST_VIEWS
     usual[enough] = np.nanmedian(values[:, enough], axis=0)
     known = np.isfinite(usual)
@@ -362,23 +369,6 @@ def agreements(
     low, high = np.quantile(usual[known], [0.02, 0.98])
     span = max(float(high - low), 1e-9)
     return [_agreement((row - low) / span, (usual - low) / span) for row in values]
-
-
-def _values_at_points(
-    images: Sequence[Float[np.ndarray, "..."] | None],
-    cameras: Sequence[Camera | None],
-    points: PointCloud,
-) -> Float[np.ndarray, "v n"]:
-    """The value of each image at each point; NaN where the image does not see it."""
-    positions = points.positions[evenly_spaced(len(points.positions), _MOST_POINTS)].double()
-    values = np.full((len(images), len(positions)), np.nan)
-    for row, image, camera in zip(values, images, cameras, strict=True):
-        if image is not None and camera is not None:
-            pixels, _ = camera.project(positions)
-            seen = camera.contains(pixels).numpy()
-            x, y = pixels.numpy()[seen].T
-            row[seen] = sampled(image.astype(np.float64), x, y)
-    return values
 
 
 def _agreement(own: Float[np.ndarray, " n"], usual: Float[np.ndarray, " n"]) -> Agreement | None:

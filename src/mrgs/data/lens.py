@@ -63,9 +63,9 @@ class Lens:
 
     def distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Normalised coordinates of rays -> distorted normalised coordinates (any shape)."""
-        scale, _ = self._radial_scale(x * x + y * y)
-        p1, p2 = self.tangential
         r2 = x * x + y * y
+        scale, _ = self._radial_scale(r2)
+        p1, p2 = self.tangential
         return (
             scale * x + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             scale * y + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,

@@ -49,7 +49,7 @@ def checked_after(config: TrainConfig, views: int) -> int | None:
 
 
 def checks_poses_now(state: TrainingState, config: TrainConfig) -> bool:
-    """Whether poses are to be checked after this step: it is due, or the last check failed."""
+    """Whether poses are to be checked after this step: from when it is due until it succeeds."""
     poses = state.image_model.poses
     if poses is None or poses.is_checked:
         return False

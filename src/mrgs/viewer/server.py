@@ -247,15 +247,13 @@ def is_training(folder: Path) -> bool:
     lock_file = folder / ".lock"
     if not lock_file.exists():
         return False
-    lock = FileLock(lock_file)
     try:
-        lock.acquire(timeout=0)
+        with FileLock(lock_file, timeout=0):
+            return False
     except Timeout:
         return True
     except OSError:  # a folder that cannot be written is not being trained in
         return False
-    lock.release()
-    return False
 
 
 def start_camera(scene: Scene | None, model: Model) -> Camera:

@@ -20,7 +20,7 @@ BLOCK = 128
 """Gaussians per program."""
 
 MOST_VALUES = 2**31 - 2**16
-"""Coefficients of a tensor, numbered with 32 bits beyond the last Gaussian by the last program."""
+"""Coefficients of a tensor: 32 bits number them, also beyond the last Gaussian's in a program."""
 
 NUM_WARPS = 4
 SIZES = ("count", "bands", "held")

@@ -43,9 +43,7 @@ def residuals_on_cpu(
 ) -> Float[Tensor, "v 1"]:
     """``RadianceField.temperature_residuals`` for float32 on the CPU."""
     neighbours = field.checked_neighbours(neighbours, len(gaussians))
-    needed = rows
-    if rows is not None:
-        needed = with_neighbours(rows, neighbours)
+    needed = None if rows is None else with_neighbours(rows, neighbours)
     projected = _projected_features(field, gaussians, listed(needed, len(gaussians)), color_degree)
     opacity = take(gaussians.opacity(THERMAL), rows)
     anchors = listed(rows, len(gaussians))
