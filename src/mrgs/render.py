@@ -192,7 +192,7 @@ def layer_of(
     values: Float[Tensor, "n c"],
     radiance: BandRadiance | None,
 ) -> Layer:
-    """A modality before black, the value 0; temperatures as radiance if the model has one."""
+    """A modality to blend before black, the value 0; temperatures as radiance if they have one."""
     if modality == THERMAL and radiance is not None:
         values = radiance.of_value(values)
     return Layer(opacities, values, values.new_zeros(modality.channels))
@@ -230,9 +230,9 @@ def _layer(
 @torch.no_grad()
 def rows_in_view(model: Model, camera: Camera) -> Int64[Tensor, " v"] | None:
     """The Gaussians that the rasterizer's kernel may draw, so that the heads need not be evaluated
-    for others; None for all. The bound is the kernel's, with the projected covariance of the
-    largest scale. It is all where the plain definition, which may be edited, runs, and on a GPU,
-    where waiting for their number costs more than the heads."""
+    for others; None for all. The kernel's bound on the covariance, for the largest scale, leaves
+    out no Gaussian that is drawn. It is all where the plain definition runs, whose falloff may have
+    been edited, and on a GPU, where waiting for their number costs more than the heads."""
     means = model.gaussians.means
     kernel = rasterize.kernel((means,))
     if not means.is_cpu or kernel is None or kernel in rasterize.rejected:

@@ -275,8 +275,8 @@ def poses_and_points(evidence: Evidence) -> Iterator[Problem]:
 
 def _better_convention(evidence: Evidence, share: float) -> tuple[str, str, float] | None:
     """The convention with which most training cameras see clearly more points than ``share``, what
-    to do, and the median share with it, as some may look at points by chance; None if there is
-    none."""
+    to do, and the median share with it, as some cameras may look at points of another world by
+    chance; None if there is none."""
     cameras = evidence.scene.train_cameras
     viewmats = torch.stack([camera.viewmat for camera in cameras])
     found = []

@@ -59,7 +59,7 @@ def fast_problems(scene: Scene) -> list[Problem]:
 
 
 def warn_of_problems(scene: Scene) -> None:
-    """Warn of ``fast_problems`` but for mere notes, with what to do about them; errors as there."""
+    """Warn of ``fast_problems`` and their remedies, but not of notes; errors as there."""
     for problem in fast_problems(scene):
         if problem.severity != "note":
             warn_user(f"{scene.name}: {problem.text} {problem.remedy}".rstrip())

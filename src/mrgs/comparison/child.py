@@ -3,7 +3,8 @@
 
 The request has ``scene``, ``folder``, ``config`` (YAML), ``device`` and ``lpips_weights`` (a path
 or null); messages are ``{"step", "gaussians"}``, ``{"scored", "of"}`` and ``{"warning"}``; the end
-is "scored", "stopped" or an error. Asked to stop, a training writes a checkpoint first."""
+is "scored", "stopped" or an error. Asked to stop, a training writes a checkpoint first, and all
+else stops at once."""
 
 from __future__ import annotations
 

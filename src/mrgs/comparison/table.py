@@ -129,7 +129,8 @@ def over_seeds(figures: Sequence[Figure]) -> Cell:
 
 
 def over_scenes(scenes: Sequence[Sequence[Figure]], names: Sequence[str]) -> Cell:
-    """The mean over scenes of the seeds that have all of them, and its deviation over seeds."""
+    """The mean over scenes of the seeds that have all of them, and its standard deviation over
+    seeds."""
     per_seed = []
     for seed in zip(*scenes, strict=True):
         values = [figure for figure in seed if not isinstance(figure, Missing)]

@@ -233,7 +233,7 @@ def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Te
 
 
 def eight_bit_levels(values: Float32[Tensor, "*shape"]) -> UInt8[Tensor, "*shape"] | None:
-    """The 8-bit levels of which ``decode`` made these values; None if any is of none."""
+    """The 8-bit levels of which ``decode`` made these values; None if any value is not of these."""
     levels = (values * 255).round_().clamp_(0, 255)
     return levels.to(torch.uint8) if torch.equal(levels / 255, values) else None
 

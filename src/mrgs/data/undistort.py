@@ -43,7 +43,8 @@ def pinhole_of(lens: Lens) -> Lens:
 def undistort(
     values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, lens: Lens
 ) -> tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]:
-    """The image of ``pinhole_of(lens)``, sampled bilinearly, and its usable pixels or None."""
+    """The image of ``pinhole_of(lens)``, sampled bilinearly, with the mask of its usable pixels
+    (None if all)."""
     if lens.is_pinhole:
         return values, valid
     grid, seen = _sampling_grid(lens)

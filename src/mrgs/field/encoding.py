@@ -28,8 +28,8 @@ def positional_encoding(
 
 def position_frame(positions: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "3"], Float[Tensor, ""]]:
     """The centre and scale that bring positions into [-1, 1]: (positions − center) / scale. The
-    centre is the mean, the scale the 97 % quantile of the largest absolute coordinate about it,
-    against a few far points; without points the identity."""
+    centre is the mean, the scale the 97 % quantile of the largest absolute coordinate about it, so
+    that a few far points do not squeeze the rest; without points it is the identity."""
     if len(positions) == 0:
         return positions.new_zeros(3), positions.new_ones(())
     center = positions.mean(dim=0)

@@ -23,9 +23,9 @@ def neighbour_distances(
 
 @operation(measure=neighbour_distances)
 def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n {k}"]:
-    """Indices of the k nearest other Gaussians, nearest first; of fewer others, filled up with the
-    Gaussian itself, which exchanges no heat with itself. ValueError if a position is not finite; on
-    a GPU it counts as very far away, since the host would have to wait for the device."""
+    """Indices of the k nearest other Gaussians, nearest first; if there are fewer, filled up with
+    the Gaussian itself, which exchanges no heat with itself. ValueError if a position is not
+    finite; on a GPU it counts as very far away, as the host would have to wait for the device."""
     points = means.detach().double()
     if not points.isfinite().all():
         raise ValueError("the positions of Gaussians must be finite")

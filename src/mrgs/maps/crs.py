@@ -33,7 +33,7 @@ LOCAL_NAME = "the scene's own frame, metres"
 require_pyproj = partial(optional_package, "pyproj", "map coordinates", "export")
 
 NORTH_IS_UP_DEG = 5.0
-"""North may be turned this far from up on a map that has it up: grid north of UTM is, by 3°."""
+"""North may be turned this far from up on a map that has it up: UTM's is, by up to 3°."""
 
 MAX_STRETCH = 0.1
 """Metres of a CRS may be longer or shorter than those on the ground by this share."""

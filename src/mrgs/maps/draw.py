@@ -139,7 +139,8 @@ def _draw_part(
 
 
 TIMES_MEDIAN = 2.5
-"""Surfaces within this multiple of the photos' median distance: farther pixels are too coarse."""
+"""The map shows surfaces within this multiple of the photos' median distance: pixels of what is
+farther are too coarse."""
 
 CELL_PX = 4
 """Side of the cells in which photos are counted, in pixels of the survey at the median distance."""

@@ -77,7 +77,8 @@ class OptimizerConfig:
         return math.exp((1 - progress) * start + progress * end)
 
     def slowdown_at(self, progress: float) -> float:
-        """Factor on learning rates but the means' at a share of the training; log-linear."""
+        """Factor on all learning rates but the means' after this share of the training; falls
+        log-linearly."""
         if progress <= self.slowdown_from:
             return 1.0
         return self.slowdown_to ** ((progress - self.slowdown_from) / (1 - self.slowdown_from))

@@ -81,7 +81,7 @@ def tick_step(low: float, high: float, count: int) -> float:
 
 
 def round_up(value: float, factors: tuple[float, ...] = (1, 2, 5, 10)) -> float:
-    """The next of some factors times a power of ten."""
+    """The next of some ``factors``, which end with 10, times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value)) if value > 0 else 1.0
     return next(factor * power for factor in factors if factor * power >= value * (1 - 1e-9))
 
@@ -104,7 +104,8 @@ def tick_labels(ticks: list[float], decimal: str = ".") -> list[str]:
 
 
 def display_range(values: Float[np.ndarray, "..."], tail: float = 0.5) -> tuple[float, float]:
-    """Limits to show values between: percentiles ``tail`` and 100 − ``tail``, never equal."""
+    """The limits to show values between: percentiles ``tail`` and 100 − ``tail`` of the finite
+    ones, never equal."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 1.0

@@ -153,9 +153,10 @@ def _by_gps(
     as_given: bool,
 ) -> Georeference:
     """The similarity to metres east, north and up of the middle one of the positions. Without
-    heights, or with cameras on a line, ``level`` gives the vertical, and the positions the rest. Of
-    given poses in metres with these axes, as far as GPS knows, only the origin moves.
-    UnusableGpsError for too few positions, or too much noise for how far the cameras are apart."""
+    heights, or with cameras on a line, ``level`` gives the vertical, and the positions the rest.
+    Given poses that are already in metres along these axes, as far as GPS can tell, only get a new
+    origin. UnusableGpsError if there are too few positions, or if they are too noisy for how far
+    the cameras are apart."""
     if len(gps) < MIN_POSITIONS:
         raise UnusableGpsError(
             f"{len(gps)} of the photos with a pose have one, and {MIN_POSITIONS} are needed"

@@ -29,10 +29,10 @@ class ImageFile:
 
 
 def read_rgb(path: Path, orientation: int) -> ImageFile:
-    """A photo, rotated upright by the given EXIF orientation, not its own. One that needs no
-    rotation keeps its bytes, others format, quality, and of their EXIF camera, focal length and
-    time. SceneError for anything but a JPEG, PNG or TIFF image, or a damaged, cut off or too large
-    one."""
+    """A photo, rotated upright by the given EXIF orientation, not its own. If no rotation is
+    needed, its bytes are kept; else its format and quality, and of its EXIF data the camera, the
+    focal length and the time. SceneError for anything but a JPEG, PNG or TIFF image, and if it is
+    damaged, cut off or too large."""
     probe(path)
     data = read_bytes(path)
     suffix = next((suffix for mark, suffix in _SUFFIXES.items() if data.startswith(mark)), None)

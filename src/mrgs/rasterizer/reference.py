@@ -222,7 +222,8 @@ def unfinished(alpha: Float[Tensor, "p m"]) -> Bool[Tensor, "p m"]:
 def blend(
     falloff: Float[Tensor, "p m"], depths: Float[Tensor, " m"], layer: Layer
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Σ w f + T_end · background [P, C], Σ w z [P] and 1 − T_end [P] of one layer, w = α T."""
+    """Σ w f + T_end · background [P, C], Σ w z [P] and 1 − T_end [P] of one (sorted) layer, with w
+    = α T."""
     alpha = alphas(layer.opacities, falloff)
     alpha = torch.where(unfinished(alpha), alpha, 0.0)
     transmittance = transmittances(alpha)

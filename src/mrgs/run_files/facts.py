@@ -197,7 +197,8 @@ def facts_to_resume(
 
 
 def differences(facts: CheckpointFacts, scene: Scene) -> str:
-    """How a scene differs from its run's; may be empty. SceneError if a photo cannot be read."""
+    """How a scene differs from the run's, for a message; empty if it does not. SceneError if a
+    photo cannot be read."""
     for what, _ in _incompatible(facts, scene):
         return f"it {what}"
     return changes(facts.images, fingerprints(scene), scene)

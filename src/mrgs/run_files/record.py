@@ -159,7 +159,8 @@ class RunRecord:
         self._folder.append_log({**entry, "seconds": self._seconds()})
 
     def save_if_due(self, last: int) -> None:
-        """Write a checkpoint if one is due: by steps, after the last one, or by its age."""
+        """Write a checkpoint each ``checkpoint_every`` steps, after the last step, and if the
+        newest one is too old."""
         is_scheduled = self.step % self._config.checkpoint_every == 0 or self.step == last
         if is_scheduled or self._clock() >= self._save_at:
             self.save()

@@ -14,8 +14,9 @@ from mrgs.scene import Camera
 def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     """A closed ellipse through the middle of the cameras, each pose looking at the point that they
     look at, in the plane that fits the camera centres best; half axes are √2 standard deviations,
-    as of cameras evenly on an ellipse. Intrinsics are the first camera's; of the ``frames`` poses
-    the last is followed by the first. ConfigError without cameras, or for fewer than one frame."""
+    so that cameras spread evenly over an ellipse get that ellipse back. Intrinsics are the first
+    camera's; of the ``frames`` poses the last is followed by the first. ConfigError without
+    cameras, or for fewer than one frame."""
     if not cameras:
         raise ConfigError("a camera path needs at least one training camera")
     if frames < 1:

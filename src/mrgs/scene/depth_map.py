@@ -27,7 +27,7 @@ SURFACE_DEPTH = 0.03
 """A point is on a surface that a camera sees if the two depths differ by less than this share."""
 
 MAX_STEP = 0.05
-"""A pixel whose depth changes by more than this share between its neighbours has no depth."""
+"""A pixel whose neighbours' depths differ by more than this share is on an outline: no depth."""
 
 
 class PointsInImage(NamedTuple):

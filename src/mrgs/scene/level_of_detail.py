@@ -42,10 +42,10 @@ class Merged(NamedTuple):
 
 @torch.no_grad()
 def merged(gaussians: Gaussians, most: int) -> Merged:
-    """At most ``most`` (above 0) Gaussians, with the moments of the ones that they replace; as many
-    as there is leaves them alone. Mean and covariance are those of the mixture, weighted by largest
-    opacity times the area of the two largest axes. Opacity times area stays the same for each
-    modality, as far as it can. All else is averaged."""
+    """At most ``most`` (above 0) Gaussians, with the moments of the ones that they replace; the
+    same ones if there are no more. Mean and covariance are those of the mixture, weighted by the
+    largest opacity times the area of the two largest axes. Opacity times area stays the same for
+    each modality, as far as it can. All else is averaged."""
     if len(gaussians) <= most:
         ones = torch.ones(len(gaussians))
         return Merged(gaussians, torch.arange(len(gaussians)), ones)

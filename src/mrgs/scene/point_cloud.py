@@ -86,9 +86,9 @@ CROWDED = 1_000
 def coincident_points(
     points: Float64[np.ndarray, "n 3"], kept: int, most: int = CROWDED
 ) -> list[Int64[np.ndarray, "_"]]:
-    """Indices of points at each position that more than ``max(most, kept)`` share: a k-d tree would
-    compare each with all. ``kept`` is how many of a position the caller keeps, ``most`` how many
-    are still fast."""
+    """The indices of the points at each position that more than ``max(most, kept)`` of them share,
+    all of which a k-d tree would compare with each other. ``kept`` is how many of a position the
+    caller keeps, ``most`` how many are still fast."""
     most = max(most, kept)
     if np.unique(points[:, 0], return_counts=True)[1].max() <= most:  # much faster than all axes
         return []

@@ -1,6 +1,6 @@
 """Rotations in float64, without gradients: the exponential map of SO(3), quaternions wxyz (scalar
-first), and the axes of cameras. Rotation vectors are axis times angle in radians. Tensors are taken
-where arrays are; NumPy 2.2 converts them only if asked to (``np.asarray``)."""
+first), and the axes of cameras. Rotation vectors are axis times angle in radians. Tensors can be
+given in place of arrays; NumPy 2.2 converts them only if asked to (``np.asarray``)."""
 
 from __future__ import annotations
 

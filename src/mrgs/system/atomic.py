@@ -31,10 +31,10 @@ _swept: set[Path] = set()
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path``; on success it is brought to the disk and becomes
-    ``path``; on an error, or by a later process if this one is killed, it is removed. The folder is
-    made if need be, and the suffix, which tells image writers the format, is kept. WriteError if
-    the file cannot be written (permissions, a full disk)."""
+    """Give a temporary path beside ``path``, with the same suffix, which tells image writers the
+    format. On success it is flushed to the disk and becomes ``path``; on an error it is removed, or
+    by a later process if this one is killed. The folder is made if need be. WriteError if the file
+    cannot be written (permissions, a full disk)."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.parent not in _swept:

@@ -30,8 +30,8 @@ Job = Callable[[], object]
 
 class Worker:
     """One thread that does the jobs of all browsers in turn, one of each before a second of any. A
-    waiting job is replaced by a newer one with the same key, a tuple that begins with the browser:
-    of a moving camera, only the newest place is drawn."""
+    newer job replaces a waiting one with the same key, a tuple that begins with the browser: of a
+    moving camera, only the newest position is drawn."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()

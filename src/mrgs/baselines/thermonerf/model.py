@@ -61,9 +61,9 @@ def resample(
     count: int,
     generator: torch.Generator | None,
 ) -> Float[Tensor, "r {count}+1"]:
-    """``count`` intervals' edges with about equal shares of the weights: inverse transform
-    sampling. Edges ascend; the weights need not sum to 1, but are not negative. A generator shifts
-    each ray's shares by one random part of a share."""
+    """Edges of ``count`` intervals with about equal shares of the weights: inverse transform
+    sampling. The edges of the weights' intervals ascend; the weights need not sum to 1, but are not
+    negative. A generator shifts each ray's shares by one random part of a share."""
     weights = weights + PADDING / weights.shape[1]
     cdf = (weights / weights.sum(dim=1, keepdim=True)).cumsum(dim=1)
     cdf = torch.cat(

@@ -188,7 +188,8 @@ def harmonics_of(directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 16"]:
 
 
 class Field(nn.Module):
-    """Density shared by both modalities, colour by the view, temperature the same for all."""
+    """Density shared by both modalities, colour that depends on the view, temperature that does
+    not."""
 
     def __init__(self, grid: GridSize = FIELD_GRID, units: int = FIELD_UNITS) -> None:
         super().__init__()

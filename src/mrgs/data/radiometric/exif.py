@@ -68,7 +68,7 @@ class ExifFacts:
 
 
 def read_exif(data: bytes) -> ExifFacts:
-    """The EXIF facts in the content of a JPEG, PNG or TIFF file. Damage makes facts None."""
+    """The EXIF facts in the content of a JPEG, PNG or TIFF file; None where they are damaged."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns of damaged tags; what is left is used

@@ -50,8 +50,8 @@ class Measurement:
 def object_temperature(
     raw: UInt16[np.ndarray, "h w"], measurement: Measurement
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Temperatures of a photo, and the mask of those that are measured: neither 0 nor 65535 (no
-    data, saturated), and with a temperature."""
+    """Temperatures of a photo, and the mask of those that are measured: of counts other than 0 (no
+    data) and 65535 (saturated) that have a temperature."""
     step = max(1, CHUNK_ROWS // raw.shape[1])  # a few rows at a time, which take little memory
     parts = [
         masked(measurement.celsius(rows.astype(np.float64)), (rows > 0) & (rows < 65535))

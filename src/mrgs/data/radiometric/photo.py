@@ -170,7 +170,7 @@ class PhotoFacts:
 
 @dataclass(frozen=True, eq=False)
 class ThermalPhoto:
-    """A thermal photo, with ``temperature_c`` or ``relative``.
+    """A thermal photo, with exactly one of ``temperature_c`` and ``relative``.
 
     Attributes:
         temperature_c: [H, W], °C; NaN where not valid.

@@ -77,7 +77,8 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """The texts between the separators; numbers with a decimal point, without unit and quotes."""
+    """The texts between the separators, numbers with a decimal point and without unit, quotes and
+    signs of thousands."""
     line = _UNIT_BEHIND.sub("", line)
     if separator == ",":
         line = _QUOTED.sub(lambda quoted: _with_point(quoted[0]), line)

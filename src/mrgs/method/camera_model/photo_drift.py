@@ -26,7 +26,8 @@ MEDIAN_LOSS = 1.5708
 """Variance of the median over that of the mean, of many normal variables (π / 2)."""
 
 NEARLY_SAME_PLACE = 0.01
-"""Held-out photos this close to a photo's viewpoint are at it: poses may have been aligned."""
+"""Held-out photos this close to a photo's viewpoint are taken for that photo: poses may have been
+aligned since."""
 
 
 class PhotoDrift(PhotoEffect):

@@ -47,7 +47,7 @@ class Gain(NamedTuple):
 
 
 class PhotoGain(PhotoEffect):
-    """A learned gain and offset per photo; over all photos log gains and offsets average to 0."""
+    """A learned gain and offset per photo; both log gains and offsets average to 0 over photos."""
 
     def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
         super().__init__(viewpoints)
@@ -80,7 +80,8 @@ def expected_gains(
 
     Args:
         gains: log gain and offset of each photo, at least one; their mean is 0.
-        viewpoint: of the photo to predict, which may be the only one there: then its own gain.
+        viewpoint: of the photo to predict; if exactly one known photo is there, its own gain is
+            returned.
     """
     distances = viewpoint_distances([viewpoint], viewpoints)
     if (same := only_one_at(distances[0])) is not None:

@@ -58,8 +58,8 @@ def blur(plane: Float[Tensor, "h w"], sigma_px: Float[Tensor, ""]) -> Float[Tens
 def _means(
     size: int, sigma_px: Float[Tensor, ""], plane: Float[Tensor, "h w"]
 ) -> Float[Tensor, "{size} {size}"]:
-    """The matrix that gives each pixel along an axis the mean of its neighbourhood, however far the
-    weights reach, which the host would have to ask the device for."""
+    """The matrix that gives each pixel along an axis the mean of its neighbourhood. It covers the
+    whole axis: how far the weights reach, the host would have to ask the device."""
     pixels = torch.arange(size, dtype=plane.dtype, device=plane.device)
     distances = (pixels[:, None] - pixels).abs()
     weights = torch.exp(-0.5 * (distances / sigma_px) ** 2)

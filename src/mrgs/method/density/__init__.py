@@ -6,7 +6,8 @@ from mrgs.method.density.adaptive import AdaptiveDensityControl
 from mrgs.method.density.strategy import DensityStep, DensityUpdate, Strategy, StrategyState
 
 ConfiguredStrategy: TypeAlias = AdaptiveDensityControl
-"""The strategies that ``densification`` in a config.yaml can be, told apart by ``name``."""
+"""The strategies that ``densification`` in a config.yaml can name: a union, told apart by the field
+``name``."""
 
 __all__ = [
     "AdaptiveDensityControl",

@@ -81,7 +81,8 @@ class Strategy(ABC):
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:
         """What the strategy remembers before the first step; nothing by default. All numbers are
-        finite. Names, types and shapes by the number of Gaussians stay, or a run is not resumed."""
+        finite. Names, types, and shapes for a given number of Gaussians do not change: a run whose
+        state has others cannot be resumed."""
         return {}
 
     def movable(self, gaussians: Gaussians) -> Bool[Tensor, " n"] | None:

@@ -1,6 +1,6 @@
 """Start points far away, where photos show none: the sky, and what is too far for structure from
-motion. Not in the paper. Else Gaussians of the nearest surfaces fill these directions, grow towards
-the cameras, and hang in the air for all others."""
+motion. Not in the paper. Without them Gaussians of the nearest surfaces fill these directions, grow
+towards the cameras, and float in front of everything seen from elsewhere."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ cell lies in three by three empty ones: smaller gaps lie on surfaces, and what i
 makes them transparent."""
 
 FEWEST_PER_CELL = 0.5
-"""A photo with points in fewer cells than this share does not tell which directions are empty."""
+"""A photo with fewer start points per cell than this does not tell which directions are empty."""
 
 SPACING_RAD = 0.1
 """Directions closer than about this become one point."""
@@ -39,7 +39,8 @@ LOWEST_SHARE = 0.01
 
 
 class DistantPoints(NamedTuple):
-    """M points in the world, about equally far from each other: ``spacing``, scene units."""
+    """M points in world coordinates, about equally far from each other; ``spacing`` is in scene
+    units."""
 
     positions: Float[Tensor, "m 3"]
     spacing: float
@@ -85,7 +86,8 @@ def _share_of_empty(
 def _empty_cells(
     camera: Camera, positions: Float64[Tensor, "n 3"]
 ) -> Bool[Tensor, "rows columns"] | None:
-    """Which cells lie in three by three without a start point; None with too few points to tell."""
+    """The cells that have no start point, nor do their eight neighbours; None with too few points
+    to tell."""
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     pixels, _ = camera.project(positions)
     seen = pixels[camera.contains(pixels)]

@@ -109,9 +109,9 @@ def start_points(scene: Scene, config: TrainConfig) -> StartPoints:
 
 
 def blended_apart(captured: Iterable[Modality], shares_opacity: bool) -> tuple[Modality, ...]:
-    """A model's modalities with an opacity of their own, by those of its scene; others share the
-    first's, or all o_c. Opacities without photos would never move, and keep Gaussians from being
-    pruned."""
+    """The modalities of a model that have an opacity of their own, by those of its scene: others
+    share the first's, and all do where the method blends all with o_c. Opacities without photos
+    would never move, and would keep every Gaussian from being pruned."""
     own = in_order(captured)
     return own if len(own) > 1 and not shares_opacity else model_modalities(own)[:1]
 
@@ -187,8 +187,8 @@ def photo_values(
     positions: Float[Tensor, "n 3"], photos: Sequence[PosedImage], channels: int
 ) -> Float[Tensor, "n {channels}"]:
     """The median over one modality's photos of the value of a point that they show, channel by
-    channel; points hide each other. A point hidden in all takes the median over those with it in
-    frame; one that none has there is NaN."""
+    channel; points hide each other. A point that is hidden in all of them takes the median over
+    those that have it in frame; one in no photo's frame is NaN."""
     if not photos:
         return positions.new_full((len(positions), channels), torch.nan)
     chosen = [photos[index] for index in evenly_spaced(len(photos), READ_PHOTOS)]

@@ -48,7 +48,7 @@ def temperatures(
     any.
 
     Args:
-        previews: views whose pixels are counted, of the ``total`` number.
+        previews: views whose pixels are counted, some of ``total`` views or all.
         unit: °C, or empty for relative values.
         notes: sentences from the thermal files, with the number of photos that have each.
     """
@@ -97,7 +97,8 @@ def setting_rows(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
 
 
 def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: str) -> Markup:
-    """SVG of pixels by temperature: ``counts``, not all 0, are one per equal step from ``low``."""
+    """SVG of the number of pixels by temperature: ``counts``, not all 0, are one per equal step
+    from ``low`` to ``high``."""
     width = (_RIGHT - _LEFT) / len(counts)
     heights = (_BOTTOM - _TOP) * counts / counts.max()
     colors = palette_table("inferno")[np.linspace(20, 235, len(counts)).astype(int)]

@@ -28,8 +28,8 @@ from mrgs.scene.view import evenly_spaced
 
 
 class PreviewImage(NamedTuple):
-    """An image at the size in which the page shows it, and its camera, None without a pose. Of
-    three channels, 8-bit colours; else their mean, in °C where known, NaN where not valid."""
+    """An image at the size in which the page shows it, and its camera, None without a pose. Three
+    channels become 8-bit colours, others their mean: in °C where known, NaN where not valid."""
 
     pixels: UInt8[np.ndarray, "h w 3"] | Float32[np.ndarray, "h w"]
     camera: Camera | None
@@ -110,9 +110,9 @@ def thermal_overlay(
     preview: Preview, points: PointCloud, visible: Int64[Tensor, " k"] | None = None
 ) -> Float32[np.ndarray, "h w"] | None:
     """The thermal image warped onto the grid of the view's first image, the photo; NaN outside.
-    Each pixel is unprojected to the surface between the ``visible`` sparse points, None if not
-    known, and projected into the thermal image, without occlusions. None for a view without pose or
-    both images."""
+    Each pixel is unprojected to the surface between the sparse points, of which the photo shows the
+    ``visible`` ones (None if not known), and projected into the thermal image, without occlusions.
+    None for a view without a pose, a thermal image or another one."""
     photo, thermal = next(iter(preview.images.values()), None), preview.images.get(THERMAL)
     if photo is None or thermal is None or photo is thermal:
         return None

@@ -83,7 +83,7 @@ def match(thermal: Masked, photo: Masked, patches: Patches) -> Matches:
     """Match each patch by normalised correlation of the two structures, over the overlap at each
     displacement (else the border would bias the focal length), to a fraction of a pixel; a patch
     without a maximum within reach is left out. The information is the curvature of the correlation
-    s at its maximum times s / (1 - s²): the certainty of one lowered by independent noise."""
+    s at its maximum times s / (1 - s²), as if independent noise alone kept it from being 1."""
     scores, share, columns, rows = _scores(thermal, photo, patches)
     ny, nx = share.shape
     flat = scores.reshape(scores.shape[0], scores.shape[1], ny * nx).transpose(2, 0, 1)

@@ -191,10 +191,10 @@ class _Board(NamedTuple):
 
 def localise(sightings: Sequence[Sighting], square: float | None = None) -> LocatedTarget:
     """Locate the target's corners in front of each photo: a stationary one by all photos' poses,
-    which gives the width of its squares; a moved one by its perspective. Each corner is on the ray
-    of its photo at the board's depth: a pose's error hardly moves it in the thermal image beside.
-    ``square`` is the width of a square in scene units; None is a SceneError if the target is
-    moved."""
+    which gives the width of its squares; a moved one by its perspective. Each corner is placed on
+    its photo's own ray at the board's depth, so that an error of the pose hardly moves it in the
+    thermal image taken with the photo. ``square`` is the width of a square in scene units;
+    SceneError if it is None and the target is moved."""
     rows, columns, _ = sightings[0].photo.grid.shape
     plane = board_points(columns, rows)
     views = [
@@ -280,7 +280,8 @@ def _from_two(first: _BoardPose, second: Sequence[_BoardPose]) -> _Board | None:
 def _consistent(
     board: _Board, views: Sequence[Sequence[_BoardPose]], plane: Coordinates, tolerance: float
 ) -> dict[int, _BoardPose]:
-    """The views with a median error below a share of a square, in the board's order of corners."""
+    """The views whose median reprojection error is below a share of a square, their corners in the
+    board's order."""
     corners = board.corners(plane)
     found = {}
     for index, orderings in enumerate(views):

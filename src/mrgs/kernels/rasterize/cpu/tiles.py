@@ -106,8 +106,8 @@ def _half_width_at(record, dy):
 @strict_inner_function()
 def _tile_columns(record, tile_row, tiles_x):
     """First and last tile of a row of tiles that the ellipse α >= 1/255 reaches (first > last if
-    none). Its rightmost point within the row's band of pixel centres is its own, or at the band's
-    edge nearest to it; on the left likewise, where that point is mirrored."""
+    none). The rightmost point within the row's band of pixel centres is the ellipse's own, or on
+    the band's edge nearest to that; on the left likewise, where that point is mirrored."""
     band_top = tile_row * TILE_HEIGHT + 0.5 - record[splat.MEAN_Y]
     band_bottom = band_top + TILE_HEIGHT - 1.0
     sheared = record[splat.SHEAR] * record[splat.EXTENT_Y]

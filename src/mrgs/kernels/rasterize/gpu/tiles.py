@@ -40,9 +40,9 @@ def _half_width_at(half_width, extent_y, dy):
 
 @device_function
 def tile_columns(mean_x, mean_y, shear, extent_y, half_width, tile_row, width):
-    """First tile of a row of tiles that the ellipse α >= 1/255 reaches, and how many. Its rightmost
-    point within the row's band of pixel centres is its own, or at the band's edge nearest to it; on
-    the left likewise, where that point is mirrored."""
+    """First tile of a row of tiles that the ellipse α >= 1/255 reaches, and how many. The rightmost
+    point within the row's band of pixel centres is the ellipse's own, or on the band's edge nearest
+    to that; on the left likewise, where that point is mirrored."""
     band_top = (tile_row * TILE_HEIGHT).to(tl.float32) + 0.5 - mean_y
     band_bottom = band_top + (TILE_HEIGHT - 1.0)
     sheared = shear * extent_y
