@@ -19,7 +19,7 @@ from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import ConfigError, warn_user
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.camera_model.photo_shading import HEIGHT, TERMS, image_places, shading_terms
-from mrgs.method.start.start_points import LOOKED_AT_PX, hidden_points
+from mrgs.method.start.start_points import LOOKED_AT_PX, framed_points
 from mrgs.scene import THERMAL, Blend, Pixels, PosedImage, Rendering, Scene, View
 
 MOST_POINTS, MOST_SIGHTINGS = 20_000, 300_000
@@ -184,10 +184,7 @@ def _seen(
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, "k 6"]]:
     """Which points a photo shows, its values there, and the terms of the shading."""
     camera = photo.camera
-    pixels, depth = camera.project(positions)
-    shown = camera.contains(pixels)
-    pixels = torch.where(shown[:, None], pixels, 0)
-    shown &= ~hidden_points(camera, pixels, torch.where(shown, depth, torch.inf))
+    pixels, in_frame, hidden = framed_points(camera, positions)
     image = photo.look(LOOKED_AT_PX)
     values = image.values[..., 0].double().numpy()
     valid = np.ones_like(values) if image.valid is None else image.valid.double().numpy()
@@ -195,7 +192,7 @@ def _seen(
     smooth = gaussian_filter(values * valid, sigma) / gaussian_filter(valid, sigma).clip(1e-3)
     place = pixels / pixels.new_tensor([camera.width, camera.height])
     column, row = (place * place.new_tensor(smooth.shape[::-1])).long().numpy().T
-    rows = np.flatnonzero(shown.numpy() & (valid[row, column] > 0))
+    rows = np.flatnonzero((in_frame & ~hidden).numpy() & (valid[row, column] > 0))
     x, y = (2 * place[rows] - 1).T
     return rows, smooth[row, column][rows], shading_terms(x, HEIGHT * y).numpy()
 

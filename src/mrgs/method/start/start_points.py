@@ -223,10 +223,7 @@ def _shown(
 ) -> tuple[Float[Tensor, "n c"], Float[Tensor, "n c"]]:
     """What a photo has where the points in its frame are, and where the unhidden ones of them are;
     NaN for the others."""
-    pixels, depth = photo.camera.project(positions)
-    in_frame = photo.camera.contains(pixels)
-    pixels = torch.where(in_frame[:, None], pixels, 0)
-    hidden = hidden_points(photo.camera, pixels, torch.where(in_frame, depth, torch.inf))
+    pixels, in_frame, hidden = framed_points(photo.camera, positions)
     image = photo.look(LOOKED_AT_PX)
     height, width, _ = image.values.shape
     per_pixel = pixels.new_tensor([width / photo.camera.width, height / photo.camera.height])
@@ -237,10 +234,15 @@ def _shown(
     return values, torch.where(hidden[:, None], torch.nan, values)
 
 
-def hidden_points(
-    camera: Camera, pixels: Float64[Tensor, "n 2"], depth: Float64[Tensor, " n"]
-) -> Bool[Tensor, " n"]:
-    """Which points are behind others in their cells; points at infinity hide none."""
+def framed_points(
+    camera: Camera, positions: Float64[Tensor, "n 3"]
+) -> tuple[Float64[Tensor, "n 2"], Bool[Tensor, " n"], Bool[Tensor, " n"]]:
+    """The points' pixels, 0 for those out of the frame; which are in the frame; and which are
+    behind others in their cells."""
+    pixels, depth = camera.project(positions)
+    in_frame = camera.contains(pixels)
+    pixels = torch.where(in_frame[:, None], pixels, 0)
+    depth = torch.where(in_frame, depth, torch.inf)  # hides none
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     cells_per_px = pixels.new_tensor([CELLS_ACROSS / camera.width, rows / camera.height])
     column, row = (pixels * cells_per_px).long().T
@@ -251,7 +253,7 @@ def hidden_points(
     around = -torch.nn.functional.max_pool2d(
         -nearest.view(1, rows, CELLS_ACROSS), 3, stride=1, padding=1
     )
-    return depth > MUCH_NEARER * around.flatten()[cell]
+    return pixels, in_frame, depth > MUCH_NEARER * around.flatten()[cell]
 
 
 INITIAL_SCALE_NEIGHBOURS = 3
