@@ -1,8 +1,5 @@
 """MrGS: posed RGB and thermal photos in, one 3D Gaussian model out that renders novel views in
-colour and in °C.
-
-The names below are imported on first use, so that ``import mrgs`` stays cheap.
-"""
+colour and in °C. The names below are imported on first use."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""The program ``mrgs``: the command line in a process of its own.
-
-It handles interrupts and the standard streams before it loads anything that takes long.
-"""
+"""The program ``mrgs``: the command line in a process of its own, which handles interrupts and the
+standard streams before it loads anything that takes long."""
 
 import signal
 import sys

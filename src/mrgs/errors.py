@@ -17,9 +17,8 @@ LONGEST_LINE = 10_000
 
 
 def printable(text: str) -> str:
-    """The text on one line, with escapes for what is not printable: names of files may end a line,
-    write in colour on a terminal, or turn the direction of reading. Of more than ``LONGEST_LINE``
-    characters the middle is left out."""
+    """The text on one line, with escapes for what is not printable, such as line ends, colours of a
+    terminal or directions of reading; without the middle beyond ``LONGEST_LINE`` characters."""
 
     def shown(each: str) -> str:
         # Joiners are parts of words of many languages, and of emoji.
@@ -67,8 +66,7 @@ class WriteError(RunError):
 
 
 class DamagedCheckpointError(RunError):
-    """A checkpoint is not what was written, or holds values that are not finite; an older one may
-    be good."""
+    """A checkpoint is damaged, or holds values that are not finite; an older one may be good."""
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(

@@ -1,5 +1,4 @@
-"""A model and a camera in, images out: the field gives colours and temperatures, the rasterizer
-blends them."""
+"""Model and camera in, images out: the field gives the values, the rasterizer blends them."""
 
 from __future__ import annotations
 
@@ -97,8 +96,7 @@ class Model:
 
     @torch.no_grad()
     def median_depth(self, modality: Modality, camera: Camera) -> Float[Tensor, "h w"]:
-        """The z-depth at which half of a modality's light is blocked; NaN where less is; without
-        gradient."""
+        """The z-depth where half of a modality's light is blocked, else NaN; without gradient."""
         gaussians = self.gaussians
         return median_depth(
             Geometry.of(gaussians),
@@ -194,8 +192,7 @@ def layer_of(
     values: Float[Tensor, "n c"],
     radiance: BandRadiance | None,
 ) -> Layer:
-    """A modality to be blended before black, the value 0; temperatures as their radiance if they
-    have one."""
+    """A modality to blend before black, the value 0; temperatures as radiance if they have one."""
     if modality == THERMAL and radiance is not None:
         values = radiance.of_value(values)
     return Layer(opacities, values, values.new_zeros(modality.channels))
@@ -233,13 +230,9 @@ def _layer(
 @torch.no_grad()
 def rows_in_view(model: Model, camera: Camera) -> Int64[Tensor, " v"] | None:
     """The Gaussians that the rasterizer's kernel may draw, so that the heads need not be evaluated
-    for others; None for all.
-
-    Bounds the projected covariance by the largest scale, so no Gaussian that is drawn is left out.
-    The bound is that of the kernel. It is all where the plain definition runs, whose falloff may
-    have been edited; and on a GPU, where the host would have to wait for their number, which costs
-    more than the heads of those that are not seen.
-    """
+    for others; None for all. The kernel's bound on the covariance, for the largest scale, leaves
+    out no Gaussian that is drawn. It is all where the plain definition runs, whose falloff may have
+    been edited, and on a GPU, where waiting for their number costs more than the heads."""
     means = model.gaussians.means
     kernel = rasterize.kernel((means,))
     if not means.is_cpu or kernel is None or kernel in rasterize.rejected:

@@ -96,10 +96,8 @@ def views_of(region: Region | Ring, places: Sequence[Places]) -> tuple[int, ...]
 
 
 def only(scene: Scene, region: Region | Ring, views: Sequence[int], surveyor: Surveyor) -> Scene:
-    """The same scene, but in the photos of these views only pixels that show the region count.
-
-    Cameras and files stay those of the scene, so that a run on it is a run on the scene.
-    """
+    """The same scene and files, but in the photos of these views only pixels that show the region
+    count: a run on it is a run on the scene."""
     train = list(scene.train)
     for number in views:
         train[number] = _masked(train[number], region, surveyor)

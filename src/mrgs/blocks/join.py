@@ -29,8 +29,7 @@ DRIFT = "thermal_drift."
 
 
 class JoinedBlocks(NamedTuple):
-    """The model of a scene, from its blocks, and the facts of the coarse run and of each
-    block's."""
+    """The model of a scene, from its blocks, and the facts of the coarse run and of each block."""
 
     whole: WholeModel
     facts: tuple[CheckpointFacts, ...]
@@ -44,10 +43,8 @@ def join(
     config: TrainConfig,
 ) -> JoinedBlocks:
     """The Gaussians of each block in its cell, the heads and the background of the coarse model,
-    and the blocks' mean image model.
-
-    Never more than the joined model and the checkpoint of one block are in memory. RunError if a
-    checkpoint cannot be read."""
+    and the blocks' mean image model. RunError if a checkpoint cannot be read. Only one block's
+    checkpoint at a time is in memory beside the joined model."""
     gaussians, facts, cameras = _joined([coarse, *blocks], plan, scene)
     model, image_model = WholeModel.of(coarse, config)
     image_model.load_state_dict(cameras)
@@ -58,8 +55,7 @@ def join(
 def save(
     path: Path, joined: JoinedBlocks, config: TrainConfig, more: Sequence[CheckpointFacts]
 ) -> None:
-    """Write the checkpoint of a joined model, with its neighbours searched again. RunError if the
-    file cannot be written."""
+    """Write a joined model as a checkpoint, its neighbours searched again; RunError if it fails."""
     model = joined.whole.model
     neighbours = model.field.neighbours_of(model.gaussians.means)
     with seeded(config.seed):
@@ -110,12 +106,9 @@ def _joined(
 def mean_image_model(
     coarse: Mapping[str, Tensor], blocks: Sequence[Mapping[str, Tensor]], photos: Sequence[int]
 ) -> dict[str, Tensor]:
-    """The image model of a joined model, from those of its runs.
-
-    The mean over the blocks, weighted by their photos; what is known of a single photo's drift only
-    over those that have learned of it, weighted by how often, and as in the coarse model where none
-    has.
-    """
+    """The image model of a joined model: the mean over its blocks, weighted by their photos; a
+    photo's drift only over those that have learned of it, weighted by how often, else the coarse
+    model's."""
     found = {}
     for name, start in coarse.items():
         if start.dtype == torch.bool:  # blocks decide nothing of their own
@@ -133,16 +126,14 @@ def mean_image_model(
 
 
 def load_gaussians(run: RunFolder) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Tensor]]:
-    """Parameters of the Gaussians in a run's newest checkpoint, without moments; its facts; and its
-    image model."""
+    """Parameters of the Gaussians in a run's newest checkpoint, its facts, and its image model."""
     tensors, facts, _ = run.load_newest(checkpoint.read)
     gaussians = checkpoint.parameters_of_gaussians(tensors)
     return gaussians, facts, below(tensors, "image_model.")
 
 
 def _rows(means: Tensor, number: int, plan: BlockPlan, scene: Scene) -> Int64[Tensor, " k"]:
-    """The Gaussians that a run contributes: the background of the coarse one, number 0; those of
-    a block's cell."""
+    """What a run contributes: the coarse one, number 0, its background; a block its cell."""
     if number == 0:
         inside = scene.reach.is_background(means)
     else:

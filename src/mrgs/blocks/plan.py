@@ -152,8 +152,7 @@ def make_plan(
 
 
 def read_plan(path: Path) -> BlockPlan | None:
-    """The plan in a file; None if there is none. RunError if the file is no plan, or that of
-    another version of the program."""
+    """The plan in a file; None if there is none. RunError if it is no plan of this version."""
     if not path.exists():
         return None
     try:

@@ -41,8 +41,8 @@ WIDEST = 1 / 3
 of their overlap: no block may move a wider one, see ``EXTENT``."""
 
 SEAM_WIDTH = 1 / 3
-"""Half width of the strip along a block's edge that is refined once the blocks are joined, as a
-share of their overlap."""
+"""Half width of the strip along an edge that is refined after joining, as a share of the blocks'
+overlap."""
 
 SEAM_EXTENT = 1.0
 """Assumed radius of a Gaussian in a seam, in its largest standard deviations: smaller, so that wide
@@ -267,9 +267,8 @@ def seam(
 
 
 def _local(config: TrainConfig, scene: Scene, views: Sequence[int], number: int) -> TrainConfig:
-    """The configuration of a part: that of the whole, but that heads and the gains of photos stay
-    as they are, lengths are those of the part's cameras, and photos have their full resolution
-    from the start, as the model has its shape already."""
+    """The configuration of a part: the whole's, but heads and gains of photos stay, lengths are
+    those of the part's cameras, and photos have their full resolution from the start."""
     ratio = replace(scene, train=tuple(scene.train[view] for view in views)).extent / scene.extent
 
     def scaled(settings: Any, *names: str) -> dict[str, Any]:

@@ -59,8 +59,7 @@ class Region(NamedTuple):
     def contains(
         self, places: Float[Tensor, "*batch 2"], reach: Float[Tensor, "*batch"] | None = None
     ) -> Bool[Tensor, "*batch"]:
-        """Whether coordinates of the plane are in it, with all that is as near as ``reach`` to
-        them; NaN is not."""
+        """Whether coordinates of the plane are in it, or as near as ``reach``; NaN is not."""
         low, high = (constant(end, places) for end in self)
         about = places.new_zeros(1) if reach is None else reach[..., None]
         return ((places - about >= low) & (places + about < high)).all(dim=-1)
@@ -124,9 +123,8 @@ def plane_of(scene: Scene) -> ScenePlane:
 
 
 def cells(places: Float64[Tensor, "n 2"], rows: int, columns: int) -> list[list[Region]]:
-    """Rectangles that fill the plane and hold equally many places each: columns along the first
-    axis, each cut into rows along the second; the outermost ones have no end.
-    """
+    """Rectangles that fill the plane with equally many places each: columns along the first axis,
+    cut into rows along the second; the outermost ones have no end."""
     found = []
     edges = _edges(places[:, 0], columns)
     for left, right in pairwise(edges):
@@ -174,8 +172,7 @@ def parse_grid(blocks: str) -> tuple[int, int] | None:
 
 
 def shape_for(count: int, sides: tuple[float, float]) -> tuple[int, int]:
-    """Rows and columns of at least ``count`` cells that are about square, in a plane of these
-    sides."""
+    """Rows and columns of at least ``count`` about square cells, in a plane of these sides."""
     columns = max(1, round(math.sqrt(count * sides[0] / max(sides[1], 1e-9 * sides[0]))))
     columns = min(columns, count)
     return math.ceil(count / columns), columns

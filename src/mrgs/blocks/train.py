@@ -1,5 +1,4 @@
-"""Train a scene in blocks: a coarse model, the plan, the blocks one after another, and the joined
-model."""
+"""Train a scene in blocks: a coarse model, the plan, each block, and the joined model."""
 
 from __future__ import annotations
 
@@ -83,11 +82,9 @@ class BlockTraining:
 
     @cached_property
     def plan(self) -> BlockPlan:
-        """The plan of the blocks; made, after the coarse model, if it is not there.
-
-        Where another process makes it, this one waits. ConfigError if the scene cannot be cut like
-        this, RunError if the folder holds something else, or blocks made otherwise; other errors as
-        for ``train``."""
+        """The plan of the blocks; if need be made, after the coarse model, or waited for where
+        another process makes it. ConfigError if the scene cannot be cut like this, RunError if the
+        folder holds something else, or blocks made otherwise; other errors as for ``train``."""
         path = self._below / "plan.json"
         parse_grid(self.options.blocks)
         if self.config.batch != 1:
@@ -147,8 +144,7 @@ class BlockTraining:
         self._train(self.block_folder(number), block.config, title, block)
 
     def train_all(self) -> bool:
-        """Train all blocks that no other process trains, and join them if all are finished; returns
-        whether they are."""
+        """Train blocks that no other process trains; join all, and return True, once finished."""
         for number in self.unfinished():
             with suppress(FolderInUseError):  # another process trains it
                 self.train_block(number)
@@ -170,8 +166,7 @@ class BlockTraining:
         return True
 
     def _close_seam(self, joined: JoinedBlocks, number: int) -> CheckpointFacts | None:
-        """Refine the joined model along the edges of a block, and its image model, in place; None
-        where there is no seam."""
+        """Refine the joined model and image model along a block's edges; None without a seam."""
         if len(self.plan.cells) == 1 or self.plan.overlap == 0:
             return None
         seam = refinement.seam(

@@ -200,8 +200,7 @@ def unseen_points(evidence: Evidence) -> Iterator[Problem]:
 
 
 def _agree(evidence: Evidence) -> bool:
-    """Whether all training views together see a usual share of the points, if there are enough
-    views and points to judge."""
+    """Whether all training views see a usual share of the points, if there are enough to judge."""
     count = len(evidence.scene.train)
     if count < MIN_VIEWS or not len(evidence.points):
         return True
@@ -225,8 +224,7 @@ def _disagreement(evidence: Evidence) -> Problem:
 
 
 def lonely_views(evidence: Evidence) -> Iterator[Problem]:
-    """Views that look away from the points, and training views that share no visible point with
-    another one."""
+    """Views that look away from the points, and training views that share none with another."""
     train = evidence.scene.train
     if not len(evidence.points) or not _agree(evidence):
         return
@@ -277,10 +275,8 @@ def poses_and_points(evidence: Evidence) -> Iterator[Problem]:
 
 def _better_convention(evidence: Evidence, share: float) -> tuple[str, str, float] | None:
     """The convention with which most training cameras see clearly more points than ``share``, what
-    to do, and the median share with it; None if there is none.
-
-    The median, because some cameras may by chance look at points of another world.
-    """
+    to do, and the median share with it, as some cameras may look at points of another world by
+    chance; None if there is none."""
     cameras = evidence.scene.train_cameras
     viewmats = torch.stack([camera.viewmat for camera in cameras])
     found = []
@@ -300,8 +296,7 @@ def _median_depth(evidence: Evidence) -> float | None:
 
 
 def similar_poses(evidence: Evidence) -> Iterator[Problem]:
-    """Views whose poses are nearly, but not exactly, the same, unless all are training views with
-    one pose."""
+    """Views whose poses are nearly the same; exactly the same only if one is held out."""
     scene, cameras = evidence.scene, [*evidence.cameras.values()]
     names, held_out = [*evidence.cameras], {view.name for view in scene.eval}
     viewmats = torch.stack([camera.viewmat for camera in cameras])

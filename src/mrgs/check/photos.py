@@ -39,8 +39,7 @@ _PIXELS = 250_000
 _SMALL_PX = 240
 
 _AT_END = 1e-3
-"""A normalised value nearer than this to 0 or 1 (a quarter of an 8-bit step) is at the end of the
-scale."""
+"""A normalised value nearer than this to 0 or 1 (a quarter of an 8-bit step) is at an end."""
 
 _SATURATED = 0.02
 """Share of a set's thermal pixels that gives a warning; a view is named at five times that."""
@@ -108,11 +107,8 @@ def measure(pixels: Pixels, photo: PosedImage) -> ImageStatistics:
 
 def sharpness(image: Float[np.ndarray, "h w"]) -> float:
     """Share of an image's contrast in its finest details: 0 for a smooth image, about 1 for a crisp
-    one.
-
-    The mean squared difference between neighbours over that at half the resolution, in the
-    direction where it is smaller: motion blurs in one direction. It hardly depends on the content.
-    """
+    one; it hardly depends on the content. The mean squared difference between neighbours over that
+    at half the resolution, in the direction where it is smaller: motion blurs in one."""
     height, width = (size // 2 * 2 for size in image.shape)
     fine = image[:height, :width]
     coarse = fine.reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3))
@@ -354,11 +350,17 @@ def agreements(
     points: PointCloud,
 ) -> list[Agreement | None]:
     """The agreement of each image with the others; None where it shares too few points with them.
-
-    Occlusions are not detected: medians over views and points are robust to them. The ``images``
-    are [H, W] each, in one unit; NaN where not valid; None for a view without one."""
-    values = _values_at_points(images, cameras, points)
-    usual = np.full(values.shape[1], np.nan)
+    Medians over views and points make up for occlusions. The ``images`` are [H, W] each, in one
+    unit; NaN where not valid; None for a view without one."""
+    positions = points.positions[evenly_spaced(len(points.positions), _MOST_POINTS)].double()
+    values = np.full((len(images), len(positions)), np.nan)  # also where an image sees no point
+    for row, image, camera in zip(values, images, cameras, strict=True):
+        if image is not None and camera is not None:
+            pixels, _ = camera.project(positions)
+            seen = camera.contains(pixels).numpy()
+            x, y = pixels.numpy()[seen].T
+            row[seen] = sampled(image.astype(np.float64), x, y)
+    usual = np.full(len(positions), np.nan)
     enough = np.isfinite(values).sum(axis=0) >= FEWEST_VIEWS
     usual[enough] = np.nanmedian(values[:, enough], axis=0)
     known = np.isfinite(usual)
@@ -367,23 +369,6 @@ def agreements(
     low, high = np.quantile(usual[known], [0.02, 0.98])
     span = max(float(high - low), 1e-9)
     return [_agreement((row - low) / span, (usual - low) / span) for row in values]
-
-
-def _values_at_points(
-    images: Sequence[Float[np.ndarray, "..."] | None],
-    cameras: Sequence[Camera | None],
-    points: PointCloud,
-) -> Float[np.ndarray, "v n"]:
-    """The value of each image at each point; NaN where the image does not see it."""
-    positions = points.positions[evenly_spaced(len(points.positions), _MOST_POINTS)].double()
-    values = np.full((len(images), len(positions)), np.nan)
-    for row, image, camera in zip(values, images, cameras, strict=True):
-        if image is not None and camera is not None:
-            pixels, _ = camera.project(positions)
-            seen = camera.contains(pixels).numpy()
-            x, y = pixels.numpy()[seen].T
-            row[seen] = sampled(image.astype(np.float64), x, y)
-    return values
 
 
 def _agreement(own: Float[np.ndarray, " n"], usual: Float[np.ndarray, " n"]) -> Agreement | None:
@@ -407,9 +392,8 @@ def _agreement(own: Float[np.ndarray, " n"], usual: Float[np.ndarray, " n"]) -> 
 
 
 def jump(modality: Modality, names: Sequence[str], radiometric: bool) -> Problem:
-    """The warning about images that do not agree with the others; a note where the temperatures are
-    radiometric, because training then finds what a camera's drift adds to each photo.
-    ``radiometric`` temperatures are computed from the thermal camera's signal."""
+    """The warning about images that do not agree with the others; only a note for ``radiometric``
+    temperatures, whose drift from photo to photo training finds."""
     severity: Severity = "warning"
     changed, cause = "warmer or colder", "as automatic gain or a changed span makes them"
     remedy = "Export all thermal images with one fixed span, or from radiometric files."

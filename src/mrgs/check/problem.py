@@ -28,8 +28,7 @@ _CAMERAS_AT_ONCE = 256
 
 @dataclass(frozen=True)
 class Problem:
-    """A problem of a scene. ``remedy`` is what to do about it, one sentence; empty where the text
-    includes it."""
+    """A problem of a scene; ``remedy``, one sentence, says what to do unless the text does."""
 
     severity: Severity
     text: str

@@ -54,14 +54,12 @@ def find_problems(evidence: Evidence, fast: bool = False) -> list[Problem]:
 
 
 def fast_problems(scene: Scene) -> list[Problem]:
-    """Problems of the poses, and of the photos of ``photos.FEW_VIEWS`` views. SceneError if a photo
-    cannot be read."""
+    """Problems of poses, and of ``photos.FEW_VIEWS`` views' photos; SceneError if unreadable."""
     return find_problems(Evidence(scene, photos.measure_few(scene)), fast=True)
 
 
 def warn_of_problems(scene: Scene) -> None:
-    """Warn of each of ``fast_problems`` that is no mere note, with what to do about it; errors as
-    there."""
+    """Warn of ``fast_problems`` and their remedies, but not of notes; errors as there."""
     for problem in fast_problems(scene):
         if problem.severity != "note":
             warn_user(f"{scene.name}: {problem.text} {problem.remedy}".rstrip())

@@ -2,10 +2,9 @@
 ``processes`` with the protocol of ``mrgs.system.child``.
 
 The request has ``scene``, ``folder``, ``config`` (YAML), ``device`` and ``lpips_weights`` (a path
-or null); messages are ``{"step", "gaussians"}``, ``{"scored", "of"}`` and ``{"warning"}``; the work
-ends "scored", "stopped" or with an error. On a request to stop, a training writes a checkpoint
-first; anything else stops at once.
-"""
+or null); messages are ``{"step", "gaussians"}``, ``{"scored", "of"}`` and ``{"warning"}``; the end
+is "scored", "stopped" or an error. Asked to stop, a training writes a checkpoint first, and all
+else stops at once."""
 
 from __future__ import annotations
 

@@ -371,8 +371,7 @@ def _exhibit(
     renders: Mapping[str, Path],
     options: Options,
 ) -> Exhibit:
-    """The middle held-out view of a scene as the methods show it; one model is in memory at a
-    time."""
+    """The middle held-out view of a scene as the methods show it; one model in memory at a time."""
     path = next(job.scene for job in planned if job.scene_name == scene)
     loaded = load_scene(path, resolution=options.resolution)
     view = loaded.eval[len(loaded.eval) // 2]

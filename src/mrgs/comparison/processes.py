@@ -1,7 +1,5 @@
-"""Runs side by side, each in a process of its own, and the lines that report their progress.
-
-The memory of a run is freed when it ends, and a run that crashes does not affect the others.
-"""
+"""Runs side by side, each in a process of its own, so that its memory is freed and its crash does
+not affect others; and the lines that report their progress."""
 
 from __future__ import annotations
 

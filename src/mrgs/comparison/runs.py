@@ -26,8 +26,7 @@ from mrgs.system.strict_yaml import first_difference, flat
 from mrgs.training.start import Hooks, TrainOptions
 
 OnStep: TypeAlias = Callable[[Any], bool | None]
-"""Called with a step's statistics, which have ``step`` and ``gaussians``; returning True stops the
-training."""
+"""Called with a step's statistics (``step``, ``gaussians``); returning True stops the training."""
 
 Scores: TypeAlias = dict[str, Any]
 """The content of a ``metrics.json``."""
@@ -43,11 +42,10 @@ def run_one(
     on_step: OnStep | None = None,
     on_score: Callable[[int, int], None] | None = None,
 ) -> bool:
-    """Train, continue, or only score one run, depending on its state; returns whether it is scored,
-    not so if ``on_step``, called after every training step, has stopped it by returning True, with
-    a checkpoint. ``on_score`` is called with the numbers of scored views and of all. A GPU is used
-    if the method can. MrgsError if the scene or the folder cannot be used, or the training had to
-    stop."""
+    """Train, continue, or only score one run, depending on its state, on a GPU if the method can;
+    returns whether it is scored. ``on_step``, called after every training step, stops it, with a
+    checkpoint, by returning True; ``on_score`` is called with the numbers of scored views and of
+    all. MrgsError if the scene or the folder cannot be used, or the training had to stop."""
     method = find_method(config.method)
     device = device if method.uses_gpu else "cpu"
     if not _is_trained(folder, config):
@@ -61,10 +59,8 @@ def run_one(
 
 
 def is_scored(scores: Scores | None, folder: Path, config: RunConfig, with_lpips: bool) -> bool:
-    """Whether scores are of the finished run, with LPIPS if required.
-
-    Scores of an older version, which lack a figure, do not count if the run can be scored again.
-    """
+    """Whether scores are of the finished run, with LPIPS if required. Scores of an older version,
+    which lack a figure, do not count if the run can be scored again."""
     if scores is None or scores.get("steps") != config.max_steps:
         return False
     names = {modality.name: set(figure_names(modality)) for modality in REPORTED}
@@ -145,11 +141,9 @@ class SceneData:
 
 
 def require_same_data(folder: Path, data: SceneData, scores: Scores | None) -> None:
-    """Check that the run in a folder was trained on the present data of its scene.
-
-    Held-out images may differ if there is a checkpoint, which can be scored again. ConfigError if
-    it was trained, or scored, on other data, which says what has changed; SceneError if a photo
-    cannot be read."""
+    """Check that a run was trained on the present data of its scene; held-out images may differ if
+    there is a checkpoint to score again. ConfigError if it was trained, or scored, on other data,
+    which says what has changed; SceneError if a photo cannot be read."""
     facts = None  # of the newest readable checkpoint; the run itself reports others
     for checkpoint in RunFolder(folder).checkpoints():
         with suppress(RunError):

@@ -231,9 +231,8 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the table, with a cell for each figure of every group, in order. Rows of one block
-    are ranked against each other, but ``published`` ones: their figures are the paper's, and
-    printed with its decimals."""
+    """A line of the table, a cell for each figure of every group. Rows of one block are ranked
+    against each other, without ``published`` ones, which are the paper's, with its decimals."""
 
     labels: tuple[str, ...]
     cells: tuple[Cell, ...]
@@ -269,12 +268,9 @@ def printed(cell: Cell, figure: str, published: bool) -> str:
 
 
 def marks(table: Table) -> list[list[Mark]]:
-    """Marks of the best and the second best measured rows of each block, by row and column.
-
-    Figures that are printed alike, or are behind by no more than the standard deviation of the one
-    before them over its seeds, are marked alike. A column with fewer than two measured figures has
-    no marks.
-    """
+    """Marks of the best and the second best measured rows of each block, by row and column. Figures
+    printed alike, or within the standard deviation of the one before them over its seeds, are
+    marked alike; a column with fewer than two has no marks."""
     result: list[list[Mark]] = [["" for _ in table.figures] for _ in table.rows]
     for column, figure in enumerate(table.figures):
         for block in dict.fromkeys(row.block for row in table.rows):
@@ -363,8 +359,7 @@ def to_csv(table: Table) -> str:
 
 
 def to_plain(table: Table) -> str:
-    """For a terminal: each scene below the other; * marks the best, + the second best. Notes are
-    left out."""
+    """For a terminal, scene below scene, without notes; * marks the best, + the second best."""
     signs: dict[Mark, str] = {"best": "*", "second": "+", "": " "}
     lines = [table.caption]
     for part in _parts(table, 1):
@@ -403,8 +398,7 @@ class _Notes:
 
 
 def _parts(table: Table, most: int) -> Iterator[Table]:
-    """The table cut into tables of at most ``most`` groups; marks do not change, since they go by
-    column."""
+    """The table cut into tables of at most ``most`` groups; marks go by column, and stay."""
     start = 0
     for first in range(0, len(table.groups), most):
         groups = table.groups[first : first + most]

@@ -106,11 +106,9 @@ class Outcomes:
 
 @cache
 def published() -> dict[str, Any]:
-    """``paper.json``: figures by table, the paper's name of the scene, row and figure.
-
-    ``scenes`` maps ThermoScenes' folder names to the paper's names. The rows of the ablation have
-    the method names of this program, the rows of ``neighbours`` the paper's n.
-    """
+    """``paper.json``: figures by table, the paper's name of the scene, row and figure. ``scenes``
+    maps ThermoScenes' folder names to the paper's; rows of the ablation have this program's method
+    names, rows of ``neighbours`` the paper's n."""
     text = files("mrgs.comparison").joinpath("paper.json").read_text(encoding="utf-8")
     content: dict[str, Any] = json.loads(text)
     return content
@@ -175,8 +173,7 @@ def all_tables(outcomes: Outcomes, setup: str = "") -> list[Table]:
 
 
 def _figures_of(outcomes: Outcomes, modality: str, scenes: Sequence[str]) -> tuple[str, ...]:
-    """The paper's figures of a modality's images; PSNR matched in place of the MAE where no scene
-    has °C."""
+    """The paper's figures of a modality's images; without °C, PSNR matched in place of the MAE."""
     if modality != THERMAL.name:
         return (*(f"{modality}.{key}" for key in IMAGES), "gaussians_k")
     celsius, matched = (
@@ -260,8 +257,7 @@ def _blocks(
     labels: Mapping[str, tuple[str, ...]],
     paper_labels: Mapping[str, tuple[str, ...]],
 ) -> tuple[list[Row], list[str]]:
-    """Per scene a row for each labelled method, and the paper's rows where it has them, with a
-    remark."""
+    """Per scene a row for each labelled method, and the paper's if it has any, with a remark."""
     rows = []
     for scene in outcomes.scenes:
         title = scene_title(scene)

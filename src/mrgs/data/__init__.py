@@ -1,5 +1,4 @@
-"""The one room that opens files which strangers wrote: scene folders in, a
-``mrgs.scene.Scene`` out."""
+"""The one room that opens files of strangers: scene folders in, a ``mrgs.scene.Scene`` out."""
 
 from mrgs.data.load import load_scene
 

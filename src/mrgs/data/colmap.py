@@ -78,8 +78,7 @@ class ColmapModel:
 
 @dataclass(frozen=True, eq=False)
 class RegisteredImage:
-    """An image of the reconstruction: its name below the image folder, lens, and world-to-camera
-    matrix."""
+    """A registered image: name below the image folder, lens, and world-to-camera matrix."""
 
     name: str
     lens: Lens
@@ -120,8 +119,7 @@ def largest_model(root: Path, notes: ReadingNotes) -> ColmapModel | None:
 
 
 def _registered(model: ColmapModel) -> int:
-    """The number of images of a reconstruction; 0 for one that cannot be read, as COLMAP leaves
-    where it is interrupted."""
+    """Number of images of a reconstruction; 0 if unreadable, as an interrupted COLMAP leaves it."""
     try:
         return len(read_images(model))
     except SceneError:
@@ -379,10 +377,8 @@ def _match(
     file: Path,
     notes: ReadingNotes,
 ) -> Registered:
-    """The image files of the registered images; of several formats, the registered one.
-
-    A name that starts with a folder is looked up there first, else among the RGB images first.
-    """
+    """The image files of the registered images; of several formats, the registered one. A name that
+    starts with a folder is looked up there first, else among the RGB images first."""
     found: Registered = {}
     for image in registered:
         folder = PurePosixPath(image.name).parts[:1]

@@ -22,8 +22,7 @@ IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 MAX_FILE_BYTES = 4 * 2**30
 MAX_JSON_BYTES = 256 * 2**20
 MAX_MAGNITUDE = 1e7
-"""Larger positions, pixel counts and focal lengths are treated as damage: float32 has too few
-digits for them."""
+"""Larger positions, pixel counts and focal lengths are damage: float32 has too few digits."""
 
 
 def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()) -> SceneError:
@@ -59,9 +58,8 @@ def is_file(path: Path | os.DirEntry[str]) -> bool:
 
 
 def visible_files(folder: Path) -> Iterator[Path]:
-    """All files below a folder, and links to folders, which are not followed. Hidden files and
-    folders, such as those that macOS leaves on memory cards, are skipped. SceneError if a folder
-    cannot be listed."""
+    """All files below a folder, and links to folders, which are not followed; without hidden ones,
+    which macOS leaves on memory cards. SceneError if a folder cannot be listed."""
 
     def refuse(error: OSError) -> None:
         raise scene_error(
@@ -98,8 +96,7 @@ def decoded_text(data: bytes) -> str:
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
-    """The JSON object in a file. SceneError if the file cannot be read, is not JSON, or its JSON is
-    no object."""
+    """The JSON object in a file. SceneError if it cannot be read, or is no JSON object."""
     try:
         content = json.loads(read_bytes(path, MAX_JSON_BYTES))
     except (ValueError, RecursionError) as error:
@@ -118,8 +115,7 @@ Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-MAX_MAGNITUDE, le=MAX_MAGN
 def json_value(
     kind: Any, value: object, name: str, file: Path | str, remedy: str = "correct it"
 ) -> Any:
-    """A value of a JSON file as a type, see ``from_json``. SceneError with its name if it is of
-    another type."""
+    """A value of a JSON file as a type, see ``from_json``; SceneError, with its name, if not."""
     try:
         return from_json(kind, value)
     except ValueError as error:
@@ -127,8 +123,7 @@ def json_value(
 
 
 def composed(text: str) -> str:
-    """The text in one Unicode form (NFC): macOS may write ``ü`` as two characters, where other
-    systems write one."""
+    """The text in one Unicode form (NFC): macOS may write ``ü`` as two characters."""
     return unicodedata.normalize("NFC", text)
 
 
@@ -195,8 +190,7 @@ class ImageFinder:
         return self._path(listing, name, named_in) if name else None
 
     def find_mask(self, folder: str, image: str, named_in: Path | str) -> Path | None:
-        """The mask of an image in a folder: of the same stem, or named like COLMAP's,
-        ``image.jpg.png``."""
+        """The mask of an image in a folder: of the same stem, or COLMAP's ``image.jpg.png``."""
         if not self._listing(folder, named_in).links:
             return None
         return self.find(f"{folder}/{image}", named_in) or self.find(
@@ -204,9 +198,8 @@ class ImageFinder:
         )
 
     def tree(self, folder: Path) -> dict[str, Path]:
-        """Images in ``folder`` and its subfolders: path below ``folder`` without extension -> file,
-        sorted. SceneError if a folder cannot be listed, or an image leads out of the scene's
-        folder."""
+        """Sorted images in ``folder`` and below: path below it without extension -> file.
+        SceneError if a folder cannot be listed, or an image leads out of the scene's folder."""
         found: dict[str, Path] = {}
         files = [*visible_files(folder)]
         linked = [path for path in files if path.is_dir()]

@@ -78,8 +78,7 @@ _TURNS = {
 _PIXELS_AT_ONCE = 2**16
 
 LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
-"""ITU-R BT.601, as in JPEG; the weights add up to 1, so that a grey image saved in colour keeps its
-values."""
+"""ITU-R BT.601, as in JPEG; they add up to 1, so that a grey image in colour keeps its values."""
 
 
 @dataclass(frozen=True)
@@ -146,8 +145,7 @@ def holds_numbers(image: Image.Image) -> bool:
 
 
 def scaling_of(image: Image.Image) -> tuple[float, float] | None:
-    """The factor and the offset that the tags of GDAL give; None if they change nothing, or are
-    none."""
+    """The factor and the offset that the tags of GDAL give; None if they change nothing."""
     items = _gdal_items(image)
     found = _number(items.get("scale") or 1), _number(items.get("offset") or 0)
     return None if found == (1.0, 0.0) or found[0] == 0 or not np.isfinite(found).all() else found
@@ -225,9 +223,8 @@ def decode(path: Path, least_width: int | None = None) -> Decoded:
 
 
 def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Tensor, "h w d"]:
-    """Intensities with a number of channels: a grey image gets equal ones; of a colour image, where
-    one is wanted, the luminance is taken. ValueError if there is no such rule for these numbers of
-    channels."""
+    """Intensities with a number of channels: equal ones of a grey image; the luminance of a colour
+    image, where one is wanted. ValueError for other numbers of channels."""
     if values.shape[2] == 3 and channels == 1:
         return values @ LUMINANCE[:, None]
     if values.shape[2] not in (1, channels):
@@ -236,8 +233,7 @@ def with_channels(values: Float32[Tensor, "h w c"], channels: int) -> Float32[Te
 
 
 def eight_bit_levels(values: Float32[Tensor, "*shape"]) -> UInt8[Tensor, "*shape"] | None:
-    """The 8-bit levels of which ``decode`` made these values; None if any of them is none of
-    theirs."""
+    """The 8-bit levels of which ``decode`` made these values; None if any value is not of these."""
     levels = (values * 255).round_().clamp_(0, 255)
     return levels.to(torch.uint8) if torch.equal(levels / 255, values) else None
 
@@ -292,8 +288,7 @@ def opened(
     path: Path, content: bytes | None = None, formats: tuple[str, ...] = ("PNG", "JPEG", "TIFF")
 ) -> Iterator[Image.Image]:
     """Pillow's image; every failure of opening or decoding it is a SceneError. ``content`` is an
-    image in memory that was found in the file; None reads the file. ``formats`` are Pillow's names
-    of the formats that are let in."""
+    image found in the file, None for the file; ``formats`` are those let in, by Pillow's names."""
     too_large = ""
     try:
         # Not by its path: Pillow would map a TIFF into memory, and scramble one on its side.

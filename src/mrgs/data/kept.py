@@ -62,9 +62,8 @@ class Cache:
         make: Callable[[], Result],
         files: Callable[[Result], Iterable[Path]] = lambda result: (),
     ) -> Result:
-        """The stored result, or a new one. RunError if the result cannot be written. ``kind`` is
-        the type of the result, or that type or None; the result is recomputed if one of its other
-        ``files`` is missing."""
+        """The stored result, or a new one; recomputed if one of its other ``files`` is missing.
+        RunError if it cannot be written. ``kind`` is its type, or that type or None."""
         file = self._file(name)
         made_from = fingerprint(FORMAT, name, *depends)
         stored = load(file, kind, made_from)
@@ -190,11 +189,8 @@ def stamp_of(path: Path, *, follow: bool = True) -> Stamp:
 
 
 def stamps(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
-    """Path and ``Stamp`` of every file below a folder, sorted.
-
-    Links to files are followed. Hidden files and folders are skipped. SceneError if the folder
-    cannot be listed.
-    """
+    """Path and ``Stamp`` of every file below a folder, sorted; links to files are followed, hidden
+    ones skipped. SceneError if the folder cannot be listed."""
     return tuple(
         sorted(
             (path.relative_to(folder).as_posix(), *stamp_of(path, follow=path.exists()))
@@ -220,9 +216,8 @@ _Digest: TypeAlias = tuple[int, int, int, str]
 
 
 class Digests:
-    """Digests of files, remembered in a JSON file between calls: a file is read again only if its
-    stamp has changed. On Windows they are remembered within a call only. If that ``file`` is
-    missing or damaged, nothing is remembered."""
+    """Digests of files, remembered in a JSON ``file`` between calls, if it is readable: a file is
+    read again only if its stamp has changed. On Windows they are remembered within a call only."""
 
     def __init__(self, file: Path) -> None:
         self._file = file

@@ -25,8 +25,7 @@ from mrgs.data.files import MAX_MAGNITUDE, scene_error
 Array = NDArray[np.float64]
 
 WIDEST_ANGLE_DEG = 70.0
-"""Rays farther from the optical axis are left out: a pinhole image there is mostly stretched
-border."""
+"""Rays farther from the axis are left out: a pinhole image there is mostly stretched border."""
 
 _FOLD_ANGLES = 256
 _FOLD_RADII = 512
@@ -64,9 +63,9 @@ class Lens:
 
     def distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Normalised coordinates of rays -> distorted normalised coordinates (any shape)."""
-        scale, _ = self._radial_scale(x * x + y * y)
-        p1, p2 = self.tangential
         r2 = x * x + y * y
+        scale, _ = self._radial_scale(r2)
+        p1, p2 = self.tangential
         return (
             scale * x + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             scale * y + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
@@ -74,11 +73,8 @@ class Lens:
 
     def undistort(self, x: Array, y: Array) -> tuple[Array, Array]:
         """The inverse of ``distort`` by Newton's method, with shorter steps where a full one leads
-        away.
-
-        A point that no ray reaches (beyond the fold of the polynomial) comes back as a ray near the
-        fold.
-        """
+        away. A point that no ray reaches (beyond the polynomial's fold) gives a ray near the
+        fold."""
         u, v = self._inside_fold(x, y)
         share = np.ones_like(u)
         with np.errstate(all="ignore"):
@@ -159,11 +155,7 @@ def _fold_table(
     radial: tuple[float, float, float, float], tangential: tuple[float, float], fisheye: bool
 ) -> tuple[Array, Array]:
     """Directions around the optical axis (radians), and the normalised radius up to which each is
-    one-to-one.
-
-    The Jacobian is symmetric; the mapping is one-to-one while it stays positive definite on the way
-    from the axis.
-    """
+    one-to-one: while the symmetric Jacobian, on the way from the axis, stays positive definite."""
     lens = Lens(1, 1, 1.0, 1.0, 0.0, 0.0, radial, tangential, fisheye)
     angles = np.linspace(-math.pi, math.pi, _FOLD_ANGLES, endpoint=False)
     radii = np.linspace(0.0, math.tan(math.radians(WIDEST_ANGLE_DEG)), _FOLD_RADII)

@@ -229,8 +229,7 @@ def _measured_range(source: SceneSource, splits: Sequence[Split], unit: Unit) ->
 
 
 def _unique_names(keys: Sequence[str]) -> list[str]:
-    """File stems; where two are equal, with their folders in front; where that fails too, with a
-    number behind."""
+    """File stems; equal ones with their folders in front, or else with a number behind."""
     stems = [key.rpartition("/")[2] for key in keys]
     count = Counter(stems)
     names: dict[str, None] = {}
@@ -246,18 +245,15 @@ def _unique_names(keys: Sequence[str]) -> list[str]:
 Split = Literal["train", "eval", "unused"]
 
 EVAL_EVERY = 8
-"""Every eighth view is held out where the files say nothing (Mip-NeRF 360's and 3DGS's
-convention)."""
+"""Every eighth view is held out where the files say nothing (as Mip-NeRF 360 and 3DGS do)."""
 
 _WORD = re.compile(r"(?<![a-z])(train|eval|test|val)(?![a-z])")
 
 
 def assign_splits(keys: Sequence[str], lists: FilenameLists, notes: ReadingNotes) -> list[Split]:
-    """The split of each view.
-
-    In this order: explicit lists of file names; the word train, eval, test or val in the file's
-    name or else in its folder's (where both sides occur); every ``EVAL_EVERY``-th of the sorted
-    keys. The ``keys`` are paths without extension, one per view; the notes receive the rule that
+    """The split of each view, by explicit lists of file names; else by the word train, eval, test
+    or val in the file's name or else its folder's (where both sides occur); else every
+    ``EVAL_EVERY``-th of the sorted keys, paths without extension. The notes receive the rule that
     was used, and conflicts."""
 
     def side(key: str) -> Literal["train", "eval"] | None:
@@ -355,8 +351,7 @@ def bounds_of_images(paths: Sequence[Path], unit: Unit = CELSIUS) -> Temperature
 def _celsius(
     image: Decoded, unit: Unit
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """The °C of a float image, as of a thermal photo: NaN where there is no plausible
-    temperature."""
+    """The °C of a float image, as of a thermal photo: NaN where no temperature is plausible."""
     usable = None if image.valid is None else image.valid.numpy()
     return masked(unit.celsius(image.values[..., 0].numpy().astype(np.float64)), usable)
 
@@ -391,12 +386,9 @@ def decode_thermal(
     path: Path, least_width: int | None, temperature: TemperatureRange | None, unit: Unit = CELSIUS
 ) -> tuple[Float32[Tensor, "h w 1"], Bool[Tensor, "h w"] | None]:
     """Normalised temperatures of an image, and the mask of usable pixels (None if all are).
-
-    Integers span the range already; temperatures in a float image, in ``unit``, are mapped by
-    ``temperature`` and not clamped. Temperatures are measured, and so decoded whole whatever
-    ``least_width`` is. SceneError if the file cannot be decoded, or has temperatures where no range
-    is known.
-    """
+    Integers span the range already; a float image's, in ``unit``, are mapped by ``temperature`` and
+    not clamped. They are decoded whole whatever ``least_width`` is. SceneError if the file cannot
+    be decoded, or has temperatures where no range is known."""
     image = decode(path)
     values, valid, kind = image
     if kind == "colour":

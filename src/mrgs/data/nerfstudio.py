@@ -73,8 +73,7 @@ _REFUSED = (
     "k5", "k6", "ftheta_p0", "ftheta_p1", "ftheta_p2", "latlong", "equirectangular",
     "orthographic", "rolling_shutter", "transform_matrix_start", "from_na", "distortion_params",
 )  # fmt: skip
-"""Keys of nerfstudio, instant-ngp and their relatives that change what the others mean, and are not
-read."""
+"""Keys of nerfstudio, instant-ngp and others that change what the rest means, and are not read."""
 _LEGACY_APPLIED_TRANSFORM = np.array(
     [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 )
@@ -82,8 +81,7 @@ _LEGACY_APPLIED_TRANSFORM = np.array(
 
 
 def find_transforms(root: Path) -> Path | None:
-    """The scene's ``transforms.json``, or else ``transforms_thermal.json``, or else the only
-    ``transforms*.json``."""
+    """The scene's ``transforms.json``, or ``transforms_thermal.json``, or the only other one."""
     for name in ("transforms.json", "transforms_thermal.json"):
         if is_file(root / name):
             return contained(root, name, root)
@@ -112,8 +110,7 @@ def find_points(root: Path, file: Path) -> Path | None:
 
 
 def _find_ply(root: Path, file: Path, top: Mapping[str, Any]) -> Path | None:
-    """The PLY with the start points: the one that the file names, else ``sparse_pc.ply`` if it is
-    there."""
+    """The PLY with the start points: the one that the file names, else a ``sparse_pc.ply``."""
     named = json_value(str | None, top.get("ply_file_path"), "ply_file_path", file)
     ply = contained(root, named or "sparse_pc.ply", file)
     return ply if named or is_file(ply) else None
@@ -301,12 +298,9 @@ class _TransformsReader:
         return ImageSource(path, lens, viewmat, mask, record)
 
     def _image_paths(self, frame: Mapping[str, Any], what: str) -> dict[Modality, Path]:
-        """The images of a frame by modality, RGB first.
-
-        A ``file_path`` in a folder that is named like another modality is of that modality; an
-        image that is not named is looked for in the folder of its modality, under the name of the
-        first.
-        """
+        """The images of a frame by modality, RGB first. A ``file_path`` in a folder named like
+        another modality is of that one; an image that is not named is looked for in the folder of
+        its modality, under the name of the first."""
         first = self._path(frame, "file_path", what)
         others = [modality for modality in self.modalities if modality != RGB]
         paths = {

@@ -98,11 +98,8 @@ def write_points(
 
 def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """Positions [N, 3] as they stand in the file, and colours [N, 3] in [0, 1] (None if it has
-    none).
-
-    No more memory is used than the file's own size warrants, whatever its header claims. SceneError
-    if it is not a PLY file with vertices x, y, z, or shorter than its header says.
-    """
+    none). Memory is bounded by the file's size. SceneError if it is not a PLY file with vertices x,
+    y, z, or shorter than its header says."""
     data = read_bytes(path)
     end = data.find(b"\nend_header", 0, MAX_HEADER_BYTES) + 1
     newline = data.find(b"\n", end, end + 16) if end > 0 else -1

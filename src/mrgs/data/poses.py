@@ -1,5 +1,4 @@
-"""Camera poses: validation, and the way from the files' conventions to OpenCV's world-to-camera
-matrices."""
+"""Camera poses: their checks, and from the files' conventions to OpenCV's world to camera."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ def matrix_from_json(value: object, what: str, file: Path) -> NDArray[np.float64
 
 
 def nearest_rotation(matrix: NDArray[np.float64], what: str, file: Path) -> NDArray[np.float64]:
-    """The rotation nearest to a 3×3 matrix (by SVD); SceneError if that is not one within
-    ``ORTHONORMAL_TOLERANCE``."""
+    """The nearest rotation (by SVD); SceneError unless it is within ``ORTHONORMAL_TOLERANCE``."""
     rotations, is_rotation = nearest_rotations(matrix[None])
     if not is_rotation[0]:
         raise scene_error(

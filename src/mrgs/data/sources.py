@@ -79,8 +79,7 @@ class ViewSource:
 
 @dataclass(frozen=True)
 class FilenameLists:
-    """nerfstudio's explicit split: keys of the training and of the evaluation images; None where
-    not given."""
+    """nerfstudio's explicit split: keys of training and evaluation images; None where not given."""
 
     train: frozenset[str] | None = None
     eval: frozenset[str] | None = None
@@ -113,9 +112,8 @@ def point_cloud(
     notes: ReadingNotes,
     transform: NDArray[np.float64] | None = None,
 ) -> PointCloud | None:
-    """The finite points of a file, moved by ``transform`` ([3, 4]; None leaves them). None if none
-    is left. ``colors`` are RGB in [0, 1]; None gives middle grey. The notes say how many points
-    were dropped."""
+    """The finite points of a file, moved by ``transform`` ([3, 4]; None leaves them); None if none
+    is left. ``colors`` are RGB in [0, 1]; None gives grey. The notes say how many were dropped."""
     with np.errstate(all="ignore"):
         if transform is not None:
             positions = positions @ transform[:, :3].T + transform[:, 3]
@@ -153,10 +151,9 @@ def check_files(source: ImageSource, probed: Prober = probe) -> ImageInfo:
 def posed_image(
     source: ImageSource, decoder: Decoder, resolution: int | None, keeps_levels: bool = False
 ) -> PosedImage:
-    """The undistorted image, at most ``resolution`` pixels wide (None keeps the file's); it is read
-    when ``load`` is called. SceneError if the distortion leaves nothing of the image.
-    ``keeps_levels`` if an image of 8 bits shall have no more levels after it was undistorted or
-    made smaller, so that it takes as little memory as before."""
+    """The undistorted image, at most ``resolution`` pixels wide (None keeps the file's), read when
+    ``load`` is called. SceneError if the distortion leaves nothing of it. ``keeps_levels`` keeps an
+    image of 8 bits, undistorted or made smaller, to as many levels, which take less memory."""
     try:
         pinhole = pinhole_of(source.lens)
     except ValueError as error:
@@ -189,12 +186,10 @@ def _matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
 def decode_intensities(
     path: Path, least_width: int | None, channels: int
 ) -> tuple[Float32[Tensor, "h w {channels}"], Bool[Tensor, "h w"] | None]:
-    """Values in [0, 1] and the mask of usable pixels (None if all are).
-
-    A grey image gets ``channels`` equal channels; of a colour image, where one channel is wanted,
-    the luminance is taken. ``least_width`` as for ``decode``. SceneError if the file cannot be
-    decoded, has floats, or another number of channels.
-    """
+    """Values in [0, 1] and the mask of usable pixels (None if all are). A grey image gets
+    ``channels`` equal ones; of a colour image, where one is wanted, the luminance is taken.
+    ``least_width`` as for ``decode``. SceneError if the file cannot be decoded, has floats, or
+    another number of channels."""
     values, valid, kind = decode(path, least_width)
     if kind == "float":
         raise scene_error(

@@ -94,8 +94,7 @@ def write_transforms(
 
 
 def world_json(world: WorldFrame) -> dict[str, Any]:
-    """The entry of ``transforms.json`` about the frame of the poses; its origin only where it is
-    known."""
+    """The entry of ``transforms.json`` about the frame of the poses; its origin only if known."""
     facts: dict[str, Any] = {
         "units": "metres" if world.metric else "arbitrary",
         "axes": "east north up" if world.north else "arbitrary",

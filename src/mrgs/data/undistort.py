@@ -18,21 +18,15 @@ _EDGE_SAMPLES = 128
 _BORDER_TOLERANCE_PX = 0.02
 _ROWS_AT_ONCE = 256
 _MIN_KEPT = 0.25
-"""The pinhole image spans at least this share of the lens's image (as if undistorted) in each
-direction."""
+"""The pinhole image spans at least this share of the lens's image, undistorted, each way."""
 
 
 @lru_cache(maxsize=1024)
 def pinhole_of(lens: Lens) -> Lens:
-    """The pinhole camera for a lens: the same number of pixels, spread over the largest simple
-    rectangle of rays that the lens sees.
-
-    The rectangle touches the undistorted image's four edges from inside, so that every pixel is
-    valid, except near corners that the lens cannot see. The four intrinsics follow from it; fx, fy
-    and the principal point differ a little from the lens's own. A lens without distortion is
-    returned unchanged. ValueError if the distortion is too strong to be true: hardly anything of
-    the image would be left.
-    """
+    """The pinhole camera for a lens: the same number of pixels over the largest simple rectangle of
+    rays that the lens sees, which touches the undistorted image's edges from inside; only corners
+    may be invalid. The intrinsics follow from it, and differ a little from the lens's own, unless
+    that has no distortion. ValueError if the distortion leaves hardly anything of the image."""
     if lens.is_pinhole:
         return lens
     along_x = np.linspace(0.5, lens.width - 0.5, _EDGE_SAMPLES)
@@ -49,7 +43,7 @@ def pinhole_of(lens: Lens) -> Lens:
 def undistort(
     values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, lens: Lens
 ) -> tuple[Float32[Tensor, "h w c"], Bool[Tensor, "h w"] | None]:
-    """The image of ``pinhole_of(lens)``, bilinearly sampled, with the mask of its usable pixels
+    """The image of ``pinhole_of(lens)``, sampled bilinearly, with the mask of its usable pixels
     (None if all)."""
     if lens.is_pinhole:
         return values, valid
@@ -64,10 +58,7 @@ def resize(
     values: Float32[Tensor, "h w c"], valid: Bool[Tensor, "h w"] | None, width: int, height: int
 ) -> tuple[Float32[Tensor, "y x c"], Bool[Tensor, "y x"] | None]:
     """The image on a coarser grid of the same field of view, low-pass filtered (a triangle of two
-    output pixels).
-
-    An output pixel is valid if every pixel that it averages is.
-    """
+    output pixels); valid where every pixel that is averaged is."""
     if values.shape[:2] == (height, width):
         return values, valid
     reduced = _reduce(values.movedim(-1, 0), width, height).movedim(0, -1).contiguous()
@@ -105,8 +96,7 @@ def _rays(
 
 
 def _spread(low: float, high: float, pixels: int, focal_px: float) -> tuple[float, float]:
-    """Focal length and principal point that put the first pixel's centre at ``low`` and the last
-    one's at ``high``."""
+    """Focal length and principal point with the outer pixels' centres at ``low`` and ``high``."""
     steps = max(pixels - 1, 1)
     if not (high - low) * focal_px >= _MIN_KEPT * steps:
         raise ValueError(
@@ -119,11 +109,8 @@ def _spread(low: float, high: float, pixels: int, focal_px: float) -> tuple[floa
 
 @lru_cache(maxsize=2)
 def _sampling_grid(lens: Lens) -> tuple[Float32[Tensor, "h w 2"], Bool[Tensor, "h w"]]:
-    """Where each pixel of the pinhole image is in the lens's image ([-1, 1] from edge to edge),
-    and if it does.
-
-    Cached for the two cameras of a rig; a few bytes per pixel each.
-    """
+    """Where each pixel of the pinhole image is in the lens's image ([-1, 1] from edge to edge), and
+    if it is there; cached for the two cameras of a rig."""
     pinhole = pinhole_of(lens)
     grid = np.empty((lens.height, lens.width, 2), dtype=np.float32)
     seen = np.empty((lens.height, lens.width), dtype=bool)

@@ -1,5 +1,4 @@
-"""The multi-modal embedding e_m and what is read from it: a colour residual, and a thermal
-feature."""
+"""The multi-modal embedding e_m, and what is read from it: colour residual, thermal feature."""
 
 from __future__ import annotations
 
@@ -22,22 +21,17 @@ Vectors: TypeAlias = Float[Tensor, "n 3"]
 
 def reject(embedding: Embedding, direction: Embedding) -> Embedding:
     """e_orth = e_m − e_proj, the part of each embedding that is orthogonal to its direction SH'.
-
-    Eq. 7 (embedding_proj), Sec. Orthogonal Embedding Extraction: e_proj = (e_m · SH') / ‖SH'‖² SH'.
-    1e-8 is added to ‖SH'‖², so that a vanishing direction removes nothing.
-    """
+    Eq. 7 (embedding_proj), Sec. Orthogonal Embedding Extraction: e_proj = (e_m · SH') / ‖SH'‖² SH',
+    with 1e-8 added to ‖SH'‖², so that a vanishing direction removes nothing."""
     dot = (embedding * direction).sum(dim=1, keepdim=True)
     squared_norm = direction.square().sum(dim=1, keepdim=True)
     return embedding - dot / (squared_norm + 1e-8) * direction
 
 
 class OrthogonalExtraction(nn.Module):
-    """e_t, the view-invariant part of e_m.
-
-    Eq. 7 (embedding_proj) and Eq. 8 (embedding_t), Sec. Orthogonal Embedding Extraction: SH' =
-    φ_SH(SH) and e_t = φ_e(e_m − e_proj) with single linear layers φ. Nothing is detached: the
-    thermal loss also reaches SH.
-    """
+    """e_t, the view-invariant part of e_m. Eq. 7 (embedding_proj) and 8 (embedding_t), Sec.
+    Orthogonal Embedding Extraction: SH' = φ_SH(SH), e_t = φ_e(e_m − e_proj) with single linear
+    layers φ. Nothing is detached: the thermal loss also reaches SH."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -52,8 +46,7 @@ class OrthogonalExtraction(nn.Module):
 
 class ColorHead(nn.Module):
     """The colour residual ĉ, Sec. Rendering Overview: an MLP on e_m ⊕ PE_v of the viewing
-    direction, with L frequencies. The output is multiplied by a scale, so that training starts at
-    the plain spherical harmonics."""
+    direction, L frequencies, times a scale: training starts at the plain spherical harmonics."""
 
     def __init__(
         self, embedding_width: int, frequencies: int, hidden_width: int, scale: float
@@ -92,11 +85,9 @@ def color_residuals(
 
 
 class ThermalFeatureHead(nn.Module):
-    """The thermal feature F_t, Sec. Rendering Overview: an MLP on e_t ⊕ PE_p of the position.
-
-    The positions are detached inside PE_p: its top frequency is 2⁹π by default, and the gradient of
-    so fast an oscillation would shake the geometry instead of moving it.
-    """
+    """The thermal feature F_t, Sec. Rendering Overview: an MLP on e_t ⊕ PE_p of the position. The
+    positions are detached inside PE_p: the gradient of its top frequency, 2⁹π by default, would
+    shake the geometry instead of moving it."""
 
     def __init__(
         self, embedding_width: int, frequencies: int, hidden_width: int, feature_width: int

@@ -117,15 +117,13 @@ class RadianceField(nn.Module):
         self.temperature_output = nn.Linear(feature, 1)
 
     def set_frame(self, start_points: Float[Tensor, "n 3"]) -> None:
-        """Choose ``center`` and ``scale`` from the start points, once, before training; checkpoints
-        carry them."""
+        """Choose ``center`` and ``scale`` from the start points, once; checkpoints carry them."""
         center, scale = position_frame(start_points)
         self.center.copy_(center)
         self.scale.copy_(scale)
 
     def initial_embedding(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
-        """The start of e_m for Gaussians at these positions; no columns if the field has no
-        residuals."""
+        """The start of e_m for Gaussians at these positions; no columns without residuals."""
         if not self.config.residuals:
             return means.new_zeros(len(means), 0)
         return fourier_embedding(self.normalised(means), self.config.embedding_width)

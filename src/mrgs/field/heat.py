@@ -1,5 +1,4 @@
-"""Heat between neighbouring Gaussians: the k-nearest-neighbour search and the Fourier heat
-transformation."""
+"""Heat between neighbouring Gaussians: nearest neighbours, and the Fourier heat transformation."""
 
 from __future__ import annotations
 
@@ -24,11 +23,9 @@ def neighbour_distances(
 
 @operation(measure=neighbour_distances)
 def nearest_neighbours(means: Float[Tensor, "n 3"], k: int) -> Int64[Tensor, "n {k}"]:
-    """Indices of the k nearest other Gaussians, nearest first.
-
-    Where fewer than k others exist, the remaining places hold the Gaussian itself: it exchanges no
-    heat with itself. ValueError if a position is not finite; not on a GPU, which takes it as very
-    far away: to look for it, the host would have to wait for the device."""
+    """Indices of the k nearest other Gaussians, nearest first; if there are fewer, filled up with
+    the Gaussian itself, which exchanges no heat with itself. ValueError if a position is not
+    finite; on a GPU it counts as very far away, as the host would have to wait for the device."""
     points = means.detach().double()
     if not points.isfinite().all():
         raise ValueError("the positions of Gaussians must be finite")

@@ -1,8 +1,6 @@
-"""Real spherical harmonics up to degree 3, with the signs and order that 3DGS stores.
-
-Band l holds m = −l … l: √2 Im Y_l^|m| for m < 0, Y_l^0, √2 Re Y_l^m for m > 0, where Y carries the
-Condon-Shortley phase (hence the minus signs of the odd m).
-"""
+"""Real spherical harmonics up to degree 3, with the signs and order that 3DGS stores: band l holds
+m = −l … l: √2 Im Y_l^|m| for m < 0, Y_l^0, √2 Re Y_l^m for m > 0, Y with the Condon-Shortley phase
+(hence the minus signs of the odd m)."""
 
 from __future__ import annotations
 
@@ -35,11 +33,8 @@ C3_ZONAL = math.sqrt(7 / (16 * math.pi))
 
 
 def up_to_degree(rest: Float[Tensor, "n b c"], degree: int) -> Float[Tensor, "n b c"]:
-    """Coefficients of degree 1 and more, those above ``degree`` replaced by zeros without gradient.
-
-    Whoever reads all coefficients must not let those move that no image shows yet: Adam would take
-    full steps with whatever small gradient they got.
-    """
+    """Coefficients of degree 1 and more, those above ``degree`` replaced by zeros without gradient:
+    Adam would take full steps with the small gradients of what no image shows yet."""
     used = (degree + 1) ** 2 - 1
     if used >= rest.shape[1]:
         return rest

@@ -60,15 +60,13 @@ def keep_on_disk(dispatcher: Any) -> None:
 
 
 def _root(file: str) -> Path:
-    """The folder of whose sources a kernel is compiled: all of this package, or that of its own
-    file elsewhere."""
+    """The folder of whose sources a kernel is compiled: this package, or its own file's."""
     return FOLDER if FOLDER in Path(file).parents else Path(file).parent
 
 
 class _KernelPlace:
-    """Where Numba keeps a function: in the folder of its version, whose name already says
-    everything that the compiled code depends on. Numba's own places also go by the path and the
-    date of the source file, and compile again in each new checkout or environment."""
+    """Where Numba keeps a function: in the folder of its version, whose name says all that the code
+    depends on. Numba's own places also go by path and date of the source, in each new checkout."""
 
     def __init__(self, root: Path, version: Path, file: Path, first_line: int) -> None:
         self._root, self._version, self._first_line = root, version, first_line
@@ -123,8 +121,7 @@ class KernelCache(FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Save a compiled version, unless its sources were edited under the running process; a
-        warning if that fails."""
+        """Save a compiled version, unless its sources changed meanwhile; warn if that fails."""
         try:
             if self._impl.locator.is_current():
                 super().save_overload(sig, data)
@@ -133,8 +130,7 @@ class KernelCache(FunctionCache):
 
 
 def are_compiled() -> bool:
-    """Whether this package's kernels are on disk, as after the first training; else compiling them
-    takes about a minute."""
+    """Whether this package's kernels are on disk; else compiling them takes about a minute."""
     if config.DISABLE_JIT:
         return True
     folder = version_folder(FOLDER)
@@ -143,11 +139,8 @@ def are_compiled() -> bool:
 
 @cache
 def version_folder(sources: Path) -> Path | None:
-    """The cache for kernels whose source files are in a folder; None, with a warning, if there is
-    no place that only this user can write to.
-
-    Folders of versions that have not been used for long are deleted.
-    """
+    """The cache for kernels whose sources are in a folder; None, with a warning, without a place
+    that only this user can write to. Versions that have not been used for long are deleted."""
     try:
         chosen = os.environ.get("NUMBA_CACHE_DIR")
         root = Path(chosen or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mrgs"
@@ -167,11 +160,8 @@ def version_folder(sources: Path) -> Path | None:
 
 
 def digest_of(sources: Path) -> str:
-    """A digest of everything that is compiled into the kernels of a folder.
-
-    That includes all kernels of this package; for a folder elsewhere, its own files and, if it is a
-    package, the files of the package above it.
-    """
+    """A digest of everything that is compiled into a folder's kernels: this package's kernels, its
+    own files and, in a package, the files of the package above it."""
     files = set(FOLDER.rglob("*.py"))
     if FOLDER not in (sources, *sources.parents):
         files |= set(sources.glob("*.py"))

@@ -1,5 +1,4 @@
-"""The colour residual ĉ and its gradient: directions, PE_v and the three layers of ``ColorHead``,
-block by block."""
+"""The colour residual ĉ and its gradient: directions, PE_v and ``ColorHead``, block by block."""
 
 from __future__ import annotations
 

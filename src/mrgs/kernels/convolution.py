@@ -79,8 +79,7 @@ def _correlate_row(padded, row, weights, result, count):
 
 @parallel_kernel()
 def weights_gradient(padded, gradient, sums):
-    """By the nine weights: each row's part in double precision [H, 9], from the gradient by the
-    result [H, W]."""
+    """By the nine weights: each row's part in double precision [H, 9]; the gradient is [H, W]."""
     height, width = gradient.shape
     for row in prange(height):
         for tap in range(9):

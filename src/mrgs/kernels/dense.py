@@ -37,8 +37,7 @@ BLOCK_ROWS = 32
 """Rows that pass through a network together; a multiple of TILE_ROWS."""
 
 SHARES = 32
-"""Parts that the rows are cut into, each with sums of its own, so that no sum depends on the number
-of threads."""
+"""Parts of the rows, each with sums of its own: no sum depends on the number of threads."""
 
 _I64 = ir.IntType(64)
 
@@ -135,10 +134,8 @@ def _tile(whole, out, out_row, start, start_row, a, a_row, a_k, b, b_k, b_vector
 
 @reordering_kernel
 def multiply(a, right, start, out):
-    """out = start + a · right: rows [R, ≥ k], ``panels`` of [k, n], a bias [n], and rows [R, n].
-
-    R is a multiple of TILE_ROWS.
-    """
+    """out = start + a · right: rows [R, ≥ k], ``panels`` of [k, n], a bias [n], and rows [R, n]; R
+    is a multiple of TILE_ROWS."""
     count, k, _ = right.shape
     panel = 0
     while panel < count:
@@ -157,10 +154,8 @@ def multiply(a, right, start, out):
 
 @reordering_kernel
 def add_product(a, b, out):
-    """out += aᵀ · b: rows [R, m] and [R, n], sums [m, n]; the gradient of a layer's weights.
-
-    m is a multiple of TILE_ROWS, n of TILE_COLUMNS.
-    """
+    """out += aᵀ · b: rows [R, m] and [R, n], sums [m, n]; the gradient of a layer's weights. m is a
+    multiple of TILE_ROWS, n of TILE_COLUMNS."""
     column = 0
     while column < b.shape[1]:
         whole = column + TILE_VECTORS * TILE_COLUMNS <= b.shape[1]
@@ -194,16 +189,14 @@ class PackedLayer(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """The gradients of a layer, one for each share: [SHARES, outputs, inputs] and [SHARES,
-    outputs]."""
+    """The gradients of a layer for each share: [SHARES, outputs, inputs] and [SHARES, outputs]."""
 
     weight: np.ndarray
     bias: np.ndarray
 
 
 def pack(weight: Tensor, bias: Tensor, back_inputs: int | None = None) -> PackedLayer:
-    """A layer of weight [outputs, inputs]; only its first ``back_inputs`` inputs will get a
-    gradient."""
+    """A layer of weight [outputs, inputs]; the first ``back_inputs`` inputs will get a gradient."""
     array = weight.detach().numpy()
     back = panels(array[:, :back_inputs])
     filled_up = np.pad(bias.detach().numpy(), (0, -len(bias) % TILE_COLUMNS))
@@ -250,8 +243,8 @@ def totals(sums: Sequence[Sums], weights: Sequence[Tensor]) -> list[Tensor]:
 
 
 def slots(rows: int, keep: bool) -> int:
-    """How many blocks of activations a pass needs: all if they are kept for the backward pass, else
-    one per share."""
+    """Blocks of activations that a pass needs: all to keep for the backward pass, else one a
+    share."""
     return -(-rows // BLOCK_ROWS) if keep else SHARES
 
 
@@ -281,8 +274,7 @@ def linear_backward(grad, inputs, layer, sums, share, grad_inputs):
 
 @reordering_inner_function
 def read_in_order(kept, values):
-    """Copy a block: the products read it across its rows, which is slow until it is in the
-    cache."""
+    """Copy a block: the products read it across its rows, which is slow outside of the cache."""
     for row in range(kept.shape[0]):
         for column in range(kept.shape[1]):
             values[row, column] = kept[row, column]
@@ -307,8 +299,7 @@ def rectify_backward(grad, values):
 
 
 def product(a: Float[Tensor, "m k"], b: Float[Tensor, "k n"]) -> Float[Tensor, "m n"]:
-    """a · b for float32 on the CPU; a library's product of some shapes depends on the number of
-    threads."""
+    """a · b for float32 on the CPU; a library's product may depend on the number of threads."""
     result: Tensor = _Product.apply(a, b)
     return result
 
@@ -338,10 +329,8 @@ def _multiplied(a: Tensor, b: Tensor) -> Tensor:
 
 @reordering_kernel
 def encode(x, frequencies, out):
-    """PE(x) of points [R, 3] -> [R, 6 L]: for each n the sines of 2ⁿπx, then the cosines.
-
-    The sines come first into a list of their own, so that the compiler can compute many at once.
-    """
+    """PE(x) of points [R, 3] -> [R, 6 L]: for each n the sines of 2ⁿπx, then the cosines. The sines
+    are listed first, so that the compiler can compute many at once."""
     width = 3 * frequencies
     half_turns = np.empty(x.shape[0] * width, np.float32)
     for row in range(x.shape[0]):
@@ -362,10 +351,8 @@ def encode(x, frequencies, out):
 
 @reordering_kernel
 def encode_backward(encoded, grad, row, start, frequencies, grad_x):
-    """Add the gradient at one point x to ``grad_x`` [3]: sin' = 2ⁿπ cos, cos' = −2ⁿπ sin.
-
-    PE(x) and its gradient stand in one row of ``encoded`` and ``grad``, from the column ``start``.
-    """
+    """Add the gradient at one point x to ``grad_x`` [3]: sin' = 2ⁿπ cos, cos' = −2ⁿπ sin. PE(x) and
+    its gradient stand in a row of ``encoded`` and ``grad``, from the column ``start``."""
     factor = _PI
     for n in range(frequencies):
         for axis in range(3):
@@ -378,8 +365,7 @@ def encode_backward(encoded, grad, row, start, frequencies, grad_x):
 
 @reordering_inner_function
 def _sine_and_cosine(half_turns):
-    """sin(πy) and cos(πy) within 3e-7, however large y is: y − round(y) is exact where the product
-    πy is not."""
+    """sin(πy) and cos(πy) within 3e-7 for any y: y − round(y) is exact, the product πy is not."""
     whole = np.rint(half_turns)
     t = half_turns - whole
     sign = _ONE - _TWO * abs(whole - _TWO * np.rint(_HALF * whole))

@@ -48,8 +48,7 @@ class KernelSpec(NamedTuple):
         return f"{function}[{self.variant}]" if self.variant else function
 
     def launch(self, grid: tuple[int, ...], arguments: Arguments) -> None:
-        """Start the programs of a grid; the kernel takes its arguments by name from among those
-        given."""
+        """Start the programs of a grid; the kernel takes its arguments by name from those given."""
         given = {name: arguments[name] for name in self.signature}
         self.kernel[grid](
             **given, **self.constexprs, num_warps=self.num_warps, num_stages=self.num_stages
@@ -72,10 +71,7 @@ def specialised(
 
 
 def device_function(function: Callable) -> Any:
-    """``triton.jit`` for what only kernels call; left as it is where Triton interprets.
-
-    The interpreter takes milliseconds to enter each function that it knows of, and runs what it
-    does not know alike.
-    """
+    """``triton.jit`` for what only kernels call; left as it is where Triton interprets, which takes
+    milliseconds to enter each function that it knows of."""
     jitted = triton.jit(function)
     return jitted if isinstance(jitted, triton.JITFunction) else function

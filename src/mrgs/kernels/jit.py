@@ -72,11 +72,9 @@ reordering_inlined_function = partial(reordering_inner_function, forceinline=Tru
 
 @intrinsic
 def address(typingctx: Any, array: Any, index: Any) -> Any:
-    """Where a contiguous array holds its element ``index``, counted through all dimensions.
-
-    What comes back is read and written like an array, unchecked. It does not keep the array alive:
-    take addresses of the function's arguments only, whose caller does.
-    """
+    """Where a contiguous array holds its element ``index``, counted through all dimensions; read
+    and written like an array, unchecked. It does not keep the array alive: take addresses of a
+    function's arguments only, which its caller keeps."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data

@@ -48,8 +48,7 @@ FloatPointer = types.CPointer(types.float32)
 def _define_operator(
     function: Callable, operand: types.Type, result: types.Type, emit: Callable
 ) -> None:
-    """Teach Numba ``function(operand, operand) -> result``; ``emit(builder, a, b)`` writes the
-    instruction."""
+    """Teach Numba ``function(operand, operand) -> result``; ``emit(builder, a, b)`` writes it."""
 
     class Template(ConcreteTemplate):
         cases = [signature(result, operand, operand)]  # noqa: RUF012
@@ -226,11 +225,8 @@ def any_lane(typingctx: Any, mask: Any) -> Any:
 @intrinsic
 def store_sums(typingctx: Any, floats: Any, index: Any, vectors: Any) -> Any:
     """The sum over the lanes of each of up to sixteen vectors (a tuple) to consecutive floats, from
-    ``index``.
-
-    The vectors are folded together: each pass halves their number, and the lanes that each of them
-    has left. The order of the additions is always the same.
-    """
+    ``index``. Vectors are folded together, each pass halving their number and lanes, in one
+    order."""
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         folded = cgutils.unpack_tuple(builder, args[2])

@@ -1,9 +1,6 @@
-"""Total variation of an image with its gradient, in a few operations of torch on any device.
-
-The derivative of a |difference| is the sign of the difference times a, negative for the pixel
-before it and positive for the pixel behind it: a pixel's gradient is the two steps that lead to it
-less the two that leave it.
-"""
+"""Total variation of an image with its gradient, in a few operations of torch on any device. The
+derivative of a |difference| is its sign times a, negative for the pixel before, positive behind: a
+pixel's gradient is the two steps that lead to it less the two that leave it."""
 
 from __future__ import annotations
 

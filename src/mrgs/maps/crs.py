@@ -33,15 +33,13 @@ LOCAL_NAME = "the scene's own frame, metres"
 require_pyproj = partial(optional_package, "pyproj", "map coordinates", "export")
 
 NORTH_IS_UP_DEG = 5.0
-"""North may be turned this far from up on a map that is said to have it up: grid north of UTM is
-off by up to 3°."""
+"""North may be turned this far from up on a map that has it up: UTM's is, by up to 3°."""
 
 MAX_STRETCH = 0.1
 """Metres of a CRS may be longer or shorter than those on the ground by this share."""
 
 MAX_DISTORTION = 0.05
-"""Largest distance between a similarity and the exact projection, as a share of the scene's
-radius."""
+"""Largest distance between similarity and exact projection, as a share of the scene's radius."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +137,8 @@ def place_facts(scene: Scene, wanted: str | None = None) -> Mapping[str, Any]:
 
 
 def local_wkt(name: str) -> str:
-    """A local CRS in metres, as well-known text of 2001.
-
-    GeoTIFF has names in ASCII: other letters lose their accents, or are left out.
-    """
+    """A local CRS in metres, as well-known text of 2001, whose names are ASCII in GeoTIFF: letters
+    lose their accents, or are left out."""
     ascii_name = normalize("NFKD", name.replace("ß", "ss")).encode("ascii", "ignore").decode()
     quoted = "".join(char for char in ascii_name if char.isprintable() and char not in '"[]')
     return (
@@ -192,9 +188,8 @@ def _wanted(pyproj: ModuleType, wanted: str, origin: EarthPosition) -> Any:
 def _from_scene(
     pyproj: ModuleType, crs: Any, origin: EarthPosition, radius: float
 ) -> tuple[Float64[np.ndarray, "4 4"], float]:
-    """The similarity from ENU to a projected CRS that fits best in the plane within a radius
-    (metres), and the largest distance from the exact projection there; heights are kept.
-    ConfigError if none fits."""
+    """The similarity from ENU to a projected CRS that fits best in the plane within a radius (m),
+    and its largest distance from the exact projection; heights stay. ConfigError if none fits."""
     height = origin.altitude_m or 0.0
     place = f"+lat_0={origin.latitude_deg!r} +lon_0={origin.longitude_deg!r} +h_0={height!r}"
     to_degrees = pyproj.Transformer.from_pipeline(
@@ -223,11 +218,9 @@ def _from_scene(
 
 
 def _require_similar(crs: Any, scale: float, mirrored: float, distortion: float) -> None:
-    """Refuse a CRS that mirrors, stretches or distorts the scene's place.
-
-    GIS swap northing and easting, but plot southings and westings as they are (so does PROJ):
-    west, south is a half turn, and south, west a mirror image.
-    """
+    """Refuse a CRS that mirrors, stretches or distorts the scene's place. GIS (and PROJ) swap
+    northing and easting, but not southings and westings: west, south is a half turn, south, west a
+    mirror image."""
     if not np.isfinite(distortion):
         problem = "has no coordinates for the scene's place; choose another CRS"
     elif mirrored > scale:

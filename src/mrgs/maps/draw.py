@@ -1,5 +1,4 @@
-"""An orthographic map of a model: temperatures, colours, and their support by photos; and the map
-of a scene from above."""
+"""An orthographic map: temperatures, colours, their support by photos; and the scene from above."""
 
 from __future__ import annotations
 
@@ -180,8 +179,7 @@ def map_from_above(
 def _plan_view(
     system: CoordinateSystem, up: Float64[np.ndarray, "3"]
 ) -> tuple[Float64[np.ndarray, "3 3"], float, Float64[np.ndarray, "2"]]:
-    """Axes, scale and offset of map coordinates: those of the CRS, or of the scene's own frame with
-    x to the right."""
+    """Axes, scale and offset of map coordinates: the CRS's, or of the scene's own frame."""
     if system.on_earth:
         matrix = system.matrix[:3, :3] / system.scale
         axes = np.stack([matrix[0], matrix[1], up])

@@ -184,8 +184,7 @@ def _members(surfaces: Surfaces, normal: Vector, anchor: Vector) -> Bool[np.ndar
 def _outlined(
     members: Float64[np.ndarray, "n 3"], normal: Vector, anchor: Vector, up: Vector, eye: Vector
 ) -> Facade:
-    """The axes of a plane that is seen from ``eye``, and the extent of the largest connected part
-    of its points."""
+    """The axes of a plane seen from ``eye``, and the extent of its largest connected part."""
     out = normal * (np.sign((eye - anchor) @ normal) or 1.0)
     upwards = up - out * (up @ out)
     upwards /= np.linalg.norm(upwards)

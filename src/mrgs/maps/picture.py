@@ -20,8 +20,7 @@ BAR_SHARE = 0.25
 
 
 class Caption(NamedTuple):
-    """The texts of a picture. ``north_deg`` is the direction of north in the map, clockwise from
-    up; None if not known."""
+    """The texts of a picture; ``north_deg`` is that of north, clockwise from up, if known."""
 
     title: str
     subtitle: str

@@ -1,8 +1,5 @@
-"""The pixels of an orthographic map, the camera that draws them, and what photos show there.
-
-The rasterizer knows perspective cameras only. One that is very far away, with a focal length to
-match, is an orthographic one but for relief / distance: see ``docs/decisions``.
-"""
+"""The pixels of an orthographic map, the camera that draws them, and what photos show there. A
+camera from very far away is orthographic but for relief / distance: see ``docs/decisions``."""
 
 from __future__ import annotations
 
@@ -67,10 +64,8 @@ class MapGrid:
         return self._on_plane(self.left, self.top - self.height * self.pixel_m, sum(self.slab) / 2)
 
     def camera(self, column: int, row: int, width: int, height: int) -> Camera:
-        """The camera of a part of the map, whose upper left pixel is (column, row).
-
-        Its optical axis goes through the middle of the whole map, so that the parts fit.
-        """
+        """The camera of a part of the map, with upper left pixel (column, row) and its axis through
+        the middle of the whole map, so that the parts fit."""
         pixel = self.pixel_m / self.scale
         distance = TIMES_AS_FAR * pixel * max(self.width, self.height)
         half_width, half_height = self.width / 2, self.height / 2
@@ -159,8 +154,7 @@ def survey_pixel(maps: Sequence[DepthMap]) -> float:
 UP_SNAP = np.array([0.0, 0.0, 1.0])
 
 MAX_TILT = 0.15
-"""Root mean square of the sine by which cameras may be tilted sideways for their photos to count as
-level."""
+"""Root mean square of the sine by which cameras may be tilted sideways and count as level."""
 
 
 def up_direction(scene: Scene) -> Float64[np.ndarray, "3"] | None:
@@ -337,9 +331,8 @@ LEAST_POINTS = 3
 
 
 class ShownPlaces:
-    """The surfaces in the pixels of a map, by a ``survey``: from far away, where no photo was
-    taken, a model also shows what floats before its surfaces, and what is behind gaps between its
-    splats."""
+    """The surfaces in the pixels of a map, by a ``survey``: from far away a model also shows what
+    floats before its surfaces, and what is behind gaps between its splats."""
 
     def __init__(self, maps: Sequence[DepthMap], grid: MapGrid) -> None:
         self._grid = grid

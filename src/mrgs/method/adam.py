@@ -145,10 +145,8 @@ class Adam:
         }
 
     def load_moments(self, parameters: Mapping[Any, Tensor], tensors: Mapping[str, Tensor]) -> None:
-        """Take what ``moments`` gave for these parameters, on their devices.
-
-        The kernels trust their sizes, so moments of any other parameter are refused. ValueError if
-        they are not those of the parameters, or the squares or steps are negative."""
+        """Take what ``moments`` gave, on the devices of these parameters. ValueError if moments are
+        not theirs, which the kernels trust, or squares or steps are negative."""
         if unknown := set(tensors) - {f"{key}.{name}" for key in parameters for name in _STATE}:
             raise ValueError(f"moments {min(unknown)} of an unknown parameter")
         for key, parameter in parameters.items():

@@ -43,8 +43,7 @@ CPU_RATES = {
     "slowdown_from": 0.7,
     "slowdown_to": 0.05,
 }
-"""Learning rates of the presets for CPUs, whose schedules are too short for those of 3DGS:
-docs/decisions."""
+"""Learning rates for CPUs, whose schedules are too short for those of 3DGS: docs/decisions."""
 
 SMOOTHNESS = {
     "smooth_rgb": 0.0,
@@ -173,13 +172,9 @@ class TrainConfig:
         return min(MAX_DEGREE, step // self.sh_every)
 
     def temperature_sh_degree_at(self, step: int) -> int:
-        """Highest degree of the temperature's spherical harmonics in use at this step, if there are
-        any.
-
-        Where their degree follows from the photos, every second step goes without them: what does
-        not depend on the view must be a model by itself, because exports have nothing else. A
-        degree that is given is used as in 3DGS.
-        """
+        """Highest degree of the temperature's spherical harmonics at this step, if there are any.
+        Where it follows from the photos, every second step goes without them, as exports have only
+        what does not depend on the view; a degree that is given is used as in 3DGS."""
         goes_without = self.temperature_sh_degree is None and step % 2 == 0
         return 0 if goes_without else self.sh_degree_at(step)
 
@@ -287,12 +282,10 @@ METHODS = tuple(_CHANGES)
 
 
 def _with_preset(config: TrainConfig, preset: Preset) -> TrainConfig:
-    """``paper`` is the published schedule; the others are for CPUs, measured in docs/decisions.
-
-    These start with coarser photos, where photos are large enough, and with temperatures as the
-    photos have them; what keeps the thermal branch alive then is that t̂ is fitted to these at full
-    scale, and t_i starts as the rest. Half the published width of the heads is as good.
-    """
+    """``paper`` is the published schedule; the others are for CPUs, measured in docs/decisions:
+    they start with coarser photos, where these are large enough, and with temperatures as photos
+    have them, to which t̂ is fitted at full scale. Half the published width of the heads is as
+    good."""
     config = replace(config, preset=preset)
     if preset == "paper":
         return config

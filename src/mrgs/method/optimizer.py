@@ -1,5 +1,4 @@
-"""Adam over the Gaussians. Rows are added and removed here alone, so that parameters and moments
-stay together."""
+"""Adam over the Gaussians. Rows change here alone: parameters and moments stay together."""
 
 from __future__ import annotations
 
@@ -78,8 +77,8 @@ class OptimizerConfig:
         return math.exp((1 - progress) * start + progress * end)
 
     def slowdown_at(self, progress: float) -> float:
-        """Factor on all learning rates but that of the means after this share of the training;
-        falls log-linearly."""
+        """Factor on all learning rates but the means' after this share of the training; falls
+        log-linearly."""
         if progress <= self.slowdown_from:
             return 1.0
         return self.slowdown_to ** ((progress - self.slowdown_from) / (1 - self.slowdown_from))
@@ -97,11 +96,8 @@ class OptimizerConfig:
 
 
 def are_finite(loss: Float[Tensor, ""], gradients: Sequence[Tensor]) -> Bool[Tensor, ""]:
-    """Whether the loss and the norm of each gradient are finite; the answer stays on their device.
-
-    NaN and infinity stay in a norm. It is also infinite where a square is, which Adam would keep
-    for good.
-    """
+    """Whether the loss and the norm of each gradient are finite, on their device. A norm keeps NaN
+    and infinity, and is infinite where a square is, which Adam would keep for good."""
     norms = torch._foreach_norm(list(gradients)) if gradients else ()
     return torch.stack([loss.detach(), *norms]).isfinite().all()
 
@@ -135,8 +131,7 @@ class GaussianOptimizer:
         self._adam.zero_grad()
 
     def hold(self, rows: Bool[Tensor, " n"]) -> None:
-        """Forget the gradients of some Gaussians: the next step moves them no further than their
-        moments do."""
+        """Forget some Gaussians' gradients: the next step moves them by their moments alone."""
         for gradient in self.gradients():
             gradient[rows] = 0
 
@@ -146,11 +141,8 @@ class GaussianOptimizer:
         return [tensor.grad for tensor in tensors if tensor.grad is not None]
 
     def replace_rows(self, keep: Int64[Tensor, " k"], added: Gaussians) -> None:
-        """Keep these rows, in this order, and append new ones; the new rows' moments start at 0.
-
-        All is built before anything is replaced: where the memory does not suffice, the optimizer
-        is as it was.
-        """
+        """Keep these rows, in this order, and append new ones, whose moments start at 0. All is
+        built first: without enough memory, the optimizer is as it was."""
         built = {
             name: self._with_rows(name, keep, addition.detach())
             for name, addition in added.tensors().items()

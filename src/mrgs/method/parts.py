@@ -48,8 +48,7 @@ class PartSpreads(NamedTuple):
 
 @torch.no_grad()
 def part_spreads(model: Model, camera_position: Float[Tensor, "3"]) -> PartSpreads | None:
-    """The spreads of a model's parts, with ĉ as seen from a camera; None for a field without
-    residuals (3DGS_RGB-T)."""
+    """The spreads of a model's parts, ĉ as seen from a camera; None without residuals."""
     if not model.field.config.residuals or len(model.gaussians) < 2:
         return None
     if model.neighbours is None:
@@ -82,12 +81,10 @@ class _NoHeatTransformation(FourierHeatTransformation):
 
 @torch.no_grad()
 def knock_outs(model: Model) -> Mapping[str, Model]:
-    """A trained model with one part knocked out in each copy; none for a field without residuals.
-
-    ``temperature_residual``: t̂ is its mean for all Gaussians. ``heat_exchange``: F' = F.
-    ``shuffled_neighbours``: each Gaussian exchanges heat with another one's neighbours.
-    ``color_residual``: ĉ = 0. A part that costs nothing when it is knocked out is dead.
-    """
+    """A trained model with one part knocked out in each copy; none for a field without residuals:
+    ``temperature_residual``: t̂ is its mean; ``heat_exchange``: F' = F; ``shuffled_neighbours``:
+    each Gaussian has another one's; ``color_residual``: ĉ = 0. A part that costs nothing is
+    dead."""
     field = model.field
     if not field.config.residuals:
         return {}

@@ -1,8 +1,5 @@
-"""Text, strokes and scale bars on Pillow images.
-
-Text is in the one font that comes with Pillow. It knows ASCII, °, ± and ·: letters of other
-languages are written with those, and the minus sign is drawn.
-"""
+"""Text, strokes and scale bars on Pillow images, in the one font that comes with Pillow: ASCII, °,
+± and · stand for the letters of other languages, and the minus sign is drawn."""
 
 from __future__ import annotations
 
@@ -151,8 +148,7 @@ def text_width(text: str, size: int) -> float:
 
 
 def drawable(text: str) -> str:
-    """The text in letters that the font has: without accents, and with ? for what it cannot
-    write."""
+    """The text in letters that the font has: without accents, ? for what it cannot write."""
     plain = unicodedata.normalize("NFKD", text.translate(_REPLACED))
     letters = (each for each in plain if not unicodedata.combining(each))
     return "".join(each if each.isascii() or each in _KNOWN else "?" for each in letters)
@@ -170,11 +166,8 @@ def fit_text(text: str, size: int, width: float | int) -> str:
 def scale_bar(
     scale: Scale, length: int, direction: Literal["horizontal", "vertical"], size: int = 13
 ) -> Image.Image:
-    """A colour bar with ticks at round numbers, ``length`` pixels long; the unit follows the last
-    number.
-
-    A vertical bar has its warm end on top. The image is as small as its content, on white.
-    """
+    """A colour bar with ticks at round numbers, ``length`` pixels long, the unit behind the last; a
+    vertical one has its warm end on top. The image is as small as its content, on white."""
     return (_horizontal_bar if direction == "horizontal" else _vertical_bar)(scale, length, size)
 
 

@@ -133,7 +133,6 @@ def with_scale_bar(values: Float[np.ndarray, "h w"], scale: Scale) -> Image.Imag
 
 
 def write_depth_png(path: Path, depth: Float[np.ndarray, "h w"]) -> Path:
-    """Write a colour-mapped PNG of the depth: near is light; the limits are this image's own
-    percentiles."""
+    """Write a colour-mapped PNG of the depth, near is light, between its own percentiles."""
     low, high = display_range(depth)
     return write_png(path, colorize(depth, high, low, "depth"))

@@ -1,5 +1,4 @@
-"""Pages of one HTML file: templates, pictures inside the page, and a policy that lets nothing else
-in."""
+"""Pages of one HTML file: templates, pictures inside, and a policy that lets nothing else in."""
 
 from __future__ import annotations
 

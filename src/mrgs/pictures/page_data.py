@@ -36,8 +36,7 @@ STAGE_SCRIPTS = (
     "pictures/web/isotherm.js",
     "pictures/web/marks.js",
 )
-"""Scripts of the same: what they read of their facts, where the camera is, the scale beside it, and
-the marks."""
+"""Scripts of the same: reading facts, where the camera is, the scale beside it, the marks."""
 
 PALETTE_CHOICES: tuple[PaletteName, ...] = tuple(
     name for name in PALETTES if name not in ("depth", "error")
@@ -50,8 +49,7 @@ PIXEL_STEP = 4
 
 
 def camera_facts(camera: Camera) -> dict[str, Any]:
-    """A camera for ``navigation.js``: the rows of the rotation are its axes right, down and
-    forward in the world."""
+    """A camera for ``navigation.js``; the rotation's rows are its axes right, down, forward."""
     return {
         "rotation": camera.viewmat[:3, :3].flatten().tolist(),
         "position": camera.position.tolist(),

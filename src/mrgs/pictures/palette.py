@@ -57,11 +57,8 @@ def palette_table(name: PaletteName) -> UInt8[np.ndarray, "256 3"]:
 def colorize(
     values: Float[np.ndarray, "h w"], low: float, high: float, palette: PaletteName
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Colours of the values, from ``low`` (the palette's first colour) to ``high`` (its last); NaN
-    turns light grey.
-
-    ``low`` may be the larger number: then the palette runs the other way.
-    """
+    """Colours of the values from ``low``, the palette's first, to ``high``, its last, which may be
+    the smaller number; NaN turns light grey."""
     position = np.nan_to_num((values - low) / (high - low), nan=0.0, posinf=1.0, neginf=0.0)
     image = palette_table(palette)[np.rint(position.clip(0, 1) * 255).astype(np.uint8)]
     image[np.isnan(values)] = INVALID_COLOR
@@ -80,17 +77,13 @@ def round_ticks(low: float, high: float, count: int = 6) -> list[float]:
 def tick_step(low: float, high: float, count: int) -> float:
     """The smallest of 1, 2, 2.5 or 5 times a power of ten that divides the range into at most about
     ``count`` parts."""
-    rough = (high - low) / max(count, 1)
-    power = 10.0 ** math.floor(math.log10(rough))
-    return next(
-        factor * power for factor in (1, 2, 2.5, 5, 10) if factor * power >= rough * (1 - 1e-9)
-    )
+    return round_up((high - low) / max(count, 1), (1, 2, 2.5, 5, 10))
 
 
-def round_up(value: float) -> float:
-    """The next of 1, 2, 5 times a power of ten."""
+def round_up(value: float, factors: tuple[float, ...] = (1, 2, 5, 10)) -> float:
+    """The next of some ``factors``, which end with 10, times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value)) if value > 0 else 1.0
-    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= value * (1 - 1e-9))
+    return next(factor * power for factor in factors if factor * power >= value * (1 - 1e-9))
 
 
 def round_down(value: float) -> float:

@@ -17,8 +17,7 @@ SETTINGS = {
     "window_c": ("window temperature", " °C", 1),
     "window_transmission": ("window transmission", "", 2),
 }
-"""Name in a text, unit as written behind a number, and decimals of each parameter of the
-measurement."""
+"""Name in a text, unit behind a number, and decimals of each parameter of the measurement."""
 
 
 class Setting(NamedTuple):

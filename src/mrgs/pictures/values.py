@@ -53,8 +53,7 @@ def unit_label(modality: Modality, temperature: TemperatureRange | None) -> str:
 def full_scale(
     modality: Modality, temperature: TemperatureRange | None, palette: PaletteName
 ) -> Scale:
-    """The scale over the whole range of a one-channel modality: in the palette if its values have a
-    unit, else in grey."""
+    """The scale over a one-channel modality's range: in the palette with a unit, else in grey."""
     colors: PaletteName = palette if modality.is_metric else "grey"
     return Scale(colors, *range_of(modality, temperature), unit_of(modality, temperature))
 
@@ -83,8 +82,7 @@ def capitalised(text: str) -> str:
 
 
 def folder_of_values(modality: Modality, temperature: TemperatureRange | None) -> tuple[str, str]:
-    """The folder of the float32 files with a metric modality's values, and the description that
-    each file carries."""
+    """Folder of the float32 files of a metric modality's values, and each file's description."""
     if _celsius(modality, temperature) is None:
         return f"{modality}_normalised", f"normalised {modality} value, no unit"
     return "temperature_c", "temperature, degrees Celsius"

@@ -1,5 +1,4 @@
-"""Write the frames of a camera path as PNG files and, where the extra ``video`` is installed, as an
-mp4."""
+"""Write a camera path's frames as PNG files and, with the extra ``video``, as an mp4."""
 
 from __future__ import annotations
 

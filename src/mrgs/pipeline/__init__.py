@@ -1,7 +1,4 @@
-"""Everything from photos to results in one call, in stages that are kept.
-
-The names below are imported on first use.
-"""
+"""Everything from photos to results in one call, in stages that are kept; imported on first use."""
 
 from __future__ import annotations
 

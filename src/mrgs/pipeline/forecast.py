@@ -1,9 +1,6 @@
 """How long work takes: expected lengths, linear in what is worked on, corrected by the measured
-pace; and how many steps a training may take that has to end in a given time.
-
-The coefficients are wall-clock seconds on one core of a server of 2024 (decision 029). On another
-computer, or beside other programs, the forecasts become right as soon as some of the work is done.
-"""
+pace; and how many steps a training that has to end in a given time may take. The coefficients are
+seconds on one core of a server of 2024 (decision 029)."""
 
 from __future__ import annotations
 
@@ -186,8 +183,7 @@ def _prepare_parts(work: Workload) -> dict[str, float]:
 
 
 def pace_so_far(taken: float, expected: float, whole: float) -> float:
-    """Measured seconds per expected second, drawn towards 1 while little of the whole work is
-    done."""
+    """Measured seconds per expected second, drawn towards 1 while little is done."""
     trust = TRUST * whole
     return (taken + trust) / (expected + trust) if expected + trust > 0 else 1.0
 
@@ -320,11 +316,8 @@ def measure_pace(
 
 def steps_within(seconds: float, pace: Pace, max_gaussians: int | None) -> int:
     """The steps that fit into a time from the start of a training with this cap on the Gaussians,
-    at least one.
-
-    A step takes longer once there are more Gaussians, and less time while photos are coarse, by the
-    model of a pipeline's training.
-    """
+    at least one, by the model of a pipeline's training: more Gaussians take longer, coarse photos
+    less."""
     growth = 1.0
     if max_gaussians is not None and pace.gaussians:
         mean = mean_gaussians(pace.gaussians, max(max_gaussians, pace.gaussians))

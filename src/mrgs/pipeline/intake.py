@@ -169,8 +169,7 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
 
 
 def _takes_bounds(pairs: tuple[PhotoPair, ...], options: PrepareOptions) -> bool:
-    """Whether a thermal photo has temperatures once the °C of black and white are given; not if it
-    shows a palette."""
+    """Whether a thermal photo has temperatures once bounds are given; not if it shows a palette."""
     if options.overrides.unit is not None:
         return False
     bounded = replace(options, overrides=replace(options.overrides, bounds_c=(0.0, 1.0)))

@@ -138,6 +138,5 @@ class Monitor:
         return False
 
     def answer(self, error: MrgsError, options: PrepareOptions) -> PrepareOptions | None:
-        """The options completed by missing information that ``error.options`` names; None to give
-        up."""
+        """The options with the information that ``error.options`` names; None to give up."""
         return None

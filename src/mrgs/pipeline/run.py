@@ -166,8 +166,7 @@ def _require_own(source: Path, output: Path) -> None:
 
 
 def _require_disk(needed: int, output: Path) -> None:
-    """Check that the results fit on the disk, beside what an earlier call has written; RunError if
-    they do not."""
+    """Check that the results fit on the disk, beside those of an earlier call; RunError if not."""
     written = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     free = free_disk(output)
     if free < needed - written:
@@ -219,8 +218,7 @@ def _planned(job: Job, work: Workload) -> tuple[PlannedStage, ...]:
 
 
 def _require_celsius(job: Job) -> None:
-    """Stop before poses are computed if the photos have no temperatures; SceneError unless that is
-    accepted."""
+    """Stop before poses are computed if the photos lack °C; SceneError unless accepted."""
     if not (why := job.intake.without_celsius):
         return
     text = f"the model would have no °C. {why} Give the camera's radiometric files"

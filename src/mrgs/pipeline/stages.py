@@ -205,8 +205,7 @@ class Job:
         return [folder.config_file, folder.newest_checkpoint()]
 
     def _set_aside(self) -> None:
-        """Keep the results of other photos or settings under another name; RunError if the folder
-        cannot be renamed."""
+        """Rename the results of other photos or settings; RunError if that is not possible."""
         names = (self.output / f"{self.quality.name}-{number}" for number in count(1))
         try:
             self.model.rename(next(name for name in names if not name.exists()))
@@ -278,8 +277,7 @@ class Ledger:
             self._stages = msgspec.json.decode(read_text(self._file), type=dict[str, _Entry])
 
     def open(self) -> None:
-        """Make the file if there is none: it marks the folder as a pipeline's. RunError if it
-        cannot be written."""
+        """Make the file, which marks a pipeline's folder, if need be. RunError if that fails."""
         if not self._file.is_file():
             self._write()
 

@@ -1,7 +1,5 @@
-"""Preparation of a scene from a folder of photos.
-
-The names below are imported on first use: the process that finds the poses needs few of them.
-"""
+"""Preparation of a scene from a folder of photos. The names below are imported on first use: the
+process that finds the poses needs few of them."""
 
 from __future__ import annotations
 

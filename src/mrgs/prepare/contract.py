@@ -15,8 +15,7 @@ from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame
 
 Progress = Callable[[str, int, int], None]
-"""Called with a step's name, the number of its parts that are done, and of all (0 and 0 if not
-known)."""
+"""Called with a step's name, how many parts are done, and of all (0 and 0 if not known)."""
 
 CACHE_FOLDER = "prepare"
 """Folder of intermediate results inside the scene's folder."""
@@ -52,8 +51,7 @@ class Skipped:
 
 
 class TooFewPosesError(SceneError):
-    """Structure from motion found fewer poses than a scene needs; ``failed`` lists the images
-    without one."""
+    """Structure from motion found too few poses; ``failed`` lists the images without one."""
 
     def __init__(self, message: str, failed: tuple[Skipped, ...]) -> None:
         super().__init__(message)
@@ -73,8 +71,7 @@ class Pairing:
 
 @dataclass(frozen=True)
 class ConvertedImage:
-    """An image file, relative to the scene's folder; its width and height in pixels, if known; and
-    its SHA-256."""
+    """An image file, relative to the scene; width and height in pixels, if known; SHA-256."""
 
     file: str
     size: tuple[int, int] | None = None

@@ -1,5 +1,4 @@
-"""Scale and orientation of a reconstruction: from GPS, from a known distance, or estimated from how
-the cameras were held."""
+"""A reconstruction's scale and axes: from GPS, a known distance, or how the cameras were held."""
 
 from __future__ import annotations
 
@@ -31,12 +30,10 @@ MIN_POSITIONS = 4
 
 MAX_SCALE_ERROR = 0.05
 MAX_TURN_DEG = 5.0
-"""GPS is not used if it leaves a larger uncertainty (one standard deviation, a conservative
-estimate)."""
+"""GPS is not used if it leaves a larger standard deviation (a conservative estimate)."""
 
 LEAST_NOISE_M = 0.03
-"""Least noise of positions in EXIF, even where their residuals are smaller: some phones repeat
-their last one."""
+"""Least noise of EXIF positions, whatever the residuals: some phones repeat their last one."""
 
 LARGEST_NOISE_M = 5.0
 """Positions that are off by more (median) contradict the poses."""
@@ -129,8 +126,7 @@ def _without_gps(level: Similarity, scale: float | None, warnings: tuple[str, ..
 def _as_given(
     world: WorldFrame, scale: float | None, warnings: tuple[str, ...] = ()
 ) -> Georeference:
-    """The frame of the given poses, of which their file may know something; only a known distance
-    changes their scale."""
+    """The frame of given poses, as far as it is known; only a known distance changes the scale."""
     origin = None if world.origin is None else GpsPosition(*world.origin)
     metres = "The scale is that of the given poses, in metres." if world.metric else ARBITRARY
     axes = "The axes are those of the given poses"
@@ -156,13 +152,11 @@ def _by_gps(
     *,
     as_given: bool,
 ) -> Georeference:
-    """The similarity to metres east, north and up of the middle one of the positions.
-
-    Without heights, and where the cameras stand on a line about which the positions leave the
-    rotation open, ``level`` gives the vertical, and the positions the rest. Of given poses that are
-    in metres and have these axes, as far as GPS knows, only the origin moves. UnusableGpsError for
-    too few positions, or too much noise for how far the cameras are apart.
-    """
+    """The similarity to metres east, north and up of the middle one of the positions. Without
+    heights, or with cameras on a line, ``level`` gives the vertical, and the positions the rest.
+    Given poses that are already in metres along these axes, as far as GPS can tell, only get a new
+    origin. UnusableGpsError if there are too few positions, or if they are too noisy for how far
+    the cameras are apart."""
     if len(gps) < MIN_POSITIONS:
         raise UnusableGpsError(
             f"{len(gps)} of the photos with a pose have one, and {MIN_POSITIONS} are needed"
@@ -223,13 +217,10 @@ def _solution(
     level: Similarity | None,
     scale_matters: bool,
 ) -> _Solution:
-    """The similarity that fits the cameras to their positions.
-
-    Its errors follow from the cameras' spread about their mean and about their line. The noise is
-    the one which nine of ten samples with these residuals do not exceed. ``level`` gives the
-    vertical instead of the heights of the positions; the cameras' own heights are then counted from
-    their middle one. Raises ``UnusableGpsError`` if the scale is left open.
-    """
+    """The similarity that fits the cameras to their positions; errors follow from the cameras'
+    spread about their mean and their line, noise is what nine of ten samples with these residuals
+    stay below. ``level`` gives the vertical in place of heights; those of the cameras then count
+    from their middle one. UnusableGpsError if the scale is left open."""
     positions = list(gps.values())
     earth = np.array([ecef(position) for position in positions])
     origin = positions[int(np.argmin([np.linalg.norm(earth - one, axis=1).sum() for one in earth]))]
@@ -334,11 +325,9 @@ def levelled(reconstruction: Reconstruction) -> Similarity:
 
 
 def up_of_cameras(reconstruction: Reconstruction) -> Float64[np.ndarray, "3"]:
-    """The unit vector that is perpendicular to the rows of all photos and up in most of them.
-
-    It minimises Σ (u · right_i)² + w Σ |u − up_i|². Cameras that look straight down with changing
-    headings have no common up: it is then opposite to their viewing direction.
-    """
+    """The unit vector that is perpendicular to the rows of all photos and up in most: it minimises
+    Σ (u · right_i)² + w Σ |u − up_i|². Of cameras that look straight down with changing headings,
+    it is opposite to their viewing direction."""
     axes = _axes(reconstruction)
     right, up, forward = axes[:, 0], -axes[:, 1].mean(axis=0), axes[:, 2].mean(axis=0)
     if np.linalg.norm(forward) > 0.9 and np.linalg.norm(up) < 0.5:

@@ -34,12 +34,9 @@ class KnownDistance:
 
 
 def length_of(known: KnownDistance, reconstruction: Reconstruction) -> float:
-    """The known distance in the reconstruction's units.
-
-    Each end lies on its pixel's ray, at the depth of the surface through the triangulated points
-    around it. SceneError if the view has no pose, a pixel is outside of its image, no points are
-    near one, they lie at many depths, or the length is 0 or not finite.
-    """
+    """The known distance in the reconstruction's units; each end is on its pixel's ray, on the
+    surface through the triangulated points around. SceneError if the view has no pose, a pixel is
+    outside of its image, points are lacking or at many depths, or the length is 0 or not finite."""
     if not (math.isfinite(known.metres) and known.metres > 0):
         raise SceneError(f"the known distance is {known.metres:g} m; it must be longer than 0 m")
     if known.view not in reconstruction.viewmats:
@@ -114,11 +111,8 @@ def _place(
 def _surface(
     offsets: Float64[np.ndarray, "n 2"], inverse_depths: Float64[np.ndarray, " n"]
 ) -> tuple[float, float]:
-    """1/depth at offset 0, and the deviation relative to it that most points do not exceed.
-
-    A plane's 1/depth is linear in the pixel; with few points it is taken as constant. Least
-    absolute deviations, by reweighting.
-    """
+    """1/depth at offset 0, and the relative deviation that most points do not exceed, by reweighted
+    least absolute deviations: linear in the pixel, as of a plane; constant with few points."""
     columns = offsets if len(offsets) >= NEIGHBOURS // 2 else offsets[:, :0]
     design = np.column_stack([np.ones(len(offsets)), columns / max(np.abs(offsets).max(), 1e-9)])
     weights = np.ones(len(offsets))

@@ -1,5 +1,4 @@
-"""An RGB photo as the scene's image file: the camera's bytes if possible, else rotated or
-converted."""
+"""An RGB photo as a scene's file: the camera's bytes if possible, else rotated or converted."""
 
 from __future__ import annotations
 
@@ -30,12 +29,10 @@ class ImageFile:
 
 
 def read_rgb(path: Path, orientation: int) -> ImageFile:
-    """A photo, rotated upright by the given EXIF orientation; its own orientation is ignored.
-
-    A photo that needs no rotation keeps its bytes. Any other keeps its format and quality, and of
-    its EXIF data the camera, the focal length and the time. SceneError for anything but a JPEG, PNG
-    or TIFF image, or one that is damaged, cut off or too large.
-    """
+    """A photo, rotated upright by the given EXIF orientation, not its own. If no rotation is
+    needed, its bytes are kept; else its format and quality, and of its EXIF data the camera, the
+    focal length and the time. SceneError for anything but a JPEG, PNG or TIFF image, and if it is
+    damaged, cut off or too large."""
     probe(path)
     data = read_bytes(path)
     suffix = next((suffix for mark, suffix in _SUFFIXES.items() if data.startswith(mark)), None)
@@ -74,10 +71,8 @@ def _turned(original: Image.Image, orientation: int, suffix: str) -> ImageFile:
 
 
 def _kept_exif(original: Image.Image) -> bytes:
-    """The camera, the focal length and the time, as EXIF; empty if the original's is too damaged.
-
-    Built from scratch, because Pillow reads tags of wrong types and then cannot write them.
-    """
+    """The camera, focal length and time as new EXIF, as Pillow cannot write all that it reads;
+    empty if the original's is too damaged."""
     kept = Image.Exif()
     try:
         with warnings.catch_warnings():

@@ -1,5 +1,4 @@
-"""The files of a prepared scene besides its images: cameras, split, start points and temperature
-bounds."""
+"""The files of a prepared scene besides images: cameras, split, start points and bounds."""
 
 from __future__ import annotations
 

@@ -49,10 +49,7 @@ def fit_similarity(source: Points, target: Points) -> Similarity:
 
 def fit_robustly(source: Points, target: Points) -> RobustFit:
     """Least median of squares over random triples, then least squares over the inliers (Rousseeuw
-    and Leroy, 1987).
-
-    Up to almost half of the points may be outliers. The result is deterministic.
-    """
+    and Leroy, 1987): deterministic, with up to almost half of the points outliers."""
     count, dimensions = source.shape
     best = _least_median(source, target)
     rounding = 1e-9 * float(np.abs(target - target.mean(axis=0)).max())
@@ -68,8 +65,7 @@ def fit_robustly(source: Points, target: Points) -> RobustFit:
 
 
 def _least_median(source: Points, target: Points) -> Similarity:
-    """The one through ``TRIALS`` random triples, or through all points, with the least median
-    distance."""
+    """The one of ``TRIALS`` random triples, or of all points, with the least median distance."""
     order = np.random.default_rng(0).random((TRIALS, len(source))).argsort(axis=1)[:, :3]
     fits = _umeyama(source[order], target[order]), _umeyama(source[None], target[None])
     scales, rotations, translations = (np.concatenate(parts) for parts in zip(*fits, strict=True))

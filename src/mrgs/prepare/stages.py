@@ -1,7 +1,5 @@
-"""The stages of ``prepare``, in order. Each adds its result to the work and returns a summary.
-
-A stage takes its result from the cache, unless something that it depends on has changed.
-"""
+"""The stages of ``prepare``, in order. Each adds its result to the work, from the cache unless
+something that it depends on has changed, and returns a summary."""
 
 from __future__ import annotations
 
@@ -123,8 +121,7 @@ def scale_and_north(work: Work) -> StageSummary:
 
 
 def thermal_camera(work: Work, calibrate: Calibrate) -> StageSummary:
-    """Intrinsics and extrinsics of the thermal camera. A target may also give the scale, which then
-    changes the scene's world."""
+    """Intrinsics and extrinsics of the thermal camera; a target may also rescale the world."""
     options, posed, metric = work.options, work.posed, work.metric
     content = None if options.thermal_camera is None else digest(options.thermal_camera)
     known = (options.one_camera, options.thermal_fov_deg, options.target, content)

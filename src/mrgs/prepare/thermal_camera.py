@@ -31,8 +31,7 @@ EXTRINSICS = "thermal_from_rgb_m"
 ``transforms.json`` and in the file of a thermal camera."""
 
 SHAPE_TOLERANCE = 0.01
-"""Aspect ratios of two images of one camera may differ by this share, because sizes are whole
-numbers."""
+"""Aspect ratios of images of one camera may differ by this share: sizes are whole numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +46,8 @@ class ThermalCamera:
 
 def read_thermal_camera(path: Path) -> ThermalCamera:
     """Read ``thermal_camera``, ``thermal_from_rgb_m`` (4×4, OpenCV axes, metres), or both, from a
-    JSON object.
-
-    The keys are those of the ``transforms.json`` of a prepared scene, so that such a file can be
-    given as it is. SceneError if the file cannot be read, has neither, or a camera that cannot be
-    used.
-    """
+    JSON object, such as a prepared scene's ``transforms.json``. SceneError if the file cannot be
+    read, has neither, or a camera that cannot be used."""
     content = read_json_object(path)
     own, motion = content.get("thermal_camera"), content.get(EXTRINSICS)
     if own is None and motion is None:

@@ -32,8 +32,7 @@ NEAR_PLANE = 0.01
 """Gaussians whose centre is closer to the image plane are left out (scene units)."""
 
 DILATION_PX2 = 0.3
-"""d of 3DGS: added to the diagonal of the projected covariance, so that a Gaussian is never much
-thinner than a pixel."""
+"""d of 3DGS, added to the projected covariance: no Gaussian is much thinner than a pixel."""
 
 ALPHA_MAX = 0.999
 ALPHA_MIN = 1.0 / 255.0
@@ -50,8 +49,7 @@ STEEPEST_TANGENT = 10.0
 """Steepest rise of a Gaussian's plane, in units of depth per unit across (84°)."""
 
 FRUSTUM_MARGIN = 0.3
-"""x/z and y/z are clamped in the Jacobian J to the image widened by this share of half its field of
-view."""
+"""x/z and y/z are clamped in the Jacobian J to an image wider by this share of half its view."""
 
 
 class Geometry(NamedTuple):

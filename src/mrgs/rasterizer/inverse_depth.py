@@ -31,11 +31,8 @@ class InverseDepths(NamedTuple):
 def inverse_depths(
     geometry: Geometry, opacities: Float[Tensor, " n"], projection: Projection
 ) -> InverseDepths:
-    """The sums of the inverse depths of a layer with these opacities; differentiable in the
-    geometry and the opacities.
-
-    Three passes of the rasterizer, as many as nine channels take.
-    """
+    """The sums of the inverse depths of a layer with these opacities, in three passes of the
+    rasterizer, for nine channels; differentiable in the geometry and the opacities."""
     projection = projection.to(opacities)
 
     def blended(*features: Tensor) -> list[Tensor]:
@@ -59,13 +56,10 @@ def inverse_depths(
 
 
 def surface_planes(geometry: Geometry, projection: Projection) -> Float[Tensor, "n 3"]:
-    """q of each Gaussian: the ray (x/z, y/z, 1) meets it at the depth 1 / (q · ray).
-
-    The densest point of a ray has, to first order about the centre m in camera coordinates, q = Σ⁻¹
-    m / mᵀ Σ⁻¹ m: of a disc that is its own plane, whatever the direction in which it is seen. Σ is
-    dilated as in the image, or needles would be seen as steep planes; those that are steeper than
-    ``contract.STEEPEST_TANGENT`` are taken to be as steep as that.
-    """
+    """q of each Gaussian: the ray (x/z, y/z, 1) meets it at the depth 1 / (q · ray). The densest
+    point of a ray has, to first order about the centre m in camera coordinates, q = Σ⁻¹ m / mᵀ Σ⁻¹
+    m: of a disc its own plane. Σ is dilated as in the image, or needles would be steep planes; none
+    is steeper than ``contract.STEEPEST_TANGENT``."""
     (means, quats, scales), (viewmat, K, _, _, dilation_px2) = geometry, projection
     camera = to_camera(means, viewmat)
     z = camera[:, 2:].clamp_min(NEAR_PLANE)

@@ -1,8 +1,5 @@
-"""The gradient of a camera's pose, from those of the Gaussians that it sees.
-
-An image depends on where the Gaussians lie as seen from the camera. So what turns and moves all of
-them alike changes it as the opposite motion of the camera does, and no kernel need know of poses.
-"""
+"""The gradient of a camera's pose, from those of the Gaussians that it sees: to turn and move all
+alike changes an image as the camera's opposite motion does. No kernel need know of poses."""
 
 from __future__ import annotations
 

@@ -36,8 +36,7 @@ from mrgs.rasterizer.contract import (
 )
 
 CHUNK_ELEMENTS = 2**20
-"""Largest number of (pixel, Gaussian) pairs that are blended at once: bounds the memory, not the
-result."""
+"""Most (pixel, Gaussian) pairs that are blended at once: bounds the memory, not the result."""
 
 
 class Splats(NamedTuple):
@@ -128,11 +127,9 @@ def perspective(
 def jacobians(
     means_camera: Float[Tensor, "n 3"], K: Float[Tensor, "3 3"], width: int, height: int
 ) -> Float[Tensor, "n 2 3"]:
-    """J = [[fx/z, 0, −fx u/z], [0, fy/z, −fy v/z]], the derivative of the perspective projection.
-
+    """J = [[fx/z, 0, −fx u/z], [0, fy/z, −fy v/z]], the derivative of the perspective projection;
     (u, v) = (x/z, y/z), clamped to the image widened by FRUSTUM_MARGIN half fields of view on each
-    side: far outside the image the first-order expansion would stretch Gaussians without bound.
-    """
+    side, beyond which Gaussians would be stretched without bound."""
     focal, principal_point = K.diagonal()[:2], K[:2, 2]
     size = K.new_tensor([width, height])
     margin = FRUSTUM_MARGIN * size / (2 * focal)
@@ -162,11 +159,8 @@ def depth_slopes(
     covs2d: Float[Tensor, "n 2 2"],
     viewmat: Float[Tensor, "4 4"],
 ) -> Float[Tensor, "n 2"]:
-    """∂z/∂x' = Σ'⁻¹ J R_w Σ r in scene units per pixel, with r the last row of R_w.
-
-    In image and depth together a Gaussian is a Gaussian again, and this is the slope of its mean z
-    given x': a disc that is seen obliquely is nearer on one side than on the other.
-    """
+    """∂z/∂x' = Σ'⁻¹ J R_w Σ r in scene units per pixel, r the last row of R_w: the slope of a
+    Gaussian's mean z given x', as a disc that is seen obliquely is nearer on one side."""
     with_depth = (jacobian @ viewmat[:3, :3] @ covs @ viewmat[2, :3, None]).squeeze(-1)
     return torch.linalg.solve(covs2d, with_depth)
 
@@ -192,8 +186,7 @@ def project(
 
 
 def pixel_centres(width: int, height: int, like: Tensor) -> Float[Tensor, "p 2"]:
-    """x' of every pixel, (column + 0.5, row + 0.5), row by row, with the dtype and the device of
-    ``like``."""
+    """x' of every pixel, (column + 0.5, row + 0.5), row by row; dtype and device of ``like``."""
     columns, rows = (
         torch.arange(size, dtype=like.dtype, device=like.device) + 0.5 for size in (width, height)
     )
@@ -210,22 +203,19 @@ def falloffs(
 
 
 def alphas(opacities: Float[Tensor, " m"], falloff: Float[Tensor, "p m"]) -> Float[Tensor, "p m"]:
-    """α = min(0.999, o · falloff), and 0 where that is below 1/255; no gradient where either bound
-    acts."""
+    """α = min(0.999, o · falloff), 0 where that is below 1/255; no gradient at either bound."""
     alpha = (opacities * falloff).clamp(max=ALPHA_MAX)
     return torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
 
 
 def transmittances(alpha: Float[Tensor, "p m"]) -> Float[Tensor, "p m+1"]:
-    """T_i = Π_{j<i} (1 − α_j): what reaches the Gaussian i from the camera, and at the end what
-    passes them all."""
+    """T_i = Π_{j<i} (1 − α_j): what reaches the Gaussian i, and at the end what passes them all."""
     ones = alpha.new_ones(len(alpha), 1)
     return torch.cat([ones, 1 - alpha], dim=1).cumprod(dim=1)
 
 
 def unfinished(alpha: Float[Tensor, "p m"]) -> Bool[Tensor, "p m"]:
-    """Whether T_i >= 1e-4 when the turn comes to the Gaussian i; the one that brings T below still
-    counts."""
+    """Whether T_i >= 1e-4 at the turn of Gaussian i; the one that brings T below still counts."""
     return transmittances(alpha.detach())[:, :-1] >= TRANSMITTANCE_MIN
 
 
@@ -249,13 +239,11 @@ def blend(
 def median_depth(
     geometry: Geometry, opacities: Float[Tensor, " n"], projection: Projection
 ) -> Float[Tensor, "h w"]:
-    """z at which the transmittance T of a layer falls to one half; no gradients.
-
-    It is the mean over what brings T from 0.6 to 0.4, mostly one Gaussian or two, of z where they
-    are met by the ray of the pixel. The mean over all of them, Σ w z, lies between two surfaces
-    wherever a little of the farther one shines through, or a little fog lies before it. In scene
-    units, [H, W]; NaN where more than half of the light passes all Gaussians. Opacities are those
-    of the layer, in (0, 1), [N]."""
+    """z at which a layer's transmittance T falls to one half, scene units, [H, W]; NaN where more
+    than half passes all Gaussians; no gradients. It is the mean over what brings T from 0.6 to 0.4,
+    mostly one Gaussian or two, of z on the pixel's ray; Σ w z would lie between two surfaces
+    wherever a little of the farther one, or fog, shows. Opacities are those of the layer, in (0,
+    1), [N]."""
     means, quats, scales = geometry
     projection = projection.to(means)
     viewmat, K, width, height, _ = projection
@@ -313,13 +301,9 @@ def surface_depths(
 def extents_px(
     splats: Splats, opacities: Sequence[Float[Tensor, " m"]], width: int, height: int
 ) -> Float[Tensor, " m"]:
-    """The radii of ``contract.Raster`` of these splats: how far along its longest axis the largest
-    α reaches 1/255.
-
-    That is at τ standard deviations, τ² = 2 ln(255 o). 0 for a Gaussian that no pixel can see:
-    not projected, o < 1/255, or the ellipse's bounding box misses the image [0, width] × [0,
-    height].
-    """
+    """The radii of ``contract.Raster``: how far along its longest axis a splat's largest α reaches
+    1/255, at τ standard deviations, τ² = 2 ln(255 o). 0 if no pixel can see it: not projected, o <
+    1/255, or its ellipse's bounding box misses the image [0, width] × [0, height]."""
     max_opacity = torch.stack(list(opacities)).amax(dim=0)
     tau_squared = (2 * torch.log(max_opacity / ALPHA_MIN)).clamp(min=0)
     half_box = (tau_squared[:, None] * splats.covs2d.diagonal(dim1=1, dim2=2)).sqrt()
@@ -333,8 +317,7 @@ def extents_px(
 def _blend_layers(
     pixels: Tensor, means2d: Tensor, covs2d: Tensor, depths: Tensor, *layers: Tensor
 ) -> list[Tensor]:
-    """``blend`` of every layer, its tensors and results in one flat list, as autograd.Function
-    wants them."""
+    """``blend`` of every layer, tensors and results in flat lists, as autograd.Function wants."""
     falloff = falloffs(pixels, means2d, covs2d)
     return [
         image
@@ -344,8 +327,7 @@ def _blend_layers(
 
 
 class _BlendInChunks(torch.autograd.Function):
-    """``_blend_layers``, chunk by chunk; backward blends each chunk again, so that only one is ever
-    in memory."""
+    """``_blend_layers`` in chunks; backward blends each again: only one is ever in memory."""
 
     @staticmethod
     def forward(ctx: Any, pixels: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:

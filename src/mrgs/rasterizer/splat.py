@@ -1,5 +1,4 @@
-"""The record of a projected Gaussian: sixteen floats, one cache line, read by tilers and blenders
-of all kernels."""
+"""The record of a projected Gaussian: sixteen floats, one cache line, read by all kernels."""
 
 from __future__ import annotations
 

@@ -1,9 +1,5 @@
-"""The file of a checkpoint of any method: tensors in safetensors, a header of JSON, and digests of
-both.
-
-The header contains the digest of the tensors, and the file's second metadata entry is the digest of
-the header: a bit that changed anywhere is noticed when the file is read.
-"""
+"""The file of a checkpoint of any method: tensors in safetensors, a header of JSON with their
+digest, and a digest of the header: a bit that changed anywhere is noticed when the file is read."""
 
 from __future__ import annotations
 
@@ -55,9 +51,7 @@ def write_file(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, A
 def read(
     path: Path, needed: Callable[[str], bool] = lambda name: True
 ) -> tuple[dict[str, Tensor], CheckpointFacts, dict[str, Any]]:
-    """The needed tensors by name, the facts, and the header.
-
-    All tensors are read and checked, one after the other, so that unneeded ones take little memory.
+    """The needed tensors by name, the facts, and the header; all tensors are checked, one by one.
     DamagedCheckpointError if it is not a checkpoint, not what was written, or not finite; RunError
     if the file cannot be read, or has another format."""
     header, names = _header_and_names(path)
@@ -98,8 +92,7 @@ def _tensors_of(path: Path, names: Iterable[str]) -> Iterator[tuple[str, Tensor]
 
 
 def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:
-    """The facts in a header; a file that was copied under the name of another step would hide newer
-    ones."""
+    """A header's facts; a file copied under another step's name would hide newer ones."""
     try:
         facts = CheckpointFacts.from_json(header)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -110,8 +103,7 @@ def _facts(path: Path, header: Mapping[str, Any]) -> CheckpointFacts:
 
 
 def skipped_in_a_row_of(header: Mapping[str, Any]) -> int:
-    """Number of steps skipped since the last good one. KeyError or ValueError if the header lacks
-    it."""
+    """Steps skipped since the last good one. KeyError or ValueError if the header lacks it."""
     count = header["skipped_in_a_row"]
     if type(count) is not int or count < 0:
         raise ValueError("skipped_in_a_row is a number of at least 0")
@@ -179,8 +171,7 @@ def _header_and_names(path: Path) -> tuple[dict[str, Any], list[str]]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """A checkpoint, mapped. DamagedCheckpointError if it is of another kind, or cut off; RunError
-    if it cannot be read."""
+    """A checkpoint, mapped; DamagedCheckpointError if not whole, RunError if it cannot be read."""
     try:
         with safe_open(path, framework="pt") as file:
             yield file

@@ -165,8 +165,7 @@ def require_scene(scene: object) -> None:
 
 
 def require_same_scene(facts: CheckpointFacts, scene: Scene) -> None:
-    """Check that a scene has the cameras and the temperatures that its run was trained with.
-    RunError if it does not."""
+    """Check that a scene has its run's cameras and temperatures. RunError if it does not."""
     problems = [*_mismatches(facts, scene)]
     if not math.isclose(facts.capture.extent, scene.extent, rel_tol=1e-6):
         problems.append(("has other cameras than the run's scene", _AS_IT_WAS))
@@ -223,8 +222,7 @@ def _incompatible(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, s
 
 
 def _mismatches(facts: CheckpointFacts, scene: Scene) -> Iterator[tuple[str, str]]:
-    """How the numbers of a scene's images differ from the run's, its thermal views, or its
-    temperatures."""
+    """How the images' numbers, the thermal views or the temperatures differ from the run's."""
     trained = model_modalities(facts.modalities)
     count = sum(modality in trained for view in scene.train for modality in view.images)
     thermal = [THERMAL in view.images for view in scene.train]

@@ -33,8 +33,7 @@ TENSORBOARD = "tensorboard"
 """Folder of the log for TensorBoard, in the run's folder."""
 
 _LEFT_BEHIND = {"checkpoints", TENSORBOARD, "blocks", "survey.yaml", "marks.json"}
-"""Files that a folder may contain before it becomes a run: those of an earlier run, and what the
-user has entered for it."""
+"""Files that may be there before a run: an earlier one's, and what the user has entered for it."""
 
 _EVERY_CONFIG_HAS = {"method", "max_steps", "resolution", "seed", "checkpoint_every"}
 
@@ -238,8 +237,7 @@ class RunFolder:
         return values if isinstance(values, dict) else {}
 
     def append_log(self, entry: dict[str, Any]) -> None:
-        """Add a line to the log; numbers that are not finite become null. RunError if the log
-        cannot be written."""
+        """Add a line to the log, null for numbers that are not finite; RunError if it fails."""
         finite = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in entry.items()
@@ -301,10 +299,9 @@ class RunFolder:
 
     @contextmanager
     def training(self, config: RunConfig, resume: bool) -> Iterator[None]:
-        """Within this block a run in the folder is trained: a new one, unless ``resume``.
-
-        A run that ends before its first checkpoint, because of the scene or of Ctrl-C, leaves
-        nothing. RunError if another process uses the folder, or it cannot be used."""
+        """Within this block a run in the folder is trained: a new one, unless ``resume``; one that
+        ends before its first checkpoint leaves nothing. RunError if another process uses the
+        folder, or it cannot be used."""
         with self.locked():
             remove_abandoned(self.path)
             if self.log_file.exists() and not self.log_file.is_file():  # a pipe would block
@@ -322,8 +319,7 @@ class RunFolder:
                 raise
 
     def discard(self) -> None:
-        """Remove a run without a checkpoint, and the folder if nothing else is in it; under the
-        lock."""
+        """Remove a run without a checkpoint, and the folder if that is empty; under the lock."""
         for name in ("config.yaml", "log.jsonl"):
             (self.path / name).unlink(missing_ok=True)
         with suppress(OSError):  # something else is in it; on Windows, the locked file

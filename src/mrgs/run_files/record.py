@@ -66,8 +66,7 @@ class StepStatistics:
 
     @property
     def thermal_error(self) -> float | None:
-        """Mean absolute error of the normalised temperature on the training view; None without a
-        thermal photo."""
+        """Mean absolute normalised temperature error on the training view; None without thermal."""
         error = self._read()[2]
         return None if math.isnan(error) else error
 
@@ -160,7 +159,7 @@ class RunRecord:
         self._folder.append_log({**entry, "seconds": self._seconds()})
 
     def save_if_due(self, last: int) -> None:
-        """Write a checkpoint after each ``checkpoint_every`` steps, after the last step, and if the
+        """Write a checkpoint each ``checkpoint_every`` steps, after the last step, and if the
         newest one is too old."""
         is_scheduled = self.step % self._config.checkpoint_every == 0 or self.step == last
         if is_scheduled or self._clock() >= self._save_at:
@@ -225,8 +224,7 @@ class RunRecord:
 
 
 def peak_memory_bytes(device: torch.device = HOST) -> int:
-    """Largest memory of this process so far: on a GPU that of its tensors there, else resident; 0
-    if unknown."""
+    """Most memory of this process so far: a GPU's tensors, else resident; 0 if unknown."""
     return torch.cuda.max_memory_allocated(device) if device.type == "cuda" else peak_resident()
 
 

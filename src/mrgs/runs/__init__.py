@@ -1,2 +1,1 @@
-"""Trained runs: the registry of methods, runs opened to be rendered from, models baked for other
-programs."""
+"""Trained runs: registry of methods, runs to be rendered from, models baked for other programs."""

@@ -1,9 +1,6 @@
-"""A trained model as plain splats: what any viewer can draw, without the field.
-
-The temperatures are final where they do not depend on the view; else the part that depends on it is
-left out. The colour residual is folded into the spherical harmonics by least squares over the
-directions from which the photos were taken.
-"""
+"""A trained model as plain splats, which any viewer can draw without the field: temperatures as far
+as they do not depend on the view, and the colour residual folded into the spherical harmonics by
+least squares over the directions of the photos."""
 
 from __future__ import annotations
 
@@ -39,8 +36,7 @@ DIRECTIONS = 32
 """Cameras whose directions are fitted, spread evenly over those of the scene."""
 
 RIDGE = 0.01
-"""Weight that keeps the coefficients near the trained ones where the directions do not tell them
-apart."""
+"""Weight towards the trained coefficients where the directions do not tell them apart."""
 
 BLOCK_ROWS = 16_384
 """Gaussians that are fitted at once, to bound the memory."""
@@ -139,8 +135,7 @@ class BakedModel:
         return 0.5 + C0 * self.sh_dc[modality][:, 0]
 
     def values(self, modality: Modality, position: Float[Tensor, "3"]) -> Float[Tensor, "n c"]:
-        """What is blended of a modality, as seen from a position: colours of RGB, normalised
-        temperatures of thermal."""
+        """What is blended, seen from a position: colours of RGB, or normalised temperatures."""
         if modality == THERMAL:
             return self.temperatures[:, None]
         dc, rest = self.sh_dc[modality], self.sh_rest[modality]
@@ -240,8 +235,7 @@ def _fit_colors(
     rows: Int64[Tensor, " v"],
     positions: Float[Tensor, "m 3"],
 ) -> Float[Tensor, "v 16 3"]:
-    """The coefficients whose colours come closest to c + ĉ as seen from the positions, and to the
-    trained ones."""
+    """The coefficients closest to c + ĉ as seen from the positions, and to the trained ones."""
     means = model.gaussians.means[rows]
     identity = torch.eye(COEFFICIENTS, dtype=sh.dtype).expand(len(rows), -1, -1)
     bases, missing = [], []

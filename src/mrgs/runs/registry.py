@@ -1,7 +1,5 @@
-"""The methods that can be trained, compared and opened, by name.
-
-Nothing is imported for a method before it is used, so that the command line can list them all.
-"""
+"""The methods that can be trained, compared and opened, by name; imported at first use, so that the
+command line can list them all."""
 
 from __future__ import annotations
 

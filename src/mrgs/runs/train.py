@@ -129,12 +129,9 @@ def train_steps(
     caller's.
 
     With ``output``, leaving the loop early writes a checkpoint, from which ``resume`` continues; so
-    do an error in it, Ctrl-C, which waits for the end of a step, and the end of the process. The
-    run's folder is locked until the loop ends.
-
-    The arguments are those of ``train``, except that a temporary folder is removed, with its
-    checkpoints, when neither the loop nor what it has yielded nor a snapshot is left. MrgsError as
-    for ``train``."""
+    do an error in it, Ctrl-C at the end of a step, and the end of the process. The folder is locked
+    until then. Arguments and errors as for ``train``, but a temporary folder is removed when
+    neither the loop, what it yielded nor a snapshot is left."""
     options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
 
     def steps() -> Generator[LiveRun, None, None]:

@@ -13,12 +13,10 @@ from mrgs.scene import Camera
 
 def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     """A closed ellipse through the middle of the cameras, each pose looking at the point that they
-    look at.
-
-    The ellipse lies in the plane that fits the camera centres best; its half axes are √2 standard
-    deviations, so that cameras which stand evenly on an ellipse get that ellipse back. Intrinsics
-    are those of the first camera. ConfigError if there are no cameras, or fewer than one frame is
-    asked for. Of the ``frames`` poses that are returned, the last is followed by the first."""
+    look at, in the plane that fits the camera centres best; half axes are √2 standard deviations,
+    so that cameras spread evenly over an ellipse get that ellipse back. Intrinsics are the first
+    camera's; of the ``frames`` poses the last is followed by the first. ConfigError without
+    cameras, or for fewer than one frame."""
     if not cameras:
         raise ConfigError("a camera path needs at least one training camera")
     if frames < 1:
@@ -41,11 +39,8 @@ def orbit(cameras: Sequence[Camera], frames: int) -> list[Camera]:
 
 
 def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
-    """The point closest to all optical axes (least squares).
-
-    Where the axes hardly meet (parallel views) or meet behind the cameras, the point ahead of the
-    cameras' centre along their mean direction, at the distance of the cameras' spread.
-    """
+    """The point closest to all optical axes (least squares); where they hardly meet, or behind the
+    cameras, the point ahead of the cameras' centre at the distance of their spread."""
     positions = np.stack([camera.position.numpy() for camera in cameras])
     directions = np.stack([camera.forward.numpy() for camera in cameras])
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]

@@ -22,8 +22,7 @@ Length: TypeAlias = Annotated[float, msgspec.Meta(gt=0, le=sys.float_info.max)]
 
 
 class Viewpoint(NamedTuple):
-    """Position of a camera, in scene extents, and its viewing direction, unit length, in world
-    coordinates."""
+    """A camera's position, in scene extents, and unit viewing direction, in world coordinates."""
 
     position: tuple[Finite, Finite, Finite]
     forward: tuple[Finite, Finite, Finite]

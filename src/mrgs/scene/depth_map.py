@@ -32,8 +32,7 @@ SURFACE_DEPTH = 0.03
 """A point is on a surface that a camera sees if the two depths differ by less than this share."""
 
 MAX_STEP = 0.05
-"""A pixel whose depth differs by more than this share within its neighbours lies on an outline: it
-has no depth."""
+"""A pixel whose neighbours' depths differ by more than this share is on an outline: no depth."""
 
 
 class PointsInImage(NamedTuple):
@@ -55,8 +54,7 @@ class DepthMap:
     image: Float32[np.ndarray, "h w c"]
 
     def points(self, offset: float = 0.0) -> Float64[np.ndarray, "m 3"]:
-        """World coordinates of the pixels whose depth is known, ``offset`` (scene units) added to
-        it."""
+        """World coordinates of the pixels with a depth, ``offset`` (scene units) added to it."""
         row, column = np.nonzero(np.isfinite(self.depth))
         pixels = torch.from_numpy(np.stack([column, row], axis=1) + 0.5)
         depth = torch.from_numpy(self.depth[row, column].astype(np.float64))

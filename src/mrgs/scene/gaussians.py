@@ -102,8 +102,7 @@ class Gaussians:
         return tensors | {"embedding": self.embedding}
 
     def replace(self, name: str, tensor: Tensor) -> None:
-        """Put another tensor in the place of one of ``tensors``. KeyError if there is none of this
-        name."""
+        """Put another tensor in the place of one of ``tensors``. KeyError for an unknown name."""
         if name not in self.tensors():
             raise KeyError(name)
         group, _, modality = name.partition(".")

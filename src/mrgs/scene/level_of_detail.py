@@ -42,12 +42,10 @@ class Merged(NamedTuple):
 
 @torch.no_grad()
 def merged(gaussians: Gaussians, most: int) -> Merged:
-    """At most a number of Gaussians, with the moments of the ones that they replace.
-
-    Mean and covariance are those of the mixture, in which a Gaussian weighs what it covers: its
-    largest opacity times the area of its two largest axes. Opacities are such that a modality
-    covers as much: opacity times area stays the same, as far as it can. All else is averaged.
-    ``most`` is above 0; as many as there are leaves them alone."""
+    """At most ``most`` (above 0) Gaussians, with the moments of the ones that they replace; the
+    same ones if there are no more. Mean and covariance are those of the mixture, weighted by the
+    largest opacity times the area of the two largest axes. Opacity times area stays the same for
+    each modality, as far as it can. All else is averaged."""
     if len(gaussians) <= most:
         ones = torch.ones(len(gaussians))
         return Merged(gaussians, torch.arange(len(gaussians)), ones)

@@ -96,12 +96,10 @@ _known: dict[str, Modality] = {modality.name: modality for modality in BUILT_IN}
 
 
 def register_modality(modality: Modality) -> Modality:
-    """Make a modality known to the readers of all scenes; returns it.
-
-    Frames of ``transforms.json`` may then have ``NAME_file_path``, and its images are trained,
-    scored, rendered and exported like all others. Not needed where ``transforms.json`` lists it
-    under ``modalities``. Registering the same modality twice is allowed. ValueError if a modality
-    of this name has another number of channels."""
+    """Make a modality known to the readers of all scenes, like one that ``transforms.json`` lists
+    under ``modalities``; returns it. Frames may then have ``NAME_file_path``; its images are
+    trained, scored, rendered and exported like all others. May be repeated. ValueError if a
+    modality of this name has another number of channels."""
     known = _known.setdefault(modality.name, modality)
     if known != modality:
         raise ValueError(
@@ -123,8 +121,7 @@ def in_order(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
 
 
 def metric_first(modalities: Iterable[Modality]) -> tuple[Modality, ...]:
-    """Modalities that measure a quantity in a unit, then plain intensities; each group in its
-    order."""
+    """Modalities of a quantity in a unit, then intensities; each group in its order."""
     return tuple(sorted(modalities, key=lambda modality: not modality.is_metric))
 
 

@@ -47,13 +47,9 @@ class PointCloud:
 
 
 def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
-    """``RANDOM_POINTS`` grey points inside the cameras' view cones.
-
-    Each lies on the ray of a random pixel of a random camera, at a depth between ``NEAREST`` and
-    ``FARTHEST`` times the depth at which the cameras look, uniform in 1/depth. Around an object the
-    cones overlap there, so that the points gather on it; before a facade they fill the space in
-    front of the cameras; none is placed unseen.
-    """
+    """``RANDOM_POINTS`` grey points on the rays of random pixels of random cameras, at ``NEAREST``
+    to ``FARTHEST`` times the depth at which the cameras look, uniform in 1/depth: they gather on an
+    object, fill the space before a façade, and none is unseen."""
     generator = torch.Generator().manual_seed(seed)
     which = torch.randint(len(cameras), (RANDOM_POINTS,), generator=generator)
     unit = torch.rand(RANDOM_POINTS, 3, generator=generator, dtype=torch.float64)
@@ -68,11 +64,8 @@ def random_points(cameras: Sequence[Camera], seed: int) -> PointCloud:
 
 
 def _looking_depth(cameras: Sequence[Camera]) -> float:
-    """Mean depth of the point nearest to all optical axes; where they are almost parallel, the
-    cameras' spread.
-
-    The point p minimises Σ |(I − f fᵀ)(p − c)|² over the cameras' centres c and directions f.
-    """
+    """Mean depth of the point p nearest to all optical axes, which minimises Σ |(I − f fᵀ)(p − c)|²
+    over centres c and directions f; the cameras' spread where these are almost parallel."""
     centre = torch.stack([camera.position for camera in cameras])
     forward = torch.stack([camera.forward for camera in cameras])
     spread = (centre - centre.mean(dim=0)).norm(dim=1).max().item()
@@ -93,11 +86,9 @@ CROWDED = 1_000
 def coincident_points(
     points: Float64[np.ndarray, "n 3"], kept: int, most: int = CROWDED
 ) -> list[Int64[np.ndarray, "_"]]:
-    """Indices of the points at each position that more than ``max(most, kept)`` points share.
-
-    A k-d tree cannot divide coincident points, and would compare each with all of them. ``kept`` is
-    the number of the points at a position that the caller keeps, ``most`` how many coincident ones
-    are still fast."""
+    """The indices of the points at each position that more than ``max(most, kept)`` of them share,
+    all of which a k-d tree would compare with each other. ``kept`` is how many of a position the
+    caller keeps, ``most`` how many are still fast."""
     most = max(most, kept)
     if np.unique(points[:, 0], return_counts=True)[1].max() <= most:  # much faster than all axes
         return []

@@ -33,10 +33,8 @@ def preview_png(images: Sequence[Float[Tensor, "_ _ _"]]) -> bytes:
 
 
 def to_rgb8(image: Float[Tensor, "h w c"]) -> UInt8[np.ndarray, "h w 3"]:
-    """Intensities in [0, 1], clamped, as bytes; NaN turns black.
-
-    Three channels are colours; of any other number, the mean is shown as grey.
-    """
+    """Intensities in [0, 1], clamped, as bytes, NaN black; three channels are colours, of others
+    the mean is shown as grey."""
     values = np.nan_to_num(image.detach().float().cpu().numpy()).clip(0, 1)
     if values.shape[2] != 3:
         values = np.repeat(values.mean(axis=2, keepdims=True), 3, axis=2)

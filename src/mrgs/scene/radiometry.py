@@ -129,8 +129,7 @@ PARAMETER_LIMITS = {
 
 @dataclass(frozen=True)
 class Planck:
-    """A camera's calibration: S = r1 / (r2 (exp(b / T) − f)) − o, for a black body of T kelvin and
-    a signal S."""
+    """A camera's calibration: S = r1 / (r2 (exp(b / T) − f)) − o, for a black body of T kelvin."""
 
     r1: float
     r2: float
@@ -139,11 +138,9 @@ class Planck:
     o: float
 
     def problem(self) -> str | None:
-        """Why these cannot be a camera's constants; None if they can.
-
-        b is the second radiation constant (14,388 µm K) over the effective wavelength: 500 K and
-        20,000 K would be 29 µm and 0.7 µm.
-        """
+        """Why these cannot be a camera's constants; None if they can. b is the second radiation
+        constant (14,388 µm K) over the effective wavelength: 500 K and 20,000 K are 29 µm and 0.7
+        µm."""
         if not all(map(math.isfinite, astuple(self))):
             return "not a number"
         if not (self.r1 > 0 and self.r2 > 0):
@@ -165,8 +162,7 @@ class Planck:
             return self.r1 / (self.r2 * (exponential - self.f)) - self.o
 
     def celsius(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """The temperature of the black body with this signal, °C; not finite where there is
-        none."""
+        """The temperature of the black body with this signal, °C; not finite without one."""
         with np.errstate(all="ignore"):
             kelvin = self.b / np.log(self.r1 / (self.r2 * (signal + self.o)) + self.f)
             return np.where(signal + self.o > 0, kelvin - ZERO_CELSIUS_K, np.nan)

@@ -122,11 +122,9 @@ class Rendering(Mapping[Modality, Blend]):
         return torch.where(_depth_range(surface) > max_step * surface, torch.nan, surface)
 
     def visible_depth(self) -> Float[Tensor, "h w"]:
-        """z-depth of the visible surface, scene units, [H, W]; NaN where no modality shows one.
-
-        It is that of the first modality that covers the pixel, those with a unit first: over a
-        black background the coldest things may well be transparent in the thermal image.
-        """
+        """z-depth of the visible surface, scene units, [H, W], NaN where no modality shows one: of
+        the first that covers the pixel, those with a unit first, whose coldest things may be
+        transparent."""
         depths = map(self.surface_depth, metric_first(self))
         return reduce(lambda first, second: torch.where(first.isnan(), second, first), depths)
 

@@ -1,9 +1,6 @@
-"""Rotations in float64: the exponential map of SO(3), quaternions, and the axes of cameras.
-
-Rotation vectors are axis times angle in radians; quaternions are wxyz (scalar first). Nothing here
-carries gradients: the rasterizer and density control rotate Gaussians with torch. Tensors are taken
-where arrays are; NumPy 2.2 converts them only when it is asked to (``np.asarray``).
-"""
+"""Rotations in float64, without gradients: the exponential map of SO(3), quaternions wxyz (scalar
+first), and the axes of cameras. Rotation vectors are axis times angle in radians. Tensors can be
+given in place of arrays; NumPy 2.2 converts them only if asked to (``np.asarray``)."""
 
 from __future__ import annotations
 
@@ -17,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Camera axes x right, y down, z forward (OpenCV) to x right, y up, z backward (OpenGL), [4, 4].
-It is its own inverse."""
+"""Camera axes y down, z forward (OpenCV) to y up, z back (OpenGL), [4, 4]; its own inverse."""
 
 
 def rigid_transform(rotation: ArrayLike, translation: ArrayLike) -> Float64[Tensor, "4 4"]:
@@ -62,11 +58,8 @@ def cross_matrix(v: Float64[Tensor, "*n 3"]) -> Float64[Tensor, "*n 3 3"]:
 
 
 def left_jacobian(rotvec: Float64[Tensor, "n 3"]) -> Float64[Tensor, "n 3 3"]:
-    """The left Jacobian J of SO(3): exp(v + d) = exp(J d) exp(v) for a small d.
-
-    By the series of (1 − cos θ) / θ² and (θ − sin θ) / θ³: smooth at 0, and exact to 1e-9 for
-    angles θ below 1.
-    """
+    """The left Jacobian J of SO(3): exp(v + d) = exp(J d) exp(v) for a small d, by the series of (1
+    − cos θ) / θ² and (θ − sin θ) / θ³: exact to 1e-9 for angles θ below 1."""
     t = rotvec.square().sum(dim=-1)[:, None, None]
     cosine = 0.5 - t / 24 * (1 - t / 30 * (1 - t / 56 * (1 - t / 90 * (1 - t / 132))))
     rest = 1 / 6 - t / 120 * (1 - t / 42 * (1 - t / 72 * (1 - t / 110 * (1 - t / 156))))

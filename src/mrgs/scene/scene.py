@@ -133,11 +133,7 @@ class Scene:
     @property
     def extent(self) -> float:
         """Radius of the training cameras about their mean, times 1.1 (3DGS's scene extent), in
-        scene units.
-
-        Cameras that hardly move (a tripod, a single view) tell nothing of the scene's size: then
-        the median distance of the start points stands in.
-        """
+        scene units; the median distance of the start points where the cameras hardly move."""
         positions = torch.stack(
             [camera.position for view in self.train for camera in view.cameras.values()]
         )
@@ -242,8 +238,7 @@ def _thermal_images(celsius: Images | None) -> list[Tensor | None]:
 
 
 def _range_of(thermal: Sequence[Tensor | None]) -> TemperatureRange | None:
-    """The range of thermal images in °C, rounded outwards to whole degrees; None if there are
-    none."""
+    """The range of thermal images in °C, rounded outwards to whole degrees; None without any."""
     limits = [image[image.isfinite()].aminmax() for image in thermal if image is not None]
     if not limits:
         return None
@@ -335,8 +330,7 @@ def _check_size(image: Tensor, camera: Camera, name: str) -> None:
 
 
 def _load(image: Tensor, temperature: TemperatureRange | None) -> Pixels:
-    """Colours, or °C where there is a scale; pixels that are not finite in all channels are not
-    valid."""
+    """Colours, or °C with a scale; valid are pixels that are finite in all channels."""
     if temperature is None:
         values = _as_shares(image)
     else:

@@ -103,6 +103,5 @@ def share_camera(cameras: Mapping[Modality, Camera], one: Modality, other: Modal
 
 
 def evenly_spaced(count: int, most: int = 5) -> list[int]:
-    """Indices of at most ``most`` of ``count`` views, evenly spread, the first and the last among
-    them."""
+    """At most ``most`` indices of ``count`` views, evenly spread, with the first and the last."""
     return sorted({round(index) for index in np.linspace(0, count - 1, min(count, most))})

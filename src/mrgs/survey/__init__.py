@@ -190,8 +190,7 @@ def survey_of(folder: Path) -> Survey:
 
 
 def write_survey(path: Path, survey: Survey) -> Path:
-    """Write a survey with a comment for each part; returns the path. RunError if the file cannot be
-    written."""
+    """Write a survey, its parts commented; returns the path. RunError if that fails."""
     lines = []
     stated = asdict(survey)
     template = files("mrgs").joinpath("survey/template.yaml").read_text(encoding="utf-8")

@@ -31,13 +31,10 @@ _swept: set[Path] = set()
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path``; on success it is brought to the disk and becomes
-    ``path``.
-
-    On any error the temporary file is removed. That of a process which was killed is removed when a
-    later one writes into the folder. The folder is made if need be, and the suffix is kept, because
-    image writers choose the format by it. WriteError if the file cannot be written (permissions, a
-    full disk)."""
+    """Give a temporary path beside ``path``, with the same suffix, which tells image writers the
+    format. On success it is flushed to the disk and becomes ``path``; on an error it is removed, or
+    by a later process if this one is killed. The folder is made if need be. WriteError if the file
+    cannot be written (permissions, a full disk)."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.parent not in _swept:
@@ -53,10 +50,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text file in UTF-8, whole or not at all; returns the path.
-
-    Parts of names that are not UTF-8 become escapes such as ``\\udcff``, which JSON reads back.
-    WriteError if the file cannot be written."""
+    """Write a text file in UTF-8, whole or not at all; returns the path. What is not UTF-8 becomes
+    an escape such as ``\\udcff``, which JSON reads back. WriteError if that fails."""
     return write_texts(path, [text])
 
 
@@ -118,10 +113,8 @@ def write_error(path: Path, error: Exception, options: tuple[str, ...] = ()) -> 
 
 @contextmanager
 def _temporary_beside(path: Path) -> Iterator[Path]:
-    """A path in a folder of its own, which goes with all that a writer leaves there.
-
-    The folder is locked as long as this process lives, so that others can tell if it is abandoned.
-    """
+    """A path in a folder of its own, which goes with all that a writer leaves there, and is locked
+    as long as this process lives: others can tell if it is abandoned."""
     folder = Path(tempfile.mkdtemp(prefix=TEMPORARY, dir=path.parent))
     lock = None if fcntl is None else os.open(folder, os.O_RDONLY)
     try:

@@ -27,8 +27,7 @@ OUT_OF_MEMORY = "the system ended the process (signal 9), most likely for want o
 
 
 class Child:
-    """A child process, as its parent sees it. ``end`` is its last message; empty before it has
-    come."""
+    """A child process, as its parent sees it; ``end`` is its last message, empty before."""
 
     def __init__(self, arguments: Sequence[str], request: Any, log: Path, **variables: str) -> None:
         """Start Python in a session of its own, so that Ctrl-C reaches the parent alone. The
@@ -107,11 +106,8 @@ def read_request() -> Any:
 
 
 def when_asked_to_stop(action: Callable[[], None]) -> None:
-    """In a child, do something once its parent wants it to stop or has died.
-
-    Standard input is the null device from now on. On Windows, loading a library asks for the type
-    of standard input, and would wait for a thread that reads from it.
-    """
+    """In a child, do something once its parent wants it to stop or has died. Standard input becomes
+    the null device: on Windows a library being loaded would wait for the thread that reads it."""
     parent = os.dup(0)
     with open(os.devnull, "rb") as nothing:
         os.dup2(nothing.fileno(), 0)
@@ -130,8 +126,7 @@ CHILD_FOLDER = Path(sys.prefix)
 
 
 def child_environment(**changes: str) -> dict[str, str]:
-    """The environment of a child: this process's, with changes; PYTHONPATH means the same folders
-    as here."""
+    """This process's environment with changes; PYTHONPATH means the same folders as here."""
     environment = {**os.environ, "PYTHONSAFEPATH": "1", **changes}
     # An empty entry is the current folder, and most often there by mistake.
     entries = [

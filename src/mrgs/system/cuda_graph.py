@@ -1,10 +1,7 @@
 """Work on a GPU that is recorded once and then started as one, and its lists, whose length only the
-GPU knows.
-
-A CUDA graph replays work of fixed sizes. Code that makes a list asks ``room_of_list`` how long it
-may be: outside of a recording the host waits for the length; within one the list has room to spare,
-and its length stays on the GPU, where the replaying side can read whether the room sufficed.
-"""
+GPU knows. A CUDA graph replays work of fixed sizes: within a recording a list has room to spare
+(``room_of_list``), and its length stays on the GPU, where the replaying side can read whether it
+sufficed; outside, the host waits for the length."""
 
 from __future__ import annotations
 
@@ -127,7 +124,6 @@ def lists_have(room: ListRoom) -> Iterator[None]:
 
 
 def room_of_list(length: Int64[Tensor, "1"]) -> int:
-    """Entries to make room for in a list of this length; the host waits for it, unless a step is
-    recorded."""
+    """Entries to make room for in such a list; the host waits for it, unless it is recorded."""
     room = _room.get()
     return int(length) if room is None else room.for_list(length)

@@ -29,8 +29,7 @@ def open_regular(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_regular(path: Path, limit: int) -> bytes:
-    """The content of a regular file. OSError if it cannot be read, or has more than ``limit``
-    bytes."""
+    """The content of a regular file. OSError if unreadable, or of more than ``limit`` bytes."""
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         data = file.read(limit + 1) if size <= limit else b""  # of some files fstat knows no size
@@ -52,11 +51,9 @@ def free_disk(folder: Path) -> int:
 
 
 def warn_if_short(folder: Path, needed_bytes: int, what: str) -> None:
-    """Compare the room on the disk of a folder, which need not exist yet, with an estimate of what
-    will be written there; ``what`` is the subject of the sentence.
-
-    Too little room is no error: the estimate may be too high, and what is written before the disk
-    is full is kept. MrgsWarning if there is less."""
+    """Compare the room on the disk of a folder, which need not exist yet, with an estimate for
+    ``what``, the subject of the sentence; a MrgsWarning if there is less, no error, as the estimate
+    may be high."""
     free = free_disk(folder)
     if free < needed_bytes:
         warn_user(

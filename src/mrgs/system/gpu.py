@@ -1,5 +1,4 @@
-"""Which device to train and render on, and whether Triton kernels run there; every question about
-it is here."""
+"""Every question about the device to train and render on, and whether Triton kernels run there."""
 
 from __future__ import annotations
 
@@ -42,8 +41,7 @@ _interpreted: ContextVar[bool] = ContextVar("mrgs_gpu_interpreted", default=Fals
 
 
 def runs_triton(tensor: Tensor) -> bool:
-    """Whether Triton kernels take this tensor: float32, and on an NVIDIA GPU (or within
-    ``interpreted``)."""
+    """Whether Triton takes this tensor: float32 on an NVIDIA GPU, or within ``interpreted``."""
     if tensor.dtype != torch.float32:
         return False
     if tensor.is_cuda:
@@ -53,11 +51,8 @@ def runs_triton(tensor: Tensor) -> bool:
 
 @contextmanager
 def interpreted() -> Iterator[None]:
-    """Within this block the kernels take CPU tensors, through Triton's interpreter: slow, for
-    tests.
-
-    The environment variable TRITON_INTERPRET=1 must have been set before Triton was first imported.
-    """
+    """Within this block the kernels take CPU tensors, through Triton's slow interpreter, for tests.
+    TRITON_INTERPRET=1 must have been set before Triton was first imported."""
     assert os.environ.get("TRITON_INTERPRET") == "1", (
         "set TRITON_INTERPRET=1 before Triton is imported"
     )
@@ -102,8 +97,7 @@ class Machine:
 
     @property
     def headers(self) -> list[Path]:
-        """Where Python.h is looked for when Triton compiles: its own choice first, then the options
-        of a C compiler."""
+        """Where Triton finds Python.h: its own choice first, then the compiler's options."""
         scheme = sysconfig.get_default_scheme()
         if scheme == "posix_local":  # Debian's names a folder below /usr/local without headers
             scheme = "posix_prefix"

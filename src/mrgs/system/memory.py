@@ -39,12 +39,8 @@ def peak_resident() -> int:
 
 def release_when_freed() -> None:
     """From now on, let large arrays of this process go back to the system as soon as they are
-    freed; does nothing where the C library cannot.
-
-    Else they leave gaps that other arrays do not fit into: several hundred MB where arrays have a
-    row for each of millions of Gaussians. For programs that make few large arrays: each of them
-    costs a call of the system.
-    """
+    freed, where the C library can: else they leave gaps of several hundred MB. For programs that
+    make few large arrays, as each costs a call of the system."""
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)
 

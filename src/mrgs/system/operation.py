@@ -60,8 +60,7 @@ class Kernel(NamedTuple):
 
 
 def register_kernels(*kernels: Kernel) -> None:
-    """Make kernels known to their operations, in place of others for the same operation and
-    device."""
+    """Make kernels known; each replaces a known one for the same operation and device."""
     _registered.update({(kernel.replaces, kernel.device): kernel for kernel in kernels})
 
 

@@ -1,5 +1,4 @@
-"""The comparison of a kernel with the plain definition that it replaces: results and gradients for
-the same inputs."""
+"""Comparison of a kernel with the plain definition that it replaces: results and gradients."""
 
 from __future__ import annotations
 
@@ -108,8 +107,7 @@ class _Outcome(NamedTuple):
 
 
 def _copied(value: Any, change: Callable[[Tensor], Tensor] = Tensor.clone) -> Any:
-    """The value with copies of its tensors, cut from the graph that made them; modules stay as they
-    are."""
+    """The value with copies of its tensors, cut from their graph; modules stay as they are."""
     if isinstance(value, Tensor):
         return change(value.detach()).requires_grad_(value.requires_grad)
     if isinstance(value, (list, tuple)):

@@ -32,8 +32,7 @@ def write_yaml(config: Any) -> str:
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The entries of nested mappings, such as ``dataclasses.asdict`` gives, by their dotted
-    names."""
+    """The entries of nested mappings, as of ``dataclasses.asdict``, by their dotted names."""
     found: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):

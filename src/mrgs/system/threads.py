@@ -27,12 +27,9 @@ def waiting_factor() -> float:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute on the calling thread alone for a while.
-
-    Threads that share small work wait for each other in busy loops: a picture of few pixels takes
-    several times the processor time on two threads, and is no sooner done where another program
-    has one of the cores.
-    """
+    """Compute on the calling thread alone for a while: for small work, threads that wait for each
+    other in busy loops take several times the processor time, and are no sooner done where another
+    program has a core."""
     import numba
     import torch
 

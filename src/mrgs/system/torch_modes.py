@@ -50,12 +50,8 @@ def own_modes(device: torch.device = HOST) -> Iterator[None]:
 @contextmanager
 def _full_precision() -> Iterator[None]:
     """Within this block, operands of float32 products and convolutions are not rounded (no TF32, no
-    bfloat16).
-
-    torch rounds those of cuDNN's convolutions by default, and of all products on request. A kernel
-    would then differ from its plain definition by more than the check of kernels allows. The
-    settings are the process's, and are the caller's again after the block.
-    """
+    bfloat16), as torch does in cuDNN's convolutions, or on request: a kernel would differ from its
+    plain definition. The process's settings are restored after it."""
     before = []
     for setting in _SETTINGS:
         # Where the operations behind a common name have different settings, torch raises.

@@ -10,11 +10,8 @@ from contextlib import contextmanager
 
 
 class FairLock:
-    """A lock that threads get in the order in which they ask for it, also where the one that gives
-    it back asks again at once; the thread that has it may take it again.
-
-    Ctrl-C while a thread waits, or as its turn comes, leaves the lock free for the others.
-    """
+    """A lock that threads get in the order in which they ask for it, even if the holder asks again
+    at once; the holder may take it again. Ctrl-C leaves it free for the others."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -47,11 +44,9 @@ class FairLock:
 
 @contextmanager
 def ctrl_c_waits() -> Iterator[None]:
-    """Within this block Ctrl-C waits for its end; a second one does not.
-
-    Nothing changes where Ctrl-C does something else than to raise KeyboardInterrupt, or in other
-    threads than the main one, which it does not reach. KeyboardInterrupt comes at the end of the
-    block, or at the second Ctrl-C."""
+    """Within this block Ctrl-C waits for its end, where KeyboardInterrupt is raised; a second one
+    does not. Nothing changes where Ctrl-C does something else, or in threads other than the main
+    one."""
     is_main = threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield

@@ -173,8 +173,7 @@ def _require_made_with(
 
 
 def _model(tensors: Mapping[str, Tensor], config: TrainConfig, facts: CheckpointFacts) -> Model:
-    """The model of a checkpoint. ValueError if the tensors do not fit a model of this
-    configuration."""
+    """The model of a checkpoint. ValueError if the tensors do not fit the configuration."""
     gaussians = gaussians_from(parameters_of_gaussians(tensors), config, facts)
     neighbours, k = tensors.get("neighbours"), config.field.neighbours_k
     if neighbours is not None:  # they may be missing right after a densification

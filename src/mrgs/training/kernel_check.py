@@ -39,12 +39,9 @@ def check_kernels(
     state: TrainingState, scene: Scene, config: TrainConfig, scale: SceneScale
 ) -> None:
     """Take the forward pass of a training step on a sample of the model, and compare each kernel
-    with its plain definition: values and gradients.
-
-    A kernel that differs is not used from then on in this process (``operation.checking``). The
-    state is left as it is. The photos, of views that together have all modalities, are random
-    numbers, so that none has to be read, once with masks and once without. MrgsWarning if one
-    differs."""
+    with its plain definition: values and gradients. A MrgsWarning if one differs, which is not used
+    any more in this process (``operation.checking``). The state is left as it is. Photos of all
+    modalities are random numbers, once with masks and once without."""
     scale = scale._replace(thermal_noise=max(scale.thermal_noise, NOISE))
     generator, device = torch.Generator().manual_seed(0), state.device
     missing = {modality for view in scene.train for modality in view.images}
@@ -91,12 +88,10 @@ def _check_optimizer(device: torch.device, generator: torch.Generator) -> None:
 
 
 def check_rendering(model: Model, image_model: ImageModel, *devices: torch.device) -> None:
-    """Render a sample of a trained model, and compare the results of each kernel with those of its
-    plain definition.
-
-    A kernel that differs is not used from then on in this process (``operation.checking``). The
-    camera is a new one that has the sample before it; the devices are those where the model is
-    going to be rendered. The image model is in the host's memory. MrgsWarning if one differs."""
+    """Render a sample of a trained model by a new camera, on the devices where it will be rendered,
+    and compare each kernel with its plain definition. A MrgsWarning if one differs, which is not
+    used any more in this process (``operation.checking``). The image model is in the host's
+    memory."""
     if len(model.gaussians) == 0:
         return
     sample = _sampled(model, None, model.sh_degree)

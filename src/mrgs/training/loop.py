@@ -72,11 +72,8 @@ class Trainer:
     def run(
         self, stop_at: int | None = None, on_step: Callable[[StepStatistics], object] | None = None
     ) -> None:
-        """Train until the end of the schedule, the step ``stop_at``, or until ``on_step`` returns
-        True.
-
-        The last step is checkpointed, also if Ctrl-C or an error in ``on_step`` ends the training.
-        """
+        """Train until the schedule's end, the step ``stop_at``, or ``on_step`` returns True; the
+        last step is checkpointed, also after Ctrl-C or an error in ``on_step``."""
         with closing(self.steps(stop_at)) as steps:
             for statistics in steps:
                 if on_step is not None and asks_to_stop(on_step(statistics)):
@@ -113,8 +110,7 @@ class Trainer:
             self._record.save()
 
     def close(self) -> None:
-        """Stop saving, because the run's folder may become another training's, and stop loading
-        photos."""
+        """Stop saving, since the folder may become another training's, and loading photos."""
         with self.between_steps():
             self._is_closed = True
         self._photos.close()
@@ -193,11 +189,9 @@ class Trainer:
 
     def _with_enough_memory(self, action: Callable[[], Result]) -> Result:
         """Do a part of a step, which changes the state only once it has all the memory that it
-        needs; if the GPU's memory is full, undo it, release memory that is only reserved or kept
-        for speed, and do it again.
-
-        Adam makes its moments at the first step, one parameter after another: this alone is not
-        undone. TrainingError if the memory is full again; the state before is checkpointed."""
+        needs; if the GPU's is full, undo it, release what is reserved or kept for speed, and do it
+        again. Adam's moments at the first step are not undone. TrainingError if it is full again;
+        the state before is checkpointed."""
         state = self.state
         before = (state.step, state.generator.get_state(), state.sampler.state())
         for _ in range(2):

@@ -16,8 +16,7 @@ _GEOMETRY = 3 + 4 + 3
 """Centre, rotation and scales; each modality adds an opacity and its spherical harmonics."""
 
 _PEAK_COPIES = 6
-"""Parameter and two moments, before and after a densification; a step needs a gradient beside
-them."""
+"""Parameter and two moments, before and after densification; a gradient beside them."""
 
 _STORED_COPIES = 3
 """Parameter and two moments."""

@@ -19,8 +19,7 @@ SHARE_OF_FREE_MEMORY = 0.4
 """Of what is free when the training starts; the Gaussians and a step need the rest."""
 
 SHARE_OF_GPU_MEMORY = 0.25
-"""Of a GPU's free memory at the start, for photos: most of the rest is for the Gaussians, which
-grow in number."""
+"""Of a GPU's free memory at the start, for photos: the Gaussians, which grow, take the rest."""
 
 LIMIT_IF_UNKNOWN = 2 * 2**30
 
@@ -110,8 +109,7 @@ class TrainingPhotos:
         self._gpu_left_bytes = 0
 
     def close(self) -> None:
-        """End the thread, which finishes the photo that it is reading; nothing is loaded any
-        more."""
+        """End the thread after the photo that it is reading; nothing more is loaded."""
         self._ahead.clear()
         self._reader.shutdown(cancel_futures=True)
 

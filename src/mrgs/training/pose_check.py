@@ -1,5 +1,4 @@
-"""Whether the photos lie where the model is seen by now; where they do not, their poses are
-refined from there on."""
+"""Whether the photos lie where the model is seen; where not, their poses are refined from then."""
 
 from __future__ import annotations
 
@@ -26,8 +25,7 @@ from mrgs.training.view_pass import PhotographedView, coarser, pixel_sizes, temp
 
 SHARE_OF_STEPS = 0.1
 EARLIEST_STEP = 200
-"""By then the model is clear enough to tell, and it still follows poses that move (docs/decisions,
-055)."""
+"""The model is clear enough to tell, and still follows poses that move (docs/decisions, 055)."""
 
 LOOKS = 2
 """Number of times that each photo was trained on by then."""
@@ -51,8 +49,7 @@ def checked_after(config: TrainConfig, views: int) -> int | None:
 
 
 def checks_poses_now(state: TrainingState, config: TrainConfig) -> bool:
-    """Whether poses are to be checked after the step of the state: when it is due, or as soon as
-    possible if that failed."""
+    """Whether poses are to be checked after this step: from when it is due until it succeeds."""
     poses = state.image_model.poses
     if poses is None or poses.is_checked:
         return False

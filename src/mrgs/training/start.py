@@ -110,8 +110,7 @@ def open_training(
     terms: Sequence[Term] = (),
     part: TrainingPart | None = None,
 ) -> Iterator[Trainer]:
-    """Within this block the run's folder is locked, and a trainer is ready for its first step; see
-    ``train``."""
+    """Around a training: the folder locked, a trainer ready for its first step; see ``train``."""
     folder, device = RunFolder(output), gpu.choose_device(options.device)
     strategy = strategy if part is None else part.strategy
     if isinstance(scene, Scene) and not options.resume:

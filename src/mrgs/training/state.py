@@ -29,12 +29,9 @@ from mrgs.system.torch_modes import seeded
 
 
 class ViewSampler:
-    """Every view once per round, each round in a new random order.
-
-    With several views per step, the views are dealt into as many groups, and each step takes one
-    view of each group. In groups that are smaller than others, one view comes twice in a round. A
-    checkpoint of the generator and of ``state()`` continues the sequence exactly.
-    """
+    """Every view once per round, each round in a new random order; several views per step are dealt
+    into as many groups, one of each a step, with one view of a smaller group twice in a round. A
+    checkpoint of the generator and of ``state()`` continues the sequence exactly."""
 
     def __init__(self, count: int, generator: torch.Generator, groups: int = 1) -> None:
         self._count, self._generator, self._groups = count, generator, groups
@@ -62,8 +59,7 @@ class ViewSampler:
         return chosen.tolist()
 
     def peek(self) -> list[int]:
-        """The views that ``next`` will return; none at the end of a round, since the following one
-        is not drawn yet."""
+        """The views that ``next`` will return; none before a round whose order is not drawn yet."""
         return self._waiting[: self._groups].tolist()
 
     def state(self) -> Tensor:
@@ -151,8 +147,7 @@ class TrainingState:
 
     @property
     def device(self) -> torch.device:
-        """Device of the model and the optimizers; the order of the views and the generator stay on
-        the host."""
+        """Device of model and optimizers; the views' order and the generator are on the host."""
         return self.model.gaussians.means.device
 
     def parameters(self) -> list[Tensor]:
@@ -191,8 +186,7 @@ class TrainingState:
         return are_finite(loss, self.gaussian_optimizer.gradients() + present)
 
     def move(self, config: TrainConfig, finite: Bool[Tensor, ""]) -> None:
-        """Adam's step of all parameters, within their limits; nothing moves where ``finite`` is
-        False."""
+        """Adam's step of all parameters, within limits; none where ``finite`` is False."""
         progress = self.step / config.max_steps
         if (movable := self.strategy.movable(self.model.gaussians)) is not None:
             self.gaussian_optimizer.hold(~movable)
@@ -219,12 +213,9 @@ def initial_state(
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
 ) -> TrainingState:
-    """The state at step 0, from the scene's start points.
-
-    Every random choice follows from the seed, and torch's own generators are left alone. It is
-    made on the CPU, and so the same for every device. The density control is the configuration's,
-    unless a strategy is given; the terms are added to the configuration's.
-    """
+    """The state at step 0, from the scene's start points, made on the CPU for every device. Random
+    choices follow from the seed, not torch's generators. Density control is the configuration's,
+    unless a strategy is given; the terms are added to the configuration's."""
     capture = Capture.of(scene)
     strategy = config.densification if strategy is None else strategy
     apart = blended_apart(scene.modalities, config.shares_opacity)

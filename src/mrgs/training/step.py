@@ -60,11 +60,9 @@ def training_step(
     scale: SceneScale,
     recorder: Recorder | None = None,
 ) -> StepResult:
-    """Render views, compare them with their photos, move the parameters once.
-
-    A step whose loss or gradients are not finite moves nothing. On a GPU that is decided there,
-    without waiting on the host. There are as many views as the ``batch`` of the configuration;
-    ``recorder`` replays the pass of a step's only view on a GPU."""
+    """Render as many views as the configuration's ``batch``, compare them with their photos, move
+    the parameters once; nothing where loss or gradients are not finite, which a GPU decides without
+    waiting on the host. ``recorder`` replays the pass of a step's only view on a GPU."""
     state.step += 1
     state.model.sh_degree = config.sh_degree_at(state.step)
     state.refresh_neighbours(config)

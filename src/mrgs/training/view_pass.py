@@ -89,15 +89,13 @@ def view_inputs(state: TrainingState, each: PhotographedView, config: TrainConfi
 
 
 def temperature_degree(state: TrainingState, config: TrainConfig) -> int:
-    """Highest degree of the temperature's harmonics that counts at the step of the state; 0 where
-    it has none."""
+    """Highest degree of the temperature's harmonics that counts at this step; 0 without any."""
     depends = state.model.gaussians.depends_on_view(THERMAL)
     return config.temperature_sh_degree_at(state.step) if depends else 0
 
 
 def forward_backward(state: TrainingState, inputs: ViewInputs, scale: SceneScale) -> ViewMeasures:
-    """Render a view, compare it with its photos, and add the gradients of its loss to those of the
-    parameters."""
+    """Render a view, compare it with its photos, and add its gradients to the parameters'."""
     context, passes = rendered(state.model, state.image_model, inputs, scale)
     values = term_values(inputs.terms, context)
     loss = total_loss(values, inputs.weights)
@@ -133,8 +131,7 @@ def rendered(
 
 
 def _thermal_error(rendering: Rendering, photo: Pixels) -> Float[Tensor, ""]:
-    """Mean absolute error of the normalised temperature over the valid pixels; NaN if there are
-    none."""
+    """Mean absolute error of the normalised temperature over valid pixels; NaN without any."""
     error = (rendering[THERMAL].image.detach() - photo.values).abs()
     if photo.valid is None:
         return error.mean()
@@ -145,11 +142,8 @@ def coarser(
     cameras: Mapping[Modality, Camera], photos: Mapping[Modality, Pixels], pixel_size: int
 ) -> tuple[Mapping[Modality, Camera], Mapping[Modality, Pixels]]:
     """A view's cameras and photos with larger pixels: their side, a power of two, in pixels of the
-    photos.
-
-    What a coarse pixel averages is as for ``--resolution``; it counts where all of that does.
-    Images that would become too small get smaller pixels.
-    """
+    photos; smaller where an image would be too small. What a coarse pixel averages is as for
+    ``--resolution``; it counts where all of that does."""
     if pixel_size == 1:
         return cameras, photos
     resized = {}
@@ -170,8 +164,7 @@ def pixel_sizes(
 
 
 def coarse_size(width: int, height: int, pixel_size: int) -> tuple[int, int]:
-    """Width and height of an image with pixels of this size, or smaller ones where it would become
-    too small."""
+    """Width and height with pixels of this size, smaller where the image would be too small."""
     while pixel_size > 1 and min(width, height) < SMALLEST_PX * pixel_size:
         pixel_size //= 2
     return width // pixel_size, height // pixel_size

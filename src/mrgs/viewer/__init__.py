@@ -1,5 +1,4 @@
-"""The viewer in the browser: look at a run in colour and in °C, read points and boxes, compare with
-the photos."""
+"""The viewer in the browser: a run in colour and °C, readings, and comparison with the photos."""
 
 from mrgs.viewer.server import LiveView, view
 

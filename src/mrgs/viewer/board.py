@@ -27,8 +27,7 @@ Appraiser = Callable[[Survey], UncertaintyMeter]
 
 
 class MarkNumbers:
-    """Numbers by which a page knows marks: a mark keeps its own when it is renamed, also by another
-    program."""
+    """Numbers by which a page knows marks; renaming, by whatever program, keeps a mark's."""
 
     def __init__(self) -> None:
         self._known: dict[int, Mark] = {}

@@ -125,8 +125,7 @@ class Inspection:
         return measure_scales(panes, images, settings, self.subject.temperature, self._ball)
 
     def fit(self) -> None:
-        """Lock the scale of each modality that is shown at the limits of what the latest picture
-        shows."""
+        """Lock the scale of each shown modality at the limits of the latest picture."""
         drawn = self.drawn
         if drawn is not None:
             free = replace(self.settings, limits={})
@@ -223,8 +222,7 @@ class Inspection:
         return None if board is None or pane.photo is not None else board.regions
 
     def click(self, x: float, y: float) -> PointReading | None:
-        """Read the point under a place of the latest picture (x to the right, y down, 0 to 1); None
-        if it is empty."""
+        """Read the point at a place of the latest picture, x and y from 0 to 1; None if empty."""
         self.point = None
         place = None if self.drawn is None else self.drawn.place(x, y)
         if place is None:

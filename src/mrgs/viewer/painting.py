@@ -41,8 +41,7 @@ OWN_SCALE = ("depth", "difference", "uncertainty")
 
 @dataclass(frozen=True, eq=False)
 class DrawnPicture:
-    """A picture of a camera and what it was painted from; pixels without marks and scales, [H, W,
-    3]."""
+    """A picture of a camera and what it was made of; pixels without marks and scales, [H, W, 3]."""
 
     camera: Camera
     panes: tuple[Pane, ...]
@@ -164,8 +163,7 @@ def blend(below: Colors, above: Colors, share: float) -> Colors:
 
 
 def split(left: Colors, right: Colors, share: float) -> Colors:
-    """Join two images [H, W, 3] at a vertical white line; the right one takes ``share`` of the
-    width."""
+    """Join images [H, W, 3] at a white line; the right one takes ``share`` of the width."""
     width = left.shape[1]
     column = round((1 - share) * width)
     image = np.concatenate([left[:, :column], right[:, column:]], axis=1)
@@ -181,8 +179,7 @@ def compose(
     scales: Scales,
     settings: Settings,
 ) -> Colors:
-    """The picture alone, without marks and scales, [H, W, 3]; the images of each pane are stretched
-    to it."""
+    """The picture without marks and scales, [H, W, 3]; each pane's images are stretched to it."""
     painted = [
         paint(pane, shown, scales, settings) for pane, shown in zip(panes, images, strict=True)
     ]
@@ -275,8 +272,7 @@ def seen_labels(pane: Pane, images: PaneImages, labels: Sequence[MarkLabel]) -> 
 def _seen_place(
     pane: Pane, images: PaneImages, point: Sequence[float] | Float[np.ndarray, "3"]
 ) -> tuple[float, float] | None:
-    """Where a pane shows a point of the world, x and y from 0 to 1; None outside of it and behind a
-    surface."""
+    """Where a pane shows a world point, x and y from 0 to 1; None outside or behind a surface."""
     if not len(point):
         return None
     camera = pane.camera

@@ -58,8 +58,7 @@ class Pane:
 
     @property
     def scaled(self) -> Modality | None:
-        """The one-channel modality whose values its colours stand for; None for colours and
-        depth."""
+        """The one-channel modality that its colours stand for; None for colours and depth."""
         return next((each for each in reversed(self.modalities) if each.channels == 1), None)
 
     @property
@@ -81,8 +80,7 @@ class Place(NamedTuple):
 
 
 def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:
-    """Width and height in pixels, reduced so that the longer side has at most ``longest``; each at
-    least 1."""
+    """Width and height in pixels, at least 1, reduced to at most ``longest`` on the longer side."""
     scale = min(1.0, longest / max(width, height, 1))
     return max(1, round(width * scale)), max(1, round(height * scale))
 
@@ -136,8 +134,7 @@ def _fitted(
     title: str,
     photo: PosedImage,
 ) -> Pane:
-    """The whole of a captured image, as large as the box (left, top, width, height) allows, in its
-    middle."""
+    """A captured image, as large as fits in the middle of the box (left, top, width, height)."""
     left, top, width, height = box
     camera = photo.camera
     scale = min(width / camera.width, height / camera.height)

@@ -27,8 +27,7 @@ VIDEO_SIDE_PX = 960
 
 
 class VideoProgress(NamedTuple):
-    """How far a video is. ``path`` is the finished mp4, or the folder of the frames; None before
-    the end."""
+    """Progress of a video; at the end ``path`` is the mp4, or the folder of the frames."""
 
     done: int
     total: int
@@ -57,12 +56,9 @@ def render_video(
     inspection: Inspection, seconds: float, mp4: bool | None = None
 ) -> Iterator[VideoProgress]:
     """Render the path with the current settings, colour scale and marks into ``renders/videos``,
-    frame by frame; as an mp4 too, if one can be written (``mp4`` as for ``frame_writer``).
-
-    Yields how far it is after each frame, the last time with the mp4 or the frames' folder.
-    ConfigError for fewer than two keyframes, or a mode that is bound to photos; RunError if a file
-    cannot be written.
-    """
+    and an mp4 too, if possible (``mp4`` as for ``frame_writer``); yields the progress after each
+    frame, and at the end. ConfigError for fewer than two keyframes, or a mode that is bound to
+    photos; RunError if a file cannot be written."""
     if inspection.settings.mode.shows_photos:
         raise ConfigError(
             "a video needs a free camera: choose another picture than those with photos"

@@ -118,8 +118,7 @@ class LiveView:
         self._scene, self._max_steps = scene, config.max_steps
 
     def on_model(self, model: Model, response: CameraResponse) -> None:
-        """Start serving the model, which is compared with photos through ``response``; for
-        ``train(on_model=...)``."""
+        """Start serving the model; ``response`` is for comparisons with photos; see ``train``."""
         self._model = model
         try:
             scene = self._scene
@@ -248,20 +247,17 @@ def is_training(folder: Path) -> bool:
     lock_file = folder / ".lock"
     if not lock_file.exists():
         return False
-    lock = FileLock(lock_file)
     try:
-        lock.acquire(timeout=0)
+        with FileLock(lock_file, timeout=0):
+            return False
     except Timeout:
         return True
     except OSError:  # a folder that cannot be written is not being trained in
         return False
-    lock.release()
-    return False
 
 
 def start_camera(scene: Scene | None, model: Model) -> Camera:
-    """The training view that shows most of the scene; without a scene, one towards the model's
-    middle."""
+    """The training view that shows most of the scene, or one towards the model's middle."""
     if scene is None:
         return camera_around(model.gaussians.means.detach().cpu().numpy())
     points = scene.points.positions

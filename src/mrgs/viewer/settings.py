@@ -168,8 +168,7 @@ class Subject:
         return format_value(modality, value, self.temperature)
 
     def format_difference(self, modality: Modality, value: float, *, sign: bool = False) -> str:
-        """A difference of two values of a modality, or a ±, as text with its unit; see
-        ``number_text`` for the sign."""
+        """A difference of two values, or a ±, as text with its unit; sign as of ``number_text``."""
         return in_kelvin(format_value(modality, value, self.temperature, sign=sign))
 
 

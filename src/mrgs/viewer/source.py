@@ -1,8 +1,5 @@
-"""Access to the model: at once for a trained run, between two steps while it trains.
-
-Kernels may not run from two threads at once (Numba's portable threading layer ends the process), so
-every use of the model goes through a source, one after the other.
-"""
+"""Access to the model: at once for a trained run, between two steps while it trains. Every use goes
+through a source, one after the other: Numba's portable threads allow no two kernels at once."""
 
 from __future__ import annotations
 
@@ -32,11 +29,9 @@ Job = Callable[[], object]
 
 
 class Worker:
-    """One thread that does the jobs of all browsers in turn, one of each before a second of any.
-
-    A job that waits is replaced by a newer one with the same key, a tuple that begins with the
-    browser: of a camera that moves, only the newest place is drawn.
-    """
+    """One thread that does the jobs of all browsers in turn, one of each before a second of any. A
+    newer job replaces a waiting one with the same key, a tuple that begins with the browser: of a
+    moving camera, only the newest position is drawn."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -215,8 +210,7 @@ class TrainedSource:
 
 
 class LiveSource:
-    """A model in training: jobs run on the training's thread between two steps, within a share of
-    its time."""
+    """A model in training: jobs run on its thread between steps, within a share of its time."""
 
     most_pixels: Mapping[Effort, int] = {"moving": 400, "resting": 640, "still": 640}
 

@@ -52,13 +52,11 @@ _log.setLevel(logging.CRITICAL)  # a broken request is its sender's mistake
 
 
 class Gate:
-    """Checks the requests that reach a server.
+    """Checks the requests that reach a server; ``token`` is in the address to open.
 
-    Another web page that is open in the user's browser can send requests to any address, also to
-    this computer's own. Its requests carry its own origin; or, where it has pointed its own name at
-    this address (DNS rebinding), that name as the host. Both are refused. Other users of the
-    computer, and of the network, do not have the token. ``token`` is what the address to open
-    contains."""
+    Another web page in the user's browser can send requests to any address, this computer's too:
+    with its own origin or, where its name points at this address (DNS rebinding), that name as the
+    host. Both are refused. Other users of the computer, and of the network, lack the token."""
 
     def __init__(self, host: str) -> None:
         self.token = secrets.token_urlsafe(24)
@@ -81,8 +79,7 @@ class Gate:
         return address.is_loopback or not _is_loopback(self._host)
 
     def is_own_origin(self, origins: Sequence[str], hosts: Sequence[str]) -> bool:
-        """Whether a request comes from the server's own page, or from a program, which sends no
-        ``Origin``."""
+        """Whether a request is of the server's own page, or of a program (without ``Origin``)."""
         if not origins:
             return True
         own = {f"{scheme}://{host}".lower() for scheme in ("http", "https") for host in hosts}
@@ -179,8 +176,7 @@ class Viewer:
         self._worker.put("warm up", lambda: Inspection(self._subject).picture(small))
 
     def refresh(self, note: str) -> None:
-        """Tell every browser that the model has changed, with a new note; visible pages
-        then ask for a picture."""
+        """Tell browsers that the model has changed, with a new note; visible pages ask for it."""
         self.note = note
         for browser in self.browsers:
             browser.send("note", text=note)

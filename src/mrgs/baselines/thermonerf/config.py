@@ -15,8 +15,7 @@ MOST_RAYS = 10**6
 """Of a batch."""
 
 PRESETS = {"fast": (1_500, 1_024), "default": (4_000, 1_024), "paper": (30_000, 4_096)}
-"""Steps, and rays of each: as many steps as the other methods take, and for ``paper`` the usual
-batch of the field."""
+"""Steps, and rays of each: as many steps as the other methods; for ``paper`` the usual batch."""
 
 
 @dataclass(frozen=True)

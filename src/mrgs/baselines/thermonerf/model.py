@@ -1,7 +1,5 @@
-"""The model: rays in; colours, temperatures and depths out.
-
-Intervals along a ray are edges [R, S + 1] in normalised distance s, from 0 to 1.
-"""
+"""The model: rays in; colours, temperatures and depths out. Intervals along a ray are edges [R, S +
+1] in normalised distance s, from 0 to 1."""
 
 from __future__ import annotations
 
@@ -32,11 +30,8 @@ the field is, placed by what that found."""
 
 
 class Spacing:
-    """The map between s in [0, 1] and distance t: linear for t much below ``middle``, linear in 1/t
-    much above.
-
-    t / (t + middle) is normalised so that s runs from 0 at ``near`` to 1 at ``far``.
-    """
+    """The map between s in [0, 1] and distance t, linear for t much below ``middle``, linear in 1/t
+    much above: t / (t + middle), normalised so that s is 0 at ``near`` and 1 at ``far``."""
 
     def __init__(self, near: float, middle: float, far: float) -> None:
         self._middle = middle
@@ -52,8 +47,7 @@ class Spacing:
 def even_edges(
     rays: int, count: int, generator: torch.Generator | None, like: Float[Tensor, "..."]
 ) -> Float[Tensor, "{rays} {count}+1"]:
-    """Edges of ``count`` intervals; a generator shifts the inner ones at random, so that training
-    covers every distance."""
+    """Edges of ``count`` intervals; a generator shifts the inner ones at random."""
     edges = torch.linspace(0, 1, count + 1, dtype=like.dtype).expand(rays, -1)
     if generator is None:
         return edges
@@ -67,12 +61,9 @@ def resample(
     count: int,
     generator: torch.Generator | None,
 ) -> Float[Tensor, "r {count}+1"]:
-    """Edges of ``count`` intervals that hold about equal shares of the weights: inverse transform
-    sampling.
-
-    The edges of the intervals that the weights belong to ascend; weights are not negative and need
-    not sum to 1. A generator shifts each ray's shares by one random part of a share.
-    """
+    """Edges of ``count`` intervals with about equal shares of the weights: inverse transform
+    sampling. The edges of the weights' intervals ascend; the weights need not sum to 1, but are not
+    negative. A generator shifts each ray's shares by one random part of a share."""
     weights = weights + PADDING / weights.shape[1]
     cdf = (weights / weights.sum(dim=1, keepdim=True)).cumsum(dim=1)
     cdf = torch.cat(

@@ -49,8 +49,7 @@ class GridSize(NamedTuple):
 
 
 class HashGrid(nn.Module):
-    """Features of points in [0, 1]³. ``table`` has the features of all levels, one after the other,
-    [entries, 4]."""
+    """Features of points in [0, 1]³; ``table`` has those of all levels in order, [entries, 4]."""
 
     resolutions: Tensor
     offsets: Tensor
@@ -202,21 +201,18 @@ class Field(nn.Module):
     def density(
         self, positions: Float[Tensor, "n 3"]
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n f"]]:
-        """Densities per radius, and the geometry features; positions are in radii from the scene's
-        centre."""
+        """Density per radius, and the geometry features; positions are in radii from the centre."""
         outputs = self.geometry(self.grid(contract(positions)))
         return density_of(outputs[:, 0]), outputs[:, 1:]
 
     def color(
         self, features: Float[Tensor, "n f"], harmonics: Float[Tensor, "n 16"]
     ) -> Float[Tensor, "n 3"]:
-        """RGB in (0, 1) of geometry features seen along directions (as ``harmonics_of`` gives
-        them)."""
+        """RGB in (0, 1) of geometry features, along directions as ``harmonics_of`` gives them."""
         return self.color_head(torch.cat([features, harmonics], dim=1)).sigmoid()
 
     def temperature(self, features: Float[Tensor, "n f"]) -> Float[Tensor, "n 1"]:
-        """Normalised temperature in (0, 1), the same from every side: thermal radiation is
-        Lambertian here."""
+        """Normalised temperature in (0, 1), the same from every side: taken for Lambertian."""
         return self.temperature_head(features).sigmoid()
 
 

@@ -87,8 +87,7 @@ class Rays(NamedTuple):
 
 
 class CameraRays:
-    """The rays of one or more cameras, whose pixels are numbered row by row, camera after
-    camera."""
+    """The rays of cameras, whose pixels are numbered row by row, camera after camera."""
 
     def __init__(self, cameras: list[Camera], frame: SceneFrame) -> None:
         self._widths = torch.tensor([camera.width for camera in cameras])
@@ -161,11 +160,9 @@ class _Photos:
 
 
 class PixelPool:
-    """Draws rays at random over all training views, whose photos are read and kept.
-
-    Where the images of each view share a camera, a ray is used for all modalities; else each
-    modality has an equal share of the rays. SceneError if a photo cannot be read, or there is none
-    in colour or thermal."""
+    """Draws rays at random over all training views, whose photos are read and kept. A ray is used
+    for all modalities where they share a camera; else each has an equal share of the rays.
+    SceneError if a photo cannot be read, or there is none in colour or thermal."""
 
     def __init__(self, scene: Scene, frame: SceneFrame) -> None:
         if not set(MODALITIES) & set(scene.modalities):

@@ -80,8 +80,7 @@ def load_state(path: Path, config: ThermoNerfConfig) -> NerfState:
 
 
 def _model(tensors: Mapping[str, Tensor], config: ThermoNerfConfig) -> ThermoNerf:
-    """The model of a checkpoint. KeyError or ValueError if the tensors are not those of a model of
-    this configuration."""
+    """The model of a checkpoint. KeyError or ValueError if its tensors do not fit the config."""
     frame = checkpoint.below(tensors, "frame.")
     numbers = {"centre": (3,), "sizes": (4,)}
     checkpoint.require_like(
@@ -187,9 +186,8 @@ class ThermoNerfRun(TrainedRun):
 def open_thermonerf(
     path: str | Path, scene: str | Path | None = None, device: DeviceName = "auto"
 ) -> ThermoNerfRun:
-    """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU; see ``open_run``.
-    RunError if the folder is not a run, or its checkpoint cannot be used; DeviceError if the GPU
-    was asked for."""
+    """Open the newest checkpoint of a ThermoNeRF run, which renders on the CPU; errors as for
+    ``open_run``, and DeviceError if the GPU was asked for."""
     require_cpu(device)
     folder = RunFolder(path)
     config = folder.read_whole_config(from_yaml)

@@ -35,11 +35,8 @@ def interlevel_loss(
     proposal_weights: Float[Tensor, "r p"],
 ) -> Float[Tensor, ""]:
     """How far the field's weights stick out of what the proposals allow: Eq. 13 of mip-NeRF 360,
-    mean over the rays.
-
-    An interval's bound is the sum of the proposals that it touches (Eq. 12). The field's weights
-    are targets: no gradient reaches them.
-    """
+    mean over the rays. An interval's bound is the sum of the proposals that it touches (Eq. 12). No
+    gradient reaches the field's weights."""
     edges, weights = edges.detach().contiguous(), weights.detach()
     total = proposal_weights.cumsum(dim=1)
     total = torch.cat([torch.zeros_like(total[:, :1]), total], dim=1)
@@ -57,10 +54,7 @@ def distortion_loss(
     edges: Float[Tensor, "r e"], weights: Float[Tensor, "r s"]
 ) -> Float[Tensor, ""]:
     """Σ_ij w_i w_j |m_i − m_j| + ⅓ Σ_i w_i² (length of i): Eq. 15 of mip-NeRF 360, mean over the
-    rays.
-
-    The midpoints m ascend, so the double sum is one pass over sums of what lies before.
-    """
+    rays. The midpoints m ascend, so the double sum is one pass over sums of what lies before."""
     middles = 0.5 * (edges[:, 1:] + edges[:, :-1])
     lengths = edges[:, 1:] - edges[:, :-1]
     moments = weights * middles
@@ -91,8 +85,7 @@ class NerfState:
 
 
 def initial_state(scene: Scene, config: ThermoNerfConfig) -> NerfState:
-    """The state at step 0; every random choice follows from the seed, and torch's own generator is
-    left alone."""
+    """The state at step 0; every random choice follows from the seed, not torch's own generator."""
     return make_state(
         new_model(config.seed, frame_of(scene)), config, torch.Generator().manual_seed(config.seed)
     )

@@ -1,5 +1,4 @@
-"""Thermal photos of many makers in; temperatures in °C, their mask, and what the camera noted about
-them out."""
+"""Thermal photos of many makers in; temperatures in °C, masks, and the cameras' notes out."""
 
 from mrgs.data.radiometric.exif import ExifFacts, GpsPosition, read_exif
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto, VisibleImage

@@ -1,5 +1,4 @@
-"""DJI: its R-JPEGs, read by DJI's own tool where that is installed, and the bare numbers that the
-tool makes of them."""
+"""DJI's R-JPEGs, read by DJI's own tool where that is installed, and the tool's bare numbers."""
 
 from __future__ import annotations
 
@@ -43,13 +42,11 @@ _OPTIONS = {
 
 
 def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
-    """The photo in an R-JPEG, whose signal only DJI's library turns into temperatures.
-
-    ``TOOL`` is run as a program with a time limit, and what it writes is checked like a file of
-    anybody's. Without overrides the photo's own emissivity, distance, humidity and reflected
-    temperature count. Of the overrides emissivity, distance, humidity, reflected and air
-    temperature are handed on. ToolError if the tool is not installed, cannot be run, does not end
-    or fails; SceneError if it writes what is no image of a DJI camera."""
+    """The photo in an R-JPEG, whose signal only DJI's library turns into temperatures. ``TOOL`` is
+    run with a time limit, and what it writes is checked like any file. Overrides of emissivity,
+    distance, humidity, reflected and air temperature are handed on; the photo's own count
+    otherwise. ToolError if the tool is not installed, cannot be run, does not end or fails;
+    SceneError if it writes what is no image of a DJI camera."""
     tool = shutil.which(TOOL)
     if tool is None:
         raise _tool_error(
@@ -111,10 +108,8 @@ def _tool_error(path: Path, problem: str) -> ToolError:
 
 def read_bare_numbers(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in a ``.raw`` file of ``dji_irp -a measure``: float32 in °C, or int16 in 0.1 °C;
-    little-endian.
-
-    The size follows from the number of bytes: all of ``SIZES`` differ in both. SceneError if no DJI
-    camera gives this length, or the numbers are no temperatures."""
+    little-endian, of one of ``SIZES`` by its length. SceneError if no DJI camera gives this length,
+    or the numbers are no temperatures."""
     facts = PhotoFacts("output of DJI's Thermal SDK")
     return _bare_numbers(data, path, facts, overrides, f"has {len(data)} bytes")
 

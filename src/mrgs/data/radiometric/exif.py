@@ -25,9 +25,8 @@ _TIMES = (
     (Base.DateTimeDigitized, Base.SubsecTimeDigitized, Base.OffsetTimeDigitized),
     (Base.DateTime, Base.SubsecTime, Base.OffsetTime),
 )
-"""Times, their fractions of a second, and their zones. The first that is a time counts: a camera
-whose clock was not set fills one with zeros or blanks. The last may be that of an edit, and counts
-only where no other is stated."""
+"""Times, their fractions of a second, and their zones. The first that is a time counts, as unset
+clocks give zeros or blanks; the last, which an edit may change, only where no other is stated."""
 
 _CLOCK = re.compile(
     r"(\d{4})[:/.-] ?(\d\d?)[:/.-] ?(\d\d?)(?: +|T)(\d\d?)[:.] ?(\d\d?)[:.] ?(\d\d?)"
@@ -39,8 +38,7 @@ _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE, _ALTITUDE_REF, _ALTITUDE =
 
 @dataclass(frozen=True)
 class GpsPosition:
-    """A position on WGS 84: degrees, north and east positive; metres above sea level, None if not
-    known."""
+    """A position on WGS 84: degrees, north and east positive; metres above sea level, if known."""
 
     latitude_deg: float
     longitude_deg: float
@@ -70,8 +68,7 @@ class ExifFacts:
 
 
 def read_exif(data: bytes) -> ExifFacts:
-    """The facts in the EXIF of an image file (JPEG, PNG or TIFF), given its content. Damage makes
-    facts None."""
+    """The EXIF facts in the content of a JPEG, PNG or TIFF file; None where they are damaged."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns of damaged tags; what is left is used

@@ -36,8 +36,7 @@ _KELVIN_AS_CELSIUS, _LIKELY_KELVIN = (250.0, 330.0), (200.0, 350.0)
 for phones is 298; between the others, if it is a whole number of °C in K, such as 233.15."""
 
 _MEDIAN_LIMITS_C = (-150.0, 3000.0)
-"""A photo whose middle temperature lies outside of these was not computed with its camera's
-constants."""
+"""A photo whose middle temperature is outside was not computed with its camera's constants."""
 
 _WORKSWELL = b"WWP"
 """Creator of a record whose numbers are temperatures; its Planck constants are all 0."""
@@ -247,8 +246,7 @@ def _range(low: float | None, high: float | None) -> tuple[float, float] | None:
 
 
 def _scale(info: RecordFields, measurement: Measurement) -> tuple[float, float] | None:
-    """What is printed at the ends of the colour scale: the camera stores its middle and its width
-    in counts."""
+    """The ends of the printed colour scale; the camera stores middle and width in counts."""
     middle, width = info.read(0x338, "H"), info.read(0x33C, "H")
     if middle is None or width is None or width[0] == 0:
         return None
@@ -322,8 +320,7 @@ class RecordFields:
         return layout.unpack_from(self.data, offset) if is_whole else None
 
     def number(self, offset: int) -> float | None:
-        """A 32-bit float as the shortest decimal number that it represents, so that 0.95 is
-        0.95."""
+        """A 32-bit float as the shortest decimal that it represents, so that 0.95 is 0.95."""
         found = self.read(offset, "f")
         return None if found is None else float(str(np.float32(found[0])))
 

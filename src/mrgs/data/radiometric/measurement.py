@@ -43,19 +43,15 @@ class Measurement:
         return (at_lens - surroundings) / (p.emissivity * tau)
 
     def celsius(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """The object's temperature, °C; not finite where the signal is less than the surroundings'
-        share of it."""
+        """The object's temperature, °C; not finite where its surroundings give more signal."""
         return self.planck.celsius(self.object_signal(signal))
 
 
 def object_temperature(
     raw: UInt16[np.ndarray, "h w"], measurement: Measurement
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Temperatures of a photo, and the mask of those that are measured.
-
-    Masked are the two ends of the detector's numbers (0 and 65535: no data, saturated), and what
-    has no temperature.
-    """
+    """Temperatures of a photo, and the mask of those that are measured: of counts other than 0 (no
+    data) and 65535 (saturated) that have a temperature."""
     step = max(1, CHUNK_ROWS // raw.shape[1])  # a few rows at a time, which take little memory
     parts = [
         masked(measurement.celsius(rows.astype(np.float64)), (rows > 0) & (rows < 65535))
@@ -68,8 +64,7 @@ def object_temperature(
 def masked(
     celsius: Float64[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"] | None = None
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Temperatures with NaN where they are not usable or not plausible, and the mask of those that
-    are."""
+    """Temperatures, NaN where not usable or not plausible, and the mask of those that are."""
     with np.errstate(invalid="ignore"):
         valid = (celsius >= COLDEST_C) & (celsius <= HOTTEST_C)
     if usable is not None:

@@ -80,14 +80,11 @@ class Overrides:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Alignment of the visible photo with the thermal one, at the distance that the camera was
-    focused on.
+    """Alignment of the visible photo with the thermal one, at the distance of the camera's focus.
 
     Attributes:
-        real_to_ir: width of the visible photo over the width of the part of it that the thermal
-            photo shows.
-        offset_x_px: from the visible photo's centre to that of the thermal photo in it, its pixels,
-            to the right.
+        real_to_ir: width of the visible photo over that of its part in the thermal photo.
+        offset_x_px: from the visible photo's centre to the thermal one's, in its pixels, right.
         offset_y_px: the same, downwards.
         picture_in_picture_px: the thermal inset in the displayed picture: left, right, top, bottom.
     """
@@ -100,19 +97,16 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class VisibleImage:
-    """A visible photo inside a thermal one: the image file, JPEG or PNG, as the camera wrote it;
-    the file that it was found in, for messages; and its alignment, None if the camera does not
-    say."""
+    """A visible photo inside a thermal one: the JPEG or PNG file as the camera wrote it; the file
+    that it is from, for messages; and its alignment, None if not known."""
 
     data: bytes
     source: Path
     alignment: Alignment | None
 
     def pixels(self) -> UInt8[np.ndarray, "h w 3"]:
-        """The photo in RGB.
-
-        Cameras that store it as PNG put luma and chroma (JPEG's YCbCr) into the channels for red,
-        green and blue. SceneError if the photo is damaged."""
+        """The photo in RGB; in a PNG, cameras store luma and chroma (JPEG's YCbCr) in its channels.
+        SceneError if the photo is damaged."""
         with opened(self.source, self.data, ("JPEG", "PNG")) as image:
             if image.format == "PNG" and image.mode == "RGB":
                 image = Image.merge("YCbCr", image.split())
@@ -121,24 +115,19 @@ class VisibleImage:
 
 @dataclass(frozen=True)
 class PhotoFacts:
-    """Facts in a thermal file besides the temperatures.
+    """Facts in a thermal file besides the temperatures; None where it does not say.
 
     Attributes:
         source: the kind of file, in words, such as "FLIR radiometric JPEG".
-        camera: maker's name of the model; None if the file does not say.
-        serial: the camera's serial number; None if the file does not say.
-        taken: time by the camera's own clock, without a time zone; None if the file does not say.
-        gps: position; None if the file does not say.
-        field_of_view_deg: horizontal, of the thermal camera's lens; None if the file does not say.
-        parameters: with which the temperatures were computed; None where the file holds finished
-            numbers.
-        planck: calibration of the camera; None where the file holds finished numbers.
-        calibrated_c: the temperatures that the camera is calibrated for, °C; None if the file does
-            not say.
-        scale_c: ends of the colour scale beside the picture, °C; None if the file does not say.
-        unit: guessed for the file's numbers, such as ``kelvin*100``; None where the user gave it or
-            the file defines it.
-        visible: a photo in visible light inside the file; None if there is none.
+        camera: maker's name of the model.
+        taken: time by the camera's own clock, without a time zone.
+        field_of_view_deg: horizontal, of the thermal camera's lens.
+        parameters: with which the temperatures were computed; None for finished numbers.
+        planck: calibration of the camera; None for finished numbers.
+        calibrated_c: the temperatures that the camera is calibrated for, °C.
+        scale_c: ends of the colour scale beside the picture, °C.
+        unit: guessed for the file's numbers, such as ``kelvin*100``; None where it is known.
+        visible: a photo in visible light inside the file.
         has_numbers: whether the file holds finished temperatures as numbers.
         given: the overrides that the temperatures were computed with, by name.
         notes: how the file was understood, one sentence each.
@@ -181,13 +170,12 @@ class PhotoFacts:
 
 @dataclass(frozen=True, eq=False)
 class ThermalPhoto:
-    """A thermal photo. Exactly one of ``temperature_c`` and ``relative`` is there.
+    """A thermal photo, with exactly one of ``temperature_c`` and ``relative``.
 
     Attributes:
         temperature_c: [H, W], °C; NaN where not valid.
         relative: [H, W], 0 to 1, from an image without temperatures: brighter is not always warmer.
         valid: [H, W], False where a pixel has no temperature.
-        facts: what the file says besides.
     """
 
     temperature_c: Float32[np.ndarray, "h w"] | None

@@ -1,5 +1,4 @@
-"""TIFF, PNG and JPEG images without a thermal record: finished temperatures, shades of grey, or a
-colour palette."""
+"""TIFF, PNG and JPEG without a thermal record: temperatures, shades of grey, or a palette."""
 
 from __future__ import annotations
 
@@ -24,12 +23,10 @@ from mrgs.data.radiometric.units import (
 )
 
 _GREY_TOLERANCE = 8
-"""Channels that differ by no more than this many of 255 steps are the same shade, saved as a JPEG
-in colour."""
+"""Channels that differ by at most this many of 255 steps are one shade, saved as a colour JPEG."""
 
 SATURATED, _MISSING = 65_535, -9_999
-"""Integers that are no temperatures: the largest of 16 bits, and what programs write for a pixel
-without value, or less."""
+"""Integers that are no temperatures: the largest of 16 bits; this or less, for missing pixels."""
 
 _NO_VALUE = -999.0
 """What some programs write for a pixel without value, as the smallest number of a picture."""

@@ -58,9 +58,8 @@ def _read_flir_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPho
 
 
 class _ClosedFormat(NamedTuple):
-    """A format whose temperatures only the maker's program reads: the file's suffix, if it is one
-    of its own, byte strings that it contains (the first at its beginning, unless it is a JPEG),
-    its name, and what to do."""
+    """A format that only the maker's program reads: the file's own suffix, if any, byte strings in
+    it (the first at its beginning, unless it is a JPEG), its name, and what to do."""
 
     suffix: str | None
     signs: tuple[bytes, ...]

@@ -1,5 +1,4 @@
-"""Temperatures as text: the CSV files that FLIR Tools, ResearchIR and spreadsheets write, in any
-locale."""
+"""Temperatures as text: CSV files of FLIR Tools, ResearchIR and spreadsheets, in any locale."""
 
 from __future__ import annotations
 
@@ -19,8 +18,7 @@ from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.raster import SATURATED, finished
 
 MAX_BYTES = 32 * 2**20
-"""A table of 3 megapixels takes 25 MB; longer texts are refused, for they take minutes and
-gigabytes."""
+"""A table of 3 megapixels takes 25 MB; longer texts, which would take minutes, are refused."""
 
 _NUMBER = re.compile(
     r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?|[+-]?(?:nan|inf)", re.IGNORECASE
@@ -44,13 +42,12 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in a table of numbers: the largest block of lines with equally many cells, most of
     them numbers.
 
-    Lines before and after it are left out, and so is a text at the start of its lines; a unit that
-    they name is that of the numbers, unless it is that of a number there. What is no number is a
-    pixel without temperature. The separator is a semicolon, a tab, a comma or a blank; a comma
-    inside quotes, or beside another separator, is a decimal comma, and where commas are both, every
-    second one. Under headings lines may be a pixel's place and temperature. SceneError if there is
-    no such block, or the numbers are no temperatures. See ``decoded_text`` for the encodings; of
-    the ``overrides`` the ``unit`` counts, where the numbers are not °C."""
+    Other lines are left out, and so is a text at the start of its lines; a unit that they name is
+    that of the numbers, unless it is that of a number there. What is no number is a pixel without
+    temperature. The separator is a semicolon, a tab, a comma or a blank; a comma inside quotes, or
+    beside another separator, is a decimal comma, and where commas are both, every second one. Under
+    headings lines may be a pixel's place and temperature. SceneError if there is no such block, or
+    the numbers are no temperatures. Of the ``overrides`` the ``unit`` counts."""
     if len(data) > MAX_BYTES:
         raise scene_error(path, f"has {len(data)} bytes, too long for a photo's table; check it")
     text = decoded_text(data).replace("º", "°").replace("−", "-").replace("–", "-")
@@ -135,8 +132,7 @@ def _table(cells: list[list[str]], is_comma: bool) -> _Table | None:
 
 
 def _paired(cells: list[str]) -> list[str]:
-    """Each whole number and the decimals behind it as one; the cells as they are if any number has
-    no decimals."""
+    """Each whole number and the decimals behind it as one; unchanged if any has no decimals."""
     paired = _WHOLE_AND_DECIMALS.sub(r"\1.\2", ",".join(cells)).split(",")
     return cells if any(cell.lstrip("+-").isdecimal() for cell in paired) else paired
 

@@ -51,8 +51,7 @@ _SETTING = re.compile(r"(?:^|[;,:=\t])[ \"']*[+-]?\d|\d *(?:° *)?[CFK]\b")
 
 
 class Unit(NamedTuple):
-    """A stored number is ``factor`` times the temperature on the scale of ``quantity``, plus
-    ``addend``."""
+    """A stored number is ``factor`` × the temperature on the scale of ``quantity`` + ``addend``."""
 
     quantity: str
     factor: float = 1.0
@@ -93,12 +92,8 @@ class Choice(NamedTuple):
 
 
 def typical(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "3"]:
-    """The 1st, 50th and 99th percentile of the numbers that stand for a temperature; NaN if there
-    are none.
-
-    Zeros, -9999 and less, and numbers that are not finite do not count: files mark missing pixels
-    with them.
-    """
+    """The 1st, 50th and 99th percentile of the numbers that stand for a temperature: not zeros,
+    -9999 and less, which mark missing pixels; NaN if there are none."""
     known = values[np.isfinite(values) & (values != 0) & (values > -9999)]
     if known.size == 0:
         return np.full(3, np.nan)
@@ -202,16 +197,14 @@ _BY_MAKER = (
     ("workswell", "", WIRIS_UNITS, False),
     ("flir", "", ("kelvin*25", "kelvin*2.5", "kelvin*100", "kelvin*10"), False),
 )
-"""Maker and beginning of the model, the units of its TIFF files, and whether the first is known to
-be right."""
+"""Maker and beginning of the model, units of its TIFF files, whether the first is sure."""
 
 
 def camera_units(
     make: str | None, model: str | None, xmp: bytes, path: Path
 ) -> tuple[tuple[str, ...], bool]:
-    """Candidate units of a TIFF of integers, and whether its tags state the first. SceneError if
-    the tags say that the numbers are no temperatures. ``xmp`` is the metadata in the file, empty if
-    there is none."""
+    """Candidate units of a TIFF of integers, and whether its tags state the first; ``xmp`` is its
+    metadata, or empty. SceneError if the tags say that the numbers are no temperatures."""
     band = (match[1].decode("latin-1").strip() if (match := _BAND.search(xmp)) else "").upper()
     if band and not _THERMAL_BANDS.fullmatch(band):
         raise scene_error(path, f"is the band {band} of a multispectral camera, no thermal photo")

@@ -1,8 +1,5 @@
-"""Adam's step on a GPU: of one tensor by a kernel of our own, of several by torch's.
-
-Torch's fused step gives 65,536 values to each multiprocessor, so that a few hundred thousand leave
-most of them idle.
-"""
+"""Adam's step on a GPU: of one tensor by a kernel of our own, of several by torch's, whose fused
+step gives 65,536 values to each multiprocessor and leaves most idle for a few hundred thousand."""
 
 from __future__ import annotations
 
@@ -69,8 +66,7 @@ def move(
     epsilon: float,
     skip: Tensor | None,
 ) -> None:
-    """``mrgs.method.adam.move`` for float32 on a GPU. ValueError for tensors of other sizes, types
-    or devices."""
+    """``mrgs.method.adam.move`` for float32 on a GPU; ValueError for other sizes or devices."""
     states = means[0], squares[0], counts[0]
     if (
         len(parameters) != 1

@@ -41,7 +41,6 @@ def blur_kernel(
         sigma: σ in pixels, one value.
         result: receives P x.
         weight_sums: receives t by the place along the axis, [H] or [W].
-        height, width: H, W.
         reach: how many σ away the weights end.
         AXIS: 0 down the columns, 1 along the rows.
     """

@@ -1,5 +1,4 @@
-"""Spherical harmonics of each Gaussian seen from a camera: SH2RGB of Eq. 4 (rgb_alphblending),
-where clamped at 0."""
+"""Spherical harmonics of Gaussians seen from a camera: SH2RGB of Eq. 4, where clamped at 0."""
 
 from __future__ import annotations
 
@@ -160,8 +159,7 @@ def direction(means, camera, row):
 
 @reordering_inner_function
 def add_direction_gradient(x, y, z, inverse, grad, grad_means, row):
-    """Add (I − d dᵀ) g / distance, the gradient of a unit direction d, to that of the Gaussian's
-    mean."""
+    """Add (I − d dᵀ) g / distance, the gradient of a unit direction d, to that of the mean."""
     along = x * grad[0] + y * grad[1] + z * grad[2]
     grad_means[row, 0] += inverse * (grad[0] - along * x)
     grad_means[row, 1] += inverse * (grad[1] - along * y)

@@ -1,8 +1,5 @@
-"""Spherical harmonics of each Gaussian seen from a camera, one thread per Gaussian.
-
-Torch would start some 40 kernels for the basis functions of degree 3, and twice as many for their
-gradients; one kernel reads the coefficients once.
-"""
+"""Spherical harmonics of each Gaussian seen from a camera, one thread per Gaussian, which reads the
+coefficients once: torch would start some 40 kernels for degree 3, twice as many for gradients."""
 
 from __future__ import annotations
 
@@ -23,8 +20,7 @@ BLOCK = 128
 """Gaussians per program."""
 
 MOST_VALUES = 2**31 - 2**16
-"""Coefficients of a tensor: the kernels number them with 32 bits, and the last program has numbers
-past the last Gaussian."""
+"""Coefficients of a tensor: 32 bits number them, also beyond the last Gaussian's in a program."""
 
 NUM_WARPS = 4
 SIZES = ("count", "bands", "held")

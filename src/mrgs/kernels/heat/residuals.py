@@ -43,9 +43,7 @@ def residuals_on_cpu(
 ) -> Float[Tensor, "v 1"]:
     """``RadianceField.temperature_residuals`` for float32 on the CPU."""
     neighbours = field.checked_neighbours(neighbours, len(gaussians))
-    needed = rows
-    if rows is not None:
-        needed = with_neighbours(rows, neighbours)
+    needed = None if rows is None else with_neighbours(rows, neighbours)
     projected = _projected_features(field, gaussians, listed(needed, len(gaussians)), color_degree)
     opacity = take(gaussians.opacity(THERMAL), rows)
     anchors = listed(rows, len(gaussians))
@@ -104,11 +102,8 @@ def residuals_on_gpu(
     rows: Int64[Tensor, " v"] | None = None,
     color_degree: int = MAX_DEGREE,
 ) -> Float[Tensor, "v 1"]:
-    """``RadianceField.temperature_residuals`` for float32 on a GPU.
-
-    It computes the features of all Gaussians: to learn how many are needed, the host would have to
-    wait for the device.
-    """
+    """``RadianceField.temperature_residuals`` for float32 on a GPU, from the features of all
+    Gaussians: to learn how many are needed, the host would have to wait for the device."""
     neighbours = field.checked_neighbours(neighbours, len(gaussians))
     heat, output, scale = field.heat, field.temperature_output, field.config.temperature_scale
     rest = up_to_degree(gaussians.sh_rest[RGB], color_degree)
@@ -285,11 +280,8 @@ def _forward(places, projected, opacity, constants, gradient, refined):
 
 @reordering_parallel_kernel
 def _backward_neighbours(places, opacity, grad, grad_projected, parts):
-    """The gradient at ``projected``.
-
-    Each thread adds to Gaussians of its own, in the order of the rows: no two threads meet, and the
-    order of a sum does not depend on their number.
-    """
+    """The gradient at ``projected``. Each thread adds to Gaussians of its own, in the order of the
+    rows, so that sums do not depend on the number of threads."""
     for part in prange(parts):
         first = np.int64(part) * grad_projected.shape[0] // parts
         end = (np.int64(part) + 1) * grad_projected.shape[0] // parts
@@ -318,8 +310,7 @@ def _add_to_range(places, opacity, grad, grad_projected, first, end):
 
 @reordering_parallel_kernel
 def _backward_anchors(places, opacity, constants, gradient, grad, grad_opacity, sums):
-    """The gradients at the opacities, and at the constants: one sum for each share of the
-    anchors."""
+    """The gradients at the opacities and at the constants: one sum for each share of anchors."""
     anchor_weight = places.weights[0]
     for share in prange(SHARES):
         for place in range(

@@ -1,8 +1,6 @@
-"""The thermal chain up to the neighbours, and its gradient, block by block.
-
-Orthogonal extraction (Eq. 7), PE_p (Eq. 9) and two layers: the first is φ_e (Eq. 8) and the thermal
-head's first layer in one, the second the head's last layer and the rows of ``readout`` in one.
-"""
+"""The thermal chain up to the neighbours, and its gradient, block by block: orthogonal extraction
+(Eq. 7), PE_p (Eq. 9) and two layers, φ_e (Eq. 8) with the thermal head's first, and the head's last
+with the rows of ``readout``."""
 
 from __future__ import annotations
 

@@ -145,11 +145,8 @@ def neighbours_kernel(
 
 def nearest_neighbours(means: Tensor, k: int) -> Tensor:
     """``mrgs.field.heat.nearest_neighbours`` for float32, of several at the same distance the
-    lowest index first; more than ``MAX_K`` are searched on the host.
-
-    A coordinate that is not finite counts as very far away (1e18): to look for it would be a host
-    round trip.
-    """
+    lowest index first; more than ``MAX_K`` are found on the host. A coordinate that is not finite
+    counts as 1e18: to reject it, the host would have to wait for the device."""
     if k > MAX_K:
         return nearest_neighbours_on_cpu(means, k)
     require("means", means, (None, 3), device=means.device)

@@ -16,8 +16,7 @@ from mrgs.scene import Blend
 def require_pass(
     geometry: Geometry, layers: Sequence[Layer], projection: Projection, offset: Tensor
 ) -> None:
-    """The arguments of a rasterizer must fit together: the kernels trust sizes, types and devices.
-    ValueError if they do not."""
+    """Check sizes, types and devices, which the kernels trust; ValueError if they do not fit."""
     count, device = len(geometry.means), geometry.means.device
     expected = {"means": 3, "quats": 4, "scales": 3, "means2d_offset": 2}
     for (name, columns), tensor in zip(expected.items(), (*geometry, offset), strict=True):
@@ -39,9 +38,8 @@ GROUP = 3
 
 
 def in_passes(layers: Sequence[Layer], draw: Callable[[Sequence[Layer]], Raster]) -> Raster:
-    """Render layers whose channels are cut into groups of 3 and 1, as many at once as possible:
-    ``draw`` renders one layer of 3 or 1 channels, or one of each in any order. ValueError if there
-    is no layer, or one has no channel."""
+    """Render layers, their channels in groups of 3 and 1, as many at once as possible; ``draw``
+    renders one of either or both. ValueError if there is no layer, or one has no channel."""
     channels = [layer.features.shape[1] for layer in layers]
     if not channels or min(channels) < 1:
         raise ValueError("there must be a layer, and each must have a channel")

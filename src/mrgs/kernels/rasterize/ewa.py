@@ -13,8 +13,7 @@ from typing import Any
 
 
 def functions(compiled: Callable[[Callable], Any]) -> tuple[Any, ...]:
-    """Those that kernels call, in the order of their definition; ``compiled`` decorates functions
-    for a device."""
+    """Those that kernels call, in order of definition; ``compiled`` decorates for a device."""
 
     @compiled
     def dot(a, b):
@@ -53,8 +52,7 @@ def functions(compiled: Callable[[Callable], Any]) -> tuple[Any, ...]:
 
     @compiled
     def jacobian_row(focal_over_z, slope, own, forward):
-        """Row 0 or 1 of M = J R_w, from that row of R_w and its last one; ``slope`` is x/z or y/z,
-        clamped."""
+        """Row 0 or 1 of M = J R_w, from R_w's rows; ``slope`` is x/z or y/z, clamped."""
         return (
             focal_over_z * (own[0] - slope * forward[0]),
             focal_over_z * (own[1] - slope * forward[1]),

@@ -13,8 +13,7 @@ from mrgs.kernels.known_gradient import with_gradients
 from mrgs.method.losses.ssim import K1, K2, STRUCTURE_C2
 
 STRUCTURE_C1 = 1e20
-"""Next to this C1 the means do not count: SSIM's luminance term is 1, which leaves the structure
-term, S-SSIM."""
+"""Next to this C1 the means do not count: what is left of SSIM is its structure, S-SSIM."""
 
 STRUCTURE = (1.0, 0.0, STRUCTURE_C1, STRUCTURE_C2, 1.0, 0.0)
 """The ``Scalars`` of S-SSIM: SSIM's structure term alone, without L1."""
@@ -101,8 +100,7 @@ def boltzmann_loss(
 def _mean_weights(
     plane: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"] | None
 ) -> Float[Tensor, "h2 w"]:
-    """Each pixel's weight in the mean over the valid ones: [H, W], or [1, W] where all count
-    alike."""
+    """Each pixel's weight in the mean over the valid ones: [H, W], or [1, W] where equal."""
     if valid is None:
         return plane.new_full((1, plane.shape[1]), 1 / plane.numel())
     return valid.to(plane.dtype) / valid.sum().clamp_min(1)

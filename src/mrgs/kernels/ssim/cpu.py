@@ -22,8 +22,7 @@ RADIUS = 5
 TAPS = 2 * RADIUS + 1
 
 STRIP_ROWS = 60
-"""A strip reads ten rows beyond either end: longer strips repeat less, shorter ones keep more
-threads busy."""
+"""A strip reads ten rows beyond its ends: long ones repeat less, short ones use more threads."""
 
 BLOCK = 512
 """Values of a row that are worked on at once, so that they stay in the fastest cache."""
@@ -120,8 +119,8 @@ def _copy_counted(source, weights, result, count):
 
 @inner_function()
 def _enter_derivatives(comparison, row, moments, block, rows, ring):
-    """One row's derivatives by the moments, filtered along it, enter the ring; ``rows`` keeps its 1
-    − SSIM."""
+    """A row's derivatives by the moments, filtered along it, enter the ring, its 1 − SSIM
+    ``rows``."""
     height, width = comparison.x.shape
     if not 0 <= row < height:
         _clear_slot(ring, row % TAPS, width)
@@ -140,12 +139,9 @@ def _enter_derivatives(comparison, row, moments, block, rows, ring):
 
 @inner_function()
 def _differentiate_ssim(block, weights, count, scalars):
-    """Moments to 1 − SSIM and the derivatives of weights dssim (1 − SSIM), each in the place of its
-    moment.
-
-    SSIM = l s with l = (2 μ_x μ_y + c1) / (μ_x² + μ_y² + c1) and s = (2 C_xy + c2) / (C_x + C_y +
-    c2).
-    """
+    """Moments to 1 − SSIM and the derivatives of weights dssim (1 − SSIM), each in its moment's
+    place. SSIM = l s, l = (2 μ_x μ_y + c1) / (μ_x² + μ_y² + c1), s = (2 C_xy + c2) / (C_x + C_y +
+    c2)."""
     dssim, c1, c2 = scalars[0], scalars[2], scalars[3]
     one = scalars[0] + scalars[1]  # a bare 1 or 2 would make float32 arithmetic float64
     two = one + one
@@ -243,12 +239,8 @@ def _filter_across(ring, row, start, count, width, window, block):
 
 @inner_function()
 def _weigh(values, first, spacing, window, result, count):
-    """The window over eleven runs of values, of which the k-th starts after (first + k) mod 11
-    times the spacing.
-
-    Two runs of each weight at a time, and in two loops: LLVM vectorises loops over few addresses
-    only.
-    """
+    """The window over eleven runs of values, the k-th (first + k) mod 11 spacings behind. Two runs
+    of each weight at a time, in two loops: LLVM vectorises loops over few addresses only."""
     a, a0, a1 = window[0], _run(values, first, spacing), _run(values, first + 10, spacing)
     b, b0, b1 = window[1], _run(values, first + 1, spacing), _run(values, first + 9, spacing)
     c, c0, c1 = window[2], _run(values, first + 2, spacing), _run(values, first + 8, spacing)

@@ -20,8 +20,7 @@ BLOCK = 128
 """Values of a row per program."""
 
 STRIP_ROWS = 16
-"""Rows per program, which reads ten more: longer strips repeat less, shorter ones fill the
-device."""
+"""Rows per program, which reads ten more: long strips repeat less, short ones fill the device."""
 
 NUM_WARPS = 4
 
@@ -44,8 +43,7 @@ def _no_sums(BLOCK: tl.constexpr):
 
 @triton.jit
 def _enter(sums, value, WINDOW: tl.constexpr):
-    """A row enters the window's begun sums down the rows: the sum that it completes, and the next
-    ten."""
+    """A row enters the window's begun sums: the sum that it completes, and the next ten."""
     a, b, c = WINDOW[0] * value, WINDOW[1] * value, WINDOW[2] * value
     d, e, f = WINDOW[3] * value, WINDOW[4] * value, WINDOW[5] * value
     begun = (
@@ -211,8 +209,7 @@ def gradients_kernel(
 
 
 def _specs(by_y: bool, wants_errors: bool) -> tuple[KernelSpec, KernelSpec]:
-    """Both kernels, with or without what only S-SSIM asks for: tensors that are not wanted are
-    None."""
+    """Both kernels, with or without what only S-SSIM needs: unwanted tensors are None."""
     blocks = {"WINDOW": WINDOW, "STRIP_ROWS": STRIP_ROWS, "BLOCK": BLOCK}
     compared = {**blocks, "BY_Y": by_y} | ({} if wants_errors else {"errors": None})
     differentiated = blocks | ({} if by_y else {"gradient_y": None})

@@ -1,9 +1,6 @@
-"""What cameras do to an image; the loss compares photos with renderings to which it was applied.
-
-None of this is in the paper. Each part undoes one effect, so that the Gaussians need not learn it:
-a thermal lens blurs and shades, automatic gain scales each photo differently, a detector drifts,
-and poses may be off.
-"""
+"""What cameras do to an image: the loss compares photos with renderings to which it was applied, so
+that the Gaussians need not learn it. Not in the paper. A thermal lens blurs and shades, automatic
+gain scales each photo differently, a detector drifts, and poses may be off."""
 
 from __future__ import annotations
 
@@ -158,16 +155,14 @@ class ImageModel(nn.Module):
         return part_medians(recorded[THERMAL].image.detach(), photo)
 
     def learn(self, view: int, residual: Float[Tensor, " n"], finite: Bool[Tensor, ""]) -> None:
-        """Take in the ``thermal_residual`` of a training view; nothing is learned where ``finite``
-        is False."""
+        """Take in the ``thermal_residual`` of a training view, unless ``finite`` is False."""
         if self.thermal_shading is not None:
             self.thermal_shading.learn(residual - residual.nanmedian(), finite)
         if self.thermal_drift is not None:
             self.thermal_drift.learn(view, residual, finite)
 
     def limit(self) -> None:
-        """Bring parameters that an optimizer has moved too far back to where they have a
-        gradient."""
+        """Bring parameters that an optimizer moved too far back to where they have a gradient."""
         if self.point_spread is not None:
             self.point_spread.limit()
 

@@ -1,5 +1,4 @@
-"""An offset per thermal photo: what an uncooled camera drifts by between two corrections with its
-shutter."""
+"""An offset per thermal photo: the drift of an uncooled camera between two shutter corrections."""
 
 from __future__ import annotations
 
@@ -27,20 +26,18 @@ MEDIAN_LOSS = 1.5708
 """Variance of the median over that of the mean, of many normal variables (π / 2)."""
 
 NEARLY_SAME_PLACE = 0.01
-"""Held-out photos this close to a viewpoint are taken for the photo there: their poses may have
-been aligned since."""
+"""Held-out photos this close to a photo's viewpoint are taken for that photo: poses may have been
+aligned since."""
 
 
 class PhotoDrift(PhotoEffect):
     """An offset per photo, of sum zero: a random effect, as in the analysis of variance.
 
-    A photo's residual is the median over its parts of what it shows above the model. How far the
-    parts differ tells how well it is known: a drift shifts all of a photo alike, a surface that is
-    not yet learned does not. What the photos' overlap says before the training counts by its
-    precision. Each residual is shrunk by v / (v + τ²), with v its variance and τ² the variance of
-    the drift over the photos, estimated by moments (DerSimonian and Laird, 1986). τ² is 0, and so
-    are all offsets, where the residuals differ no more than their variances explain.
-    """
+    A photo's residual is the median over its parts of what it shows above the model; the less they
+    differ, the better it is known. What the photos' overlap says before the training counts by its
+    precision. Each residual is shrunk by v / (v + τ²), with v its variance and τ² that of the drift
+    over the photos, estimated by moments (DerSimonian and Laird, 1986); τ² and all offsets are 0
+    where the variances explain the residuals."""
 
     residuals: Float[Tensor, " p"]
     variances: Float[Tensor, " p"]

@@ -36,8 +36,7 @@ class PhotoEffect(nn.Module):
 
 
 class Gain(NamedTuple):
-    """What automatic gain did to a photo: gain · image + offset, the offset in normalised
-    temperature."""
+    """What automatic gain did to a photo: gain · image + offset, in normalised temperature."""
 
     gain: Float[Tensor, "1"]
     offset: Float[Tensor, "1"]
@@ -48,10 +47,7 @@ class Gain(NamedTuple):
 
 
 class PhotoGain(PhotoEffect):
-    """A learned gain and offset per photo.
-
-    Over all photos the logarithms of the gains and the offsets average to 0.
-    """
+    """A learned gain and offset per photo; both log gains and offsets average to 0 over photos."""
 
     def __init__(self, viewpoints: Sequence[Viewpoint | None]) -> None:
         super().__init__(viewpoints)
@@ -78,15 +74,14 @@ class PhotoGain(PhotoEffect):
 def expected_gains(
     gains: Float[Tensor, "v s"], viewpoints: Sequence[Viewpoint], viewpoint: Viewpoint
 ) -> Float[Tensor, " s"]:
-    """Mean gain of the nearest photos: cameras that see about the same scale about the same.
-
-    Each column is multiplied by the factor from 0 to 1 that predicts best in leave-one-out over
-    the known photos; where gains are random it is near 0.
+    """Mean gain of the nearest photos, as cameras that see about the same scale alike; each column
+    times the factor from 0 to 1 that predicts best in leave-one-out over the known photos, near 0
+    for random gains.
 
     Args:
         gains: log gain and offset of each photo, at least one; their mean is 0.
-        viewpoint: of the photo to predict; if exactly one photo was taken there, the result is
-            that photo's gain.
+        viewpoint: of the photo to predict; if exactly one known photo is there, its own gain is
+            returned.
     """
     distances = viewpoint_distances([viewpoint], viewpoints)
     if (same := only_one_at(distances[0])) is not None:
@@ -102,8 +97,7 @@ def expected_gains(
 
 
 def only_one_at(distances: Float[Tensor, " v"]) -> int | None:
-    """The photo that was taken at a viewpoint, by the distances of all photos from it; None if
-    there is none, or several."""
+    """The photo at a viewpoint, by the distances of all from it; None if none is, or several."""
     same = (distances < SAME_PLACE).nonzero()[:, 0]
     return int(same[0]) if len(same) == 1 else None
 

@@ -19,11 +19,10 @@ _PART_SAMPLES = 8
 
 
 class PhotoShading(nn.Module):
-    """An addend that depends on the place in the image alone, of mean zero over the image.
-
-    It is a polynomial of low order, so that it cannot take up a scene's detail. In training it is
-    fitted to the mean over the photos of what their parts show above the model; the prior, from the
-    photos' overlap, counts as its precision says.
+    """An addend that depends on the place in the image alone, of mean zero over the image: a
+    polynomial of low order, which cannot take up a scene's detail. In training it is fitted to the
+    mean over the photos of what their parts show above the model; the prior, from the photos'
+    overlap, counts by its precision.
 
     Args:
         photos: number of photos.

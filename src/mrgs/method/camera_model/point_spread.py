@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from mrgs.system.operation import operation
 
 REACH = 4.0
-"""Weights farther away than this many standard deviations are left out: 3e-4 of the centre's, and
-less."""
+"""Weights beyond this many standard deviations, 3e-4 of the centre's or less, are left out."""
 
 INITIAL_SIGMA_PX = 0.8
 SMALLEST_SIGMA_PX = 0.2
@@ -38,8 +37,7 @@ class PointSpread(nn.Module):
     def forward(
         self, image: Float[Tensor, "h w 1"], pixel_size: float = 1.0
     ) -> Float[Tensor, "h w 1"]:
-        """The image as the lens and the detector spread it, with its pixel size in pixels of the
-        photos."""
+        """The image as lens and detector spread it; its pixel size in pixels of the photos."""
         sigma = (self.sigma_px / pixel_size).clamp_min(SMALLEST_SIGMA_PX)
         return blur(image[:, :, 0], sigma)[:, :, None]
 
@@ -60,11 +58,8 @@ def blur(plane: Float[Tensor, "h w"], sigma_px: Float[Tensor, ""]) -> Float[Tens
 def _means(
     size: int, sigma_px: Float[Tensor, ""], plane: Float[Tensor, "h w"]
 ) -> Float[Tensor, "{size} {size}"]:
-    """The matrix that gives each pixel along an axis the mean of its neighbourhood.
-
-    As a matrix it does not depend on how far the weights reach, which the host would have to ask
-    the device for.
-    """
+    """The matrix that gives each pixel along an axis the mean of its neighbourhood. It covers the
+    whole axis: how far the weights reach, the host would have to ask the device."""
     pixels = torch.arange(size, dtype=plane.dtype, device=plane.device)
     distances = (pixels[:, None] - pixels).abs()
     weights = torch.exp(-0.5 * (distances / sigma_px) ** 2)

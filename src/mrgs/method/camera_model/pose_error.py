@@ -23,15 +23,13 @@ ROUNDS = 3
 """Steps of Gauss–Newton with each width."""
 
 OUTLYING = 2.0
-"""Number of standard deviations above which differences hardly count: they are no motion of the
-camera's."""
+"""Standard deviations above which differences hardly count: no motion of the camera's."""
 
 LEAST_DEVIATION = 2e-3
 """Standard deviation of what differs where the images are even, as a share of their range."""
 
 MOST_PIXELS = 10_000
-"""Largest number of pixels of an image that are used; of more every second, third, ... row and
-column."""
+"""Largest number of pixels that are used; of more every second, third, ... row and column."""
 
 WRONG_PX = 0.3
 """Poses are wrong if photos are typically off by clearly more."""

@@ -14,8 +14,7 @@ from mrgs.scene import Camera, Modality
 from mrgs.scene.rotations import cross_matrix
 
 FEWEST_POINTS = 16
-"""Fewest points in a photo; with fewer, points made up before the camera show what a motion does to
-the image."""
+"""Fewest points in a photo; with fewer, made-up points show what a motion does to the image."""
 
 MOST_POINTS = 1000
 """Largest number of points in a photo that are used, of twenty times as many in the scene."""
@@ -104,8 +103,7 @@ class PoseRefinement(nn.Module):
     def without_global_motion(
         self, motions: Float64[Tensor, "k 6"], views: Sequence[int]
     ) -> Float64[Tensor, "k 6"]:
-        """Motions of some views along ``axes``, without what is a motion of the scene as a
-        whole."""
+        """Motions of some views along ``axes``, without what moves the scene as a whole."""
         basis = _basis(self.whole.unflatten(0, (-1, 6))[list(views)].flatten(0, 1))
         flat = motions.flatten()
         return (flat - basis @ (basis.T @ flat)).view(-1, 6)

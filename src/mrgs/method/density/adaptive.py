@@ -1,10 +1,6 @@
 """3DGS's adaptive density control: clone, split, prune, opacity reset; with a cap on the number of
-Gaussians.
-
-The screen-space gradient is that of the whole loss with respect to the projected centre, so in a
-fused pass it is the sum over both modalities' blends; where the two cameras differ, the norms of
-both passes are added.
-"""
+Gaussians. The screen-space gradient is that of the whole loss with respect to the projected centre,
+summed over a fused pass's blends; where cameras differ, both passes' norms are added."""
 
 from __future__ import annotations
 
@@ -80,8 +76,8 @@ class AdaptiveDensityControl(Strategy):
         return _no_views(len(gaussians), gaussians.means.device)
 
     def observe(self, passes: Sequence[ScreenPoints]) -> dict[str, Float[Tensor, " n"]]:
-        """The norms of a view's gradients, in units of half the image's size (3DGS), and which
-        Gaussians it drew."""
+        """A view's gradient norms, in units of half the image's size (3DGS), and which Gaussians
+        it drew."""
         norms = []
         for points in passes:
             if points.offset.grad is not None:

@@ -1,5 +1,4 @@
-"""What density control is: the one interface through which training adds, removes and moves
-Gaussians."""
+"""Density control: the one interface through which training adds, removes and moves Gaussians."""
 
 from __future__ import annotations
 
@@ -31,9 +30,8 @@ class DensityStep(NamedTuple):
     Attributes:
         number: of the step, from 1.
         has_sky: whether training started with distant points, whose Gaussians are large.
-        observed: what ``observe`` has found, summed over the step's views; zeros where the step was
-            skipped.
-        finite: whether the step counted: False where the loss or a gradient was not finite.
+        observed: sums of what ``observe`` found in the step's views; zeros where it was skipped.
+        finite: False where the step did not count: loss or a gradient was not finite.
         generator: of every random choice, on the CPU.
     """
 
@@ -60,10 +58,9 @@ class DensityUpdate(NamedTuple):
 
 @dataclass(frozen=True)
 class Strategy(ABC):
-    """Density control: its settings are fields, its state is passed in and out.
-
-    Subclass it as a frozen dataclass and give an instance to ``train(..., strategy=...)``. To name
-    it in a config.yaml, give it a field ``name: Literal["..."]`` and add it to
+    """Density control: its settings are fields, its state is passed in and out. Subclass it as a
+    frozen dataclass and give an instance to ``train(..., strategy=...)``; to name it in a
+    config.yaml, add a field ``name: Literal["..."]``, and it to
     ``mrgs.method.density.ConfiguredStrategy``. ``max_gaussians`` is the cap on their number, at the
     start too."""
 
@@ -83,11 +80,9 @@ class Strategy(ABC):
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def initial_state(self, gaussians: Gaussians) -> StrategyState:
-        """What the strategy remembers before the first step; nothing by default.
-
-        Later states have the same names and types, and the shapes that this gives for as many
-        Gaussians; a run whose checkpoint has others is not resumed. All numbers are finite.
-        """
+        """What the strategy remembers before the first step; nothing by default. All numbers are
+        finite. Names, types, and shapes for a given number of Gaussians do not change: a run whose
+        state has others cannot be resumed."""
         return {}
 
     def movable(self, gaussians: Gaussians) -> Bool[Tensor, " n"] | None:
@@ -95,12 +90,9 @@ class Strategy(ABC):
         return None
 
     def observe(self, passes: Sequence[ScreenPoints]) -> Mapping[str, Float[Tensor, " n"]]:
-        """What the strategy records of a view, for each Gaussian; nothing by default.
-
-        A step may have several views; ``after_step`` gets the sum over them. The names are the
-        same for all views. Of the projected centres of the view's passes, ``offset.grad``, if there
-        is one, is the gradient of the view's loss.
-        """
+        """What the strategy records of a view, for each Gaussian; nothing by default. The names are
+        the same for all views, whose sum over a step ``after_step`` gets. Of the view's projected
+        centres, ``offset.grad``, if there is one, is the gradient of its loss."""
         return {}
 
     @abstractmethod

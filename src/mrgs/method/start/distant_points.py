@@ -1,9 +1,6 @@
 """Start points far away, where photos show none: the sky, and what is too far for structure from
-motion.
-
-Not in the paper. Without them these directions are filled by Gaussians of the nearest surfaces,
-which grow towards the cameras and are seen hanging in the air from everywhere else.
-"""
+motion. Not in the paper. Without them Gaussians of the nearest surfaces fill these directions, grow
+towards the cameras, and float in front of everything seen from elsewhere."""
 
 from __future__ import annotations
 
@@ -23,8 +20,7 @@ cell lies in three by three empty ones: smaller gaps lie on surfaces, and what i
 makes them transparent."""
 
 FEWEST_PER_CELL = 0.5
-"""A photo with fewer start points than this share of its cells does not show which directions are
-empty."""
+"""A photo with fewer start points per cell than this does not tell which directions are empty."""
 
 SPACING_RAD = 0.1
 """Directions closer than about this become one point."""
@@ -43,8 +39,8 @@ LOWEST_SHARE = 0.01
 
 
 class DistantPoints(NamedTuple):
-    """M points in world coordinates that are about equally far from each other, ``spacing`` in
-    scene units."""
+    """M points in world coordinates, about equally far from each other; ``spacing`` is in scene
+    units."""
 
     positions: Float[Tensor, "m 3"]
     spacing: float
@@ -90,8 +86,8 @@ def _share_of_empty(
 def _empty_cells(
     camera: Camera, positions: Float64[Tensor, "n 3"]
 ) -> Bool[Tensor, "rows columns"] | None:
-    """Which cells of a photo lie in three by three cells without a start point; None if it shows
-    too few points to tell."""
+    """The cells that have no start point, nor do their eight neighbours; None with too few points
+    to tell."""
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     pixels, _ = camera.project(positions)
     seen = pixels[camera.contains(pixels)]
@@ -117,8 +113,7 @@ def _cells_at(
 def _on_sphere(
     camera: Camera, empty: Bool[Tensor, "rows columns"], ball: SceneBounds
 ) -> Float64[Tensor, "k 3"]:
-    """Where the rays through the middle of the cells meet the background, as directions from its
-    centre."""
+    """Where rays through the cells' middles meet the background: directions from its centre."""
     rows, columns = empty.shape
     row, column = empty.nonzero().T
     pixels = torch.stack(

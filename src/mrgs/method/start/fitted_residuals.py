@@ -1,9 +1,6 @@
-"""Temperature residuals that start with what the photos show (not in the paper).
-
-Left to themselves t_i and t̂ share one task, and whichever learns faster leaves the other nothing:
-with temperatures read off the photos t̂ stays 0, and no equation of the thermal branch matters. So
-the layers are fitted to these temperatures first, and t_i starts as what they cannot say.
-"""
+"""Temperature residuals that start with what the photos show (not in the paper). Of t_i and t̂,
+which share one task, the faster learner leaves the other nothing: with temperatures read off the
+photos t̂ would stay 0. So the layers are fitted to these first, and t_i starts as the rest."""
 
 from __future__ import annotations
 
@@ -34,11 +31,8 @@ def fit_residuals(
     generator: torch.Generator,
 ) -> None:
     """Fit t̂ of a field with residuals to the Gaussians' normalised temperatures by steps of Adam,
-    and leave in t_i what remains.
-
-    A Gaussian whose temperature no photo shows, NaN, does not count, and gets t_i = 0: its
-    neighbours speak for it. Field and temperature coefficients are changed in place.
-    """
+    and leave in t_i what remains, both in place. A Gaussian whose temperature no photo shows, NaN,
+    does not count, and gets t_i = 0: its neighbours speak for it."""
     target = temperatures - 0.5
     known = target[:, 0].isfinite().nonzero()[:, 0]
     if not field.config.residuals or steps == 0 or len(known) == 0:
@@ -76,8 +70,7 @@ def leave_the_rest(
 
 
 def _check_kernel(field: RadianceField, sample: Gaussians) -> None:
-    """Compare the kernel with the plain definition, on few Gaussians: that takes memory for all
-    that it is given."""
+    """Compare the kernel with the plain definition, on few Gaussians, which saves memory."""
     neighbours = field.neighbours_of(sample.means)
     with checking(), warnings.catch_warnings():
         warnings.simplefilter("ignore", KernelWarning)  # the training's own check names the kernel

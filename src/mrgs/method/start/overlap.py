@@ -1,8 +1,5 @@
 """Offsets and shading of the thermal photos before training, from the points that several photos
-show: as S(point) + offset(photo) + shading(place in the image).
-
-One constant remains undetermined: the offsets sum to zero, and so does the shading over the image.
-"""
+show: S(point) + offset(photo) + shading(place in the image). Offsets and shading sum to zero."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.errors import ConfigError, warn_user
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.camera_model.photo_shading import HEIGHT, TERMS, image_places, shading_terms
-from mrgs.method.start.start_points import LOOKED_AT_PX, hidden_points
+from mrgs.method.start.start_points import LOOKED_AT_PX, framed_points
 from mrgs.scene import THERMAL, Blend, Pixels, PosedImage, Rendering, Scene, View
 
 MOST_POINTS, MOST_SIGHTINGS = 20_000, 300_000
@@ -33,8 +30,7 @@ SMOOTHED_PX = 2.0
 """Standard deviation of the Gaussian that photos are smoothed by: points are not more exact."""
 
 OFFSET_C, SHADING_C, NOT_MODELLED_C = 3.0, 1.0, 1e-4
-"""Priors, as standard deviations: of the offsets, of each coefficient of the shading, and of what
-is not modelled."""
+"""Standard deviations a priori: offsets, coefficients of the shading, what is not modelled."""
 
 DRIFT_C = 0.5
 """The same, of the difference between two photos a minute apart; it grows with the root of the
@@ -54,12 +50,8 @@ CONTRADICTION_C = 0.3
 
 def find_from_overlap(scene: Scene, image_model: ImageModel, config: ImageModelConfig) -> None:
     """Start the drift and the shading of an image model, as far as it has them, from where the
-    scene's photos overlap; the shading from the configuration's flat field if it has one.
-
-    Raises:
-        ConfigError: the flat field cannot be used.
-        SceneError: a photo cannot be read.
-    """
+    scene's photos overlap; the shading from a flat field if it is configured. ConfigError if that
+    cannot be used, SceneError if a photo cannot be read."""
     drift, shading = image_model.thermal_drift, image_model.thermal_shading
     flat_field = config.flat_field
     if flat_field is not None and shading is None:
@@ -93,8 +85,7 @@ def find_from_overlap(scene: Scene, image_model: ImageModel, config: ImageModelC
 
 
 def _warn_of_contradiction(left_c: Float[np.ndarray, "6"]) -> None:
-    """Warn where the photos' overlap asks for more shading than the flat field has, by these
-    coefficients."""
+    """Warn where the overlap asks for more shading than the flat field has."""
     left = torch.from_numpy(left_c)
     apart_c = float((shading_terms(*image_places(24, 32, left)) @ left).std())
     if apart_c > CONTRADICTION_C:
@@ -106,8 +97,7 @@ def _warn_of_contradiction(left_c: Float[np.ndarray, "6"]) -> None:
 
 
 def without_camera(scene: Scene, image_model: ImageModel) -> Scene:
-    """The scene with thermal training photos without the offsets and the shading of an image
-    model."""
+    """The scene, its thermal training photos without an image model's offsets and shading."""
     if image_model.thermal_drift is None and image_model.thermal_shading is None:
         return scene
 
@@ -167,8 +157,7 @@ def _of_flat_field(folder: Path, unit: str | None, photo: PosedImage) -> Float[T
 
 @dataclass(frozen=True, eq=False)
 class _Sightings:
-    """Points in photos: numbers of both from 0, the value there in °C, and the terms of the
-    shading."""
+    """Points in photos: both by number from 0, their value in °C, and the shading's terms."""
 
     photo: Int[np.ndarray, " n"]
     point: Int[np.ndarray, " n"]
@@ -195,10 +184,7 @@ def _seen(
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, "k 6"]]:
     """Which points a photo shows, its values there, and the terms of the shading."""
     camera = photo.camera
-    pixels, depth = camera.project(positions)
-    shown = camera.contains(pixels)
-    pixels = torch.where(shown[:, None], pixels, 0)
-    shown &= ~hidden_points(camera, pixels, torch.where(shown, depth, torch.inf))
+    pixels, in_frame, hidden = framed_points(camera, positions)
     image = photo.look(LOOKED_AT_PX)
     values = image.values[..., 0].double().numpy()
     valid = np.ones_like(values) if image.valid is None else image.valid.double().numpy()
@@ -206,7 +192,7 @@ def _seen(
     smooth = gaussian_filter(values * valid, sigma) / gaussian_filter(valid, sigma).clip(1e-3)
     place = pixels / pixels.new_tensor([camera.width, camera.height])
     column, row = (place * place.new_tensor(smooth.shape[::-1])).long().numpy().T
-    rows = np.flatnonzero(shown.numpy() & (valid[row, column] > 0))
+    rows = np.flatnonzero((in_frame & ~hidden).numpy() & (valid[row, column] > 0))
     x, y = (2 * place[rows] - 1).T
     return rows, smooth[row, column][rows], shading_terms(x, HEIGHT * y).numpy()
 

@@ -1,10 +1,7 @@
 """The points that training starts from: the scene's, distant ones, and what the photos show of
-both.
-
-Only the scene's points and their colours are as in 3DGS. They have no temperatures: from one value
-for all, a short schedule spends its first third on temperatures that every photo shows, and
-surfaces whose temperature is the background's never become opaque to the thermal blend.
-"""
+both. Only the scene's points and their colours are as in 3DGS: from one temperature for all, a
+third of a short schedule goes into what every photo shows, and surfaces as warm as the background
+never become opaque to the thermal blend."""
 
 from __future__ import annotations
 
@@ -45,8 +42,7 @@ everywhere as what is behind it would stay half transparent: nothing in a therma
 become opaque."""
 
 DISTANT_OPACITY = 0.9
-"""Nothing is behind a distant point; and were it not opaque, the nearer surfaces would grow to fill
-the sky."""
+"""Nothing is behind a distant point; were it not opaque, nearer surfaces would fill the sky."""
 
 NEARER_OPACITY = 0.5
 """Of the scene's points where there are distant ones. Started with 3DGS's they hide little of what
@@ -113,12 +109,9 @@ def start_points(scene: Scene, config: TrainConfig) -> StartPoints:
 
 
 def blended_apart(captured: Iterable[Modality], shares_opacity: bool) -> tuple[Modality, ...]:
-    """The modalities of a model that have an opacity of their own, by those of its scene; the
-    others share the first one's, and all do where the method blends all with o_c.
-
-    Without photos a modality's opacities would never move, and their maximum over the modalities
-    would keep every Gaussian from being pruned.
-    """
+    """The modalities of a model that have an opacity of their own, by those of its scene: others
+    share the first's, and all do where the method blends all with o_c. Opacities without photos
+    would never move, and would keep every Gaussian from being pruned."""
     own = in_order(captured)
     return own if len(own) > 1 and not shares_opacity else model_modalities(own)[:1]
 
@@ -135,8 +128,7 @@ def _as_published(cloud: PointCloud, modalities: tuple[Modality, ...]) -> StartP
 
 
 def _with_distant(points: StartPoints, scene: Scene) -> StartPoints:
-    """Points far away behind them, in the photos' colours; if there are any, the scene's are opaque
-    enough to hide them."""
+    """Points far away behind the scene's, in the photos' colours; the scene's then hide them."""
     distant = distant_points(points.positions, scene.train_cameras, scene.world.north)
     count = len(distant.positions)
     if count == 0:
@@ -194,12 +186,9 @@ SMALLEST_VALUE_DISTANCE = 1e-9
 def photo_values(
     positions: Float[Tensor, "n 3"], photos: Sequence[PosedImage], channels: int
 ) -> Float[Tensor, "n {channels}"]:
-    """The median over the photos of one modality that show a point of the value they have there,
-    channel by channel; the points hide each other.
-
-    A point that is hidden in every photo takes the median over all that have it in their frame; one
-    that no photo has there is NaN.
-    """
+    """The median over one modality's photos of the value of a point that they show, channel by
+    channel; points hide each other. A point that is hidden in all of them takes the median over
+    those that have it in frame; one in no photo's frame is NaN."""
     if not photos:
         return positions.new_full((len(positions), channels), torch.nan)
     chosen = [photos[index] for index in evenly_spaced(len(photos), READ_PHOTOS)]
@@ -234,10 +223,7 @@ def _shown(
 ) -> tuple[Float[Tensor, "n c"], Float[Tensor, "n c"]]:
     """What a photo has where the points in its frame are, and where the unhidden ones of them are;
     NaN for the others."""
-    pixels, depth = photo.camera.project(positions)
-    in_frame = photo.camera.contains(pixels)
-    pixels = torch.where(in_frame[:, None], pixels, 0)
-    hidden = hidden_points(photo.camera, pixels, torch.where(in_frame, depth, torch.inf))
+    pixels, in_frame, hidden = framed_points(photo.camera, positions)
     image = photo.look(LOOKED_AT_PX)
     height, width, _ = image.values.shape
     per_pixel = pixels.new_tensor([width / photo.camera.width, height / photo.camera.height])
@@ -248,10 +234,15 @@ def _shown(
     return values, torch.where(hidden[:, None], torch.nan, values)
 
 
-def hidden_points(
-    camera: Camera, pixels: Float64[Tensor, "n 2"], depth: Float64[Tensor, " n"]
-) -> Bool[Tensor, " n"]:
-    """Which points are behind others in their cells; points at infinity hide none."""
+def framed_points(
+    camera: Camera, positions: Float64[Tensor, "n 3"]
+) -> tuple[Float64[Tensor, "n 2"], Bool[Tensor, " n"], Bool[Tensor, " n"]]:
+    """The points' pixels, 0 for those out of the frame; which are in the frame; and which are
+    behind others in their cells."""
+    pixels, depth = camera.project(positions)
+    in_frame = camera.contains(pixels)
+    pixels = torch.where(in_frame[:, None], pixels, 0)
+    depth = torch.where(in_frame, depth, torch.inf)  # hides none
     rows = max(1, round(CELLS_ACROSS * camera.height / camera.width))
     cells_per_px = pixels.new_tensor([CELLS_ACROSS / camera.width, rows / camera.height])
     column, row = (pixels * cells_per_px).long().T
@@ -262,7 +253,7 @@ def hidden_points(
     around = -torch.nn.functional.max_pool2d(
         -nearest.view(1, rows, CELLS_ACROSS), 3, stride=1, padding=1
     )
-    return depth > MUCH_NEARER * around.flatten()[cell]
+    return pixels, in_frame, depth > MUCH_NEARER * around.flatten()[cell]
 
 
 INITIAL_SCALE_NEIGHBOURS = 3

@@ -48,10 +48,9 @@ def temperatures(
     any.
 
     Args:
-        previews: views whose pixels are counted.
+        previews: views whose pixels are counted, some of ``total`` views or all.
         unit: °C, or empty for relative values.
         notes: sentences from the thermal files, with the number of photos that have each.
-        total: number of views, of which ``previews`` may be a part.
     """
     images = {view.name: view.images[THERMAL].pixels for view in previews if THERMAL in view.images}
     known = {name: image[np.isfinite(image)] for name, image in images.items()}
@@ -98,8 +97,8 @@ def setting_rows(records: Sequence[PhotoRecord]) -> list[tuple[str, str]]:
 
 
 def histogram(counts: Float[np.ndarray, " n"], low: float, high: float, unit: str) -> Markup:
-    """SVG of the number of pixels by temperature: ``counts`` are one per equal step from ``low`` to
-    ``high``, not all 0."""
+    """SVG of the number of pixels by temperature: ``counts``, not all 0, are one per equal step
+    from ``low`` to ``high``."""
     width = (_RIGHT - _LEFT) / len(counts)
     heights = (_BOTTOM - _TOP) * counts / counts.max()
     colors = palette_table("inferno")[np.linspace(20, 235, len(counts)).astype(int)]

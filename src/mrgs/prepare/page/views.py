@@ -28,11 +28,8 @@ from mrgs.scene.view import evenly_spaced
 
 
 class PreviewImage(NamedTuple):
-    """An image at the size in which the page shows it, and its camera; None without a pose.
-
-    An image of three channels has 8-bit colours. Of others, the mean of the channels is shown: in
-    °C where these are known, NaN where not valid.
-    """
+    """An image at the size in which the page shows it, and its camera, None without a pose. Three
+    channels become 8-bit colours, others their mean: in °C where known, NaN where not valid."""
 
     pixels: UInt8[np.ndarray, "h w 3"] | Float32[np.ndarray, "h w"]
     camera: Camera | None
@@ -112,13 +109,10 @@ _EDGE_SHARE = 0.12
 def thermal_overlay(
     preview: Preview, points: PointCloud, visible: Int64[Tensor, " k"] | None = None
 ) -> Float32[np.ndarray, "h w"] | None:
-    """The thermal image warped onto the grid of the view's first image, the photo; NaN outside of
-    the thermal image.
-
-    Each pixel of the photo is unprojected to the surface between the sparse points, and projected
-    from there into the thermal image. Occlusions are ignored. ``visible`` are the points that the
-    photo shows; None if not known. There is none where the view has no pose, no thermal image or no
-    other."""
+    """The thermal image warped onto the grid of the view's first image, the photo; NaN outside.
+    Each pixel is unprojected to the surface between the sparse points, of which the photo shows the
+    ``visible`` ones (None if not known), and projected into the thermal image, without occlusions.
+    None for a view without a pose, a thermal image or another one."""
     photo, thermal = next(iter(preview.images.values()), None), preview.images.get(THERMAL)
     if photo is None or thermal is None or photo is thermal:
         return None

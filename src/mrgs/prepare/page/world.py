@@ -47,8 +47,7 @@ class World(NamedTuple):
 
 
 def orbit_facts(world: World) -> dict[str, Any]:
-    """Data for ``orbit.js``; positions of points are 16-bit integers in steps of ``step`` from
-    ``low``."""
+    """Data for ``orbit.js``; points are 16-bit integers in steps of ``step`` from ``low``."""
     chosen = evenly_spaced(len(world.points.positions), MOST_POINTS)
     points = world.points.positions[chosen].double().numpy()
     colors = world.points.colors[chosen].clamp(0, 1).numpy()

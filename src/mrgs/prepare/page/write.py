@@ -165,8 +165,7 @@ def _previews(
 
 
 def _disagreement(work: Work, previews: Sequence[Preview], posed: Reconstruction) -> Problem | None:
-    """What to say of thermal images that do not agree at the points that they show; None if they
-    do."""
+    """What to say of thermal images that disagree at the points that they show; None if none do."""
     images = [view.images.get(THERMAL) if view.registered else None for view in previews]
     found = agreements(
         [None if image is None else image.pixels for image in images],

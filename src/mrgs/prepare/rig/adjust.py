@@ -21,8 +21,7 @@ from mrgs.scene.rotations import (
 )
 
 RIG = 12
-"""log fx, log(fy / fx), cx, cy (thermal pixels), k1, k2, rotation vector (radians), translation
-(scene units)."""
+"""log fx, log(fy / fx), cx, cy (px), k1, k2, rotation vector (rad), translation (scene units)."""
 
 MOTION = 6
 """Rotation vector (radians) and translation (scene units) of a pair, after the rig's."""
@@ -72,8 +71,7 @@ def rigid_motion(parameters: Float64[Tensor, "6"]) -> Float64[Tensor, "4 4"]:
 def project(
     rig: Float64[Tensor, "12"], motions: Float64[Tensor, "n 6"], points: Float64[Tensor, "n 3"]
 ) -> Float64[Tensor, "n 2"]:
-    """Thermal pixel positions [N, 2] of points in the axes of their photos' cameras, each with its
-    pair's motion."""
+    """Thermal pixels [N, 2] of points in their photos' cameras, each with its pair's motion."""
     return _project(rig, motions, points)[0]
 
 
@@ -94,8 +92,7 @@ def project_jacobian(
 
 
 def _project(rig: Tensor, motions: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Pixels; the points in thermal axes; rotated by the rig alone; and rotated by both, before the
-    last translation."""
+    """Pixels; points in thermal axes; rotated by the rig; rotated by both, not yet translated."""
     turned = points @ _rotations(rig[None, 6:9])[0].T
     shifted = torch.einsum("nij,nj->ni", _rotations(motions[:, :3]), turned + rig[9:12])
     inside = shifted + motions[:, 3:]
@@ -204,12 +201,9 @@ def aimed(cameras: ThermalCameras, observations: Observations) -> ThermalCameras
 
 
 def adjust(observations: Observations, prior: Prior, start: ThermalCameras) -> Adjusted:
-    """Maximum a posteriori estimate by Gauss-Newton with Geman and McClure's robust weights.
-
-    The scale of the weights follows from the median residual of each kind. How far pairs move at
-    all follows from the pairs that show it, at most as far as the prior allows: where the two
-    shutters fire together, a pair with few observations is then placed by the rig.
-    """
+    """Maximum a posteriori estimate by Gauss-Newton with Geman and McClure's robust weights, scaled
+    by the median residual of each kind. How far pairs move at all follows from those that show it,
+    within the prior: where shutters fire together, the rig places pairs with few observations."""
     rig, motions, assumed = start.rig, start.motions, prior
     for step in range(_STEPS + 1):
         residual, weight = _weights(observations, rig, motions)
@@ -241,8 +235,7 @@ def _motion_spread(
 def pixel_sigma(
     adjusted: Adjusted, view: int, points: Float64[Tensor, "n 3"]
 ) -> Float64[Tensor, " n"]:
-    """Standard deviation, in pixels, of the thermal positions of points in a pair's RGB camera
-    axes."""
+    """Standard deviation, px, of the thermal positions of points in a pair's RGB camera."""
     motions = adjusted.cameras.motions[view].repeat(len(points), 1)
     jacobian = project_jacobian(adjusted.cameras.rig, motions, points)
     variance = torch.einsum("nia,ab,nib->n", jacobian, adjusted.covariance[view], jacobian)

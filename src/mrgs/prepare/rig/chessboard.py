@@ -45,20 +45,18 @@ class Corners:
         return np.minimum.reduce([along[:, :-1], along[:, 1:], down[:-1], down[1:]])
 
     def orderings(self) -> list[Corners]:
-        """The corners in each order that looks the same: two, or four if there are as many rows as
-        columns."""
+        """The corners in each order that looks the same: two, or four if the board is square."""
         rows, columns, _ = self.grid.shape
         turns = range(0, 4, 1 if rows == columns else 2)
         return [Corners(np.rot90(self.grid, quarters)) for quarters in turns]
 
 
 def detect_chessboard(image: Float[np.ndarray, "h w"], inner: tuple[int, int]) -> Corners | None:
-    """Find a chessboard of which all inner corners are in the image; None if there is none.
-
-    Saddle points are found at several scales, linked to a grid along their edges, and placed to a
-    fraction of a pixel. At each corner the four squares around must alternate. Which squares are
-    the bright ones does not matter. The image may have any unit and lens distortion; ``inner`` is
-    how many inner corners are in a row and in a column, both 3 or more."""
+    """Find a chessboard of which all inner corners are in the image; None if there is none. Saddle
+    points of several scales are linked to a grid along their edges, and placed to a fraction of a
+    pixel; the four squares around each must alternate, in either order. The image may have any unit
+    and lens distortion; ``inner`` is how many corners are in a row and in a column, both 3 or
+    more."""
     image = (image - np.median(image)).astype(np.float32)
     for saddles in _at_scales(image):
         for lattice in _lattices(saddles):
@@ -172,8 +170,7 @@ def _is_part_of_larger(image: Float[np.ndarray, "h w"], corners: Corners) -> boo
 
 
 _LEAST_CONTRAST = 0.04
-"""σ⁴(Hxy² − Hxx Hyy) over the variance around: about 0.4 where four sharp squares meet, whatever
-their contrast."""
+"""σ⁴(Hxy² − Hxx Hyy) over the variance around: about 0.4 where four sharp squares meet."""
 
 _SURROUNDINGS = 2.0
 _FARTHEST = 1.5
@@ -210,13 +207,10 @@ def _at_scales(image: Float[np.ndarray, "h w"]) -> Iterator[_Saddles]:
 
 
 def _find_saddles(image: Float[np.ndarray, "h w"], sigma_px: float) -> _Saddles:
-    """The saddle points of an image after a Gaussian blur.
-
-    The determinant of the Hessian is most negative at them (Chen and Zhang, 2005); in its
-    asymptotic directions the image neither rises nor falls: they are the edges between the squares,
-    also in perspective. Along the direction φ the second derivative is mean + half · cos 2(φ −
-    main), which vanishes at two angles from main.
-    """
+    """The saddle points of an image after a Gaussian blur, where the Hessian's determinant is most
+    negative (Chen and Zhang, 2005). In its asymptotic directions the image neither rises nor falls:
+    these are the edges between squares, also in perspective. Along φ the second derivative is mean
+    + half · cos 2(φ − main), which vanishes at two angles from main."""
     orders = ((0, 2), (1, 1), (2, 0), (0, 1), (1, 0))
     derivatives = np.stack([gaussian_filter(image, sigma_px, order=order) for order in orders])
     strength = (derivatives[1] ** 2 - derivatives[0] * derivatives[2]) * sigma_px**4
@@ -245,11 +239,9 @@ def _find_saddles(image: Float[np.ndarray, "h w"], sigma_px: float) -> _Saddles:
 def _refined(
     image: Float[np.ndarray, "h w"], pixels: Points, radius_px: Float[np.ndarray, " n"]
 ) -> Points:
-    """Saddle points to a fraction of a pixel; NaN where there is none within the radius.
-
-    A second-degree polynomial is fitted to the values around, with Gaussian weights; its stationary
-    point is the next centre (Lucchese and Mitra, 2002).
-    """
+    """Saddle points to a fraction of a pixel, NaN where there is none within the radius: the next
+    centre is the stationary point of a second-degree polynomial fitted around with Gaussian weights
+    (Lucchese and Mitra, 2002)."""
     grid = np.linspace(-1, 1, _FIT_SAMPLES)
     x, y = (values.ravel() for values in np.meshgrid(grid, grid))
     weight = np.exp(-2 * (x**2 + y**2)) * (x**2 + y**2 <= 1)
@@ -311,11 +303,8 @@ def _lattices(saddles: _Saddles) -> list[_Lattice]:
 
 def _links(saddles: _Saddles) -> tuple[Int[np.ndarray, "n 4"], Int[np.ndarray, "n 4"]]:
     """For each saddle point and edge: the neighbour at its other end (-1 without one), and by how
-    many quarters the neighbour's edges are numbered differently.
-
-    A neighbour is the nearest point along the edge whose own edges run alike and whose bright and
-    dark quarters are swapped, provided that the relation is mutual.
-    """
+    many quarters its edges are numbered differently. It is the nearest point along the edge with
+    edges alike and bright and dark quarters swapped, if the relation is mutual."""
     pixels, angles, bright = saddles
     count = len(pixels)
     near = cKDTree(pixels).query(pixels, k=min(_NEAREST + 1, count))[1][:, 1:]

@@ -69,12 +69,9 @@ def inverse_depth(
 def _unhidden(
     uv: Float[np.ndarray, "n 2"], inverse: Float[np.ndarray, " n"], width: int
 ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
-    """The points that no surface through nearer points hides.
-
-    After the hidden-point removal of Katz, Tal and Basri (2007), in the image: inverse depth is
-    lifted by a paraboloid, and what lies on the upper convex hull is visible. Points just under the
-    surface through these are, too.
-    """
+    """The points that no surface through nearer points hides, by Katz, Tal and Basri (2007), in the
+    image: inverse depth is lifted by a paraboloid; what lies on the upper convex hull, or just
+    under the surface through it, is visible."""
     radius2 = ((uv / width) ** 2).sum(axis=1)
     lifted = np.column_stack([uv / width, inverse / np.quantile(inverse, 0.9) - _BEND * radius2])
     try:
@@ -104,8 +101,7 @@ def _interpolated(
 
 PHOTO_WIDTH_PX = 640
 THERMAL_WIDTH_PX = 320
-"""More pixels add nothing in images as soft as thermal ones, where patches are matched to a tenth
-of a pixel."""
+"""More pixels add nothing to images as soft as thermal ones, with patches matched to 0.1 px."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +153,7 @@ def reduced_pair(
 
 
 def grey_plane(pixels: Pixels, name: str) -> Plane:
-    """The luma of a photo, or the only channel; unusable pixels get the median. SceneError if no
-    pixel is usable."""
+    """A photo's luma or only channel, unusable pixels the median; SceneError if all are."""
     values: Tensor = pixels.values
     grey = values[..., 0] if values.shape[-1] == 1 else (values * LUMINANCE).sum(dim=-1)
     valid = torch.isfinite(grey) if pixels.valid is None else pixels.valid & torch.isfinite(grey)
@@ -177,12 +172,9 @@ _MARGIN_PX = 4
 def structure(
     image: Float[np.ndarray, "h w"], blur_px: float, valid: Bool[np.ndarray, "h w"] | None = None
 ) -> Float32[np.ndarray, "c h w"]:
-    """Strength of the edges in each of ``DIRECTIONS`` directions, less its mean in the
-    surroundings.
-
-    It does not change when the image is inverted, scaled or shifted in value. ``blur_px`` is the
-    distance at which edges still correlate (σ of a Gaussian); the structure is 0 at and near pixels
-    that are not ``valid``."""
+    """Strength of the edges in each of ``DIRECTIONS``, less its mean around: the same for an
+    inverted, scaled or shifted image. ``blur_px`` is where edges still correlate (σ of a Gaussian);
+    the structure is 0 at and near pixels that are not ``valid``."""
     if valid is not None:
         image = np.where(valid, image, np.median(image[valid]) if valid.any() else 0.0)
     down, right = np.gradient(gaussian_filter(image.astype(np.float32), _GRADIENT_SIGMA_PX))

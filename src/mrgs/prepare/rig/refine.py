@@ -1,5 +1,4 @@
-"""Refinement of a first guess: patches are matched and the cameras adjusted, from coarse to
-fine."""
+"""Refinement of a first guess: patches are matched, cameras adjusted, from coarse to fine."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ class Masked:
     seen: Bool[np.ndarray, "h w"] | None = None
 
     def within_border(self) -> tuple[Float32[Tensor, "c h w"], Float32[Tensor, "h w"]]:
-        """The structure, 0 where it is not valid or affected by the image's border; and that mask
-        as 0 and 1."""
+        """The structure, 0 where not valid or near the border; and that mask as 0 and 1."""
         mask = torch.zeros(self.values.shape[1:])
         inner = (slice(_BORDER_PX, -_BORDER_PX), slice(_BORDER_PX, -_BORDER_PX))
         mask[inner] = 1.0 if self.seen is None else torch.from_numpy(self.seen[inner]).float()
@@ -82,13 +80,10 @@ class Matches(NamedTuple):
 
 
 def match(thermal: Masked, photo: Masked, patches: Patches) -> Matches:
-    """Match each patch by normalised correlation of the two structures, to a fraction of a pixel.
-
-    Both are normalised over the pixels that overlap at a displacement: otherwise patches at the
-    border would be biased inwards, and the focal length with them. A patch without a maximum within
-    reach is left out. The information is the curvature of the correlation s at its maximum times
-    s / (1 - s²): the certainty of a maximum whose height is lowered by independent noise.
-    """
+    """Match each patch by normalised correlation of the two structures, over the overlap at each
+    displacement (else the border would bias the focal length), to a fraction of a pixel; a patch
+    without a maximum within reach is left out. The information is the curvature of the correlation
+    s at its maximum times s / (1 - s²), as if independent noise alone kept it from being 1."""
     scores, share, columns, rows = _scores(thermal, photo, patches)
     ny, nx = share.shape
     flat = scores.reshape(scores.shape[0], scores.shape[1], ny * nx).transpose(2, 0, 1)
@@ -173,8 +168,7 @@ def _windows(count: int, centres: np.ndarray, sigma: float) -> Float32[Tensor, "
 def _vertex(
     around: Float[np.ndarray, "m 3 3"],
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2 2"]]:
-    """Position (x, y) of the maximum of the parabola through 3×3 values, from their middle, and its
-    negated Hessian."""
+    """Maximum (x, y) of the parabola through 3×3 values, from the middle; its negated Hessian."""
     a = around.astype(np.float64)
     slope = np.column_stack([a[:, 1, 2] - a[:, 1, 0], a[:, 2, 1] - a[:, 0, 1]]) / 2
     xx = 2 * a[:, 1, 1] - a[:, 1, 2] - a[:, 1, 0]
@@ -196,8 +190,7 @@ motion between the shutters."""
 
 @dataclass(frozen=True)
 class Level:
-    """A level of the refinement: the width of the thermal images, the blur of their structure, and
-    the layout of the patches."""
+    """A level of the refinement: thermal width, blur of the structure, layout of the patches."""
 
     width_px: int
     blur_px: float
@@ -333,8 +326,7 @@ class Warped(NamedTuple):
 
 
 def thermal_rays(lens: Lens, width: int, height: int) -> Float[np.ndarray, "h w 3"]:
-    """The ray (x, y, 1) of each pixel of the thermal image, when it is resized to width ×
-    height."""
+    """The ray (x, y, 1) of each thermal pixel, if the image is resized to width × height."""
     u, v = np.meshgrid(
         (np.arange(width) + 0.5) * lens.width / width,
         (np.arange(height) + 0.5) * lens.height / height,

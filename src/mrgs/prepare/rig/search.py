@@ -140,8 +140,7 @@ def _forms(pairs: Sequence[ReducedPair]) -> Iterator[tuple[Structures, bool]]:
 def _best_about(
     about_deg: float, focals: Sequence[float], correlated: Callable[[float, float], Found]
 ) -> Found:
-    """The best guess near a rotation; ``correlated`` finds the best for a focal length and a
-    rotation."""
+    """The best guess near a rotation; ``correlated`` finds it for a focal length and a rotation."""
     coarse = [correlated(focal, about_deg) for focal in focals]
     best, second = max(coarse, key=lambda found: found.best.score), 0.0
     fine = [
@@ -203,8 +202,7 @@ def _correlated(
 
 
 def _shifts(count: int, thermal: int, side: int) -> Float[np.ndarray, " n"]:
-    """The shift of the photo's middle from the thermal image's, in pixels, for each place of a
-    cyclic correlation."""
+    """The photo's shift from the thermal image, px, for each place of a cyclic correlation."""
     places = np.arange(count)
     places = np.where(places < count - thermal, places, places - count)
     return side / 2 - places - thermal / 2
@@ -213,8 +211,7 @@ def _shifts(count: int, thermal: int, side: int) -> Float[np.ndarray, " n"]:
 def _photo(
     pair: ReducedPair, scale: float, turn_deg: float, side: int, blur_px: float
 ) -> tuple[Float32[np.ndarray, "c s s"], Float32[np.ndarray, "s s"]]:
-    """The structure of the photo, scaled and rotated about its principal point, in the middle of a
-    square."""
+    """The photo's structure, scaled and rotated about its principal point, in a square."""
     values = pair.photo.values
     if scale < 1:
         values = gaussian_filter(values, 0.5 * np.sqrt(1 / scale**2 - 1))

@@ -166,8 +166,7 @@ def find_target(
 
 
 class _BoardPose(NamedTuple):
-    """A sighting, and the motion from the board's axes to those of the photo's camera, in
-    squares."""
+    """A sighting, and the motion from the board's axes to its photo's camera, in squares."""
 
     sighting: Sighting
     motion: Float[np.ndarray, "4 4"]
@@ -180,8 +179,7 @@ class _BoardPose(NamedTuple):
 
 
 class _Board(NamedTuple):
-    """A board in the world: the corner in column i and row j is at origin + square · rotation (i,
-    j, 0)."""
+    """A board in the world: corner (i, j) is at origin + square · rotation (i, j, 0)."""
 
     rotation: Float[np.ndarray, "3 3"]
     origin: Float[np.ndarray, "3"]
@@ -192,14 +190,11 @@ class _Board(NamedTuple):
 
 
 def localise(sightings: Sequence[Sighting], square: float | None = None) -> LocatedTarget:
-    """Locate the target's corners in front of each photo.
-
-    A stationary target is located by the poses of all photos that show it, which also gives the
-    width of its squares; a target that is moved, by its perspective. Each corner is on the ray on
-    which its photo shows it, at the depth of the board. So an error of the photo's pose moves it
-    along that ray only, which hardly moves it in the image of the thermal camera beside it.
-    ``square`` is the width of a square in scene units; None if not known, which is a SceneError if
-    the target is not stationary."""
+    """Locate the target's corners in front of each photo: a stationary one by all photos' poses,
+    which gives the width of its squares; a moved one by its perspective. Each corner is placed on
+    its photo's own ray at the board's depth, so that an error of the pose hardly moves it in the
+    thermal image taken with the photo. ``square`` is the width of a square in scene units;
+    SceneError if it is None and the target is moved."""
     rows, columns, _ = sightings[0].photo.grid.shape
     plane = board_points(columns, rows)
     views = [
@@ -228,11 +223,9 @@ def localise(sightings: Sequence[Sighting], square: float | None = None) -> Loca
 
 
 def plane_pose(rays: Coordinates, plane: Coordinates) -> Float[np.ndarray, "4 4"]:
-    """The rigid motion from a plane's axes to the camera that sees its points (x, y, 0).
-
-    From the homography (Zhang 2000, section 3.1), then by least squares of the distances in the
-    image. ``rays`` are x / z and y / z in the camera; the motion is in the unit of the ``plane``'s
-    points."""
+    """The rigid motion from a plane's axes to the camera that sees its points (x, y, 0), in their
+    unit: from the homography (Zhang 2000, section 3.1), then by least squares in the image.
+    ``rays`` are x / z and y / z in the camera."""
     columns = homography(plane, rays)
     columns = columns / np.linalg.norm(columns[:, :2], axis=0).mean() * np.sign(columns[2, 2])
     u, _, v = np.linalg.svd(np.column_stack([columns[:, :2], np.cross(*columns.T[:2])]))
@@ -287,8 +280,8 @@ def _from_two(first: _BoardPose, second: Sequence[_BoardPose]) -> _Board | None:
 def _consistent(
     board: _Board, views: Sequence[Sequence[_BoardPose]], plane: Coordinates, tolerance: float
 ) -> dict[int, _BoardPose]:
-    """The views whose median reprojection error is below a share of a square, with the corners in
-    the board's order."""
+    """The views whose median reprojection error is below a share of a square, their corners in the
+    board's order."""
     corners = board.corners(plane)
     found = {}
     for index, orderings in enumerate(views):

@@ -85,8 +85,8 @@ def _write_images(job: ReconstructionJob) -> None:
 
 
 def _camera(job: ReconstructionJob) -> pycolmap.Camera:
-    """The camera with its known focal length, the median one in its images' EXIF data, or else
-    COLMAP's guess."""
+    """The camera, with its focal length if known, else the median one in its images' EXIF data,
+    else COLMAP's guess."""
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = CAMERA_MODEL
     guesses = [pycolmap.infer_camera_from_image(job.root / file, reader) for file in job.files]

@@ -1,5 +1,4 @@
-"""The files between ``prepare`` and the process that finds the poses: images to be reconstructed,
-and a report on each."""
+"""Files between ``prepare`` and the process that finds poses: the images, and a report on each."""
 
 from __future__ import annotations
 
@@ -94,8 +93,7 @@ class ReconstructionJob:
 
 
 def read_job_file(folder: Path) -> JobFile:
-    """What the job file in a working folder says. OSError, UnicodeDecodeError or
-    msgspec.DecodeError if it cannot be read."""
+    """The job file's content. OSError, UnicodeDecodeError or msgspec.DecodeError if unreadable."""
     return msgspec.json.decode(read_text(folder / JOB_FILE), type=JobFile)
 
 

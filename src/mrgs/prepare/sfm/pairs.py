@@ -86,12 +86,9 @@ def pairs_to_match(
 
 
 def image_signatures(descriptors: list[UInt8[np.ndarray, "_ d"]]) -> Float32[np.ndarray, "n f"]:
-    """A unit vector for each image, whose product with another's measures their similarity.
-
-    Vectors of locally aggregated descriptors (Jégou et al., 2010) with normalised residuals
-    (Arandjelović and Zisserman, 2013); the words are those of the images themselves, so that no
-    vocabulary is needed.
-    """
+    """A unit vector for each image, whose product with another's measures their similarity: locally
+    aggregated descriptors (Jégou et al., 2010) with normalised residuals (Arandjelović and
+    Zisserman, 2013), of the images' own words in place of a vocabulary."""
     rng = np.random.default_rng(0)
     share = max(_SAMPLES // len(descriptors), 1)
     sample = np.concatenate([rng.permutation(own)[:share] for own in descriptors]).astype(

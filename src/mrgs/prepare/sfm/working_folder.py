@@ -30,11 +30,9 @@ def set_up(
     focal_widths: float | None = None,
 ) -> None:
     """Set up the folder; features and matches of an earlier call stay if nothing has changed.
-
-    The images are named by numbers, so that no name can be misread. The local contrast of
-    ``thermal`` images is made even; ``positions`` are where images were taken, metres east, north
-    and up; ``focal_widths`` is the focal length in image widths. SceneError if an image cannot be
-    read, RunError if the folder cannot be written."""
+    Images are named by numbers; ``thermal`` ones get even local contrast. ``positions`` are metres
+    east, north and up; ``focal_widths`` is in image widths. SceneError if an image cannot be read,
+    RunError if the folder cannot be written."""
     named = tuple(
         JobImage(
             f"{number:06d}{'.png' if thermal else source.suffix.lower()}", name, digest(source)
@@ -99,12 +97,8 @@ def evened(file: Path) -> UInt8[np.ndarray, "h w"]:
 
 
 def local_contrast(values: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Deviations from the mean of the surroundings over their root mean square there, from 0 to 1;
-    0.5 is none.
-
-    The median of that root mean square is added to it, so that the noise of flat surfaces is not
-    amplified to full contrast.
-    """
+    """Deviations from the surroundings' mean over their root mean square, from 0 to 1; 0.5 is none.
+    The median root mean square is added to it, so that noise of flat surfaces stays small."""
     clipped = np.clip(values, *np.percentile(values, EXTREMES_PERCENT)).astype(np.float64)
     smooth = gaussian_filter(clipped - np.median(clipped), NOISE_SIGMA_PX)
     detail = smooth - gaussian_filter(smooth, DETAIL_SIGMA_PX)

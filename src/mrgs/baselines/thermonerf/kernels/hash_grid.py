@@ -1,5 +1,4 @@
-"""Multi-resolution hash encoding: trilinear interpolation in tables of features (Müller et al.
-2022, Section 3)."""
+"""Multi-resolution hash encoding: trilinear interpolation (Müller et al. 2022, Section 3)."""
 
 from __future__ import annotations
 
@@ -75,8 +74,7 @@ class _Encode(torch.autograd.Function):
 
 @inner_function
 def _locate(points, first, rows, resolution, size, entries, weights):
-    """Entries and trilinear weights of the eight corners around each point of a block, both [8,
-    block]."""
+    """Entries and trilinear weights of the corners around each point of a block, [8, block]."""
     corners, hash_mask = np.uint32(resolution + 1), np.uint32(size - 1)
     is_dense = (resolution + 1) ** 3 <= size
     scale, one, zero = points.dtype.type(resolution), points.dtype.type(1), points.dtype.type(0)

@@ -1,5 +1,4 @@
-"""A perceptron with one hidden layer as one kernel: each block of rows passes through without
-leaving the cache."""
+"""A perceptron with one hidden layer as one kernel: each block of rows stays in the cache."""
 
 from __future__ import annotations
 

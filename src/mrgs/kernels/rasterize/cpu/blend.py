@@ -46,8 +46,7 @@ VECTOR_ROWS = simd.LANES // TILE_WIDTH
 
 ALL_VECTORS = (1 << (TILE_HEIGHT // VECTOR_ROWS)) - 1
 TILE_STRIDE = 7
-"""Neighbouring tiles cost alike: the threads' shares are interleaved by walking the tiles in steps
-of about 1/7."""
+"""Neighbouring tiles cost alike: the threads walk them in steps of about 1/7, interleaved."""
 
 TRANSMITTANCE = 0
 DEPTH = TILE_PIXELS
@@ -148,8 +147,7 @@ def _open_transmittance(planes, layer, x0, y0, width, height):
 
 @strict_inlined_function()
 def _vector_range(splats, record, y0):
-    """First and last vector of the tile whose rows of pixel centres the splat's ellipse can
-    reach."""
+    """First and last vector of the tile whose rows of pixel centres the ellipse can reach."""
     mean_y, extent_y = splats[record + splat.MEAN_Y], splats[record + splat.EXTENT_Y]
     first = simd.ceil_to_int(mean_y - extent_y - HALF) - y0
     last = simd.floor_to_int(mean_y + extent_y - HALF) - y0
@@ -337,8 +335,7 @@ def _backward_layer(planes, at, behind, splats, record, layer, channels, gaussia
 
 @strict_inlined_function()
 def _add_geometry(moments, grad_exponent, across, dy):
-    """Moments of α ∂L/∂α over the pixels' offsets from μ', in the order GRAD_ACROSS to
-    GRAD_DY_DY."""
+    """Moments of α ∂L/∂α over the offsets from μ', in the order GRAD_ACROSS to GRAD_DY_DY."""
     grad_across, grad_dy = grad_exponent * across, grad_exponent * dy
     return (
         moments[0] + grad_across,

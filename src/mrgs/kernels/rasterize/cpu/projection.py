@@ -1,5 +1,4 @@
-"""EWA projection of the Gaussians and its backward (``ewa``), one Gaussian per loop turn, in double
-precision."""
+"""EWA projection of the Gaussians and its backward (``ewa``), one per turn, in double precision."""
 
 from __future__ import annotations
 
@@ -78,8 +77,7 @@ def _to_camera(means, viewmat, i):
 
 @strict_inner_function()
 def _slope_limits(focal, centre, size):
-    """Smallest and largest x/z (or y/z) in J, those of the widened image: outside it the
-    linearisation would explode."""
+    """Limits of x/z (or y/z) in J: outside the widened image the linearisation would explode."""
     margin = MARGIN * 0.5 * size / focal
     return -centre / focal - margin, (size - centre) / focal + margin
 
@@ -121,9 +119,8 @@ def _axes_along_view(rotation, scales, i, viewmat):
 
 @strict_parallel_kernel()
 def project(gaussians, projection, means2d_offset, splats, radii):
-    """Fill ``splats`` [N, 16] and ``radii`` [N] of ``GaussianArrays``; a radius of 0 marks a
-    Gaussian that is left out. The projection has matrices in float64, the offset [N, 2] is in
-    pixels."""
+    """Fill ``splats`` [N, 16] and ``radii`` [N] of ``GaussianArrays``; radius 0 marks one that is
+    left out. The projection has matrices in float64, the offset [N, 2] is in pixels."""
     means, quats, scales, opacities, features = gaussians
     viewmat, K, width, height, dilation = projection
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
@@ -172,9 +169,8 @@ def project(gaussians, projection, means2d_offset, splats, radii):
 
 @strict_parallel_kernel()
 def depth_slopes(gaussians, projection):
-    """Fill the first two columns of the features with ∂z/∂x' / z: the share by which the depth of a
-    Gaussian changes from pixel to pixel (``reference.depth_slopes``); 0 before the near plane. The
-    arguments are those of ``project``."""
+    """Fill the first two columns of the features with ∂z/∂x' / z, the depth's change from pixel to
+    pixel (``reference.depth_slopes``); 0 before the near plane. Arguments as for ``project``."""
     means, quats, scales, _, slopes = gaussians
     viewmat, K, width, height, dilation = projection
     fx, fy = K[0, 0], K[1, 1]
@@ -222,8 +218,7 @@ def _geometry_gradient(
     i, g, means, quats, scales, viewmat, fx, fy, limits_u, limits_v, dilation,
     grad_means, grad_quats, grad_scales, grad_means2d,
 ):  # fmt: skip
-    """Chain the moments ``g`` of one splat back to the centre, rotation and scales of Gaussian
-    i."""
+    """Chain the moments ``g`` of a splat back to centre, rotation and scales of Gaussian i."""
     point = _to_camera(means, viewmat, i)
     inverse_z = 1.0 / point[2]
     u, v = _clamped(point[0] * inverse_z, limits_u), _clamped(point[1] * inverse_z, limits_v)

@@ -32,16 +32,13 @@ from mrgs.scene import Blend
 from mrgs.system.memory import CHUNK_ROWS, row_chunks
 
 _SLOT_CHANNELS = (3, 1)
-"""The kernels blend two slots at once: the first takes the layer of 3 channels, the second that of
-1."""
+"""The kernels blend two slots at once: first the layer of 3 channels, then that of 1."""
 
 
 class _FusedPass(torch.autograd.Function):
     """(means, quats, scales, opacities [N, 2], features [N, 4], backgrounds [4], offset [N, 2],
-    projection, whether gradients are wanted) -> images, radii.
-
-    The images are those of both slots: features, depth, T_end, features, depth, T_end.
-    """
+    projection, whether gradients are wanted) -> images (features, depth, T_end of both slots),
+    radii."""
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
@@ -137,8 +134,7 @@ def _drawn_splats(
 def median_depth(
     geometry: Geometry, opacities: Float[Tensor, " n"], projection: Projection
 ) -> Float[Tensor, "h w"]:
-    """``reference.median_depth`` for float32 tensors on the CPU. ValueError for tensors of other
-    types or sizes."""
+    """``reference.median_depth`` for float32 on the CPU. ValueError for other types or sizes."""
     # The records have room for what is blended, and a depth needs none of it.
     features, offset = torch.zeros(len(opacities), 4), _zeros(len(opacities), 2)
     require_pass(geometry, [Layer(opacities, features, torch.zeros(4))], projection, offset)
@@ -198,8 +194,7 @@ def _to_blend(image: Tensor, depth: Tensor, transmittance: Tensor) -> Blend:
 
 
 def _on_host(projection: Projection) -> Any:
-    """The projection with arrays of float64, row by row in memory: the kernels are compiled for one
-    layout."""
+    """The projection as float64 arrays, row by row: the kernels are compiled for one layout."""
     return projection._replace(
         **{
             name: getattr(projection, name).detach().double().contiguous().numpy()

@@ -1,10 +1,6 @@
-"""Order and tile lists of the Gaussians.
-
-The image is cut into tiles of 8×16 pixels. Each tile gets the list of the splats that reach it,
-nearest first. The Gaussians are sorted by distance once; then the lists are counted and filled in
-that order, so that no (tile, distance) keys need sorting. Results do not depend on the number of
-threads.
-"""
+"""Order and tile lists: for each tile of 8×16 pixels the splats that reach it, nearest first. The
+Gaussians are sorted by distance once; the lists are counted and filled in that order, so that no
+(tile, distance) keys need sorting. Results do not depend on the number of threads."""
 
 from __future__ import annotations
 
@@ -26,8 +22,7 @@ CHUNKS = 16
 follow the thread count."""
 
 PREFETCH_AHEAD = 4
-"""Records come in an order that the processor cannot foresee: each is asked for this many turns
-before it is read."""
+"""Records come in an unforeseeable order: each is prefetched this many turns before it is read."""
 
 _CACHE_LINE = 64
 """Bytes of a record, too."""
@@ -36,8 +31,7 @@ _MOST_PAIRS = 2**31 - 1
 """The lists number pairs with 32 bits."""
 
 _SLACK_PX = 1e-3
-"""Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a
-pixel."""
+"""Widens the ellipse against rounding: a tile too many costs time, one too few a pixel."""
 
 _RADIX_BITS = 11
 _RADIX = 1 << _RADIX_BITS
@@ -113,12 +107,8 @@ def _half_width_at(record, dy):
 @strict_inner_function()
 def _tile_columns(record, tile_row, tiles_x):
     """First and last tile of a row of tiles that the ellipse α >= 1/255 reaches (first > last if
-    none).
-
-    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own
-    rightmost point, or at the band's edge nearest to it; likewise on the left, where that point is
-    mirrored.
-    """
+    none). The rightmost point within the row's band of pixel centres is the ellipse's own, or on
+    the band's edge nearest to that; on the left likewise, where that point is mirrored."""
     band_top = tile_row * TILE_HEIGHT + 0.5 - record[splat.MEAN_Y]
     band_bottom = band_top + TILE_HEIGHT - 1.0
     sheared = record[splat.SHEAR] * record[splat.EXTENT_Y]

@@ -1,4 +1,2 @@
-"""The rasterizer for NVIDIA GPUs, in Triton: nothing is compiled at install time.
-
-Importing its modules imports Triton; ``mrgs.system.gpu.runs_triton`` decides whether to.
-"""
+"""The rasterizer for NVIDIA GPUs, in Triton, compiled at first use. Its modules import Triton;
+``mrgs.system.gpu.runs_triton`` decides whether to."""

@@ -62,8 +62,7 @@ def tile_pixels(tile, width, height):
 
 @device_function
 def load_splat(splats, index, HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr):
-    """The record of a splat: geometry and depth, and of each layer opacity and features (0 for one
-    that is not there)."""
+    """A splat's record: geometry, depth, and each layer's opacity and features (0 if absent)."""
     record = splats + index * SPLAT_FLOATS
     geometry = (
         tl.load(record + MEAN_X), tl.load(record + MEAN_Y),
@@ -84,8 +83,7 @@ def load_splat(splats, index, HAS_COLOR: tl.constexpr, HAS_SCALAR: tl.constexpr)
 
 @device_function
 def gaussian_at(geometry, centre_x, centre_y):
-    """The projected Gaussian G' at pixels, and their offsets: dx from the midline of its ellipse,
-    and dy."""
+    """The projected Gaussian G' at pixels; dx from the midline of its ellipse, and dy."""
     dy = centre_y - geometry[1]
     across = centre_x - geometry[0] - geometry[3] * dy
     return tl.exp2(geometry[2] * across * across + geometry[4] * dy * dy), across, dy
@@ -198,8 +196,7 @@ def _load_coverage(depth, transmittance, grad_depth, grad_alpha, pixel, inside):
 
 @device_function
 def _load_channel(image, grad_image, grad_background, at, inside, passed, tile):
-    """The gradient of a channel, what it adds to R at its start; and the tile's part of the
-    background's gradient."""
+    """The gradient of a channel, and what it adds to R's start and to the background's gradient."""
     grad = tl.load(grad_image + at, mask=inside, other=0.0)
     tl.store(grad_background + tile, tl.sum(passed * grad, axis=0))
     return grad, grad * tl.load(image + at, mask=inside, other=0.0)
@@ -207,8 +204,7 @@ def _load_channel(image, grad_image, grad_background, at, inside, passed, tile):
 
 @device_function
 def _grad_log_alpha(unclamped, alpha, own, behind):
-    """α ∂L/∂α = w (g·f) − R α / (1 − α): 0 where the splat does not blend (both α and w are), or
-    where α is clamped."""
+    """α ∂L/∂α = w (g·f) − R α / (1 − α): 0 where the splat does not blend, or α is clamped."""
     root = tl.rsqrt(1.0 - alpha)  # of [0.001, 1]: a division would guard against what cannot be
     return tl.where(unclamped < ALPHA_MAX, own - behind * (alpha * root * root), 0.0)
 

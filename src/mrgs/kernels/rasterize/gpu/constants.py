@@ -1,8 +1,5 @@
-"""The constants of the kernels, as Triton wants them: of the image model, and of the records.
-
-The records are those of the CPU kernels, explained in ``splat``; the gradients of a (tile,
-Gaussian) pair too.
-"""
+"""The constants of the image model and of the records, as Triton wants them; the records, and the
+gradients of a (tile, Gaussian) pair, are those of the CPU kernels, explained in ``splat``."""
 
 from __future__ import annotations
 
@@ -27,13 +24,11 @@ LARGEST_PX = tl.constexpr(1e9)
 TILE_WIDTH = tl.constexpr(16)
 TILE_HEIGHT = tl.constexpr(8)
 TILE_PIXELS = tl.constexpr(16 * 8)
-"""One warp blends a tile, each thread four of its pixels: whether any pixel is left, and the sums
-over the pixels, are then shared within the warp, without a barrier; and small images still give
-many tiles to many processors."""
+"""One warp blends a tile, each thread four of its pixels: pixels left and sums are shared in the
+warp without a barrier, and small images still give many tiles to many processors."""
 
 SLACK_PX = tl.constexpr(1e-3)
-"""Widens the ellipse against rounding: a tile too many costs time, a tile too few would cost a
-pixel."""
+"""Widens the ellipse against rounding: a tile too many costs time, one too few a pixel."""
 
 MEAN_X = tl.constexpr(splat.MEAN_X)
 MEAN_Y = tl.constexpr(splat.MEAN_Y)

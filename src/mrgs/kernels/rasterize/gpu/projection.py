@@ -1,5 +1,4 @@
-"""EWA projection of the Gaussians and its backward (``ewa``), one thread per Gaussian, in single
-precision."""
+"""EWA projection of the Gaussians and its backward (``ewa``), a thread each, in float32."""
 
 from __future__ import annotations
 
@@ -210,8 +209,7 @@ def _load_moments(moments, mask):
 
 @device_function
 def _axis_gradient(grad_row, own, forward, focal, across, z, slope, grad_mean):
-    """What one image axis adds to ∂L/∂(centre in camera coordinates), along that axis and along
-    z."""
+    """What one image axis adds to ∂L/∂(centre in camera axes), along that axis and along z."""
     grad_own, grad_forward = dot(grad_row, own), dot(grad_row, forward)
     focal_over_z = focal / z
     is_free = slope == across / z  # not clamped

@@ -43,8 +43,7 @@ _MOST_GAUSSIANS = (2**31 - 2**16) // SPLAT_FLOATS.value
 """The kernels number the values of their records with 32 bits."""
 
 _MOST_SHORT_TILES = 2**15 - 1
-"""Largest number of tiles whose numbers (and one more) fit 16 bits, which are sorted in half the
-time of 32."""
+"""Most tiles whose numbers (and one more) fit 16 bits, sorted in half the time of 32."""
 
 
 LEFT_OUT = {"fused": None, "color": "scalar", "scalar": "color"}
@@ -67,8 +66,7 @@ _TYPES = {
 
 
 def _spec(kernel: Any, variant: str, num_warps: int, constants: dict[str, Any]) -> KernelSpec:
-    """An entry; of one stage, for there are no loads that Triton could fetch ahead: the walks do
-    that themselves."""
+    """An entry; of one stage: there are no loads that Triton could fetch ahead of the walks."""
     return specialised(kernel, constants, _TYPES, num_warps, 1, variant)
 
 
@@ -261,8 +259,7 @@ def _project_backward(what: _Pass, buffers: Arguments) -> None:
 def median_depth(
     geometry: Geometry, opacities: Float[Tensor, " n"], projection: Projection
 ) -> Float[Tensor, "h w"]:
-    """``reference.median_depth`` for float32 tensors on a GPU, computed by the host: no training
-    needs it."""
+    """``reference.median_depth`` for float32 on a GPU, by the host: no training needs it."""
     on_host = Geometry(*(tensor.detach().cpu() for tensor in geometry))
     projection = projection._replace(viewmat=projection.viewmat.cpu(), K=projection.K.cpu())
     found: Tensor = cpu.median_depth(on_host, opacities.detach().cpu(), projection)
@@ -275,10 +272,8 @@ def rasterize(
     projection: Projection,
     means2d_offset: Float[Tensor, "n 2"] | None = None,
 ) -> Raster:
-    """``reference.rasterize`` for float32 tensors on a GPU.
-
-    The camera may be on any device; where it is not on that of the means it is copied there.
-    ValueError for no layer, or tensors of other types, sizes or devices; MrgsError if there are
+    """``reference.rasterize`` for float32 tensors on a GPU, to which the camera is copied if need
+    be. ValueError for no layer, or tensors of other types, sizes or devices; MrgsError if there are
     more Gaussians, or they reach more tiles together, than the kernels can number."""
     means = geometry.means
     if len(means) > _MOST_GAUSSIANS:

@@ -1,5 +1,4 @@
-"""Which tiles a splat reaches: counted by ``projection.project``, listed by ``list_pairs``, by the
-same functions.
+"""Which tiles a splat reaches: counted by ``projection.project`` and listed by ``list_pairs``.
 
 A pair is a tile and a splat that reaches it. The pairs are numbered Gaussian by Gaussian, nearest
 first; sorted by tile, with a stable sort, they are the lists of the tiles in that order.
@@ -42,12 +41,9 @@ def _half_width_at(half_width, extent_y, dy):
 
 @device_function
 def tile_columns(mean_x, mean_y, shear, extent_y, half_width, tile_row, width):
-    """First tile of a row of tiles that the ellipse α >= 1/255 reaches, and how many.
-
-    The ellipse's rightmost point within the row's band of pixel centres lies at the ellipse's own
-    rightmost point, or at the band's edge nearest to it; likewise on the left, where that point is
-    mirrored.
-    """
+    """First tile of a row of tiles that the ellipse α >= 1/255 reaches, and how many. The rightmost
+    point within the row's band of pixel centres is the ellipse's own, or on the band's edge nearest
+    to that; on the left likewise, where that point is mirrored."""
     band_top = (tile_row * TILE_HEIGHT).to(tl.float32) + 0.5 - mean_y
     band_bottom = band_top + (TILE_HEIGHT - 1.0)
     sheared = shear * extent_y
