@@ -39,8 +39,20 @@ def shading_c() -> torch.Tensor:
     return found - found.mean()
 
 
-def drifting_scene(drift: float = 1.0, shading: float = 1.0, noise_c: float = 0.03) -> Scene:
-    """The scene, with so many times the offsets and the shading; all views are for training."""
+def smeared_lines(x: torch.Tensor) -> torch.Tensor:
+    """Hot lines every metre of the floor, 0 to 1, as a lens shows them that smears the more the
+    farther from the middle of the image."""
+    radius2 = sum(grid.square() for grid in torch.meshgrid(
+        torch.linspace(-0.75, 0.75, HEIGHT), torch.linspace(-1, 1, WIDTH), indexing="ij"
+    ))  # fmt: skip
+    return torch.exp(-0.5 * ((x - x.round()) / 0.05) ** 2) * (1 - 0.5 * radius2)
+
+
+def drifting_scene(
+    drift: float = 1.0, shading: float = 1.0, noise_c: float = 0.03, lines_c: float = 0.0
+) -> Scene:
+    """The scene, with so many times the offsets and the shading, and lines that are so much hotter,
+    on which half of the points lie; all views are for training."""
     rng = np.random.default_rng(4)
     noise = torch.Generator().manual_seed(5)
     cameras, images = [], []
@@ -53,10 +65,13 @@ def drifting_scene(drift: float = 1.0, shading: float = 1.0, noise_c: float = 0.
         rays = camera.unproject_image(torch.ones(HEIGHT, WIDTH).double()) - camera.position
         places = camera.position - (camera.position[2] / rays[..., 2:]) * rays
         celsius = floor_celsius(places[..., 0], places[..., 1]) + offset + shading * shading_c()
+        celsius += lines_c * smeared_lines(places[..., 0])
         celsius += noise_c * torch.randn(HEIGHT, WIDTH, generator=noise)
         cameras.append(camera)
         images.append(celsius.float().numpy())
     points = np.column_stack([rng.uniform(-3.0, 3.0, (4_000, 2)), np.zeros(4_000)])
+    if lines_c:
+        points[::2, 0] = points[::2, 0].round()
     scene = Scene.from_arrays(cameras, celsius=images, points=points, eval_every=0)
     start = datetime(2024, 10, 30, 10, 50)
     views = []

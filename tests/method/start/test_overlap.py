@@ -73,6 +73,12 @@ def test_photos_that_agree_get_neither():
     assert error_c(model.thermal_shading(HEIGHT, WIDTH), scene, torch.tensor(0.0)) < 0.05
 
 
+def test_what_is_smeared_off_the_middle_is_no_shading():
+    scene = drifting_scene(drift=0, shading=0, lines_c=20.0)
+    model = started(scene)
+    assert error_c(model.thermal_shading(HEIGHT, WIDTH), scene, torch.tensor(0.0)) < 0.2
+
+
 def test_a_photo_that_overlaps_with_none_drifts_like_those_before_and_after_it():
     scene = drifting_scene(shading=0)
     views = list(scene.train)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from scipy.sparse import csr_array
 from torch import Tensor
 
@@ -28,6 +28,11 @@ FEWEST_PHOTOS = 3
 
 SMOOTHED_PX = 2.0
 """Standard deviation of the Gaussian that photos are smoothed by: points are not more exact."""
+
+EVEN_SHARE = 0.25
+"""Share of the sightings that are taken for even: where more changes about a point, it counts less.
+What is smeared over an edge depends on the viewpoint, and so does where the point is in the photo,
+which looks like a shading."""
 
 OFFSET_C, SHADING_C, NOT_MODELLED_C = 3.0, 1.0, 1e-4
 """Standard deviations a priori: offsets, coefficients of the shading, what is not modelled."""
@@ -157,12 +162,14 @@ def _of_flat_field(folder: Path, unit: str | None, photo: PosedImage) -> Float[T
 
 @dataclass(frozen=True, eq=False)
 class _Sightings:
-    """Points in photos: both by number from 0, their value in °C, and the shading's terms."""
+    """Points in photos: both by number from 0, their value in °C, the shading's terms, and weights
+    from 0 to 1, smaller where the photo is not even."""
 
     photo: Int[np.ndarray, " n"]
     point: Int[np.ndarray, " n"]
     value: Float[np.ndarray, " n"]
     terms: Float[np.ndarray, "n 6"]
+    weight: Float[np.ndarray, " n"]
 
 
 def _sightings(scene: Scene, photos: list[PosedImage]) -> _Sightings:
@@ -170,19 +177,28 @@ def _sightings(scene: Scene, photos: list[PosedImage]) -> _Sightings:
     positions = scene.points.positions.double()[: 0 if scene.points.random else None]
     positions = positions[:: max(1, -(-len(positions) // MOST_POINTS))]
     found = [_seen(photo, positions) for photo in photos]
-    photo = np.concatenate([np.full(len(rows), n) for n, (rows, _, _) in enumerate(found)])
-    point, value, terms = (np.concatenate(each) for each in zip(*found, strict=True))
+    photo = np.concatenate([np.full(len(rows), n) for n, (rows, *_) in enumerate(found)])
+    point, value, terms, change = (np.concatenate(each) for each in zip(*found, strict=True))
     kept = np.bincount(point, minlength=1)[point] >= FEWEST_PHOTOS
     kept &= point % max(1, -(-kept.sum() // MOST_SIGHTINGS)) == 0
     _, point = np.unique(point[kept], return_inverse=True)
     assert scene.temperature is not None
-    return _Sightings(photo[kept], point, value[kept] * scene.temperature.span_c, terms[kept])
+    value, change = scene.temperature.span_c * np.stack([value, change])[:, kept]
+    even_c = np.quantile(change, EVEN_SHARE) if len(change) else 0.0
+    weight = 1 / (1 + (change / max(even_c, LEAST_ERROR_C)) ** 2) ** 2  # Geman-McClure
+    return _Sightings(photo[kept], point, value, terms[kept], weight)
 
 
 def _seen(
     photo: PosedImage, positions: Float[Tensor, "n 3"]
-) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, "k 6"]]:
-    """Which points a photo shows, its values there, and the terms of the shading."""
+) -> tuple[
+    Int[np.ndarray, " k"],
+    Float[np.ndarray, " k"],
+    Float[np.ndarray, "k 6"],
+    Float[np.ndarray, " k"],
+]:
+    """Which points a photo shows, its values there, the terms of the shading, and by how much the
+    values change about the points."""
     camera = photo.camera
     pixels, in_frame, hidden = framed_points(camera, positions)
     image = photo.look(LOOKED_AT_PX)
@@ -192,9 +208,12 @@ def _seen(
     smooth = gaussian_filter(values * valid, sigma) / gaussian_filter(valid, sigma).clip(1e-3)
     place = pixels / pixels.new_tensor([camera.width, camera.height])
     column, row = (place * place.new_tensor(smooth.shape[::-1])).long().numpy().T
+    about = 2 * max(1, round(sigma)) + 1
+    change = maximum_filter(smooth, about) - minimum_filter(smooth, about)
     rows = np.flatnonzero((in_frame & ~hidden).numpy() & (valid[row, column] > 0))
     x, y = (2 * place[rows] - 1).T
-    return rows, smooth[row, column][rows], shading_terms(x, HEIGHT * y).numpy()
+    at = row[rows], column[rows]
+    return rows, smooth[at], shading_terms(x, HEIGHT * y).numpy(), change[at]
 
 
 def _fitted(
@@ -207,11 +226,11 @@ def _fitted(
     one, next_one = order[:-1], order[1:]
     usual_c = DRIFT_C * np.sqrt(np.diff(minutes[order]).clip(1 / 60))
     columns = np.column_stack([seen.terms, seen.value])
-    weights, steps = np.ones(n), np.ones(len(one))
-    residuals = seen.value - np.median(seen.value) if n else np.ones(1)
+    weights, steps = seen.weight, np.ones(len(one))
+    residuals = seen.value - np.median(seen.value) if n else np.ones(0)
     found = np.full(len(priors), np.inf)
     for _ in range(ITERATIONS):
-        noise_c = max(1.4826 * float(np.median(np.abs(residuals))), 1e-3)
+        noise_c = max(1.4826 * _weighted_median(np.abs(residuals), seen.weight), 1e-3)
         by_point = csr_array((weights, (seen.point, np.arange(n))), (p, n))
         by_photo = csr_array((weights, (seen.photo, np.arange(n))), (photos, n))
         shared = csr_array((weights, (seen.photo, seen.point)), (photos, p))
@@ -236,8 +255,17 @@ def _fitted(
         left = seen.value - found[seen.photo] - seen.terms @ found[photos:]
         if n:
             residuals = left - ((by_point @ left) / total)[seen.point]
-            weights = 1 / (1 + (residuals / (2 * noise_c)) ** 2)
+            weights = seen.weight / (1 + (residuals / (2 * noise_c)) ** 2)
         steps = 1 / (1 + ((found[next_one] - found[one]) / (2 * usual_c)) ** 2)
     gauge = np.eye(len(priors))
     gauge[:photos, :photos] -= 1 / photos
     return gauge @ found, gauge @ np.linalg.inv(precision) @ gauge
+
+
+def _weighted_median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+    """The value below which half of the weight is; 1 without values."""
+    if not len(values):
+        return 1.0
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
