@@ -245,6 +245,8 @@ class Train:
     """Run plain definitions in place of kernels, much slower; MRGS_PLAIN=1 for other commands."""
     tensorboard: bool = False
     """Also write the log to RUN/tensorboard. Needs mrgs[tensorboard]."""
+    eval_steps: Maybe[int] = None
+    """Score the held-out views every so many steps, into the log; pictures with --tensorboard."""
     view: bool = False
     """Show the model in the browser while it trains."""
     port: int = 8080

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mrgs.scene import Scene
     from mrgs.system.gpu import DeviceName
     from mrgs.training import Hooks, StepStatistics, TrainConfig
+    from mrgs.training.loop import Validation
 
 
 def train(command: Train) -> None:
@@ -51,7 +52,7 @@ def train(command: Train) -> None:
         return
     note_gpu(chosen)
     progress = TrainingProgress()
-    hooks = Hooks(progress.step, progress.start)
+    hooks = Hooks(progress.step, progress.start, validation=_validation(command, progress))
     with progress, ExitStack() as stack:
         if command.view:
             from mrgs.viewer import LiveView
@@ -67,7 +68,7 @@ def train(command: Train) -> None:
                 live.on_step(statistics)
                 return progress.step(statistics)
 
-            hooks = Hooks(on_step, on_start, live.on_model)
+            hooks = replace(hooks, on_step=on_step, on_start=on_start, on_model=live.on_model)
         method.train(
             command.scene,
             output,
@@ -80,11 +81,23 @@ def train(command: Train) -> None:
     _print_next(command, output, progress)
 
 
+def _validation(command: Train, progress: TrainingProgress) -> Validation | None:
+    if command.eval_steps is None:
+        return None
+    from mrgs.evaluation.score_run import score_during_training
+    from mrgs.training.loop import Validation
+
+    return Validation(command.eval_steps, progress.paused()(score_during_training))
+
+
 def _require_possible(command: Train, method: Method) -> None:
     """Check the options against each other and the method."""
     gaussian_options = {
-        "--view": command.view, "--max-gaussians": command.max_gaussians, "--batch": command.batch
-    }  # fmt: skip
+        "--view": command.view,
+        "--max-gaussians": command.max_gaussians,
+        "--batch": command.batch,
+        "--eval-steps": command.eval_steps is not None,
+    }
     for option, value in gaussian_options.items():
         if value and not method.has_gaussians:
             raise ConfigError(
@@ -110,6 +123,7 @@ def _require_possible(command: Train, method: Method) -> None:
     for option, value in {
         "--view": command.view,
         "--tensorboard": command.tensorboard,
+        "--eval-steps": command.eval_steps is not None,
         "--minutes": command.minutes is not None,
         "--accept-changes": command.accept_changes,
         "--batch": command.batch not in (None, 1),

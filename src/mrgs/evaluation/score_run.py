@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, UInt8
 from torch import Tensor
 
+from mrgs.data.undistort import reduced
 from mrgs.errors import ConfigError, SceneError, warn_user
 from mrgs.evaluation.contact_sheet import SheetRows, ViewImages, contact_sheet
 from mrgs.evaluation.evaluate import Metrics, Truth, ViewMetrics, evaluate
@@ -42,11 +44,24 @@ from mrgs.pictures.files import (
 )
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.video import VIDEO_FPS, frame_writer
+from mrgs.render import bake_temperature_residuals
+from mrgs.run_files.folder import Pictures
 from mrgs.runs.open import Run, TrainedRun
 from mrgs.runs.refined_poses import moved_cameras, moved_view
-from mrgs.scene import CameraResponse, Modality, Rendering, Scene, View, ideal_cameras
+from mrgs.scene import (
+    CameraResponse,
+    Modality,
+    Rendering,
+    Scene,
+    View,
+    evenly_spaced,
+    ideal_cameras,
+)
 from mrgs.scene.camera_paths import orbit
+from mrgs.system.gpu import HOST
 from mrgs.system.memory import give_back_freed
+from mrgs.system.torch_modes import own_modes
+from mrgs.training.loop import Trainer
 from mrgs.training.pose_check import looked_at, spread
 from mrgs.training.view_pass import pixel_sizes
 
@@ -93,6 +108,9 @@ FEWEST_POINTS = 16
 """Least number of surface points that a view must show."""
 
 MOST_POINTS = 1000
+
+PICTURED_VIEWS, PICTURE_PX = 3, 512
+"""Held-out views that TensorBoard shows during a training, and the greatest width of a picture."""
 
 
 class HeldOutError(NamedTuple):
@@ -342,6 +360,62 @@ def score_views(
         output / "contact_sheet.png", contact_sheet(shown.rows, facts, metrics, scene.temperature)
     )
     return metrics
+
+
+def score_during_training(trainer: Trainer) -> tuple[dict[str, float], Pictures]:
+    """Score the held-out views with the model as it is between two steps, which leaves the training
+    as it is.
+
+    The numbers are the means that ``evaluate_run`` would find, without LPIPS:
+    ``eval_MODALITY_FIGURE`` against the photos and ``eval_truth_FIGURE`` against the exact truth.
+    The pictures show photo and rendering of a few views side by side. SceneError if an image or a
+    truth file cannot be read; DeviceError if the GPU's memory does not suffice."""
+    run, views = _run_in_training(trainer), trainer.scene.eval
+    shown = {views[number].name for number in evenly_spaced(len(views), PICTURED_VIEWS)}
+    pictures: dict[str, UInt8[np.ndarray, "h w 3"]] = {}
+
+    def visit(view: View, observed: Rendering, _: ViewMetrics) -> None:
+        if view.name in shown:
+            pictures.update(_beside_photos(view, observed, run))
+
+    truth, response = Truth.of(trainer.scene), run.camera_response
+    metrics = evaluate(views, run.render_view, run.temperature, None, truth, visit, response)
+    groups = {modality.name: figures for modality, figures in metrics.mean.items()}
+    numbers = {
+        f"eval_{group}_{name}": figure
+        for group, figures in (groups | {"truth": metrics.truth or {}}).items()
+        for name, figure in figures.items()
+        if isinstance(figure, float)
+    }
+    return numbers, pictures
+
+
+def _run_in_training(trainer: Trainer) -> Run:
+    """What ``load_run`` would open if the trainer wrote a checkpoint now."""
+    state, model = trainer.state, replace(trainer.state.model)
+    with torch.no_grad(), own_modes(state.device):
+        if model.neighbours is None:  # right after a densification
+            model.neighbours = model.field.neighbours_of(model.gaussians.means)
+        model = bake_temperature_residuals(model)
+    image_model = state.image_model
+    if state.device != HOST:
+        image_model = deepcopy(image_model).to(HOST)
+    return Run(trainer.folder, trainer.config, trainer.facts, model, image_model, state.device)
+
+
+def _beside_photos(
+    view: View, observed: Rendering, run: Run
+) -> dict[str, UInt8[np.ndarray, "h w 3"]]:
+    """Each photo of a view with what the model shows at its right, on one scale, by the names of
+    view and modality."""
+    pictures = {}
+    for modality, photo in view.images.items():
+        if modality in observed:
+            both = [photo.load().values, observed[modality].image]
+            small = [reduced(values.detach().cpu(), None, PICTURE_PX)[0] for values in both]
+            shown = [to_picture(modality, each, run.temperature, "inferno") for each in small]
+            pictures[f"eval/{modality}_{view.name}"] = np.hstack(shown)
+    return pictures
 
 
 def facts_of(run: TrainedRun, scene: Scene) -> RunFacts:

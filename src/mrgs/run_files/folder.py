@@ -6,13 +6,15 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
+import numpy as np
 from filelock import FileLock, Timeout
+from jaxtyping import UInt8
 
 from mrgs.errors import (
     ConfigError,
@@ -28,6 +30,11 @@ from mrgs.system.strict_yaml import flat, parse_yaml, write_yaml
 from mrgs.system.wording import listed
 
 CHECKPOINTS_KEPT = 2
+
+Pictures: TypeAlias = Mapping[str, UInt8[np.ndarray, "h w 3"]]
+"""By name."""
+
+NO_PICTURES: Pictures = {}
 
 TENSORBOARD = "tensorboard"
 """Folder of the log for TensorBoard, in the run's folder."""
@@ -237,9 +244,9 @@ class RunFolder:
             values = self.read_config(parse_yaml)
         return values if isinstance(values, dict) else {}
 
-    def append_log(self, entry: dict[str, Any]) -> None:
-        """Add a line to the log; numbers that are not finite become null. RunError if the log
-        cannot be written."""
+    def append_log(self, entry: dict[str, Any], pictures: Pictures = NO_PICTURES) -> None:
+        """Add a line to the log; numbers that are not finite become null. Pictures go to the log
+        for TensorBoard, if one is written. RunError if the log cannot be written."""
         finite = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in entry.items()
@@ -248,8 +255,11 @@ class RunFolder:
             file.write(json.dumps(finite, allow_nan=False) + "\n")
         for name, value in finite.items():
             if self._tensorboard and name != "step" and isinstance(value, int | float):
-                grouped = re.sub("^loss_", "loss/", name)
+                grouped = re.sub("^(loss|eval)_", r"\1/", name)
                 self._tensorboard.add_scalar(grouped, value, finite["step"])
+        for name, picture in pictures.items():
+            if self._tensorboard:
+                self._tensorboard.add_image(name, picture, finite["step"], dataformats="HWC")
 
     @contextmanager
     def tensorboard_log(self, step: int) -> Iterator[None]:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
 
-from mrgs.errors import NotFiniteError, RunError, TrainingError, warn_user
+from mrgs.errors import ConfigError, NotFiniteError, RunError, TrainingError, warn_user
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.parts import part_spreads
 from mrgs.run_files.facts import CheckpointFacts
-from mrgs.run_files.folder import RunFolder
+from mrgs.run_files.folder import Pictures, RunFolder
 from mrgs.run_files.record import RunRecord, asks_to_stop
 from mrgs.scene import Scene
 from mrgs.system.gpu import lacks_memory
+from mrgs.system.limits import whole_number
 from mrgs.system.operation import kernels_disabled
 from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
@@ -33,6 +35,22 @@ from mrgs.training.view_pass import PhotographedView
 Result = TypeVar("Result")
 
 
+@dataclass(frozen=True)
+class Validation:
+    """Scoring of the held-out views while a model is trained, after ``every`` so many steps and
+    after the last. ``score`` returns numbers by name for the log and pictures for TensorBoard, and
+    leaves the training as it is. ConfigError if ``every`` is not a whole number from 1."""
+
+    every: int
+    score: Callable[[Trainer], tuple[Mapping[str, float], Pictures]]
+
+    def __post_init__(self) -> None:
+        if whole_number(self.every, "eval_steps") < 1:
+            raise ConfigError(
+                f"eval_steps must be at least 1, not {self.every}", options=("eval_steps",)
+            )
+
+
 class Trainer:
     """Trains Gaussians: choose views, take a step on them, control the density; log, checkpoint.
     The run's folder is locked by the caller; the scene has the run's resolution."""
@@ -44,8 +62,10 @@ class Trainer:
         scene: Scene,
         config: TrainConfig,
         state: TrainingState,
+        validation: Validation | None = None,
     ) -> None:
         self.folder, self.scene, self.config, self.state = folder, scene, config, state
+        self.facts, self._validation = facts, validation
         device = state.device
         self._record = RunRecord(
             folder,
@@ -70,30 +90,52 @@ class Trainer:
             check_kernels(self.state, self.scene, self.config, self._scale)
 
     def run(
-        self, stop_at: int | None = None, on_step: Callable[[StepStatistics], object] | None = None
+        self,
+        stop_at: int | None = None,
+        on_step: Callable[[StepStatistics], object] | None = None,
+        progress: Callable[[int, int], object] | None = None,
     ) -> None:
         """Train until the end of the schedule, the step ``stop_at``, or until ``on_step`` returns
-        True.
+        True; ``progress`` is called with the number of each step and of the last.
 
-        The last step is checkpointed, also if Ctrl-C or an error in ``on_step`` ends the training.
+        The last step is checkpointed, also if Ctrl-C or an error in what is called ends the
+        training.
         """
         with closing(self.steps(stop_at)) as steps:
             for statistics in steps:
+                if progress is not None:
+                    progress(statistics.step, self._last(stop_at))
                 if on_step is not None and asks_to_stop(on_step(statistics)):
                     break
 
     def steps(self, stop_at: int | None = None) -> Generator[StepStatistics, None, None]:
         """Train until the end of the schedule, the step ``stop_at``, or until closed; the last step
         is checkpointed, also if Ctrl-C ends the training."""
-        last = self.config.max_steps if stop_at is None else min(stop_at, self.config.max_steps)
+        last = self._last(stop_at)
         while self._record.step < last:
             try:
-                yield self._next_step()
+                statistics = self._next_step()
+                if self._validation is not None:
+                    self._validate_if_due(self._validation)
+                yield statistics
             except BaseException:  # unless the step itself failed
                 if not self._is_half_done:
                     self.save()
                 raise
             self._record.save_if_due(last)
+
+    def _last(self, stop_at: int | None) -> int:
+        return self.config.max_steps if stop_at is None else min(stop_at, self.config.max_steps)
+
+    def _validate_if_due(self, validation: Validation) -> None:
+        """Score the held-out views if it is time, and log that; Ctrl-C does not wait for the
+        end."""
+        step = self._record.step
+        if step % validation.every and step != self.config.max_steps:
+            return
+        with self._record.paused(), self.between_steps():
+            numbers, pictures = validation.score(self)
+            self.folder.append_log({"step": step, **numbers}, pictures)
 
     def save(self) -> None:
         """Write a checkpoint of the last step; Ctrl-C waits for its end. NotFiniteError if the

@@ -30,7 +30,7 @@ from mrgs.system.operation import disable_kernels
 from mrgs.system.threads import require_own_threads, will_compute
 from mrgs.system.torch_modes import own_modes
 from mrgs.training import checkpoint
-from mrgs.training.loop import Trainer
+from mrgs.training.loop import Trainer, Validation
 from mrgs.training.memory import checkpoint_bytes
 from mrgs.training.state import TrainingState, initial_state
 
@@ -50,11 +50,13 @@ class TrainOptions:
 @dataclass(frozen=True)
 class Hooks:
     """Functions that a training calls: ``mrgs.train`` describes the keywords of these names.
-    Methods without Gaussians do not call ``on_model``."""
+    Methods without Gaussians do not call ``on_model``, and have no ``validation``."""
 
     on_step: Callable[[Any], object] | None = None
     on_start: Callable[[Scene, Any], object] | None = None
     on_model: Callable[[Model, CameraResponse], object] | None = None
+    progress: Callable[[int, int], object] | None = None
+    validation: Validation | None = None
 
 
 class TrainingPart(NamedTuple):
@@ -94,7 +96,7 @@ def train(
         if hooks.on_model is not None:
             hooks.on_model(trainer.state.model, _response_of(trainer.state))
         trainer.check_kernels()
-        trainer.run(stop_at, hooks.on_step)
+        trainer.run(stop_at, hooks.on_step, hooks.progress)
     return trainer.folder
 
 
@@ -138,6 +140,12 @@ def open_training(
                 f"{loaded.name}: choose a smaller one",
                 options=("batch",),
             )
+        if hooks.validation is not None and not loaded.eval:
+            raise ConfigError(
+                f"{loaded.name} holds out no views to score during the training: hold some out, or "
+                f"do not ask for it",
+                options=("eval_steps",),
+            )
         most = max(config.densification.max_gaussians, len(state.model.gaussians))
         size = checkpoint_bytes(config, loaded.modalities, most)
         # Those that are kept, and the one being written.
@@ -147,7 +155,8 @@ def open_training(
         # A resumed run continues with the cameras as they are now.
         state.model.dilation = config.dilation_of(facts.capture)
         log = folder.tensorboard_log(facts.step) if options.tensorboard else nullcontext()
-        with log, closing(Trainer(folder, facts, loaded, config, state)) as trainer:
+        trainer = Trainer(folder, facts, loaded, config, state, hooks.validation)
+        with log, closing(trainer):
             yield trainer
 
 
