@@ -25,9 +25,9 @@ from mrgs.data.images import (
     probe,
     with_channels,
 )
-from mrgs.data.lens import Lens
-from mrgs.data.undistort import pinhole_of, resize, undistort
+from mrgs.data.undistort import resize
 from mrgs.scene import RGB, Camera, Modality, Pixels, PointCloud, PosedImage, WorldFrame
+from mrgs.scene.lens import Lens, pinhole_of, undistort
 from mrgs.scene.point_cloud import GREY
 from mrgs.scene.radiometry import PhotoRecord
 
@@ -180,10 +180,7 @@ def posed_image(
 @lru_cache(maxsize=1024)
 def _matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
     """K of a lens without distortion; cameras share it."""
-    return torch.tensor(
-        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]],
-        dtype=torch.float64,
-    )
+    return torch.tensor(pinhole.matrix, dtype=torch.float64)
 
 
 def decode_intensities(

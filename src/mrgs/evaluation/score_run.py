@@ -47,7 +47,6 @@ from mrgs.pictures.video import VIDEO_FPS, frame_writer
 from mrgs.render import bake_temperature_residuals
 from mrgs.run_files.folder import Pictures
 from mrgs.runs.open import Run, TrainedRun
-from mrgs.runs.refined_poses import moved_cameras, moved_view
 from mrgs.scene import (
     CameraResponse,
     Modality,
@@ -58,6 +57,7 @@ from mrgs.scene import (
     ideal_cameras,
 )
 from mrgs.scene.camera_paths import orbit
+from mrgs.scene.view import moved_cameras, moved_view
 from mrgs.system.gpu import HOST
 from mrgs.system.memory import give_back_freed
 from mrgs.system.torch_modes import own_modes

@@ -15,14 +15,15 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError, DeviceError, RunError
 from mrgs.method.camera_model.image_model import ImageModel
+from mrgs.method.camera_model.pose_refinement import PoseRefinement
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.render import Model, bake_temperature_residuals, render
 from mrgs.run_files.facts import require_scene
 from mrgs.run_files.folder import RunFolder
-from mrgs.runs.refined_poses import with_refined_poses
 from mrgs.runs.registry import Method, find_method
 from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
+from mrgs.scene.view import moved_view
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.threads import will_compute
@@ -179,3 +180,20 @@ def open_gaussians(
         check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
         model = bake_temperature_residuals(model)
     return Run(folder, config, facts.moved_to(scene), model, image_model, chosen)
+
+
+@torch.no_grad()
+def with_refined_poses(scene: Scene, poses: PoseRefinement) -> Scene:
+    """The scene with the poses of its training views as they were refined on it, and a note of how
+    far they were moved, in pixels of each view's first camera; held-out views keep theirs."""
+    views, shifts = scene.train, poses.shifts().tolist()
+    train = tuple(
+        moved_view(view, poses.motion(torch.tensor([number]))) for number, view in enumerate(views)
+    )
+    pixels = [shift * view.camera.focal_px for shift, view in zip(shifts, views, strict=True)]
+    farthest = max(range(len(views)), key=pixels.__getitem__)
+    note = (
+        f"the poses of the training photos were refined, by {sum(pixels) / len(pixels):.1f} px on "
+        f"average and at most {pixels[farthest]:.1f} px ({views[farthest].name})"
+    )
+    return replace(scene, train=train, notes=(*scene.notes, note))

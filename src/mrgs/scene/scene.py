@@ -14,8 +14,9 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from mrgs.errors import SceneError, warn_user
-from mrgs.scene.arrays import Array, as_tensor, as_whole
+from mrgs.scene.arrays import Array, as_floats, as_tensor, as_whole
 from mrgs.scene.camera import Camera
+from mrgs.scene.lens import Lens, pinhole_of, undistort
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.point_cloud import GREY, PointCloud, random_points
 from mrgs.scene.radiometry import (
@@ -66,6 +67,10 @@ class Scene:
         rgb: Images | None = None,
         celsius: Images | None = None,
         thermal_cameras: Iterable[Camera] | None = None,
+        distortion: Distortion | None = None,
+        thermal_distortion: Distortion | None = None,
+        fisheye: bool = False,
+        thermal_fisheye: bool = False,
         points: Array | None = None,
         colors: Array | None = None,
         eval_every: int = 8,
@@ -85,6 +90,13 @@ class Scene:
             rgb: of each view, [H, W, 3]: uint8, or numbers in [0, 1]; None for a view without one.
             celsius: temperatures in °C of each view, [H, W]; None as for ``rgb``.
             thermal_cameras: of the thermal images, one for each view; else those of ``cameras``.
+            distortion: OpenCV's coefficients of the lens of ``cameras``, if the images are not
+                undistorted: k1, k2, p1, p2[, k3], or k1, k2, k3, k4 of a fisheye; one set for all
+                views, or one for each, None for a view without distortion. Images are undistorted
+                when they are read, and the cameras of the views become those of what is left.
+            thermal_distortion: the same of ``thermal_cameras``.
+            fisheye: whether ``distortion`` is that of ``cv2.fisheye``.
+            thermal_fisheye: whether ``thermal_distortion`` is.
             points: start points in world coordinates, [N, 3]; else drawn before the cameras.
             colors: RGB of the points, uint8 or in [0, 1], [N, 3]; else grey.
             eval_every: every Nth view is held out, beginning with the first; 0 holds out none.
@@ -97,8 +109,9 @@ class Scene:
         Raises:
             SceneError: there is no view, a view has no image, or no temperature is finite.
             ValueError: the numbers of cameras and images differ, an image has not the size of its
-                camera, an array has another shape or values in another range, or ``eval_every`` is
-                not 0 or a whole number from 2.
+                camera, an array has another shape or values in another range, a lens has another
+                number of coefficients or such as fold the image, or ``eval_every`` is not 0 or a
+                whole number from 2.
         """
         eval_every = as_whole(eval_every, "eval_every")
         if eval_every != 0 and eval_every < 2:
@@ -106,11 +119,18 @@ class Scene:
         cameras = _cameras_from(cameras, "cameras")
         thermal = _thermal_images(celsius)
         temperature = _range_of(thermal)
+        own = _cameras_from(thermal_cameras, "thermal_cameras")
+        if thermal_distortion is not None and not own:
+            raise ValueError("thermal_distortion is that of thermal_cameras: give these, too")
+        lenses = _lenses(cameras, distortion, fisheye, "distortion")
+        thermal_lenses = lenses
+        if own:
+            thermal_lenses = _lenses(own, thermal_distortion, thermal_fisheye, "thermal_distortion")
         views = _views_from_arrays(
-            cameras,
+            list(zip(cameras, lenses, strict=True)),
             _color_images(rgb),
             thermal,
-            _cameras_from(thermal_cameras, "thermal_cameras") or cameras,
+            list(zip(own or cameras, thermal_lenses, strict=True)),
             temperature,
         )
         if not views:
@@ -180,6 +200,9 @@ class Scene:
 Images: TypeAlias = Iterable[Array | None]
 """One image for each view, None where a view has none."""
 
+Distortion: TypeAlias = Array | Iterable[Array | None]
+"""Coefficients of one lens, or of a lens for each view."""
+
 _ROUNDING = 1e-3
 """Colours this far outside [0, 1] count as rounded."""
 
@@ -196,6 +219,23 @@ def _cameras_from(cameras: Iterable[Camera] | None, name: str) -> list[Camera]:
                 f"Camera(K, world_to_camera, width, height)"
             )
     return listed
+
+
+def _lenses(
+    cameras: Sequence[Camera], distortion: Distortion | None, fisheye: bool, name: str
+) -> list[Lens | None]:
+    """The lens of each camera; None for those without distortion."""
+    given = _listed([None] if distortion is None else distortion, name, "coefficients")
+    sets = [None if each is None else as_floats(each, name).flatten().tolist() for each in given]
+    if all(numbers is not None and len(numbers) == 1 for numbers in sets):  # of one lens
+        sets = [[number for numbers in sets if numbers for number in numbers]]
+    sets = sets * len(cameras) if len(sets) == 1 else sets
+    if len(sets) != len(cameras):
+        raise ValueError(f"{len(cameras)} cameras, but {len(sets)} lenses in {name}")
+    return [
+        None if numbers is None else Lens.of_opencv(camera, numbers, fisheye, name)
+        for camera, numbers in zip(cameras, sets, strict=True)
+    ]
 
 
 def _color_images(rgb: Images | None) -> list[Tensor | None]:
@@ -253,10 +293,10 @@ def _range_of(thermal: Sequence[Tensor | None]) -> TemperatureRange | None:
 
 
 def _views_from_arrays(
-    cameras: Sequence[Camera],
+    cameras: Sequence[tuple[Camera, Lens | None]],
     rgb: Sequence[Tensor | None],
     thermal: Sequence[Tensor | None],
-    thermal_cameras: Sequence[Camera],
+    thermal_cameras: Sequence[tuple[Camera, Lens | None]],
     temperature: TemperatureRange | None,
 ) -> list[View]:
     """Views of images in memory, named by their number; see ``Scene.from_arrays``."""
@@ -271,11 +311,9 @@ def _views_from_arrays(
     ):
         found: dict[Modality, PosedImage] = {}
         if colors is not None:
-            _check_size(colors, camera, f"rgb[{number}]")
-            found[RGB] = PosedImage(camera, partial(_load, colors, None))
+            found[RGB] = _posed(colors, camera, None, f"rgb[{number}]")
         if celsius is not None and temperature is not None:
-            _check_size(celsius, thermal_camera, f"celsius[{number}]")
-            found[THERMAL] = PosedImage(thermal_camera, partial(_load, celsius, temperature))
+            found[THERMAL] = _posed(celsius, thermal_camera, temperature, f"celsius[{number}]")
         if not found:
             raise SceneError(f"view {number} has no image with a known pixel: leave its camera out")
         views.append(View(f"{number:05d}", found))
@@ -327,19 +365,35 @@ def _as_shares(colors: Tensor) -> Float32[Tensor, "*n 3"]:
     return (colors.float() * scale).contiguous()
 
 
-def _check_size(image: Tensor, camera: Camera, name: str) -> None:
+def _posed(
+    image: Tensor,
+    posed: tuple[Camera, Lens | None],
+    temperature: TemperatureRange | None,
+    name: str,
+) -> PosedImage:
+    """An image in memory, undistorted if its camera has a lens."""
+    camera, lens = posed
     size = (camera.height, camera.width)
     if image.shape[:2] != size:
         expected = [*size, *image.shape[2:]]
         raise ValueError(f"{name} must have shape {expected}, not {list(image.shape)}")
+    if lens is not None and not lens.is_pinhole:
+        camera = Camera(pinhole_of(lens).matrix, camera.viewmat, *reversed(size))
+    return PosedImage(camera, partial(_load, image, temperature, lens))
 
 
-def _load(image: Tensor, temperature: TemperatureRange | None) -> Pixels:
+def _load(image: Tensor, temperature: TemperatureRange | None, lens: Lens | None) -> Pixels:
     """Colours, or °C where there is a scale; pixels that are not finite in all channels are not
-    valid."""
+    valid, nor are those that the lens does not see."""
     if temperature is None:
         values = _as_shares(image)
     else:
         values = temperature.from_celsius(image.float())[..., None]
     known = values.isfinite().all(dim=2)
-    return Pixels(values) if known.all() else Pixels(values.nan_to_num(0, 0, 0), known)
+    pixels = Pixels(values) if known.all() else Pixels(values.nan_to_num(0, 0, 0), known)
+    if lens is None or lens.is_pinhole:
+        return pixels
+    values, valid = undistort(pixels.values, pixels.valid, lens)
+    if image.dtype == torch.uint8:  # as those of files: then they take as little memory as before
+        values = (values * 255).round_() / 255
+    return Pixels(values, valid)
