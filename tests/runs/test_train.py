@@ -236,7 +236,7 @@ def test_without_held_out_views_there_is_nothing_to_score(small_scene):
         train(scene, config=CONFIG, eval_steps=2)
 
 
-def test_progress_is_told_after_each_step_with_the_last(small_scene, tmp_path):
+def test_progress_is_told_after_each_step(small_scene, tmp_path):
     told = []
 
     def progress(done: int, total: int) -> None:
@@ -244,7 +244,33 @@ def test_progress_is_told_after_each_step_with_the_last(small_scene, tmp_path):
 
     train(small_scene, tmp_path / "run", CONFIG, stop_at=2, progress=progress)
     train(small_scene, tmp_path / "run", resume=True, progress=progress)
-    assert told == [(1, 2), (2, 2), (3, 6), (4, 6), (5, 6), (6, 6)]
+    assert told == [(1, 6), (2, 6), (3, 6), (4, 6), (5, 6), (6, 6)]
+
+
+class Replacing(Term):
+    """Takes the place of L_rgb."""
+
+    name = "rgb"
+
+    def value(self, context: LossContext) -> torch.Tensor:
+        return context.observed[RGB].image.mean()
+
+
+def test_the_runs_folder_names_what_it_was_trained_with_besides_its_configuration(
+    whole, small_scene, tmp_path
+):
+    assert whole.custom_parts == []
+    given = {"terms": [Replacing()], "strategy": replace(CONFIG.densification, every=3)}
+    train(small_scene, tmp_path / "run", CONFIG, stop_at=2, **given)
+    run = train(small_scene, tmp_path / "run", resume=True, **given)
+    strategy, term = run.folder.custom_parts
+    assert strategy.startswith("strategy: mrgs.method.density.adaptive.AdaptiveDensityControl(")
+    assert "every=3" in strategy
+    assert term == f"term: rgb: {__name__}.Replacing, in place of the configured one"
+    assert load_run(run.folder.path).config == CONFIG
+    evaluate_run(run)
+    document = json.loads((run.folder.path / "eval" / "metrics.json").read_text())
+    assert document["custom_parts"] == [strategy, term]
 
 
 class MidStep(Term):

@@ -93,11 +93,9 @@ def _validation(command: Train, progress: TrainingProgress) -> Validation | None
 def _require_possible(command: Train, method: Method) -> None:
     """Check the options against each other and the method."""
     gaussian_options = {
-        "--view": command.view,
-        "--max-gaussians": command.max_gaussians,
-        "--batch": command.batch,
-        "--eval-steps": command.eval_steps is not None,
-    }
+        "--view": command.view, "--max-gaussians": command.max_gaussians,
+        "--batch": command.batch, "--eval-steps": command.eval_steps,
+    }  # fmt: skip
     for option, value in gaussian_options.items():
         if value and not method.has_gaussians:
             raise ConfigError(

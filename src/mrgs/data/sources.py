@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ from mrgs.data.images import (
 )
 from mrgs.data.undistort import resize
 from mrgs.scene import RGB, Camera, Modality, Pixels, PointCloud, PosedImage, WorldFrame
-from mrgs.scene.lens import Lens, pinhole_of, undistort
+from mrgs.scene.lens import Lens, matrix_of, pinhole_of, undistort
 from mrgs.scene.point_cloud import GREY
 from mrgs.scene.radiometry import PhotoRecord
 
@@ -161,7 +161,7 @@ def posed_image(
         pinhole = pinhole_of(source.lens)
     except ValueError as error:
         raise scene_error(source.path, f"{error}; correct its distortion coefficients") from None
-    camera = Camera(_matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
+    camera = Camera(matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
     least_width = None
     if resolution is not None and resolution < camera.width:
         camera = camera.with_width(resolution)
@@ -175,12 +175,6 @@ def posed_image(
         source.record,
         partial(_load, source, decoder, keeps_levels, size),
     )
-
-
-@lru_cache(maxsize=1024)
-def _matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
-    """K of a lens without distortion; cameras share it."""
-    return torch.tensor(pinhole.matrix, dtype=torch.float64)
 
 
 def decode_intensities(

@@ -47,15 +47,7 @@ from mrgs.pictures.video import VIDEO_FPS, frame_writer
 from mrgs.render import bake_temperature_residuals
 from mrgs.run_files.folder import Pictures
 from mrgs.runs.open import Run, TrainedRun
-from mrgs.scene import (
-    CameraResponse,
-    Modality,
-    Rendering,
-    Scene,
-    View,
-    evenly_spaced,
-    ideal_cameras,
-)
+from mrgs.scene import CameraResponse, Modality, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
 from mrgs.scene.view import moved_cameras, moved_view
 from mrgs.system.gpu import HOST
@@ -230,8 +222,8 @@ def _seen(image: Alignable) -> Bool[Tensor, "h w"]:
 def evaluate_run(
     run: TrainedRun, lpips_weights: Path | None = None, progress: Progress | None = None
 ) -> Metrics:
-    """Score the run on its scene's eval views; without ``lpips_weights`` LPIPS is left out, with
-    the reason.
+    """Score the run on its scene's eval views. LPIPS takes ``lpips_weights``, or what torch's hub
+    keeps (docs/runs.md); without either it is left out, with the reason.
 
     Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png`` into the run's folder
     ``eval``. The progress is called with finished and all steps: a view is inspected, and scored.
@@ -314,7 +306,7 @@ def score_views(
 
     Args:
         truth: the scene's exact truth; None if there is none.
-        lpips_weights: weights for LPIPS; without them it is missing, with the reason.
+        lpips_weights: weights for LPIPS, if not those that torch's hub keeps.
         camera_response: from a rendering to what the cameras record, which the photos show.
         parts: for the report; None if the model has none.
         data: of the scores, for the report; None for another program's renderings.
@@ -371,7 +363,7 @@ def score_during_training(trainer: Trainer) -> tuple[dict[str, float], Pictures]
     The pictures show photo and rendering of a few views side by side. SceneError if an image or a
     truth file cannot be read; DeviceError if the GPU's memory does not suffice."""
     run, views = _run_in_training(trainer), trainer.scene.eval
-    shown = {views[number].name for number in evenly_spaced(len(views), PICTURED_VIEWS)}
+    shown = {views[number].name for number in spread(len(views), PICTURED_VIEWS)}
     pictures: dict[str, UInt8[np.ndarray, "h w 3"]] = {}
 
     def visit(view: View, observed: Rendering, _: ViewMetrics) -> None:
@@ -380,10 +372,10 @@ def score_during_training(trainer: Trainer) -> tuple[dict[str, float], Pictures]
 
     truth, response = Truth.of(trainer.scene), run.camera_response
     metrics = evaluate(views, run.render_view, run.temperature, None, truth, visit, response)
-    groups = {modality.name: figures for modality, figures in metrics.mean.items()}
+    groups = [*metrics.mean.items(), ("truth", metrics.truth or {})]
     numbers = {
         f"eval_{group}_{name}": figure
-        for group, figures in (groups | {"truth": metrics.truth or {}}).items()
+        for group, figures in groups
         for name, figure in figures.items()
         if isinstance(figure, float)
     }
@@ -428,6 +420,7 @@ def facts_of(run: TrainedRun, scene: Scene) -> RunFacts:
         run.facts.train_seconds,
         run.facts.peak_memory_bytes or None,
         run.facts.device,
+        run.folder.custom_parts,
     )
 
 

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -34,14 +34,15 @@ CHECKPOINTS_KEPT = 2
 Pictures: TypeAlias = Mapping[str, UInt8[np.ndarray, "h w 3"]]
 """By name."""
 
-NO_PICTURES: Pictures = {}
-
 TENSORBOARD = "tensorboard"
 """Folder of the log for TensorBoard, in the run's folder."""
 
 _LEFT_BEHIND = {"checkpoints", TENSORBOARD, "blocks", "survey.yaml", "marks.json"}
 """Files that a folder may contain before it becomes a run: those of an earlier run, and what the
 user has entered for it."""
+
+_CUSTOM, _LONGEST_CUSTOM = "# custom ", 300
+"""What begins a comment of config.yaml that names a part from Python, and how long it may be."""
 
 _EVERY_CONFIG_HAS = {"method", "max_steps", "resolution", "seed", "checkpoint_every"}
 
@@ -244,7 +245,23 @@ class RunFolder:
             values = self.read_config(parse_yaml)
         return values if isinstance(values, dict) else {}
 
-    def append_log(self, entry: dict[str, Any], pictures: Pictures = NO_PICTURES) -> None:
+    @property
+    def custom_parts(self) -> list[str]:
+        """What the run was trained with besides its configuration, which comments of config.yaml
+        name; empty without that file."""
+        with suppress(RunError):
+            lines = self.read_config(lambda text, _: text.splitlines())
+            return [line.removeprefix(_CUSTOM) for line in lines if line.startswith(_CUSTOM)]
+        return []
+
+    def note_custom_parts(self, parts: Iterable[str]) -> None:
+        """Add those to config.yaml that it does not name yet. RunError if it cannot be written."""
+        lines = [" ".join(part.split())[:_LONGEST_CUSTOM] for part in parts]
+        if new := [line for line in lines if line not in self.custom_parts]:
+            text = self.read_config(lambda text, _: text.rstrip("\n"))
+            write_text(self.config_file, "\n".join([text, *(_CUSTOM + line for line in new), ""]))
+
+    def append_log(self, entry: dict[str, Any], pictures: Pictures | None = None) -> None:
         """Add a line to the log; numbers that are not finite become null. Pictures go to the log
         for TensorBoard, if one is written. RunError if the log cannot be written."""
         finite = {
@@ -257,7 +274,7 @@ class RunFolder:
             if self._tensorboard and name != "step" and isinstance(value, int | float):
                 grouped = re.sub("^(loss|eval)_", r"\1/", name)
                 self._tensorboard.add_scalar(grouped, value, finite["step"])
-        for name, picture in pictures.items():
+        for name, picture in (pictures or {}).items():
             if self._tensorboard:
                 self._tensorboard.add_image(name, picture, finite["step"], dataformats="HWC")
 

@@ -29,7 +29,7 @@ from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.threads import will_compute
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_model
-from mrgs.training.kernel_check import check_rendering
+from mrgs.training.kernel_check import check_rendering, warn_of_missing
 
 __all__ = ["Run", "TrainedRun", "load_run", "method_of", "open_gaussians", "open_run"]
 
@@ -122,8 +122,9 @@ def open_run(
             one that the method can use.
 
     Warns:
-        MrgsWarning: an older checkpoint is used, or a kernel that rendering uses differs from the
-            plain definition of its operation, which is then used in its place.
+        MrgsWarning: an older checkpoint is used; a kernel that rendering uses differs from the
+            plain definition of its operation, which is then used in its place; or the run was
+            trained with a definition that this process has not replaced.
 
     Raises:
         RunError: the folder is not a run, its method is not registered, or its checkpoint cannot be
@@ -178,6 +179,7 @@ def open_gaussians(
     with own_modes(chosen):
         model, facts, image_model = folder.load_newest(lambda file: load_model(file, config))
         check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
+        warn_of_missing(folder.custom_parts)
         model = bake_temperature_residuals(model)
     return Run(folder, config, facts.moved_to(scene), model, image_model, chosen)
 

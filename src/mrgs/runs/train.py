@@ -85,8 +85,8 @@ def train(
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
-        progress: called after each step with its number and that of the last, as
-            ``mrgs.progress_bar`` does it.
+        progress: called after each step with its number and that of all steps, as by
+            ``mrgs.progress_bar``.
         on_step: called with the ``StepStatistics`` of every step; returning True stops with a
             checkpoint.
         on_start: called once, before the model is made, with the scene and the configuration.

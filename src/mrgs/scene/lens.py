@@ -19,7 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
@@ -66,29 +66,16 @@ class Lens:
     @classmethod
     def of_opencv(cls, camera: Camera, numbers: Sequence[float], fisheye: bool, name: str) -> Lens:
         """The lens of a camera with OpenCV's coefficients: k1, k2, p1, p2 and perhaps k3, or k1 to
-        k4 of ``cv2.fisheye``. ValueError, with the ``name``, for another number of them, and for
-        numbers that are not finite or fold the image."""
+        k4 of ``cv2.fisheye``. ValueError, with the ``name``, for another number of them."""
         names = "4 of a fisheye (k1, k2, k3, k4)" if fisheye else "4 or 5 (k1, k2, p1, p2[, k3])"
         if len(numbers) not in ((4,) if fisheye else (4, 5)):
             raise ValueError(f"{name} must have {names}, not {len(numbers)}: calibrate with these")
-        if not all(map(math.isfinite, numbers)):
-            raise ValueError(f"{name} holds NaN or infinity")
         K = camera.K.tolist()
         sizes = camera.width, camera.height, K[0][0], K[1][1], K[0][2], K[1][2]
         k1, k2, p1, p2, k3 = (*numbers, 0.0)[:5]
-        lens = cls(*sizes, (k1, k2, k3, 0.0), (p1, p2))
         if fisheye:
-            lens = cls(*sizes, (k1, k2, p1, p2), fisheye=True)
-        try:
-            pinhole_of(lens)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}; is it of this camera, at this size?") from None
-        return lens
-
-    @property
-    def matrix(self) -> list[list[float]]:
-        """K of the lens, without its distortion."""
-        return [[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]]
+            return cls(*sizes, (k1, k2, p1, p2), fisheye=True)
+        return cls(*sizes, (k1, k2, k3, 0.0), (p1, p2))
 
     def resized(self, width: int, height: int) -> Lens:
         """The lens for the same field of view on a pixel grid of this width and height."""
@@ -210,6 +197,15 @@ def pinhole_of(lens: Lens) -> Lens:
     fx, cx = _spread(left.max(), right.min(), lens.width, lens.fx)
     fy, cy = _spread(top.max(), bottom.min(), lens.height, lens.fy)
     return Lens(lens.width, lens.height, fx, fy, cx, cy)
+
+
+@lru_cache(maxsize=1024)
+def matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
+    """K of a lens without distortion; cameras share it."""
+    return torch.tensor(
+        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]],
+        dtype=torch.float64,
+    )
 
 
 def undistort(

@@ -16,7 +16,7 @@ from torch import Tensor
 from mrgs.errors import SceneError, warn_user
 from mrgs.scene.arrays import Array, as_floats, as_tensor, as_whole
 from mrgs.scene.camera import Camera
-from mrgs.scene.lens import Lens, pinhole_of, undistort
+from mrgs.scene.lens import Lens, matrix_of, pinhole_of, undistort
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.point_cloud import GREY, PointCloud, random_points
 from mrgs.scene.radiometry import (
@@ -122,17 +122,11 @@ class Scene:
         own = _cameras_from(thermal_cameras, "thermal_cameras")
         if thermal_distortion is not None and not own:
             raise ValueError("thermal_distortion is that of thermal_cameras: give these, too")
-        lenses = _lenses(cameras, distortion, fisheye, "distortion")
-        thermal_lenses = lenses
+        posed = thermal_posed = _with_lenses(cameras, distortion, fisheye, "distortion")
         if own:
-            thermal_lenses = _lenses(own, thermal_distortion, thermal_fisheye, "thermal_distortion")
-        views = _views_from_arrays(
-            list(zip(cameras, lenses, strict=True)),
-            _color_images(rgb),
-            thermal,
-            list(zip(own or cameras, thermal_lenses, strict=True)),
-            temperature,
-        )
+            given = thermal_distortion, thermal_fisheye
+            thermal_posed = _with_lenses(own, *given, "thermal_distortion")
+        views = _views_from_arrays(posed, _color_images(rgb), thermal, thermal_posed, temperature)
         if not views:
             raise SceneError("a scene needs at least one view: give cameras and images")
         held_out = tuple(views[::eval_every]) if eval_every and len(views) > 1 else ()
@@ -203,6 +197,9 @@ Images: TypeAlias = Iterable[Array | None]
 Distortion: TypeAlias = Array | Iterable[Array | None]
 """Coefficients of one lens, or of a lens for each view."""
 
+Posed: TypeAlias = tuple[Camera, Lens | None]
+"""A camera with its lens; None if that does not distort."""
+
 _ROUNDING = 1e-3
 """Colours this far outside [0, 1] count as rounded."""
 
@@ -221,10 +218,9 @@ def _cameras_from(cameras: Iterable[Camera] | None, name: str) -> list[Camera]:
     return listed
 
 
-def _lenses(
+def _with_lenses(
     cameras: Sequence[Camera], distortion: Distortion | None, fisheye: bool, name: str
-) -> list[Lens | None]:
-    """The lens of each camera; None for those without distortion."""
+) -> list[Posed]:
     given = _listed([None] if distortion is None else distortion, name, "coefficients")
     sets = [None if each is None else as_floats(each, name).flatten().tolist() for each in given]
     if all(numbers is not None and len(numbers) == 1 for numbers in sets):  # of one lens
@@ -233,7 +229,7 @@ def _lenses(
     if len(sets) != len(cameras):
         raise ValueError(f"{len(cameras)} cameras, but {len(sets)} lenses in {name}")
     return [
-        None if numbers is None else Lens.of_opencv(camera, numbers, fisheye, name)
+        (camera, None if numbers is None else Lens.of_opencv(camera, numbers, fisheye, name))
         for camera, numbers in zip(cameras, sets, strict=True)
     ]
 
@@ -293,10 +289,10 @@ def _range_of(thermal: Sequence[Tensor | None]) -> TemperatureRange | None:
 
 
 def _views_from_arrays(
-    cameras: Sequence[tuple[Camera, Lens | None]],
+    cameras: Sequence[Posed],
     rgb: Sequence[Tensor | None],
     thermal: Sequence[Tensor | None],
-    thermal_cameras: Sequence[tuple[Camera, Lens | None]],
+    thermal_cameras: Sequence[Posed],
     temperature: TemperatureRange | None,
 ) -> list[View]:
     """Views of images in memory, named by their number; see ``Scene.from_arrays``."""
@@ -366,10 +362,7 @@ def _as_shares(colors: Tensor) -> Float32[Tensor, "*n 3"]:
 
 
 def _posed(
-    image: Tensor,
-    posed: tuple[Camera, Lens | None],
-    temperature: TemperatureRange | None,
-    name: str,
+    image: Tensor, posed: Posed, temperature: TemperatureRange | None, name: str
 ) -> PosedImage:
     """An image in memory, undistorted if its camera has a lens."""
     camera, lens = posed
@@ -378,7 +371,7 @@ def _posed(
         expected = [*size, *image.shape[2:]]
         raise ValueError(f"{name} must have shape {expected}, not {list(image.shape)}")
     if lens is not None and not lens.is_pinhole:
-        camera = Camera(pinhole_of(lens).matrix, camera.viewmat, *reversed(size))
+        camera = Camera(matrix_of(pinhole_of(lens)), camera.viewmat, *reversed(size))
     return PosedImage(camera, partial(_load, image, temperature, lens))
 
 

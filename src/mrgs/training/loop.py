@@ -24,7 +24,7 @@ from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.turns import FairLock, ctrl_c_waits
 from mrgs.training import checkpoint
-from mrgs.training.kernel_check import check_kernels
+from mrgs.training.kernel_check import check_kernels, custom_definitions
 from mrgs.training.photos import TrainingPhotos
 from mrgs.training.pose_check import PoseCheck, checks_poses_now
 from mrgs.training.recorder import Recorder
@@ -88,6 +88,7 @@ class Trainer:
         """Compare the kernels in use with their plain definitions; the training stays the same."""
         with own_modes(self.state.device):
             check_kernels(self.state, self.scene, self.config, self._scale)
+        self.folder.note_custom_parts(custom_definitions())
 
     def run(
         self,
@@ -96,7 +97,7 @@ class Trainer:
         progress: Callable[[int, int], object] | None = None,
     ) -> None:
         """Train until the end of the schedule, the step ``stop_at``, or until ``on_step`` returns
-        True; ``progress`` is called with the number of each step and of the last.
+        True; ``progress`` is called after each step with its number and that of all steps.
 
         The last step is checkpointed, also if Ctrl-C or an error in what is called ends the
         training.
@@ -104,14 +105,14 @@ class Trainer:
         with closing(self.steps(stop_at)) as steps:
             for statistics in steps:
                 if progress is not None:
-                    progress(statistics.step, self._last(stop_at))
+                    progress(statistics.step, self.config.max_steps)
                 if on_step is not None and asks_to_stop(on_step(statistics)):
                     break
 
     def steps(self, stop_at: int | None = None) -> Generator[StepStatistics, None, None]:
         """Train until the end of the schedule, the step ``stop_at``, or until closed; the last step
         is checkpointed, also if Ctrl-C ends the training."""
-        last = self._last(stop_at)
+        last = self.config.max_steps if stop_at is None else min(stop_at, self.config.max_steps)
         while self._record.step < last:
             try:
                 statistics = self._next_step()
@@ -124,12 +125,8 @@ class Trainer:
                 raise
             self._record.save_if_due(last)
 
-    def _last(self, stop_at: int | None) -> int:
-        return self.config.max_steps if stop_at is None else min(stop_at, self.config.max_steps)
-
     def _validate_if_due(self, validation: Validation) -> None:
-        """Score the held-out views if it is time, and log that; Ctrl-C does not wait for the
-        end."""
+        """Score the held-out views if it is time; Ctrl-C does not wait for the end."""
         step = self._record.step
         if step % validation.every and step != self.config.max_steps:
             return
