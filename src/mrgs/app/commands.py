@@ -269,7 +269,7 @@ class Eval:
     """With --renders: downscale photos wider than this many pixels, as in training."""
     scene: MovedScene = None
     lpips_weights: Maybe[Path] = None
-    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
+    """VGG-16 and LPIPS weights, if not those kept by torch's hub (docs/runs.md)."""
     device: RenderDevice = "auto"
 
 
@@ -463,7 +463,7 @@ class CompareMethods:
     output: Path = Path("runs/compare")
     """Folder of the runs, tables and figures."""
     lpips_weights: Maybe[Path] = None
-    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
+    """VGG-16 and LPIPS weights, if not those kept by torch's hub (docs/runs.md)."""
 
 
 @dataclass(frozen=True)

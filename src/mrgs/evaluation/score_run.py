@@ -324,7 +324,7 @@ def score_views(
             f"{scene.path or scene.name}: no views are held out, so there is nothing to score; "
             f"{remedy}, and retrain"
         )
-    lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
+    lpips = Lpips.found(lpips_weights)
     shown = SheetRows(len(scene.eval))
     score = partial(
         evaluate,
