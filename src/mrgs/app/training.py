@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from mrgs.scene import Scene
     from mrgs.system.gpu import DeviceName
     from mrgs.training import Hooks, StepStatistics, TrainConfig
-    from mrgs.training.loop import Validation
 
 
 def train(command: Train) -> None:
@@ -33,6 +32,7 @@ def train(command: Train) -> None:
     from mrgs.runs.open import method_of
     from mrgs.runs.registry import find_method
     from mrgs.system.gpu import choose_device
+    from mrgs.training.loop import Validation
     from mrgs.training.start import Hooks, TrainOptions
 
     scene = command.scene.parent if command.scene.is_file() else command.scene
@@ -52,7 +52,11 @@ def train(command: Train) -> None:
         return
     note_gpu(chosen)
     progress = TrainingProgress()
-    hooks = Hooks(progress.step, progress.start, validation=_validation(command, progress))
+    hooks = Hooks(progress.step, progress.start)
+    if command.eval_steps is not None:
+        from mrgs.evaluation.score_run import score_during_training as score
+
+        hooks = replace(hooks, validation=Validation(command.eval_steps, progress.paused()(score)))
     with progress, ExitStack() as stack:
         if command.view:
             from mrgs.viewer import LiveView
@@ -79,15 +83,6 @@ def train(command: Train) -> None:
             hooks,
         )
     _print_next(command, output, progress)
-
-
-def _validation(command: Train, progress: TrainingProgress) -> Validation | None:
-    if command.eval_steps is None:
-        return None
-    from mrgs.evaluation.score_run import score_during_training
-    from mrgs.training.loop import Validation
-
-    return Validation(command.eval_steps, progress.paused()(score_during_training))
 
 
 def _require_possible(command: Train, method: Method) -> None:

@@ -367,8 +367,11 @@ def score_during_training(trainer: Trainer) -> tuple[dict[str, float], Pictures]
     pictures: dict[str, UInt8[np.ndarray, "h w 3"]] = {}
 
     def visit(view: View, observed: Rendering, _: ViewMetrics) -> None:
-        if view.name in shown:
-            pictures.update(_beside_photos(view, observed, run))
+        for modality in observed if view.name in shown else ():
+            both = view.images[modality].load().values, observed[modality].image.detach().cpu()
+            small = [reduced(values, None, PICTURE_PX)[0] for values in both]
+            drawn = [to_picture(modality, each, run.temperature, "inferno") for each in small]
+            pictures[f"eval/{modality}_{view.name}"] = np.hstack(drawn)
 
     truth, response = Truth.of(trainer.scene), run.camera_response
     metrics = evaluate(views, run.render_view, run.temperature, None, truth, visit, response)
@@ -393,21 +396,6 @@ def _run_in_training(trainer: Trainer) -> Run:
     if state.device != HOST:
         image_model = deepcopy(image_model).to(HOST)
     return Run(trainer.folder, trainer.config, trainer.facts, model, image_model, state.device)
-
-
-def _beside_photos(
-    view: View, observed: Rendering, run: Run
-) -> dict[str, UInt8[np.ndarray, "h w 3"]]:
-    """Each photo of a view with what the model shows at its right, on one scale, by the names of
-    view and modality."""
-    pictures = {}
-    for modality, photo in view.images.items():
-        if modality in observed:
-            both = [photo.load().values, observed[modality].image]
-            small = [reduced(values.detach().cpu(), None, PICTURE_PX)[0] for values in both]
-            shown = [to_picture(modality, each, run.temperature, "inferno") for each in small]
-            pictures[f"eval/{modality}_{view.name}"] = np.hstack(shown)
-    return pictures
 
 
 def facts_of(run: TrainedRun, scene: Scene) -> RunFacts:

@@ -34,6 +34,8 @@ from mrgs.training.loop import Trainer, Validation
 from mrgs.training.start import Hooks, TrainOptions
 from mrgs.training.step import StepStatistics
 
+_SCORE = imported("mrgs.evaluation.score_run", "score_during_training")
+
 _OPEN_LOOPS: weakref.WeakSet[Generator[LiveRun, None, None]] = weakref.WeakSet()
 """Loops of runs with a folder, which may not have ended."""
 
@@ -113,8 +115,8 @@ def train(
             last good checkpoint is kept.
     """
     options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
-    hooks = Hooks(on_step, on_start, on_model, progress, _validation(eval_steps))
-    given = _checked(config)
+    validation = None if eval_steps is None else Validation(eval_steps, _SCORE)
+    hooks, given = Hooks(on_step, on_start, on_model, progress, validation), _checked(config)
     with _run_folder(output) as folder:
         start.train(
             scene, folder.path, given, options, hooks,
@@ -148,7 +150,7 @@ def train_steps(
     checkpoints, when neither the loop nor what it has yielded nor a snapshot is left. MrgsError as
     for ``train``."""
     options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
-    hooks = Hooks(validation=_validation(eval_steps))
+    hooks = Hooks(validation=None if eval_steps is None else Validation(eval_steps, _SCORE))
 
     def steps() -> Generator[LiveRun, None, None]:
         with _run_folder(output) as folder:
@@ -226,12 +228,6 @@ class LiveRun:
             self._trainer.save()
             run = load_run(self._folder.path, self._trainer.scene, "cpu")
         return replace(run, folder=self._folder)
-
-
-def _validation(eval_steps: int | None) -> Validation | None:
-    if eval_steps is None:
-        return None
-    return Validation(eval_steps, imported("mrgs.evaluation.score_run", "score_during_training"))
 
 
 def _checked(config: TrainConfig | None) -> TrainConfig:

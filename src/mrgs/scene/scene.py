@@ -122,10 +122,9 @@ class Scene:
         own = _cameras_from(thermal_cameras, "thermal_cameras")
         if thermal_distortion is not None and not own:
             raise ValueError("thermal_distortion is that of thermal_cameras: give these, too")
-        posed = thermal_posed = _with_lenses(cameras, distortion, fisheye, "distortion")
-        if own:
-            given = thermal_distortion, thermal_fisheye
-            thermal_posed = _with_lenses(own, *given, "thermal_distortion")
+        posed = _with_lenses(cameras, distortion, fisheye, "distortion")
+        given = thermal_distortion, thermal_fisheye, "thermal_distortion"
+        thermal_posed = _with_lenses(own, *given) if own else posed
         views = _views_from_arrays(posed, _color_images(rgb), thermal, thermal_posed, temperature)
         if not views:
             raise SceneError("a scene needs at least one view: give cameras and images")
@@ -370,7 +369,7 @@ def _posed(
     if image.shape[:2] != size:
         expected = [*size, *image.shape[2:]]
         raise ValueError(f"{name} must have shape {expected}, not {list(image.shape)}")
-    if lens is not None and not lens.is_pinhole:
+    if lens is not None:
         camera = Camera(matrix_of(pinhole_of(lens)), camera.viewmat, *reversed(size))
     return PosedImage(camera, partial(_load, image, temperature, lens))
 
@@ -383,10 +382,10 @@ def _load(image: Tensor, temperature: TemperatureRange | None, lens: Lens | None
     else:
         values = temperature.from_celsius(image.float())[..., None]
     known = values.isfinite().all(dim=2)
-    pixels = Pixels(values) if known.all() else Pixels(values.nan_to_num(0, 0, 0), known)
-    if lens is None or lens.is_pinhole:
-        return pixels
-    values, valid = undistort(pixels.values, pixels.valid, lens)
-    if image.dtype == torch.uint8:  # as those of files: then they take as little memory as before
-        values = (values * 255).round_() / 255
+    valid = None if known.all() else known
+    values = values if valid is None else values.nan_to_num(0, 0, 0)
+    if lens is not None:
+        values, valid = undistort(values, valid, lens)
+        if image.dtype == torch.uint8:  # as of files: then they take as little memory as before
+            values = (values * 255).round_() / 255
     return Pixels(values, valid)

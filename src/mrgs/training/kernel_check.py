@@ -55,7 +55,7 @@ def custom_definitions() -> list[str]:
         if isinstance(value, Operation) and value.rejected:
             found[f"kernel: {value.name}"] = "not used, it differs from the definition"
         plain = value.plain if isinstance(value, Operation) else value
-        if isinstance(plain, FunctionType) and _package_of(plain) not in _IMPORTED:
+        if isinstance(plain, FunctionType) and full_name(plain).partition(".")[0] not in _IMPORTED:
             found[f"equation: {name}"] = full_name(plain)
     return [f"{what}: {other}" for what, other in found.items()]
 
@@ -65,13 +65,11 @@ def _members() -> Iterator[tuple[str, Any]]:
     for name, module in [*sys.modules.items()]:
         own = vars(module) if f"{name}.".startswith(_DEFINED_IN) else {}
         types = [value for value in own.values() if isinstance(value, type)]
-        classes = {full_name(each): vars(each) for each in types if _package_of(each) == "mrgs"}
+        classes = {
+            full_name(each): vars(each) for each in types if each.__module__.startswith("mrgs.")
+        }
         for place, members in ({name: own} | classes).items():
             yield from ((f"{place}.{attribute}", value) for attribute, value in members.items())
-
-
-def _package_of(named: type | FunctionType) -> str:
-    return str(named.__module__).partition(".")[0]
 
 
 def full_name(named: type | FunctionType) -> str:

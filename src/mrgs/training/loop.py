@@ -46,9 +46,8 @@ class Validation:
 
     def __post_init__(self) -> None:
         if whole_number(self.every, "eval_steps") < 1:
-            raise ConfigError(
-                f"eval_steps must be at least 1, not {self.every}", options=("eval_steps",)
-            )
+            why = f"eval_steps must be at least 1, not {self.every}"
+            raise ConfigError(why, options=("eval_steps",))
 
 
 class Trainer:
@@ -116,8 +115,7 @@ class Trainer:
         while self._record.step < last:
             try:
                 statistics = self._next_step()
-                if self._validation is not None:
-                    self._validate_if_due(self._validation)
+                self._validate_if_due()
                 yield statistics
             except BaseException:  # unless the step itself failed
                 if not self._is_half_done:
@@ -125,10 +123,10 @@ class Trainer:
                 raise
             self._record.save_if_due(last)
 
-    def _validate_if_due(self, validation: Validation) -> None:
+    def _validate_if_due(self) -> None:
         """Score the held-out views if it is time; Ctrl-C does not wait for the end."""
-        step = self._record.step
-        if step % validation.every and step != self.config.max_steps:
+        validation, step = self._validation, self._record.step
+        if validation is None or (step % validation.every and step != self.config.max_steps):
             return
         with self._record.paused(), self.between_steps():
             numbers, pictures = validation.score(self)

@@ -145,11 +145,8 @@ def open_training(
                 options=("batch",),
             )
         if hooks.validation is not None and not loaded.eval:
-            raise ConfigError(
-                f"{loaded.name} holds out no views to score during the training: hold some out, or "
-                f"do not ask for it",
-                options=("eval_steps",),
-            )
+            why = f"{loaded.name} holds out no views to score: hold some out, or ask for no scores"
+            raise ConfigError(why, options=("eval_steps",))
         if options.resume:
             warn_of_missing(folder.custom_parts)
         folder.note_custom_parts(_custom_parts(config, loaded, custom, terms))
