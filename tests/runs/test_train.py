@@ -35,7 +35,7 @@ from mrgs import (
 from mrgs.errors import ConfigError, MrgsWarning, RunError, SceneError
 from mrgs.method.losses.term import LossContext, Term
 from mrgs.run_files.folder import RunFolder
-from mrgs.scene import RGB, THERMAL, Scene, View
+from mrgs.scene import RGB, THERMAL, Pixels, Scene, View
 from mrgs.training import train as train_into
 from mrgs.training.start import Hooks
 from tests.helpers.array_checks import unchecked
@@ -222,6 +222,23 @@ def test_scores_during_a_training_name_the_error_against_the_exact_truth(make_sc
     truth = evaluate_run(load_run(folder)).truth
     assert truth is not None
     assert found[2]["eval_truth_mae_c"] == truth["mae_c"]
+
+
+def test_a_held_out_photo_that_cannot_be_read_ends_the_training_with_its_step(
+    small_scene, tmp_path
+):
+    def load() -> Pixels:
+        raise SceneError("the photo is gone")
+
+    scene = load_scene(small_scene)
+    gone = {each: replace(image, load=load) for each, image in scene.eval[0].images.items()}
+    broken = replace(scene, eval=(replace(scene.eval[0], images=gone),))
+    with pytest.raises(SceneError, match="gone"):
+        train(broken, tmp_path / "run", CONFIG, eval_steps=4)
+    assert load_run(tmp_path / "run").facts.step == 4
+    resumed = train(small_scene, tmp_path / "run", resume=True)
+    whole = train(small_scene, tmp_path / "whole", CONFIG)
+    assert same_files(resumed.folder.newest_checkpoint(), whole.folder.newest_checkpoint())
 
 
 @pytest.mark.parametrize("steps", [0, -3, 2.5])

@@ -1,4 +1,5 @@
-"""Lenses: a pinhole with Brown's radial and tangential distortion, or Kannala and Brandt's fisheye.
+"""Lenses, a pinhole with Brown's radial and tangential distortion or Kannala and Brandt's fisheye,
+and the images that pinholes would have made in their place.
 
 Normalised coordinates (x, y) are those of the ray (x, y, 1) in the camera; a lens moves them to
 
