@@ -96,6 +96,14 @@ def auto_is_the_cpu() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def hub_is_empty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Scores do not depend on the weights of LPIPS that somebody keeps."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TORCH_HOME", str(tmp_path_factory.mktemp("torch")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def compare_once() -> Callable[..., None]:
     from mrgs.system.operation import Operation

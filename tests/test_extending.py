@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs import load_run, load_scene, make_config
+from mrgs import evaluate_run, load_run, load_scene, make_config, train
 from mrgs.data.radiometric import read, read_thermal_photo
 from mrgs.errors import MrgsWarning
 from mrgs.export import FORMATS
@@ -100,6 +100,9 @@ def test_another_densification(kitchen: Kitchen, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(RECIPES["Another densification"], "python", text)
     kitchen.cook("Another densification")
     assert [line["step"] for line in logged("runs/prune-only") if "pruned" in line] == [2, 4]
+    (strategy,) = load_run("runs/prune-only").folder.custom_parts
+    assert strategy.startswith("strategy: <run_path>.PruneOnly(")
+    assert "every=2" in strategy
 
 
 def test_a_modality(kitchen: Kitchen) -> None:
@@ -114,15 +117,30 @@ def test_a_modality(kitchen: Kitchen) -> None:
     assert any("loss_nir" in line for line in logged("runs/nir"))
 
 
-def test_another_heat_equation(kitchen: Kitchen) -> None:
+def test_another_heat_equation(kitchen: Kitchen, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = FourierHeatTransformation.forward
     with pytest.warns(MrgsWarning, match="the kernel differs"):
         kitchen.cook("Another heat equation")
     assert RadianceField.temperature_residuals.rejected
-    assert load_run("runs/diffusion").facts.step == CONFIG.max_steps
+    run = load_run("runs/diffusion")
+    assert run.facts.step == CONFIG.max_steps
+    name = "mrgs.field.heat.FourierHeatTransformation.forward"
+    equation, kernel = sorted(run.folder.custom_parts)
+    assert equation == f"equation: {name}: <run_path>.diffusion"
+    assert kernel.startswith("kernel: mrgs.field.field.RadianceField.temperature_residuals")
+    evaluate_run(run)
+    scores = Path("runs/diffusion/eval/metrics.md").read_text()
+    assert re.search(r"^- custom equation: .*FourierHeatTransformation.*diffusion", scores, re.M)
+    monkeypatch.setattr(FourierHeatTransformation, "forward", own)
+    with pytest.warns(MrgsWarning, match=r"FourierHeatTransformation\.forward"):
+        load_run("runs/diffusion")
+    with pytest.warns(MrgsWarning, match=r"FourierHeatTransformation\.forward"):
+        train(kitchen.scene, "runs/diffusion", resume=True)
 
 
 def test_a_loss(kitchen: Kitchen) -> None:
     kitchen.cook("A loss")
+    assert load_run("runs/sparse").folder.custom_parts == ["term: sparsity: <run_path>.Sparsity"]
     assert any(0 < line.get("loss_sparsity", 0) < 1 for line in logged("runs/sparse"))
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mrgs import runs as runs
     from mrgs import scene as scene
     from mrgs import viewer as viewer
+    from mrgs.app.progress import progress_bar as progress_bar
     from mrgs.data import load_scene as load_scene
     from mrgs.errors import MrgsError as MrgsError
     from mrgs.errors import MrgsWarning as MrgsWarning

@@ -47,6 +47,7 @@ def test_blocks_are_trained_one_by_one_and_joined(scene, tmp_path, capsys):
         (("--blocks", "auto", "--tensorboard"), "--tensorboard"),
         (("--blocks", "auto", "--view"), "--view"),
         (("--blocks", "auto", "--batch", "2"), "--batch"),
+        (("--blocks", "auto", "--eval-steps", "2"), "--eval-steps"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(scene, tmp_path, capsys, options, message):

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.data.lens import WIDEST_ANGLE_DEG, Lens, checked_lens
+from mrgs.data.lens import checked_lens
 from mrgs.errors import SceneError
+from mrgs.scene.lens import WIDEST_ANGLE_DEG, Lens
 
 BOARD = {"radial": (-0.40296695494936713, 0.3692066558782211, 0.0, 0.0)}
 THERMOSCENES = {"radial": (0.05, -0.06, 0.0, 0.0), "tangential": (-0.003, 0.062)}

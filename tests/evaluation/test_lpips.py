@@ -1,14 +1,20 @@
 from __future__ import annotations
 
+import re
+import runpy
+import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
+from mrgs import RGB, THERMAL, evaluate_run, load_run
 from mrgs.errors import RunError
 from mrgs.evaluation.lpips import Lpips, weight_shapes
+from tests.helpers.runs import SMALL, trained_run
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +74,45 @@ def test_grey_is_shown_in_three_channels(weights: dict[str, Tensor]) -> None:
     lpips = Lpips(weights)
     a, b = random_image(0, 1), random_image(1, 1)
     assert lpips(a, b) == lpips(a.expand(-1, -1, 3), b.expand(-1, -1, 3))
+
+
+def test_weights_that_the_page_converts_are_found_without_naming_them(
+    weights: dict[str, Tensor],
+    weights_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path_factory: pytest.TempPathFactory,
+    small_scene: Path,
+) -> None:
+    """With the names of the package lpips, which has each head twice."""
+    slices = {0: 1, 5: 2, 10: 3, 17: 4, 24: 5}
+    state = {}
+    for name, tensor in weights.items():
+        kind, number, rest = re.findall(r"([a-z]+)\.?(\d+)\.(.*)", name)[0]
+        if kind == "lin":
+            state |= {name: tensor, f"lins.{number}.{rest}": tensor}
+        else:
+            own = max(slices[first] for first in slices if first <= int(number))
+            state[f"net.slice{own}.{number}.{rest}"] = tensor
+    module = ModuleType("lpips")
+    vars(module)["LPIPS"] = lambda net: SimpleNamespace(state_dict=lambda: state)
+    monkeypatch.setitem(sys.modules, "lpips", module)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    assert Lpips.found(None) is None
+    (tmp_path / "hub" / "checkpoints").mkdir(parents=True)
+    page = (Path(__file__).parents[2] / "docs" / "runs.md").read_text(encoding="utf-8")
+    (snippet,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "convert.py").write_text(snippet)
+    runpy.run_path(str(tmp_path / "convert.py"))
+    found, given = Lpips.found(None), Lpips.found(weights_file)
+    assert found is not None
+    assert given is not None
+    a, b = random_image(0), random_image(1)
+    assert found(a, b) == given(a, b) == Lpips(weights)(a, b)
+
+    run = load_run(trained_run(tmp_path_factory, small_scene, SMALL, tmp_path / "run"))
+    means = evaluate_run(run).mean
+    assert all(isinstance(means[modality]["lpips"], float) for modality in (RGB, THERMAL))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ def test_the_document_has_the_promised_fields(metrics: Metrics, tmp_path: Path) 
     document = strict(path.read_text(encoding="utf-8"))
     assert list(document) == [
         *("method", "scene", "steps", "gaussians", "train_seconds", "peak_memory_bytes", "device"),
-        *("mean", "truth", "poses", "reasons", "views"),
+        *("custom_parts", "mean", "truth", "poses", "reasons", "views"),
     ]
     assert tuple(document["mean"]["thermal"]) == figure_names(THERMAL)
     assert tuple(document["mean"]["rgb"]) == figure_names(RGB)

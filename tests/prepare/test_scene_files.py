@@ -16,7 +16,6 @@ from PIL import Image
 from mrgs.data import load_scene
 from mrgs.data.lens import Lens
 from mrgs.data.radiometric import GpsPosition, ObjectParameters, Overrides, PhotoFacts
-from mrgs.data.undistort import pinhole_of
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import PrepareOptions
 from mrgs.prepare.contract import ConvertedPhotos, Georeference, Reconstruction
@@ -24,6 +23,7 @@ from mrgs.prepare.rig.contract import RigCalibration, RigView
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
+from mrgs.scene.lens import pinhole_of
 from mrgs.scene.radiometry import Planck
 from tests.helpers.converted import converted_view
 

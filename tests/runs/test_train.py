@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from safetensors.torch import load_file
 
 from mrgs import (
@@ -34,9 +35,10 @@ from mrgs import (
 from mrgs.errors import ConfigError, MrgsWarning, RunError, SceneError
 from mrgs.method.losses.term import LossContext, Term
 from mrgs.run_files.folder import RunFolder
-from mrgs.scene import RGB, THERMAL, Scene, View
+from mrgs.scene import RGB, THERMAL, Pixels, Scene, View
 from mrgs.training import train as train_into
 from mrgs.training.start import Hooks
+from tests.helpers.array_checks import unchecked
 from tests.helpers.runs import trained_run
 
 CONFIG = make_config("mrgs", "fast", max_steps=6, max_gaussians=60)
@@ -172,6 +174,121 @@ def test_a_live_run_renders_and_a_snapshot_stays(small_scene):
     torch.testing.assert_close(snapshot.render(camera)[RGB].image, first[RGB].image)
     assert (snapshot.facts.step, state.step) == (1, 6)
     assert evaluate_run(snapshot).views
+
+
+def scores_of(run: RunFolder) -> dict[int, dict[str, float]]:
+    """What the log says of the held-out views, by step."""
+    lines = map(json.loads, run.log_file.read_text().splitlines())
+    return {line["step"]: line for line in lines if "eval_rgb_psnr" in line}
+
+
+def test_scores_during_a_training_are_those_of_its_checkpoints_and_change_no_bit(
+    small_scene, tmp_path
+):
+    density = replace(CONFIG.densification, start=0, stop=6, every=2)
+    config = replace(CONFIG, densification=density, checkpoint_every=2)
+    plain = train(small_scene, tmp_path / "plain", config)
+    before = torch.get_rng_state()
+    scored = train(small_scene, tmp_path / "scored", config, eval_steps=4)
+    assert torch.equal(torch.get_rng_state(), before)
+    for one, other in zip(plain.folder.checkpoints(), scored.folder.checkpoints(), strict=True):
+        assert same_files(one, other)
+    assert not scores_of(plain.folder)
+    found = scores_of(scored.folder)
+    assert found.keys() == {4, 6}
+    figures = evaluate_run(scored).mean
+    for modality in (RGB, THERMAL):
+        for name in ("psnr", "ssim"):
+            assert found[6][f"eval_{modality}_{name}"] == figures[modality][name]
+    assert found[6]["eval_thermal_mae_c"] == figures[THERMAL]["mae_c"]
+
+    train(small_scene, tmp_path / "parts", config, eval_steps=4, stop_at=4)
+    resumed = train(small_scene, tmp_path / "parts", resume=True, eval_steps=4)
+    assert scores_of(resumed.folder) == found
+    assert same_files(resumed.folder.newest_checkpoint(), plain.folder.newest_checkpoint())
+
+
+def test_scores_during_a_training_name_the_error_against_the_exact_truth(make_scene, tmp_path):
+    scene = make_scene()
+    (scene / "truth" / "temperature").mkdir(parents=True)
+    for view in load_scene(scene).eval:
+        exact = Image.fromarray(np.full((30, 40), 20, np.float32))
+        exact.save(scene / "truth" / "temperature" / f"{view.name}.tiff")
+    folder = tmp_path / "run"
+    states = train_steps(scene, folder, replace(CONFIG, max_steps=2), eval_steps=1)
+    assert [state.step for state in states] == [1, 2]
+    found = scores_of(RunFolder(folder))
+    assert found.keys() == {1, 2}
+    truth = evaluate_run(load_run(folder)).truth
+    assert truth is not None
+    assert found[2]["eval_truth_mae_c"] == truth["mae_c"]
+
+
+def test_a_held_out_photo_that_cannot_be_read_ends_the_training_with_its_step(
+    small_scene, tmp_path
+):
+    def load() -> Pixels:
+        raise SceneError("the photo is gone")
+
+    scene = load_scene(small_scene)
+    gone = {each: replace(image, load=load) for each, image in scene.eval[0].images.items()}
+    broken = replace(scene, eval=(replace(scene.eval[0], images=gone),))
+    with pytest.raises(SceneError, match="gone"):
+        train(broken, tmp_path / "run", CONFIG, eval_steps=4)
+    assert load_run(tmp_path / "run").facts.step == 4
+    resumed = train(small_scene, tmp_path / "run", resume=True)
+    whole = train(small_scene, tmp_path / "whole", CONFIG)
+    assert same_files(resumed.folder.newest_checkpoint(), whole.folder.newest_checkpoint())
+
+
+@pytest.mark.parametrize("steps", [0, -3, 2.5])
+def test_scores_are_asked_for_by_a_whole_number_of_steps(small_scene, steps):
+    with unchecked(), pytest.raises(ConfigError, match="eval_steps") as refused:
+        train(small_scene, config=CONFIG, eval_steps=steps)
+    assert refused.value.options == ("eval_steps",)
+
+
+def test_without_held_out_views_there_is_nothing_to_score(small_scene):
+    scene = replace(load_scene(small_scene), eval=())
+    with pytest.raises(ConfigError, match="holds out no views"):
+        train(scene, config=CONFIG, eval_steps=2)
+
+
+def test_progress_is_told_after_each_step(small_scene, tmp_path):
+    told = []
+
+    def progress(done: int, total: int) -> None:
+        told.append((done, total))
+
+    train(small_scene, tmp_path / "run", CONFIG, stop_at=2, progress=progress)
+    train(small_scene, tmp_path / "run", resume=True, progress=progress)
+    assert told == [(1, 6), (2, 6), (3, 6), (4, 6), (5, 6), (6, 6)]
+
+
+class Replacing(Term):
+    """Takes the place of L_rgb."""
+
+    name = "rgb"
+
+    def value(self, context: LossContext) -> torch.Tensor:
+        return context.observed[RGB].image.mean()
+
+
+def test_the_runs_folder_names_what_it_was_trained_with_besides_its_configuration(
+    whole, small_scene, tmp_path
+):
+    assert whole.custom_parts == []
+    given = {"terms": [Replacing()], "strategy": replace(CONFIG.densification, every=3)}
+    train(small_scene, tmp_path / "run", CONFIG, stop_at=2, **given)
+    run = train(small_scene, tmp_path / "run", resume=True, **given)
+    strategy, term = run.folder.custom_parts
+    assert strategy.startswith("strategy: mrgs.method.density.adaptive.AdaptiveDensityControl(")
+    assert "every=3" in strategy
+    assert term == f"term: rgb: {__name__}.Replacing, in place of the configured one"
+    assert load_run(run.folder.path).config == CONFIG
+    evaluate_run(run)
+    document = json.loads((run.folder.path / "eval" / "metrics.json").read_text())
+    assert document["custom_parts"] == [strategy, term]
 
 
 class MidStep(Term):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 from mrgs.data import load_scene
 from mrgs.errors import MrgsWarning, SceneError
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange
+from mrgs.scene.lens import Lens
 from mrgs.scene.point_cloud import RANDOM_POINTS
 from tests.helpers.array_checks import unchecked
 
@@ -43,6 +45,113 @@ def test_it_is_the_scene_of_the_folder(small_scene: Path):
             torch.testing.assert_close(found.values, expected, rtol=0, atol=1e-6)
             assert found.valid is None
     assert torch.equal(made.points.positions, folder.points.positions)
+
+
+BROWN, FISHEYE = [-0.25, 0.08, 0.002, -0.001, 0.01], [-0.05, 0.01, -0.004, 0.001]
+
+
+def written(folder: Path, camera: Camera, colors: np.ndarray, lens: dict) -> Path:
+    """A folder in nerfstudio's layout with two equal views of a camera that distorts."""
+    (folder / "images").mkdir(parents=True)
+    frames = []
+    for name in ("one", "two"):
+        Image.fromarray(colors).save(folder / "images" / f"{name}.png")
+        pose = torch.linalg.inv(camera.viewmat) * torch.tensor([1.0, -1.0, -1.0, 1.0])
+        frames.append({"file_path": f"images/{name}.png", "transform_matrix": pose.tolist()})
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
+    sizes = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+    (folder / "transforms.json").write_text(json.dumps({**sizes, **lens, "frames": frames}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("numbers", "fisheye", "named"),
+    [
+        (BROWN[:4], False, dict(zip(("k1", "k2", "p1", "p2"), BROWN, strict=False))),
+        (BROWN, False, dict(zip(("k1", "k2", "p1", "p2", "k3"), BROWN, strict=True))),
+        (FISHEYE, True, dict(zip(("k1", "k2", "k3", "k4"), FISHEYE, strict=True))),
+    ],
+)
+def test_images_are_undistorted_as_those_of_files(tmp_path, numbers, fisheye, named):
+    camera = Camera([[60, 0, 39], [0, 61, 31], [0, 0, 1]], CAMERAS[1].viewmat, 80, 60)
+    colors = np.random.default_rng(2).integers(0, 256, (60, 80, 3), dtype=np.uint8)
+    lens = named | {"camera_model": "OPENCV_FISHEYE" if fisheye else "OPENCV"}
+    read = load_scene(written(tmp_path / "scene", camera, colors, lens)).views[0].images[RGB]
+    made = Scene.from_arrays([camera], rgb=[colors], distortion=numbers, fisheye=fisheye)
+    found = made.train[0].images[RGB]
+    assert not torch.allclose(found.camera.K, camera.K, atol=0.1)
+    torch.testing.assert_close(found.camera.K, read.camera.K)
+    torch.testing.assert_close(found.camera.viewmat, read.camera.viewmat, rtol=0, atol=1e-6)
+    (one, other) = found.load(), read.load()
+    one_level = 1.01 / 255
+    torch.testing.assert_close(one.values, other.values, rtol=0, atol=one_level)
+    assert (one.valid is None) == (other.valid is None)
+    assert one.valid is None or torch.equal(one.valid, other.valid)
+
+
+def test_a_lens_moves_what_a_straight_line_of_the_world_shows_back_onto_a_line():
+    camera = Camera([[70, 0, 40], [0, 70, 30], [0, 0, 1]], np.eye(4), 80, 60)
+    x, y = np.meshgrid((np.arange(80) + 0.5 - 40) / 70, (np.arange(60) + 0.5 - 30) / 70)
+    u, _ = Lens(80, 60, 70, 70, 40, 30, (-0.3, 0.0, 0.0, 0.0)).undistort(x, y)
+    celsius = 20 + 10 * u
+    made = Scene.from_arrays([camera], celsius=[celsius], distortion=np.array([[-0.3, 0, 0, 0, 0]]))
+    photo = made.train[0].images[THERMAL]
+    values = made.temperature.to_celsius(photo.load().values[..., 0]).numpy()
+    (fx, _, cx), *_ = photo.camera.K.tolist()
+    expected = np.broadcast_to(20 + 10 * (np.arange(80) + 0.5 - cx) / fx, (60, 80))
+    np.testing.assert_allclose(values, expected, atol=2e-2)
+    assert np.ptp(celsius[:, 5]) > 0.3, "the line was bent before"
+
+
+def test_each_view_and_each_modality_may_have_a_lens_of_its_own():
+    views = [None, BROWN[:4], BROWN]
+    made = Scene.from_arrays(
+        CAMERAS[:3],
+        rgb=RGB_IMAGES[:3],
+        celsius=CELSIUS[:3],
+        thermal_cameras=CAMERAS[:3],
+        distortion=views,
+        thermal_distortion=np.array(FISHEYE).reshape(4, 1),
+        thermal_fisheye=True,
+        eval_every=0,
+    )
+    kept = [torch.equal(view.cameras[RGB].K, CAMERA.K) for view in made.train]
+    assert kept == [True, False, False]
+    assert not any(torch.equal(view.cameras[THERMAL].K, CAMERA.K) for view in made.train)
+    shared = Scene.from_arrays(
+        CAMERAS[:3], rgb=RGB_IMAGES[:3], celsius=CELSIUS[:3], distortion=BROWN, eval_every=0
+    )
+    assert all(view.shares_camera(RGB, THERMAL) for view in shared.train)
+
+
+def test_pixels_that_are_not_known_stay_unknown_in_undistorted_images():
+    celsius = CELSIUS[:1].copy()
+    celsius[0, 3, 4] = np.nan
+    made = Scene.from_arrays(CAMERAS[:1], celsius=celsius, distortion=BROWN)
+    pixels = made.train[0].images[THERMAL].load()
+    assert pixels.valid is not None
+    assert not pixels.valid.all()
+    assert pixels.values.isfinite().all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"distortion": [0.1, 0.2, 0.3]}, r"distortion must have 4 or 5 .* not 3"),
+        ({"distortion": np.zeros((1, 8))}, r"distortion must have 4 or 5 .* not 8"),
+        ({"distortion": BROWN, "fisheye": True}, r"4 of a fisheye .* not 5"),
+        ({"distortion": [BROWN] * 2}, r"9 cameras, but 2 lenses"),
+        ({"distortion": [np.nan, 0, 0, 0]}, "fold"),
+        ({"distortion": [-99.0, 0, 0, 0]}, "fold"),
+        ({"distortion": 0.1}, "list of coefficients"),
+        ({"distortion": "BROWN"}, "numbers"),
+        ({"thermal_distortion": BROWN}, "thermal_cameras"),
+    ],
+)
+def test_a_lens_that_cannot_be_is_refused_in_one_line(options, message):
+    with pytest.raises(ValueError, match=message) as refused:
+        Scene.from_arrays(CAMERAS, rgb=RGB_IMAGES, **options)
+    assert "\n" not in str(refused.value)
 
 
 def test_every_nth_view_is_held_out():

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import mrgs
 from mrgs.errors import ConfigError
 from mrgs.run_files.folder import TENSORBOARD
 from mrgs.training import make_config, train
@@ -39,6 +40,18 @@ def test_every_number_of_the_log_is_a_scalar_also_after_resuming(small_scene, tm
         logged = {line["step"]: line[name] for line in lines if name in line}
         assert logged.keys() == {10, 20}
         assert scalars[name.replace("loss_", "loss/")] == pytest.approx(logged, rel=1e-6)
+
+
+def test_held_out_views_are_curves_and_pictures(small_scene, tmp_path):
+    module = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    run = mrgs.train(small_scene, tmp_path, CONFIG, tensorboard=True, eval_steps=10)
+    assert scalars_of(tmp_path)["eval/thermal_psnr"].keys() == {10, 20}
+    events = module.EventAccumulator(str(tmp_path / TENSORBOARD)).Reload()
+    names = {f"eval/{each}_{view.name}" for view in run.load_scene().eval for each in view.images}
+    assert set(events.Tags()["images"]) == names
+    for name in names:
+        first, second = events.Images(name)
+        assert (first.step, second.step, first.width, first.height) == (10, 20, 80, 30)
 
 
 def test_without_it_nothing_is_written(small_scene, tmp_path):

@@ -481,6 +481,18 @@ def statistics_of(step: int, skipped: bool = False) -> StepStatistics:
     return StepStatistics(step, 0.5, {}, None, 25, skipped)
 
 
+def test_the_time_of_scoring_is_not_training_time(small_scene, tmp_path):
+    folder, now = RunFolder(tmp_path / "run"), 0.0
+    record = recorded(folder, small_scene, clock=lambda: now)
+    for step in range(1, 11):
+        now += 2
+        record.add(statistics_of(step))
+        with record.paused():
+            now += 100
+    (line,) = read_log(folder)
+    assert (line["step"], line["seconds"]) == (10, 20.0)
+
+
 def test_slow_steps_are_saved_before_their_turn(small_scene, tmp_path):
     def saved_where_a_step_takes(seconds: float, name: str) -> list[int]:
         folder, now = RunFolder(tmp_path / name), 0.0

@@ -20,7 +20,7 @@ import tyro
 from mrgs.app import commands
 from mrgs.app.commands import COMMANDS
 from mrgs.app.interrupts import BY_CTRL_C, interrupts
-from mrgs.app.progress import PrepareProgress, counter
+from mrgs.app.progress import PrepareProgress, progress_bar
 from mrgs.app.terminal import (
     flags_of,
     note_unfinished,
@@ -226,7 +226,7 @@ def _eval(command: commands.Eval) -> None:
         from mrgs.evaluation.renders import evaluate_renders
 
         folder = command.renders
-        with counter("scoring") as progress:
+        with progress_bar("scoring") as progress:
             metrics = evaluate_renders(
                 command.run,
                 folder,
@@ -244,7 +244,7 @@ def _eval(command: commands.Eval) -> None:
         from mrgs.runs.open import open_run
 
         folder, run = command.run, open_run(command.run, command.scene, command.device)
-        with counter("scoring") as progress:
+        with progress_bar("scoring") as progress:
             metrics = evaluate_run(run, command.lpips_weights, progress)
         print_metrics(run, metrics)
     say(f"scores:   {folder / 'eval/metrics.md'}", f"pictures: {folder / 'eval/contact_sheet.png'}")
@@ -260,7 +260,7 @@ def _render(command: commands.Render) -> None:
     given |= {"scale_bar": True} if command.scale_bar else {}
     path = PathOptions(**given) if given else None
     run = open_run(command.run, command.scene, command.device)
-    with counter("rendering") as progress:
+    with progress_bar("rendering") as progress:
         folder = render_run(run, command.split, command.palette, path, progress)
     say(f"images: {folder}", *(f"video:  {film}" for film in sorted(folder.glob("*.mp4"))))
 
@@ -288,7 +288,7 @@ def _export(command: commands.Export) -> None:
     plane = None if command.plane is None else parse_plane(*command.plane)
     maps = MapOptions(plane, command.pixel_size, command.crs)
     scene = run.load_scene()
-    with counter("export", expect_export(run, scene, command.format)) as progress:
+    with progress_bar("export", expect_export(run, scene, command.format)) as progress:
         write = partial(export, run, scene, command.format, folder, command.palette)
         paths = write(command.range_c, maps, on_baked=print_baking_loss, progress=progress)
     print_exported(folder, paths)
@@ -306,7 +306,7 @@ def _report(command: commands.Report) -> None:
     note_unfinished(run)
     _state_survey(command)
     scene = run.load_scene()
-    with counter("report", expect_report(run, scene)) as progress:
+    with progress_bar("report", expect_report(run, scene)) as progress:
         write = partial(report_run, run, command.output, command.language, command.pdf)
         path = write(appendix=command.appendix, scene=scene, progress=progress)
     say(f"report: {path}", *([f"pdf: {path.with_suffix('.pdf')}"] if command.pdf else []))
@@ -435,7 +435,7 @@ def _synth(command: commands.Synth) -> None:
             "solar-plant has no near-infrared photos, a camera of its own, and as many training "
             "views as its overlap asks for: leave out --nir, --camera and --train-views"
         )
-    with counter("rendering") as progress:
+    with progress_bar("rendering") as progress:
         if command.scene == "solar-plant":
             options = PlantOptions(
                 command.rows, command.modules, command.overlap, command.gps_noise,

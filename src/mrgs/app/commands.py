@@ -245,6 +245,8 @@ class Train:
     """Run plain definitions in place of kernels, much slower; MRGS_PLAIN=1 for other commands."""
     tensorboard: bool = False
     """Also write the log to RUN/tensorboard. Needs mrgs[tensorboard]."""
+    eval_steps: Maybe[int] = None
+    """Score the held-out views every so many steps, into the log; pictures with --tensorboard."""
     view: bool = False
     """Show the model in the browser while it trains."""
     port: int = 8080
@@ -267,7 +269,7 @@ class Eval:
     """With --renders: downscale photos wider than this many pixels, as in training."""
     scene: MovedScene = None
     lpips_weights: Maybe[Path] = None
-    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
+    """VGG-16 and LPIPS weights, if not those kept by torch's hub (docs/runs.md)."""
     device: RenderDevice = "auto"
 
 
@@ -461,7 +463,7 @@ class CompareMethods:
     output: Path = Path("runs/compare")
     """Folder of the runs, tables and figures."""
     lpips_weights: Maybe[Path] = None
-    """VGG-16 and LPIPS weights (safetensors); without them, LPIPS is skipped."""
+    """VGG-16 and LPIPS weights, if not those kept by torch's hub (docs/runs.md)."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mrgs.app.commands import Demo, RunAll
 from mrgs.app.interrupts import Interrupted, interrupts
-from mrgs.app.progress import PrepareProgress, TrainingProgress, counter, duration
+from mrgs.app.progress import PrepareProgress, TrainingProgress, duration, progress_bar
 from mrgs.app.terminal import flags_of, print_note, styled
 from mrgs.errors import MrgsError, printable
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
@@ -113,7 +113,7 @@ class PipelineTerminal(Monitor):
             with self._preparing:
                 yield
         else:
-            with counter(stage.name) as self._show:
+            with progress_bar(stage.name) as self._show:
                 yield
 
     def progress(  # noqa: D102
@@ -122,7 +122,7 @@ class PipelineTerminal(Monitor):
         if self._show is None:
             self._preparing.step(part, done, total, left_s)
         else:
-            self._show(done, total, "" if total else part, left_s)
+            self._show(done, total, "" if total else part, left_s=left_s)
 
     def prepared(self, report: StageReport) -> None:  # noqa: D102
         self._preparing.stage(report, warn=False)

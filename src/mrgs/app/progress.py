@@ -41,8 +41,8 @@ Clock = Callable[[], float]
 
 
 class _Line:
-    """A line that changes in place; where the output is not a terminal, a line now and then. The
-    columns are among "text", "bar", "spinner" and "time", which counts up."""
+    """A line that changes in place; where the output is neither a terminal nor a notebook, a line
+    now and then. The columns are among "text", "bar", "spinner" and "time", which counts up."""
 
     def __init__(self, *columns: str, clock: Clock, **options: Any) -> None:
         # Imported here, so that a help text comes at once.
@@ -68,6 +68,12 @@ class _Line:
             **options,
         )
         self.clock, self.last = clock, clock()
+        self._in_notebook, self._width = self.bar.console.is_jupyter, 0
+
+    @property
+    def changes(self) -> bool:
+        """Whether the line changes in place."""
+        return self._in_notebook or not self.bar.disable
 
     def is_due(self, every_s: float = PLAIN_LINE_EVERY_S) -> bool:
         """Whether the last line was shown this long ago."""
@@ -76,6 +82,12 @@ class _Line:
     def show(self, text: str, done: int, total: int | None) -> None:
         """Show the line now, with the share of the bar that is done."""
         self.last = self.clock()
+        if self._in_notebook:  # without ipywidgets, which rich needs there
+            filled = BAR_WIDTH * done // max(total or 0, done, 1)
+            text = f"{'█' * filled}{'░' * (BAR_WIDTH - filled)} {text}"
+            print(f"\r{text:{self._width}}", end="", flush=True)
+            self._width = len(text)
+            return
         if self.bar.disable:
             print(text, flush=True)
             return
@@ -86,44 +98,65 @@ class _Line:
             self.bar.task_ids[0], description=text, completed=done, total=total, refresh=True
         )
 
+    def end(self) -> None:
+        """Leave the line as it is."""
+        self.bar.stop()
+        if self._width:
+            print()
+            self._width = 0
+
     def clear(self) -> None:
         """End the line; the next update begins a new one."""
-        self.bar.stop()
+        self.end()
         for task in self.bar.task_ids:
             self.bar.remove_task(task)
 
 
 @contextmanager
-def counter(
-    verb: str, forecast: Forecast | None = None, clock: Clock = time.perf_counter
+def progress_bar(
+    title: str, forecast: Forecast | None = None, clock: Clock = time.perf_counter
 ) -> Iterator[Callable[..., None]]:
-    """A progress callback (done, total), or (number, total, name) for parts with names, both with
-    ``left_s`` if the time left is known. Without a terminal, each named part has a line.
-    ``forecast`` gives the time left of named parts; without it, all parts count the same."""
-    line, started = _Line("spinner", "text", "bar", clock=clock), clock()
+    """A progress bar in the terminal or in the notebook, for the ``progress`` of any function of
+    this package: ``with progress_bar("training") as show: train(scene, progress=show)``. A line
+    every ten seconds where the output is a file, and one for each named part.
 
-    def show(done: int, total: int, name: str = "", left_s: float | None = None) -> None:
-        finished = done - 1 if name and done else done
-        text = f"{verb} {done}/{total}" if total else verb
-        if name:
-            text = f"{verb} {done} of {total}: {name}" if total else f"{verb}: {name}"
-        if left_s is None and name and forecast is not None:
+    Loops of one's own call ``show(done, total)``. Functions with named parts call it with (number,
+    total, part) when a part begins, others with (step, done, total). ``left_s`` is the time left if
+    it is known; ``forecast`` knows that of parts."""
+    line, started = _Line("spinner", "text", "bar", clock=clock), clock()
+    begun: dict[str, tuple[int, float]] = {}
+
+    def show(*told: str | int, left_s: float | None = None) -> None:
+        name = next((each for each in told if isinstance(each, str)), "")
+        done, total = (each for each in told if not isinstance(each, str))
+        is_part, text = bool(name) and told[0] != name, ": ".join(filter(None, [title, name]))
+        if is_part and total:
+            text = f"{title} {done} of {total}: {name}"
+        elif total and not is_part:
+            text += f" {done}/{total}"
+        finished = done - 1 if is_part and done else done
+        # From the first call of a step on: neither compiling nor what a resumed training had done
+        # before counts in its speed.
+        first, since = begun.setdefault("" if is_part else name, (finished, clock()))
+        if left_s is None and is_part and forecast is not None:
             left_s = forecast.left(name)
-        elif left_s is None and finished > 0:
-            left_s = (clock() - started) / finished * (total - finished)
-        if left_s is not None and (name or done != total):
+        elif left_s is None and finished > first:
+            left_s = (clock() - since) / (finished - first) * (total - finished)
+        if left_s is not None and (is_part or done != total):
             text += f" | {duration(left_s)} left"
-        if not line.bar.disable or name or done == total or line.is_due():
+        is_first = line.changes and finished == first
+        every_s = REFRESH_EVERY_S if line.changes else PLAIN_LINE_EVERY_S
+        if is_part or is_first or done == total or line.is_due(every_s):
             line.show(text, finished, total or None)
 
     try:
-        if not line.bar.disable:
-            line.show(verb, 0, None)
+        if line.changes:
+            line.show(title, 0, None)
         yield show
-        if not line.bar.disable:
-            line.show(f"{verb}: {duration(clock() - started)}", 1, 1)
+        if line.changes:
+            line.show(f"{title}: {duration(clock() - started)}", 1, 1)
     finally:
-        line.bar.stop()
+        line.end()
 
 
 class TrainingProgress:
@@ -206,6 +239,13 @@ class TrainingProgress:
             self._unread.clear()
             self._line.show(self._text(statistics), statistics.step, self.max_steps)
         return self.unfinished
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Within this block there are no steps: its time does not count in their speed."""
+        began = self._line.clock()
+        yield
+        self._started += self._line.clock() - began
 
     def _text(self, statistics: StepStatistics) -> str:
         """The line; a narrow terminal cuts off its end."""

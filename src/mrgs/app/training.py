@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,7 @@ def train(command: Train) -> None:
     from mrgs.runs.open import method_of
     from mrgs.runs.registry import find_method
     from mrgs.system.gpu import choose_device
+    from mrgs.training.loop import Validation
     from mrgs.training.start import Hooks, TrainOptions
 
     scene = command.scene.parent if command.scene.is_file() else command.scene
@@ -52,6 +53,10 @@ def train(command: Train) -> None:
     note_gpu(chosen)
     progress = TrainingProgress()
     hooks = Hooks(progress.step, progress.start)
+    if command.eval_steps is not None:
+        from mrgs.evaluation.score_run import score_during_training as score
+
+        hooks = replace(hooks, validation=Validation(command.eval_steps, progress.paused()(score)))
     with progress, ExitStack() as stack:
         if command.view:
             from mrgs.viewer import LiveView
@@ -67,7 +72,7 @@ def train(command: Train) -> None:
                 live.on_step(statistics)
                 return progress.step(statistics)
 
-            hooks = Hooks(on_step, on_start, live.on_model)
+            hooks = replace(hooks, on_step=on_step, on_start=on_start, on_model=live.on_model)
         method.train(
             command.scene,
             output,
@@ -83,7 +88,8 @@ def train(command: Train) -> None:
 def _require_possible(command: Train, method: Method) -> None:
     """Check the options against each other and the method."""
     gaussian_options = {
-        "--view": command.view, "--max-gaussians": command.max_gaussians, "--batch": command.batch
+        "--view": command.view, "--max-gaussians": command.max_gaussians,
+        "--batch": command.batch, "--eval-steps": command.eval_steps,
     }  # fmt: skip
     for option, value in gaussian_options.items():
         if value and not method.has_gaussians:
@@ -110,6 +116,7 @@ def _require_possible(command: Train, method: Method) -> None:
     for option, value in {
         "--view": command.view,
         "--tensorboard": command.tensorboard,
+        "--eval-steps": command.eval_steps is not None,
         "--minutes": command.minutes is not None,
         "--accept-changes": command.accept_changes,
         "--batch": command.batch not in (None, 1),

@@ -48,7 +48,7 @@ def load_scene(path: str | Path, *, resolution: int | None = None, seed: int = 0
     Supported are ``transforms.json`` (ThermoScenes, nerfstudio; see ``mrgs.data.nerfstudio``)
     and, where there is none, COLMAP reconstructions (RGBT-Scenes, TI-NSD, plain ``images/``; see
     ``mrgs.data.colmap``). All headers are checked here; pixels are decoded, undistorted to a
-    pinhole (``mrgs.data.undistort.pinhole_of``) and reduced only when ``PosedImage.load`` is
+    pinhole (``mrgs.scene.lens.pinhole_of``) and reduced only when ``PosedImage.load`` is
     called. Masks come from the file's ``mask_path`` and ``thermal_mask_path``, or from the folders
     ``masks/`` and ``thermal_masks/``: black pixels are not valid.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +25,9 @@ from mrgs.data.images import (
     probe,
     with_channels,
 )
-from mrgs.data.lens import Lens
-from mrgs.data.undistort import pinhole_of, resize, undistort
+from mrgs.data.undistort import resize
 from mrgs.scene import RGB, Camera, Modality, Pixels, PointCloud, PosedImage, WorldFrame
+from mrgs.scene.lens import Lens, matrix_of, pinhole_of, undistort
 from mrgs.scene.point_cloud import GREY
 from mrgs.scene.radiometry import PhotoRecord
 
@@ -158,7 +158,7 @@ def posed_image(
         pinhole = pinhole_of(source.lens)
     except ValueError as error:
         raise scene_error(source.path, f"{error}; correct its distortion coefficients") from None
-    camera = Camera(_matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
+    camera = Camera(matrix_of(pinhole), source.viewmat, pinhole.width, pinhole.height)
     least_width = None
     if resolution is not None and resolution < camera.width:
         camera = camera.with_width(resolution)
@@ -171,15 +171,6 @@ def posed_image(
         files,
         source.record,
         partial(_load, source, decoder, keeps_levels, size),
-    )
-
-
-@lru_cache(maxsize=1024)
-def _matrix_of(pinhole: Lens) -> Float64[Tensor, "3 3"]:
-    """K of a lens without distortion; cameras share it."""
-    return torch.tensor(
-        [[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]],
-        dtype=torch.float64,
     )
 
 

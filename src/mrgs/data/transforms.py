@@ -12,8 +12,8 @@ from typing import Any
 from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.data.lens import Lens
 from mrgs.scene import Camera, Modality, WorldFrame
+from mrgs.scene.lens import Lens
 from mrgs.scene.modality import BUILT_IN
 from mrgs.scene.rotations import opengl_camera_to_world
 from mrgs.system.atomic import write_text

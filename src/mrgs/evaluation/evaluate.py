@@ -50,7 +50,7 @@ from mrgs.scene import (
 )
 from mrgs.system.memory import give_back_freed
 
-NO_LPIPS = "no VGG-16 and LPIPS weights were given"
+NO_LPIPS = "no VGG-16 and LPIPS weights were given or kept (docs/runs.md)"
 NO_CELSIUS = "the scene has no temperature range, so its values have no °C"
 
 TRUTH_FIGURES = ("mae_c", "camera_mae_c", "depth_median_relative_error")

@@ -1,7 +1,8 @@
 """LPIPS with VGG-16 (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
 Metric", 2018).
 
-The weights are not part of this package. ``Lpips.from_file`` reads a safetensors file with
+The weights are not part of this package. ``Lpips.from_file`` reads a safetensors file, which
+``Lpips.found`` looks for among the checkpoints of torch's hub (docs/runs.md), with
 
 - ``features.N.weight`` and ``features.N.bias``, N = 0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28:
   the convolutions of VGG-16 trained on ImageNet, named and shaped as in torchvision's state dict of
@@ -29,6 +30,9 @@ each block's last ReLU is one of LPIPS's five layers."""
 _WIDTHS = (64, 128, 256, 512, 512)
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
+KEPT_AS = "mrgs_lpips_vgg16.safetensors"
+"""Name of the weights among the checkpoints of torch's hub."""
+
 MIN_SIDE_PX = 16
 """Smallest image side: VGG-16 halves the image four times before the last layer."""
 
@@ -39,6 +43,13 @@ class Lpips:
 
     def __init__(self, weights: dict[str, Tensor]) -> None:
         self._weights = weights
+
+    @classmethod
+    def found(cls, path: Path | None) -> Lpips | None:
+        """With the weights of a file, or if that is None with those among the checkpoints of
+        torch's hub; None if there are none. RunError as for ``from_file``."""
+        kept = Path(torch.hub.get_dir(), "checkpoints", KEPT_AS)
+        return cls.from_file(path or kept) if path or kept.is_file() else None
 
     @classmethod
     def from_file(cls, path: Path, device: torch.device | str = "cpu") -> Lpips:

@@ -101,7 +101,7 @@ def evaluate_renders(
         name: of the program, in the report; by default the folder's name.
         output: folder to write to; by default ``folder/eval``.
         resolution: photos wider than this many pixels are downscaled to it, as in training.
-        lpips_weights: weights for LPIPS; without them it is missing, with the reason.
+        lpips_weights: weights for LPIPS, as for ``evaluate_run``.
 
     Raises:
         SceneError: the scene cannot be read, or has no eval views.

@@ -116,6 +116,7 @@ class RunFacts:
             images.
         train_seconds: wall-clock time of the training, s.
         device: ``cpu`` or the GPU's name.
+        custom_parts: what it was trained with besides its configuration, see ``RunFolder``.
     """
 
     method: str
@@ -125,6 +126,7 @@ class RunFacts:
     train_seconds: float | None = None
     peak_memory_bytes: int | None = None
     device: str = "not known"
+    custom_parts: Sequence[str] = ()
 
 
 def to_document(
@@ -186,6 +188,7 @@ def to_markdown(facts: RunFacts, metrics: Metrics, parts: Parts | None = None) -
     blocks = [
         f"# {escape_markdown(facts.method)} on {escape_markdown(facts.scene)}",
         ", ".join(cost),
+        *(f"- custom {escape_markdown(part)}" for part in facts.custom_parts),
     ]
     for modality, mean in metrics.mean.items():
         figures = [(escape_markdown(view.name), view.figures[modality]) for view in metrics.views]

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, UInt8
 from torch import Tensor
 
+from mrgs.data.undistort import reduced
 from mrgs.errors import ConfigError, SceneError, warn_user
 from mrgs.evaluation.contact_sheet import SheetRows, ViewImages, contact_sheet
 from mrgs.evaluation.evaluate import Metrics, Truth, ViewMetrics, evaluate
@@ -42,11 +44,16 @@ from mrgs.pictures.files import (
 )
 from mrgs.pictures.palette import PaletteName
 from mrgs.pictures.video import VIDEO_FPS, frame_writer
+from mrgs.render import bake_temperature_residuals
+from mrgs.run_files.folder import Pictures
 from mrgs.runs.open import Run, TrainedRun
-from mrgs.runs.refined_poses import moved_cameras, moved_view
 from mrgs.scene import CameraResponse, Modality, Rendering, Scene, View, ideal_cameras
 from mrgs.scene.camera_paths import orbit
+from mrgs.scene.view import moved_cameras, moved_view
+from mrgs.system.gpu import HOST
 from mrgs.system.memory import give_back_freed
+from mrgs.system.torch_modes import own_modes
+from mrgs.training.loop import Trainer
 from mrgs.training.pose_check import looked_at, spread
 from mrgs.training.view_pass import pixel_sizes
 
@@ -93,6 +100,9 @@ FEWEST_POINTS = 16
 """Least number of surface points that a view must show."""
 
 MOST_POINTS = 1000
+
+PICTURED_VIEWS, PICTURE_PX = 3, 512
+"""Held-out views that TensorBoard shows during a training, and the greatest width of a picture."""
 
 
 class HeldOutError(NamedTuple):
@@ -212,8 +222,8 @@ def _seen(image: Alignable) -> Bool[Tensor, "h w"]:
 def evaluate_run(
     run: TrainedRun, lpips_weights: Path | None = None, progress: Progress | None = None
 ) -> Metrics:
-    """Score the run on its scene's eval views; without ``lpips_weights`` LPIPS is left out, with
-    the reason.
+    """Score the run on its scene's eval views. LPIPS takes ``lpips_weights``, or what torch's hub
+    keeps (docs/runs.md); without either it is left out, with the reason.
 
     Writes ``metrics.json``, ``metrics.md`` and ``contact_sheet.png`` into the run's folder
     ``eval``. The progress is called with finished and all steps: a view is inspected, and scored.
@@ -296,7 +306,7 @@ def score_views(
 
     Args:
         truth: the scene's exact truth; None if there is none.
-        lpips_weights: weights for LPIPS; without them it is missing, with the reason.
+        lpips_weights: weights for LPIPS, if not those that torch's hub keeps.
         camera_response: from a rendering to what the cameras record, which the photos show.
         parts: for the report; None if the model has none.
         data: of the scores, for the report; None for another program's renderings.
@@ -314,7 +324,7 @@ def score_views(
             f"{scene.path or scene.name}: no views are held out, so there is nothing to score; "
             f"{remedy}, and retrain"
         )
-    lpips = None if lpips_weights is None else Lpips.from_file(lpips_weights)
+    lpips = Lpips.found(lpips_weights)
     shown = SheetRows(len(scene.eval))
     score = partial(
         evaluate,
@@ -344,6 +354,50 @@ def score_views(
     return metrics
 
 
+def score_during_training(trainer: Trainer) -> tuple[dict[str, float], Pictures]:
+    """Score the held-out views with the model as it is between two steps, which leaves the training
+    as it is.
+
+    The numbers are the means that ``evaluate_run`` would find, without LPIPS:
+    ``eval_MODALITY_FIGURE`` against the photos and ``eval_truth_FIGURE`` against the exact truth.
+    The pictures show photo and rendering of a few views side by side. SceneError if an image or a
+    truth file cannot be read; DeviceError if the GPU's memory does not suffice."""
+    run, views = _run_in_training(trainer), trainer.scene.eval
+    shown = {views[number].name for number in spread(len(views), PICTURED_VIEWS)}
+    pictures: dict[str, UInt8[np.ndarray, "h w 3"]] = {}
+
+    def visit(view: View, observed: Rendering, _: ViewMetrics) -> None:
+        for modality in observed if view.name in shown else ():
+            both = view.images[modality].load().values, observed[modality].image.detach().cpu()
+            small = [reduced(values, None, PICTURE_PX)[0] for values in both]
+            drawn = [to_picture(modality, each, run.temperature, "inferno") for each in small]
+            pictures[f"eval/{modality}_{view.name}"] = np.hstack(drawn)
+
+    truth, response = Truth.of(trainer.scene), run.camera_response
+    metrics = evaluate(views, run.render_view, run.temperature, None, truth, visit, response)
+    groups = [*metrics.mean.items(), ("truth", metrics.truth or {})]
+    numbers = {
+        f"eval_{group}_{name}": figure
+        for group, figures in groups
+        for name, figure in figures.items()
+        if isinstance(figure, float)
+    }
+    return numbers, pictures
+
+
+def _run_in_training(trainer: Trainer) -> Run:
+    """What ``load_run`` would open if the trainer wrote a checkpoint now."""
+    state, model = trainer.state, replace(trainer.state.model)
+    with torch.no_grad(), own_modes(state.device):
+        if model.neighbours is None:  # right after a densification
+            model.neighbours = model.field.neighbours_of(model.gaussians.means)
+        model = bake_temperature_residuals(model)
+    image_model = state.image_model
+    if state.device != HOST:
+        image_model = deepcopy(image_model).to(HOST)
+    return Run(trainer.folder, trainer.config, trainer.facts, model, image_model, state.device)
+
+
 def facts_of(run: TrainedRun, scene: Scene) -> RunFacts:
     """Facts about a run for its report: method, scene, size and cost."""
     return RunFacts(
@@ -354,6 +408,7 @@ def facts_of(run: TrainedRun, scene: Scene) -> RunFacts:
         run.facts.train_seconds,
         run.facts.peak_memory_bytes or None,
         run.facts.device,
+        run.folder.custom_parts,
     )
 
 

@@ -6,13 +6,15 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
 
+import numpy as np
 from filelock import FileLock, Timeout
+from jaxtyping import UInt8
 
 from mrgs.errors import (
     ConfigError,
@@ -29,11 +31,17 @@ from mrgs.system.wording import listed
 
 CHECKPOINTS_KEPT = 2
 
+Pictures: TypeAlias = Mapping[str, UInt8[np.ndarray, "h w 3"]]
+"""By name."""
+
 TENSORBOARD = "tensorboard"
 """Folder of the log for TensorBoard, in the run's folder."""
 
 _LEFT_BEHIND = {"checkpoints", TENSORBOARD, "blocks", "survey.yaml", "marks.json"}
 """Files that may be there before a run: an earlier one's, and what the user has entered for it."""
+
+_CUSTOM, _LONGEST_CUSTOM = "# custom ", 300
+"""What begins a comment of config.yaml that names a part from Python, and how long it may be."""
 
 _EVERY_CONFIG_HAS = {"method", "max_steps", "resolution", "seed", "checkpoint_every"}
 
@@ -236,8 +244,25 @@ class RunFolder:
             values = self.read_config(parse_yaml)
         return values if isinstance(values, dict) else {}
 
-    def append_log(self, entry: dict[str, Any]) -> None:
-        """Add a line to the log, null for numbers that are not finite; RunError if it fails."""
+    @property
+    def custom_parts(self) -> list[str]:
+        """What the run was trained with besides its configuration, which comments of config.yaml
+        name; empty without that file."""
+        with suppress(RunError):
+            lines = self.read_config(lambda text, _: text.splitlines())
+            return [line.removeprefix(_CUSTOM) for line in lines if line.startswith(_CUSTOM)]
+        return []
+
+    def note_custom_parts(self, parts: Iterable[str]) -> None:
+        """Add those to config.yaml that it does not name yet. RunError if it cannot be written."""
+        lines = [" ".join(part.split())[:_LONGEST_CUSTOM] for part in parts]
+        if new := [line for line in lines if line not in self.custom_parts]:
+            text = self.read_config(lambda text, _: text.rstrip("\n"))
+            write_text(self.config_file, "\n".join([text, *(_CUSTOM + line for line in new), ""]))
+
+    def append_log(self, entry: dict[str, Any], pictures: Pictures | None = None) -> None:
+        """Add a line to the log, null for numbers that are not finite, and pictures to the log for
+        TensorBoard, if one is written; RunError if the log cannot be written."""
         finite = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in entry.items()
@@ -246,8 +271,11 @@ class RunFolder:
             file.write(json.dumps(finite, allow_nan=False) + "\n")
         for name, value in finite.items():
             if self._tensorboard and name != "step" and isinstance(value, int | float):
-                grouped = re.sub("^loss_", "loss/", name)
+                grouped = re.sub("^(loss|eval)_", r"\1/", name)
                 self._tensorboard.add_scalar(grouped, value, finite["step"])
+        for name, picture in (pictures or {}).items():
+            if self._tensorboard:
+                self._tensorboard.add_image(name, picture, finite["step"], dataformats="HWC")
 
     @contextmanager
     def tensorboard_log(self, step: int) -> Iterator[None]:

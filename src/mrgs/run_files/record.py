@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +186,15 @@ class RunRecord:
             self._folder.drop_old_checkpoints()
             now = self._clock()
             self._save_at = now + max(SAVE_EVERY_S, (now - began) / SAVE_SHARE)
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Within this block nothing is trained: its time does not count as the training's."""
+        began = self._clock()
+        try:
+            yield
+        finally:
+            self._started += self._clock() - began
 
     def error(self, why: str, kind: type[TrainingError] = TrainingError) -> TrainingError:
         """The error for values that are not finite, with the newest checkpoint."""

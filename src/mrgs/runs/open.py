@@ -15,20 +15,21 @@ from torch import Tensor
 
 from mrgs.errors import ConfigError, DeviceError, RunError
 from mrgs.method.camera_model.image_model import ImageModel
+from mrgs.method.camera_model.pose_refinement import PoseRefinement
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.render import Model, bake_temperature_residuals, render
 from mrgs.run_files.facts import require_scene
 from mrgs.run_files.folder import RunFolder
-from mrgs.runs.refined_poses import with_refined_poses
 from mrgs.runs.registry import Method, find_method
 from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
+from mrgs.scene.view import moved_view
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.threads import will_compute
 from mrgs.system.torch_modes import own_modes
 from mrgs.training.checkpoint import load_model
-from mrgs.training.kernel_check import check_rendering
+from mrgs.training.kernel_check import check_rendering, warn_of_missing
 
 __all__ = ["Run", "TrainedRun", "load_run", "method_of", "open_gaussians", "open_run"]
 
@@ -121,8 +122,9 @@ def open_run(
             one that the method can use.
 
     Warns:
-        MrgsWarning: an older checkpoint is used, or a kernel that rendering uses differs from the
-            plain definition of its operation, which is then used in its place.
+        MrgsWarning: an older checkpoint is used; a kernel that rendering uses differs from the
+            plain definition of its operation, which is then used in its place; or the run was
+            trained with a definition that this process has not replaced.
 
     Raises:
         RunError: the folder is not a run, its method is not registered, or its checkpoint cannot be
@@ -177,5 +179,23 @@ def open_gaussians(
     with own_modes(chosen):
         model, facts, image_model = folder.load_newest(lambda file: load_model(file, config))
         check_rendering(model, image_model, *dict.fromkeys([HOST, chosen]))
+        warn_of_missing(folder.custom_parts)
         model = bake_temperature_residuals(model)
     return Run(folder, config, facts.moved_to(scene), model, image_model, chosen)
+
+
+@torch.no_grad()
+def with_refined_poses(scene: Scene, poses: PoseRefinement) -> Scene:
+    """The scene with the poses of its training views as they were refined on it, and a note of how
+    far they were moved, in pixels of each view's first camera; held-out views keep theirs."""
+    views, shifts = scene.train, poses.shifts().tolist()
+    train = tuple(
+        moved_view(view, poses.motion(torch.tensor([number]))) for number, view in enumerate(views)
+    )
+    pixels = [shift * view.camera.focal_px for shift, view in zip(shifts, views, strict=True)]
+    farthest = max(range(len(views)), key=pixels.__getitem__)
+    note = (
+        f"the poses of the training photos were refined, by {sum(pixels) / len(pixels):.1f} px on "
+        f"average and at most {pixels[farthest]:.1f} px ({views[farthest].name})"
+    )
+    return replace(scene, train=train, notes=(*scene.notes, note))

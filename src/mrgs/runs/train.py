@@ -22,6 +22,7 @@ from mrgs.method.losses.term import Term
 from mrgs.render import Model, render
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
+from mrgs.runs.registry import imported
 from mrgs.runs.trained_run import asked_cameras
 from mrgs.scene import Camera, CameraResponse, Modality, Rendering, Scene
 from mrgs.system.gpu import DeviceName
@@ -29,9 +30,11 @@ from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.wording import shown
 from mrgs.training import start
-from mrgs.training.loop import Trainer
+from mrgs.training.loop import Trainer, Validation
 from mrgs.training.start import Hooks, TrainOptions
 from mrgs.training.step import StepStatistics
+
+_SCORE = imported("mrgs.evaluation.score_run", "score_during_training")
 
 _OPEN_LOOPS: weakref.WeakSet[Generator[LiveRun, None, None]] = weakref.WeakSet()
 """Loops of runs with a folder, which may not have ended."""
@@ -47,9 +50,11 @@ def train(
     device: DeviceName = "auto",
     plain: bool = False,
     tensorboard: bool = False,
+    eval_steps: int | None = None,
     stop_at: int | None = None,
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
+    progress: Callable[[int, int], object] | None = None,
     on_step: Callable[[StepStatistics], object] | None = None,
     on_start: Callable[[Scene, TrainConfig], None] | None = None,
     on_model: Callable[[Model, CameraResponse], None] | None = None,
@@ -57,7 +62,7 @@ def train(
     """Train a model of a scene, and open the run.
 
     Ctrl-C ends the training after the current step with a checkpoint, a second Ctrl-C at once. An
-    error in ``on_step`` ends it with a checkpoint of the last step.
+    error in ``on_step`` or ``progress`` ends it with a checkpoint of the last step.
 
     Args:
         scene: the scene or its folder; one that was read before keeps its resolution.
@@ -74,10 +79,16 @@ def train(
         plain: run the plain definitions of all operations instead of kernels, much slower; so does
             the environment variable MRGS_PLAIN=1.
         tensorboard: also write the log to the run's folder ``tensorboard``.
+        eval_steps: score the held-out views after every so many steps, and after the last, by the
+            metrics of ``evaluate_run`` without LPIPS; the scores are written to the log, pictures
+            of a few views to that for TensorBoard. Changes nothing else; its time does not count
+            as the training's. None scores none.
         stop_at: leave after this step with a checkpoint, without changing the schedule.
         strategy: density control instead of the configuration's; a resumed run needs it again.
         terms: of the loss, besides the configuration's; one with the name of such a term takes its
             place. A resumed run needs them again.
+        progress: called after each step with its number and that of all steps, as by
+            ``mrgs.progress_bar``.
         on_step: called with the ``StepStatistics`` of every step; returning True stops with a
             checkpoint.
         on_start: called once, before the model is made, with the scene and the configuration.
@@ -96,14 +107,16 @@ def train(
         RunError: the output folder cannot be used, or the resumed run had another strategy, other
             terms, or other photos, poses or intrinsics.
         DeviceError: the GPU was asked for and cannot be used.
-        ConfigError: a parameter is not what it should be, torch's default type is not float32, or
-            TensorBoard was asked for and is not installed.
+        ConfigError: a parameter is not what it should be, torch's default type is not float32,
+            TensorBoard was asked for and is not installed, or ``eval_steps`` was given and the
+            scene holds out no views.
         TrainingError: three steps in a row gave values that are not finite (found up to ten steps
             later on a GPU), the model has such a value, or the GPU's memory does not suffice; the
             last good checkpoint is kept.
     """
     options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
-    hooks, given = Hooks(on_step, on_start, on_model), _checked(config)
+    validation = None if eval_steps is None else Validation(eval_steps, _SCORE)
+    hooks, given = Hooks(on_step, on_start, on_model, progress, validation), _checked(config)
     with _run_folder(output) as folder:
         start.train(
             scene, folder.path, given, options, hooks,
@@ -122,6 +135,7 @@ def train_steps(
     device: DeviceName = "auto",
     plain: bool = False,
     tensorboard: bool = False,
+    eval_steps: int | None = None,
     strategy: Strategy | None = None,
     terms: Sequence[Term] = (),
 ) -> Generator[LiveRun, None, None]:
@@ -133,11 +147,12 @@ def train_steps(
     until then. Arguments and errors as for ``train``, but a temporary folder is removed when
     neither the loop, what it yielded nor a snapshot is left."""
     options = TrainOptions(resume, accept_changes, device, plain, tensorboard)
+    hooks = Hooks(validation=None if eval_steps is None else Validation(eval_steps, _SCORE))
 
     def steps() -> Generator[LiveRun, None, None]:
         with _run_folder(output) as folder:
             opened = start.open_training(
-                scene, folder.path, _checked(config), options, strategy=strategy, terms=terms
+                scene, folder.path, _checked(config), options, hooks, strategy=strategy, terms=terms
             )
             with opened as trainer:
                 trainer.check_kernels()

@@ -14,8 +14,9 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from mrgs.errors import SceneError, warn_user
-from mrgs.scene.arrays import Array, as_tensor, as_whole
+from mrgs.scene.arrays import Array, as_floats, as_tensor, as_whole
 from mrgs.scene.camera import Camera
+from mrgs.scene.lens import Lens, matrix_of, pinhole_of, undistort
 from mrgs.scene.modality import RGB, THERMAL, Modality, in_order
 from mrgs.scene.point_cloud import GREY, PointCloud, random_points
 from mrgs.scene.radiometry import (
@@ -66,6 +67,10 @@ class Scene:
         rgb: Images | None = None,
         celsius: Images | None = None,
         thermal_cameras: Iterable[Camera] | None = None,
+        distortion: Distortion | None = None,
+        thermal_distortion: Distortion | None = None,
+        fisheye: bool = False,
+        thermal_fisheye: bool = False,
         points: Array | None = None,
         colors: Array | None = None,
         eval_every: int = 8,
@@ -85,6 +90,13 @@ class Scene:
             rgb: of each view, [H, W, 3]: uint8, or numbers in [0, 1]; None for a view without one.
             celsius: temperatures in °C of each view, [H, W]; None as for ``rgb``.
             thermal_cameras: of the thermal images, one for each view; else those of ``cameras``.
+            distortion: OpenCV's coefficients of the lens of ``cameras``, if the images are not
+                undistorted: k1, k2, p1, p2[, k3], or k1, k2, k3, k4 of a fisheye; one set for all
+                views, or one for each, None for a view without distortion. Images are undistorted
+                when they are read, and the cameras of the views become those of what is left.
+            thermal_distortion: the same of ``thermal_cameras``.
+            fisheye: whether ``distortion`` is that of ``cv2.fisheye``.
+            thermal_fisheye: whether ``thermal_distortion`` is.
             points: start points in world coordinates, [N, 3]; else drawn before the cameras.
             colors: RGB of the points, uint8 or in [0, 1], [N, 3]; else grey.
             eval_every: every Nth view is held out, beginning with the first; 0 holds out none.
@@ -97,8 +109,9 @@ class Scene:
         Raises:
             SceneError: there is no view, a view has no image, or no temperature is finite.
             ValueError: the numbers of cameras and images differ, an image has not the size of its
-                camera, an array has another shape or values in another range, or ``eval_every`` is
-                not 0 or a whole number from 2.
+                camera, an array has another shape or values in another range, a lens has another
+                number of coefficients or such as fold the image, or ``eval_every`` is not 0 or a
+                whole number from 2.
         """
         eval_every = as_whole(eval_every, "eval_every")
         if eval_every != 0 and eval_every < 2:
@@ -106,13 +119,13 @@ class Scene:
         cameras = _cameras_from(cameras, "cameras")
         thermal = _thermal_images(celsius)
         temperature = _range_of(thermal)
-        views = _views_from_arrays(
-            cameras,
-            _color_images(rgb),
-            thermal,
-            _cameras_from(thermal_cameras, "thermal_cameras") or cameras,
-            temperature,
-        )
+        own = _cameras_from(thermal_cameras, "thermal_cameras")
+        if thermal_distortion is not None and not own:
+            raise ValueError("thermal_distortion is that of thermal_cameras: give these, too")
+        posed = _with_lenses(cameras, distortion, fisheye, "distortion")
+        given = thermal_distortion, thermal_fisheye, "thermal_distortion"
+        thermal_posed = _with_lenses(own, *given) if own else posed
+        views = _views_from_arrays(posed, _color_images(rgb), thermal, thermal_posed, temperature)
         if not views:
             raise SceneError("a scene needs at least one view: give cameras and images")
         held_out = tuple(views[::eval_every]) if eval_every and len(views) > 1 else ()
@@ -176,6 +189,12 @@ class Scene:
 Images: TypeAlias = Iterable[Array | None]
 """One image for each view, None where a view has none."""
 
+Distortion: TypeAlias = Array | Iterable[Array | None]
+"""Coefficients of one lens, or of a lens for each view."""
+
+Posed: TypeAlias = tuple[Camera, Lens | None]
+"""A camera with its lens; None if that does not distort."""
+
 _ROUNDING = 1e-3
 """Colours this far outside [0, 1] count as rounded."""
 
@@ -192,6 +211,22 @@ def _cameras_from(cameras: Iterable[Camera] | None, name: str) -> list[Camera]:
                 f"Camera(K, world_to_camera, width, height)"
             )
     return listed
+
+
+def _with_lenses(
+    cameras: Sequence[Camera], distortion: Distortion | None, fisheye: bool, name: str
+) -> list[Posed]:
+    given = _listed([None] if distortion is None else distortion, name, "coefficients")
+    sets = [None if each is None else as_floats(each, name).flatten().tolist() for each in given]
+    if all(numbers is not None and len(numbers) == 1 for numbers in sets):  # of one lens
+        sets = [[number for numbers in sets if numbers for number in numbers]]
+    sets = sets * len(cameras) if len(sets) == 1 else sets
+    if len(sets) != len(cameras):
+        raise ValueError(f"{len(cameras)} cameras, but {len(sets)} lenses in {name}")
+    return [
+        (camera, None if numbers is None else Lens.of_opencv(camera, numbers, fisheye, name))
+        for camera, numbers in zip(cameras, sets, strict=True)
+    ]
 
 
 def _color_images(rgb: Images | None) -> list[Tensor | None]:
@@ -248,10 +283,10 @@ def _range_of(thermal: Sequence[Tensor | None]) -> TemperatureRange | None:
 
 
 def _views_from_arrays(
-    cameras: Sequence[Camera],
+    cameras: Sequence[Posed],
     rgb: Sequence[Tensor | None],
     thermal: Sequence[Tensor | None],
-    thermal_cameras: Sequence[Camera],
+    thermal_cameras: Sequence[Posed],
     temperature: TemperatureRange | None,
 ) -> list[View]:
     """Views of images in memory, named by their number; see ``Scene.from_arrays``."""
@@ -266,11 +301,9 @@ def _views_from_arrays(
     ):
         found: dict[Modality, PosedImage] = {}
         if colors is not None:
-            _check_size(colors, camera, f"rgb[{number}]")
-            found[RGB] = PosedImage(camera, partial(_load, colors, None))
+            found[RGB] = _posed(colors, camera, None, f"rgb[{number}]")
         if celsius is not None and temperature is not None:
-            _check_size(celsius, thermal_camera, f"celsius[{number}]")
-            found[THERMAL] = PosedImage(thermal_camera, partial(_load, celsius, temperature))
+            found[THERMAL] = _posed(celsius, thermal_camera, temperature, f"celsius[{number}]")
         if not found:
             raise SceneError(f"view {number} has no image with a known pixel: leave its camera out")
         views.append(View(f"{number:05d}", found))
@@ -322,18 +355,32 @@ def _as_shares(colors: Tensor) -> Float32[Tensor, "*n 3"]:
     return (colors.float() * scale).contiguous()
 
 
-def _check_size(image: Tensor, camera: Camera, name: str) -> None:
+def _posed(
+    image: Tensor, posed: Posed, temperature: TemperatureRange | None, name: str
+) -> PosedImage:
+    """An image in memory, undistorted if its camera has a lens."""
+    camera, lens = posed
     size = (camera.height, camera.width)
     if image.shape[:2] != size:
         expected = [*size, *image.shape[2:]]
         raise ValueError(f"{name} must have shape {expected}, not {list(image.shape)}")
+    if lens is not None:
+        camera = Camera(matrix_of(pinhole_of(lens)), camera.viewmat, *reversed(size))
+    return PosedImage(camera, partial(_load, image, temperature, lens))
 
 
-def _load(image: Tensor, temperature: TemperatureRange | None) -> Pixels:
-    """Colours, or °C with a scale; valid are pixels that are finite in all channels."""
+def _load(image: Tensor, temperature: TemperatureRange | None, lens: Lens | None) -> Pixels:
+    """Colours, or °C with a scale; valid are pixels that the lens sees and that are finite in all
+    channels."""
     if temperature is None:
         values = _as_shares(image)
     else:
         values = temperature.from_celsius(image.float())[..., None]
     known = values.isfinite().all(dim=2)
-    return Pixels(values) if known.all() else Pixels(values.nan_to_num(0, 0, 0), known)
+    valid = None if known.all() else known
+    values = values if valid is None else values.nan_to_num(0, 0, 0)
+    if lens is not None:
+        values, valid = undistort(values, valid, lens)
+        if image.dtype == torch.uint8:  # as of files: then they take as little memory as before
+            values = (values * 255).round_() / 255
+    return Pixels(values, valid)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
 from mrgs.scene.camera import Camera
@@ -105,3 +105,20 @@ def share_camera(cameras: Mapping[Modality, Camera], one: Modality, other: Modal
 def evenly_spaced(count: int, most: int = 5) -> list[int]:
     """At most ``most`` indices of ``count`` views, evenly spread, with the first and the last."""
     return sorted({round(index) for index in np.linspace(0, count - 1, min(count, most))})
+
+
+def moved_cameras(
+    cameras: Mapping[Modality, Camera], motion: Float64[Tensor, "4 4"]
+) -> dict[Modality, Camera]:
+    """Cameras that see the world moved, in scene units."""
+    return {
+        modality: Camera(camera.K, camera.viewmat @ motion, camera.width, camera.height)
+        for modality, camera in cameras.items()
+    }
+
+
+def moved_view(view: View, motion: Float64[Tensor, "4 4"]) -> View:
+    """The view with the cameras that see the world moved."""
+    cameras = moved_cameras(view.cameras, motion)
+    images = {each: replace(view.images[each], camera=cameras[each]) for each in view.images}
+    return replace(view, images=images)

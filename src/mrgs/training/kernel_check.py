@@ -1,14 +1,19 @@
-"""Do the kernels compute what their plain definitions say? Checked when a training starts, and when
-a trained model is opened."""
+"""Do the kernels compute what their plain definitions say, and are these the package's own? Checked
+when a training starts, and when a trained model is opened."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from types import FunctionType
+from typing import Any
 
 import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from mrgs.errors import warn_user
 from mrgs.method.adam import move
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.config import TrainConfig
@@ -16,7 +21,8 @@ from mrgs.method.losses.term import SceneScale
 from mrgs.method.losses.terms import term_values
 from mrgs.render import Model, render, rows_in_view
 from mrgs.scene import NOT_COARSER, Camera, Gaussians, Pixels, Scene
-from mrgs.system.operation import checking
+from mrgs.system.operation import Operation, checking
+from mrgs.system.wording import listed
 from mrgs.training.state import TrainingState
 from mrgs.training.view_pass import ViewInputs, rendered
 
@@ -33,6 +39,54 @@ CHANGED_BY = {
 }  # fmt: skip
 """Standard deviations of what is added to the sample's parameters. A training starts with balls
 that look the same from everywhere, so that much of the mathematics would not show in them."""
+
+
+_DEFINED_IN = ("mrgs.field.", "mrgs.method.", "mrgs.rasterizer.", "mrgs.render.", "mrgs.training.")
+_IMPORTED = {"mrgs", "torch", "numpy", "scipy", "jaxtyping", *sys.stdlib_module_names}
+"""Packages whose functions these modules import."""
+
+
+def custom_definitions() -> list[str]:
+    """The functions of the model that someone has replaced from outside of the package, each as
+    "equation: NAME: WHAT REPLACES IT", and as "kernel: NAME: ..." the operations whose kernels were
+    found to differ."""
+    found: dict[str, str] = {}
+    for name, value in _members():
+        if isinstance(value, Operation) and value.rejected:
+            found[f"kernel: {value.name}"] = "not used, it differs from the definition"
+        plain = value.plain if isinstance(value, Operation) else value
+        if isinstance(plain, FunctionType) and full_name(plain).partition(".")[0] not in _IMPORTED:
+            found[f"equation: {name}"] = full_name(plain)
+    return [f"{what}: {other}" for what, other in found.items()]
+
+
+def _members() -> Iterator[tuple[str, Any]]:
+    """What the modules of the model and their classes have, by full name."""
+    for name, module in [*sys.modules.items()]:
+        own = vars(module) if f"{name}.".startswith(_DEFINED_IN) else {}
+        types = [value for value in own.values() if isinstance(value, type)]
+        classes = {
+            full_name(each): vars(each) for each in types if each.__module__.startswith("mrgs.")
+        }
+        for place, members in ({name: own} | classes).items():
+            yield from ((f"{place}.{attribute}", value) for attribute, value in members.items())
+
+
+def full_name(named: type | FunctionType) -> str:
+    """The name of a class or function with its module."""
+    return f"{named.__module__}.{named.__qualname__}"
+
+
+def warn_of_missing(custom_parts: Iterable[str]) -> None:
+    """MrgsWarning if a run was trained with replaced definitions that this process has not
+    replaced; see ``RunFolder.custom_parts``."""
+    here = [part.split(": ")[1] for part in custom_definitions()]
+    trained = [part.split(": ")[1] for part in custom_parts if part.startswith("equation: ")]
+    if names := [name for name in trained if name not in here]:
+        warn_user(
+            f"the run was trained with other definitions of {listed(names)}: replace them in this "
+            f"process, too, or what it computes by them is of another model"
+        )
 
 
 def check_kernels(

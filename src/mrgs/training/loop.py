@@ -4,25 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
 from typing import TypeVar
 
 import torch
 
-from mrgs.errors import NotFiniteError, RunError, TrainingError, warn_user
+from mrgs.errors import ConfigError, NotFiniteError, RunError, TrainingError, warn_user
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.parts import part_spreads
 from mrgs.run_files.facts import CheckpointFacts
-from mrgs.run_files.folder import RunFolder
+from mrgs.run_files.folder import Pictures, RunFolder
 from mrgs.run_files.record import RunRecord, asks_to_stop
 from mrgs.scene import Scene
 from mrgs.system.gpu import lacks_memory
+from mrgs.system.limits import whole_number
 from mrgs.system.operation import kernels_disabled
 from mrgs.system.threads import require_own_threads
 from mrgs.system.torch_modes import own_modes
 from mrgs.system.turns import FairLock, ctrl_c_waits
 from mrgs.training import checkpoint
-from mrgs.training.kernel_check import check_kernels
+from mrgs.training.kernel_check import check_kernels, custom_definitions
 from mrgs.training.photos import TrainingPhotos
 from mrgs.training.pose_check import PoseCheck, checks_poses_now
 from mrgs.training.recorder import Recorder
@@ -31,6 +33,21 @@ from mrgs.training.step import StepResult, StepStatistics, control_density, trai
 from mrgs.training.view_pass import PhotographedView
 
 Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Scoring of the held-out views while a model is trained, after ``every`` so many steps and
+    after the last. ``score`` returns numbers by name for the log and pictures for TensorBoard, and
+    leaves the training as it is. ConfigError if ``every`` is not a whole number from 1."""
+
+    every: int
+    score: Callable[[Trainer], tuple[Mapping[str, float], Pictures]]
+
+    def __post_init__(self) -> None:
+        if whole_number(self.every, "eval_steps") < 1:
+            why = f"eval_steps must be at least 1, not {self.every}"
+            raise ConfigError(why, options=("eval_steps",))
 
 
 class Trainer:
@@ -44,8 +61,10 @@ class Trainer:
         scene: Scene,
         config: TrainConfig,
         state: TrainingState,
+        validation: Validation | None = None,
     ) -> None:
         self.folder, self.scene, self.config, self.state = folder, scene, config, state
+        self.facts, self._validation = facts, validation
         device = state.device
         self._record = RunRecord(
             folder,
@@ -68,14 +87,21 @@ class Trainer:
         """Compare the kernels in use with their plain definitions; the training stays the same."""
         with own_modes(self.state.device):
             check_kernels(self.state, self.scene, self.config, self._scale)
+        self.folder.note_custom_parts(custom_definitions())
 
     def run(
-        self, stop_at: int | None = None, on_step: Callable[[StepStatistics], object] | None = None
+        self,
+        stop_at: int | None = None,
+        on_step: Callable[[StepStatistics], object] | None = None,
+        progress: Callable[[int, int], object] | None = None,
     ) -> None:
-        """Train until the schedule's end, the step ``stop_at``, or ``on_step`` returns True; the
-        last step is checkpointed, also after Ctrl-C or an error in ``on_step``."""
+        """Train until the schedule's end, the step ``stop_at``, or ``on_step`` returns True;
+        ``progress`` is called after each step with its number and that of all. The last step is
+        checkpointed, also after Ctrl-C or an error in what is called."""
         with closing(self.steps(stop_at)) as steps:
             for statistics in steps:
+                if progress is not None:
+                    progress(statistics.step, self.config.max_steps)
                 if on_step is not None and asks_to_stop(on_step(statistics)):
                     break
 
@@ -85,12 +111,23 @@ class Trainer:
         last = self.config.max_steps if stop_at is None else min(stop_at, self.config.max_steps)
         while self._record.step < last:
             try:
-                yield self._next_step()
+                statistics = self._next_step()
+                self._validate_if_due()
+                yield statistics
             except BaseException:  # unless the step itself failed
                 if not self._is_half_done:
                     self.save()
                 raise
             self._record.save_if_due(last)
+
+    def _validate_if_due(self) -> None:
+        """Score the held-out views if it is time; Ctrl-C does not wait for the end."""
+        validation, step = self._validation, self._record.step
+        if validation is None or (step % validation.every and step != self.config.max_steps):
+            return
+        with self._record.paused(), self.between_steps():
+            numbers, pictures = validation.score(self)
+            self.folder.append_log({"step": step, **numbers}, pictures)
 
     def save(self) -> None:
         """Write a checkpoint of the last step; Ctrl-C waits for its end. NotFiniteError if the

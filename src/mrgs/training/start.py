@@ -17,20 +17,23 @@ from mrgs.errors import ConfigError
 from mrgs.method.config import TrainConfig, from_yaml
 from mrgs.method.density import Strategy
 from mrgs.method.losses.term import Term
+from mrgs.method.losses.terms import configured_terms
 from mrgs.render import Model
 from mrgs.run_files.checkpoint import load_facts
 from mrgs.run_files.facts import CheckpointFacts, facts_to_resume, require_scene
 from mrgs.run_files.folder import CHECKPOINTS_KEPT, C, ReadConfig, RunConfig, RunFolder, T
 from mrgs.scene import CameraResponse, Scene
+from mrgs.scene.capture import model_modalities
 from mrgs.system import gpu
 from mrgs.system.disk import warn_if_short
 from mrgs.system.gpu import HOST, DeviceName
 from mrgs.system.limits import whole_number
 from mrgs.system.operation import disable_kernels
 from mrgs.system.threads import require_own_threads, will_compute
-from mrgs.system.torch_modes import own_modes
+from mrgs.system.torch_modes import own_modes, seeded
 from mrgs.training import checkpoint
-from mrgs.training.loop import Trainer
+from mrgs.training.kernel_check import full_name, warn_of_missing
+from mrgs.training.loop import Trainer, Validation
 from mrgs.training.memory import checkpoint_bytes
 from mrgs.training.state import TrainingState, initial_state
 
@@ -50,11 +53,13 @@ class TrainOptions:
 @dataclass(frozen=True)
 class Hooks:
     """Functions that a training calls: ``mrgs.train`` describes the keywords of these names.
-    Methods without Gaussians do not call ``on_model``."""
+    Methods without Gaussians do not call ``on_model``, and have no ``validation``."""
 
     on_step: Callable[[Any], object] | None = None
     on_start: Callable[[Scene, Any], object] | None = None
     on_model: Callable[[Model, CameraResponse], object] | None = None
+    progress: Callable[[int, int], object] | None = None
+    validation: Validation | None = None
 
 
 class TrainingPart(NamedTuple):
@@ -94,7 +99,7 @@ def train(
         if hooks.on_model is not None:
             hooks.on_model(trainer.state.model, _response_of(trainer.state))
         trainer.check_kernels()
-        trainer.run(stop_at, hooks.on_step)
+        trainer.run(stop_at, hooks.on_step, hooks.progress)
     return trainer.folder
 
 
@@ -112,6 +117,7 @@ def open_training(
 ) -> Iterator[Trainer]:
     """Around a training: the folder locked, a trainer ready for its first step; see ``train``."""
     folder, device = RunFolder(output), gpu.choose_device(options.device)
+    custom = strategy if part is None else None
     strategy = strategy if part is None else part.strategy
     if isinstance(scene, Scene) and not options.resume:
         config = replace(config, resolution=scene.resolution)
@@ -137,6 +143,12 @@ def open_training(
                 f"{loaded.name}: choose a smaller one",
                 options=("batch",),
             )
+        if hooks.validation is not None and not loaded.eval:
+            why = f"{loaded.name} holds out no views to score: hold some out, or ask for no scores"
+            raise ConfigError(why, options=("eval_steps",))
+        if options.resume:
+            warn_of_missing(folder.custom_parts)
+        folder.note_custom_parts(_custom_parts(config, loaded, custom, terms))
         most = max(config.densification.max_gaussians, len(state.model.gaussians))
         size = checkpoint_bytes(config, loaded.modalities, most)
         # Those that are kept, and the one being written.
@@ -146,8 +158,23 @@ def open_training(
         # A resumed run continues with the cameras as they are now.
         state.model.dilation = config.dilation_of(facts.capture)
         log = folder.tensorboard_log(facts.step) if options.tensorboard else nullcontext()
-        with log, closing(Trainer(folder, facts, loaded, config, state)) as trainer:
+        rest = state, hooks.validation
+        with log, closing(Trainer(folder, facts, loaded, config, *rest)) as trainer:
             yield trainer
+
+
+def _custom_parts(
+    config: TrainConfig, scene: Scene, strategy: Strategy | None, terms: Sequence[Term]
+) -> Iterator[str]:
+    """The strategy and the terms that a training has from Python."""
+    if strategy is not None:
+        yield f"strategy: {type(strategy).__module__}.{strategy!r}"
+    with seeded(config.seed):
+        configured = configured_terms(config, (), model_modalities(scene.modalities))
+    for term in terms:
+        replaces = term.name in [each.name for each in configured]
+        place = ", in place of the configured one" if replaces else ""
+        yield f"term: {term.name}: {full_name(type(term))}{place}"
 
 
 @contextmanager

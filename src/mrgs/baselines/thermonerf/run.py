@@ -155,6 +155,8 @@ def _train(
                 statistics = training_step(state, pool, config)
                 record.add(statistics)
                 is_whole = True
+            if hooks.progress is not None:
+                hooks.progress(record.step, config.max_steps)
             if hooks.on_step is not None and asks_to_stop(hooks.on_step(statistics)):
                 last = record.step
         except BaseException:
