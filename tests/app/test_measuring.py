@@ -15,6 +15,7 @@ from mrgs.app.cli import main
 from mrgs.marks.mark import Mark
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL
+from mrgs.survey import Survey, write_survey
 from tests.helpers.runs import SMALL, trained_run
 
 VIEW = "frame_train_00001"
@@ -176,3 +177,16 @@ def test_a_reference_temperature_that_cannot_be_is_refused(run, capsys, referenc
     assert main(["measure", str(run), "--reference", reference]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
+
+
+def test_what_is_cropped_is_not_measured(run, capsys):
+    assert main(["measure", str(run), "--spot", f"{VIEW}:20,15"]) == 0
+    means = load_run(run).model.gaussians.means
+    x, y, z = means[means[:, 2].argmin()].tolist()
+    write_survey(run / "survey.yaml", Survey(crop=(x - 0.1, y - 0.1, z - 0.1, x + 0.1, y + 0.1, z)))
+    capsys.readouterr()
+    assert main(["measure", str(run)]) == 0
+    printed = capsys.readouterr()
+    assert "–" in printed.out.splitlines()[1].split()[2]
+    assert "left out" in printed.err
+    (run / "survey.yaml").unlink()

@@ -23,7 +23,7 @@ from mrgs.pipeline.intake import take_in
 from mrgs.pipeline.plan import QUALITIES, Quality
 from mrgs.pipeline.stages import LEDGER
 from mrgs.prepare import Preparation, PrepareOptions, StageReport
-from mrgs.survey import SURVEY_FILE, Survey, read_survey
+from mrgs.survey import SURVEY_FILE, Survey, read_survey, write_survey
 from tests.helpers.photos import photo
 from tests.helpers.scenes import write_scene
 
@@ -150,6 +150,9 @@ def test_what_is_stated_or_marked_later_is_reported(own, small_scene):
     assert run_again() == []
     marks.accept("H1")
     assert run_again() == ["report", "page", "exports"]
+    everything = Survey(crop=(-99.0, -99.0, -99.0, 99.0, 99.0, 99.0))
+    write_survey(own / "fast" / "survey.yaml", everything)
+    assert run_again() == ["render", "report", "page", "exports"]
     (own / "fast" / "marks.json").write_text("[", encoding="utf-8")
     with pytest.warns(MrgsWarning, match="is damaged"):
         assert run_again() == ["report", "page", "exports"]

@@ -69,6 +69,14 @@ RunPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN", hel
 MovedScene = Annotated[
     Maybe[Path], tyro.conf.arg(help="Scene folder, if it has moved since training.")
 ]
+CropBox = Annotated[
+    Maybe[tuple[float, float, float, float, float, float]],
+    tyro.conf.arg(
+        metavar="X0 Y0 Z0 X1 Y1 Z1",
+        help="Leave out what is outside this box in the scene's coordinates; by default the "
+        "survey's (docs/export.md).",
+    ),
+]
 ScenePath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
 
 _OF_PREPARE = ("pairs", "pair_table", "poses", "one_camera", "thermal_camera", "eval_every")
@@ -293,6 +301,7 @@ class Render:
     """Frames per second of its videos, by default 24."""
     scale_bar: bool = False
     """Draw a scale bar beside the temperatures of its frames."""
+    crop: CropBox = None
     device: RenderDevice = "auto"
 
 
@@ -306,6 +315,7 @@ class ViewRun:
     """Address to listen on; 0.0.0.0 exposes the viewer to the network, to whoever has its token."""
     port: int = 8080
     """TCP port; 0 picks a free port."""
+    crop: CropBox = None
 
 
 @dataclass(frozen=True)
@@ -330,6 +340,7 @@ class Export:
     """Pixel size of the maps (ortho, elevation) in metres; by default that of the photos."""
     crs: Maybe[str] = None
     """ortho, las: projected coordinate system in metres, such as EPSG:25832; by default UTM."""
+    crop: CropBox = None
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def report_run(
         capture=sections.capture_rows(scene, survey, t),
         settings=settings_of(scene.records),
         setting_text=sections.setting_text,
-        notes=[t(note) for note in scene.notes],
+        notes=[*(t(note) for note in scene.notes), *sections.crop_notes(run, t)],
         appendix=appendix,
         scores=sections.read_scores(run, t) if appendix else None,
         contact_sheet=sections.read_contact_sheet(run) if appendix else None,
