@@ -302,19 +302,22 @@ def _export(command: commands.Export) -> None:
 def _report(command: commands.Report) -> None:
     from mrgs.pipeline.forecast import expect_report
     from mrgs.report import report_run
-    from mrgs.report.write import require_weasyprint
+    from mrgs.report.write import require_docx, require_weasyprint
     from mrgs.runs.open import load_run
 
     if command.pdf:
         require_weasyprint()
+    if command.docx:
+        require_docx()
     run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
     _state_survey(command)
     run, scene = cropped(run), run.load_scene()
     with counter("report", expect_report(run, scene)) as progress:
         write = partial(report_run, run, command.output, command.language, command.pdf)
-        path = write(appendix=command.appendix, scene=scene, progress=progress)
-    say(f"report: {path}", *([f"pdf: {path.with_suffix('.pdf')}"] if command.pdf else []))
+        page = write(docx=command.docx, appendix=command.appendix, scene=scene, progress=progress)
+    others = [name for name in ("pdf", "docx") if getattr(command, name)]
+    say(f"report: {page}", *(f"{name}: {page.with_suffix(f'.{name}')}" for name in others))
 
 
 def _state_survey(command: commands.Report) -> None:

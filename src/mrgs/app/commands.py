@@ -362,6 +362,8 @@ class Report:
     """Language of the report."""
     pdf: bool = False
     """Also write a PDF beside it. Needs mrgs[report]."""
+    docx: bool = False
+    """Also write a Word document to be edited. Needs mrgs[report]."""
     appendix: bool = False
     """With scores, contact sheet, training, and drift and shading of the thermal camera."""
     scene: MovedScene = None
