@@ -122,9 +122,11 @@ def test_everything_lands_in_one_folder(finished, small_scene):
 
 
 def test_the_results_lie_beside_the_photos_by_default(small_scene):
-    folder = run_module.default_output(small_scene)
+    folder = run_module.default_output(small_scene, PrepareOptions())
     assert folder == small_scene.parent / f"{small_scene.name}-mrgs"
-    assert run_module.default_output(small_scene / "transforms.json") == folder
+    assert run_module.default_output(small_scene / "transforms.json", PrepareOptions()) == folder
+    of_one = run_module.default_output(small_scene, PrepareOptions(camera="../FLIR E8"))
+    assert of_one == small_scene.parent / f"{small_scene.name}-..-FLIR-E8-mrgs"
 
 
 def test_a_result_that_is_gone_is_made_again_and_nothing_else(own, small_scene):

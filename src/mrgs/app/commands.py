@@ -71,11 +71,7 @@ MovedScene = Annotated[
 ]
 CropBox = Annotated[
     Maybe[tuple[float, float, float, float, float, float]],
-    tyro.conf.arg(
-        metavar="X0 Y0 Z0 X1 Y1 Z1",
-        help="Leave out what is outside this box in the scene's coordinates; by default the "
-        "survey's (docs/export.md).",
-    ),
+    tyro.conf.arg(metavar="X0 Y0 Z0 X1 Y1 Z1", help="Crop to this box, not to the survey's."),
 ]
 ScenePath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
 
@@ -133,6 +129,8 @@ class PhotoOptions(PhotoSettings):
     """CSV file with the columns rgb and thermal, if pairs cannot be inferred from file names."""
     tolerance: float = 2.0
     """Maximum time difference within a pair, in seconds."""
+    camera: Maybe[str] = None
+    """Thermal camera whose photos are used, if there are several: its model, such as M3T."""
     poses: Maybe[Path] = None
     """Folder with poses of these photos from COLMAP or nerfstudio; they are used as they are."""
     thermal_fov: Maybe[float] = None
@@ -157,6 +155,7 @@ class PhotoOptions(PhotoSettings):
         return PrepareOptions(
             overrides=self.overrides(),
             tolerance_s=self.tolerance,
+            camera=self.camera,
             thermal_fov_deg=self.thermal_fov,
             target=None if target is None else parse_target(*target),
             known_distance=None if known is None else parse_known_distance(*known),

@@ -82,7 +82,7 @@ class Job:
         """The scene's folder; that of photos has their name, which is the model's title."""
         if self.intake.kind == "scene":
             return self.intake.source
-        name = self.intake.source.resolve().name
+        name = self.options.name_of(self.intake.source)
         return self.output / (f"{name}-scene" if name in QUALITIES else name)
 
     @property
