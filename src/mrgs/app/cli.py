@@ -302,13 +302,8 @@ def _export(command: commands.Export) -> None:
 def _report(command: commands.Report) -> None:
     from mrgs.pipeline.forecast import expect_report
     from mrgs.report import report_run
-    from mrgs.report.write import require_docx, require_weasyprint
     from mrgs.runs.open import load_run
 
-    if command.pdf:
-        require_weasyprint()
-    if command.docx:
-        require_docx()
     run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
     _state_survey(command)

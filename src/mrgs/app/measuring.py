@@ -57,8 +57,7 @@ def measure(command: Measure) -> None:
         else:
             for _ in range(2):  # once more for the share of the mark that is not quite opaque
                 marks.calibrate(name.strip(), float(celsius))
-                run = load_run(command.run, command.scene, command.device)
-                marks = open_marks(run.cropped())
+                marks = open_marks(load_run(command.run, command.scene, command.device).cropped())
     _show(command, marks)
 
 

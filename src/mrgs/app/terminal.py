@@ -124,8 +124,7 @@ def cropped(run: Run, corners: Sequence[float] | None = None) -> Run:
 
     found = run.cropped(None if corners is None else Box.between(*corners))
     if found.crop is not None:
-        total = found.gaussian_count + found.left_out
-        print_note(f"{found.left_out:,} of {total:,} Gaussians are left out: not in {found.crop}")
+        print_note(f"{found.left_out:,} Gaussians are left out: not in the box {found.crop}")
     return found
 
 

@@ -174,9 +174,7 @@ def crop_notes(run: Run, t: Texts) -> list[str]:
     if run.crop is None:
         return []
     low, high = (t.numbers(", ".join(f"{x:g}" for x in end)) for end in run.crop)
-    return [
-        t("Only what lies in a box is shown: x, y, z from {low} to {high}.", low=low, high=high)
-    ]
+    return [t("Only a box is shown: x, y, z from {low} to {high}.", low=low, high=high)]
 
 
 def _listed(settings: Iterable[Setting], t: Texts) -> str:

@@ -10,6 +10,7 @@ import re
 import warnings
 from collections.abc import Callable, Sequence
 from datetime import date, datetime, timezone
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,7 +19,7 @@ from PIL import Image, ImageDraw, ImageFile, ImageFont
 from mrgs.errors import ConfigError
 from mrgs.marks import open_marks
 from mrgs.marks.tables import DASH, PART_NAMES
-from mrgs.pictures.html import PAGE_STYLE, write_html
+from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.settings import settings_of
 from mrgs.report import sections
 from mrgs.report.anomalies import Proposals, propose
@@ -234,17 +235,16 @@ def _add(document: Any, element: Any) -> None:
     """An element of the page as paragraphs, tables and pictures at the end of a document."""
     kind, children = element.tag, list(element)
     if kind in HEADINGS:
-        parts = map(_text, children or [element])
-        document.add_heading(" · ".join(filter(None, parts)), HEADINGS[kind])
+        parts = filter(None, map(_text, children or [element]))
+        document.add_heading(" · ".join(parts), HEADINGS[kind])
     elif kind == "table":
         _add_table(document, element.xpath(".//tr"))
     elif element.get("class") == "sign":
         for text in ("_" * 30 + "\t" + "_" * 30, "\t".join(map(_text, children))):
             stops = document.add_paragraph(text).paragraph_format.tab_stops
             stops.add_tab_stop(document.sections[0].page_width // 2)
-    elif kind in STYLES:
-        if text := _text(element):
-            document.add_paragraph(text, STYLES[kind])
+    elif kind in STYLES and (text := _text(element)):
+        document.add_paragraph(text, STYLES[kind])
     elif kind == "footer":
         oxml, line = require_docx().oxml, document.sections[0].footer.paragraphs[0]
         line.text = f"{_text(element)}\t\t"
@@ -276,14 +276,12 @@ def _add_table(document: Any, rows: Sequence[Any]) -> None:
     """A table with borders, whose headings each page repeats. A column is as wide as its longest
     word asks for, and wider for long texts."""
     docx = require_docx()
-    columns = max(map(len, rows))
-    table = document.add_table(len(rows), columns, "Table Grid")
     texts = [[_text(cell) for cell in row] for row in rows]
-    asked = []
-    for i in range(columns):
-        own = [row[i] for row in texts if i < len(row)]
-        longest = max(len(word) for text in own for word in text.split(" "))
-        asked.append(4 + longest + min(max(map(len, own)), 80) // 4)
+    asked = [
+        max(4 + max(map(len, text.split(" "))) + min(len(text), 80) // 4 for text in column)
+        for column in zip_longest(*texts, fillvalue="")
+    ]
+    table = document.add_table(len(rows), len(asked), "Table Grid")
     widths = [docx.shared.Mm(TEXT_MM * each / sum(asked)) for each in asked]
     for column, width in zip(table.columns, widths, strict=True):
         column.width = width
@@ -291,7 +289,7 @@ def _add_table(document: Any, rows: Sequence[Any]) -> None:
         for cell, width, source, text in zip(row.cells, widths, sources, own, strict=False):
             cell.width, run = width, cell.paragraphs[0].add_run(text)
             run.bold = source.tag == "th" or "strong" in source.get("class", "")
-            run.font.size = docx.shared.Pt(9 if columns < 5 else 7.5)
+            run.font.size = docx.shared.Pt(9 if len(asked) < 5 else 7.5)
     if all(cell.tag == "th" for cell in rows[0]):
         table.rows[0]._tr.get_or_add_trPr().append(docx.oxml.OxmlElement("w:tblHeader"))
     document.add_paragraph()
@@ -303,33 +301,30 @@ def _add_pictures(document: Any, elements: Sequence[Any]) -> None:
     paragraph = document.add_paragraph()
     paragraph.paragraph_format.keep_with_next = True
     for element in elements:
+        source, width = element.get("src"), 110.0
         if element.tag == "svg":
-            width, content = 110.0, _chart_png(element)
+            source = inline_image(_drawn(element), "", png=True).source
         else:
             high_px, wide_px = int(element.get("height")), int(element.get("width"))
             widest = LOGO_MM if element.get("class") == "logo" else TEXT_MM / len(elements) - 2
             width = min(widest, TALLEST_MM * wide_px / high_px, MM_PER_PX * wide_px)
-            content = base64.b64decode(element.get("src").partition(",")[2])
-        inline = paragraph.add_run().add_picture(io.BytesIO(content), mm(width))._inline
+        content = io.BytesIO(base64.b64decode(source.partition(",")[2]))
+        inline = paragraph.add_run().add_picture(content, mm(width))._inline
         paragraph.add_run(" ")
         inline.docPr.set("descr", element.get("alt") or element.get("aria-label") or "")
-        for side in ("distL", "distR"):  # LibreOffice takes 3 mm where they are missing
-            inline.set(side, "0")
+        inline.attrib.update({"distL": "0", "distR": "0"})  # LibreOffice's default is 3 mm
 
 
-CHART_SCALE = 3
-"""Pixels of a chart in Word for each of its units."""
-
-
-def _chart_png(svg: Any) -> bytes:
-    """A chart of the page, of lines, texts and a path of straight lines, as PNG."""
+def _drawn(svg: Any) -> Image.Image:
+    """A chart of the page, of lines, texts and a path of straight lines, as a picture."""
+    scale = 3  # pixels for each unit of the chart
 
     def scaled(numbers: str) -> list[float]:
-        return [CHART_SCALE * float(each) for each in re.findall(r"[\d.]+", numbers)]
+        return [scale * float(each) for each in re.findall(r"[\d.]+", numbers)]
 
     _, _, width, height = scaled(svg.get("viewbox"))
     image = Image.new("RGB", (round(width), round(height)), "white")
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(13 * CHART_SCALE)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(13 * scale)
     for part in svg:
         if part.tag == "text":
             x, y = scaled(f"{part.get('x')} {part.get('y')}")
@@ -338,8 +333,6 @@ def _chart_png(svg: Any) -> bytes:
         else:
             path = part.get("d") or "{x1} {y1} {x2} {y2}".format_map(part.attrib)
             for piece in path.strip("M").split("M"):
-                thickness = round(CHART_SCALE * float(part.get("stroke-width", 1)))
+                thickness = round(scale * float(part.get("stroke-width", 1)))
                 draw.line(scaled(piece), part.get("stroke"), thickness, joint="curve")
-    buffer = io.BytesIO()
-    image.save(buffer, "PNG")
-    return buffer.getvalue()
+    return image

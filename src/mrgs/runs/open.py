@@ -128,7 +128,8 @@ class Run(TrainedRun):
             neighbours=None,  # not read once t̂ is known
             temperature_residuals=None if residuals is None else residuals[rows],
         )
-        return replace(self, model=model, crop=box, left_out=len(inside) - len(rows))
+        left_out = self.left_out + len(inside) - len(rows)
+        return replace(self, model=model, crop=box, left_out=left_out)
 
     @property
     def gaussian_count(self) -> int:

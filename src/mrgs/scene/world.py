@@ -102,8 +102,7 @@ class SceneBounds(NamedTuple):
 
 
 class Box(NamedTuple):
-    """A box along the axes of the world, from ``low`` to ``high``; both belong to it. Scene
-    units."""
+    """A box along the axes of the world from ``low`` to ``high``, both included; scene units."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]

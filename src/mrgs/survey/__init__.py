@@ -56,8 +56,7 @@ class Survey:
         photos_in_page: whether the exported page shows the photos of its views; it does by default.
         logo: picture for the report's cover; its path, from the survey's folder if it is relative.
         scale_low_c: with ``scale_high_c``, the ends of the palette in all pictures and on the page.
-        crop: x, y, z of two opposite corners of a box in the scene's coordinates; of the model only
-            what is in it is shown, measured and exported.
+        crop: x, y, z of two opposite corners of the box to which the model is cropped.
     """
 
     title: str | None = _stated()
@@ -204,7 +203,6 @@ def write_survey(path: Path, survey: Survey) -> Path:
         name = line.removesuffix(":")
         if name in stated and stated[name] is not None:
             flow = None if isinstance(stated[name], tuple) else False  # numbers in one line
-            stated_yaml = {name: stated[name]}
-            line = yaml.safe_dump(stated_yaml, allow_unicode=True, default_flow_style=flow).rstrip()
-        lines.append(line)
+            line = yaml.safe_dump({name: stated[name]}, default_flow_style=flow, allow_unicode=True)
+        lines.append(line.rstrip())
     return write_text(path, "\n".join(lines) + "\n")
