@@ -15,6 +15,7 @@ from mrgs.app.cli import main
 from mrgs.marks.mark import Mark
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL
+from mrgs.survey import Survey, write_survey
 from tests.helpers.runs import SMALL, trained_run
 
 VIEW = "frame_train_00001"
@@ -176,3 +177,31 @@ def test_a_reference_temperature_that_cannot_be_is_refused(run, capsys, referenc
     assert main(["measure", str(run), "--reference", reference]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
+
+
+def test_what_is_cropped_is_not_measured(run, capsys):
+    assert main(["measure", str(run), "--spot", f"{VIEW}:20,15"]) == 0
+    means = load_run(run).model.gaussians.means
+    x, y, z = means[means[:, 2].argmin()].tolist()
+    write_survey(run / "survey.yaml", Survey(crop=(x - 0.1, y - 0.1, z - 0.1, x + 0.1, y + 0.1, z)))
+    capsys.readouterr()
+    assert main(["measure", str(run)]) == 0
+    printed = capsys.readouterr()
+    assert "–" in printed.out.splitlines()[1].split()[2]
+    assert "left out" in printed.err
+    (run / "survey.yaml").unlink()
+
+
+@pytest.mark.parametrize("command", ["render", "export", "view"])
+def test_a_box_beside_the_model_is_refused_before_anything_is_made(run, command, capsys):
+    assert main([command, str(run), "--crop", "-9", "9", "9", "-8", "8.5", "8"]) == 2
+    assert "crop: no Gaussian is in the box -9 8.5 8 to -8 9 9" in capsys.readouterr().err
+
+
+def test_a_rendering_shows_what_is_in_the_box(run, capsys):
+    means = load_run(run).model.gaussians.means
+    low, high = means.amin(dim=0).tolist(), means.median(dim=0).values.tolist()
+    assert main(["render", str(run), "--crop", *map(str, [*low, *high])]) == 0
+    said = capsys.readouterr().err
+    inside = int((means <= means.median(dim=0).values).all(dim=1).sum())
+    assert f"{len(means) - inside:,} Gaussians are left out" in said

@@ -207,3 +207,41 @@ def test_times_are_rounded():
     times = {3: "5 seconds", 42: "40 seconds", 100: "2 minutes", 3000: "50 minutes"}
     assert all(rough(seconds) == f"about {text}" for seconds, text in times.items())
     assert rough(7000) == "about 1.9 hours"
+
+
+def test_photos_of_several_cameras_become_a_model_each(tmp_path, monkeypatch, capsys):
+    photos, begun = tmp_path / "photos", []
+    photos.mkdir()
+    for number in range(3):
+        for model in ("M3T", "FLIR E8"):
+            content = photo("celsius", model=model)
+            (photos / f"{model}{number}_T.tiff").write_bytes(content)
+            (photos / f"{model}{number}_W.jpg").write_bytes(photo("jpg", model=model))
+
+    def prepare(photos, scene, options, *_, **__):
+        begun.append((scene, options.camera))
+        raise SceneError("no poses")
+
+    monkeypatch.setattr("mrgs.pipeline.stages.prepare", prepare)
+    assert run("run", photos, "--quality", "fast") == 2
+    printed = capsys.readouterr().err
+    assert all(text in printed for text in ("FLIR E8, M3T", "FLIR E8: no poses", "M3T: no poses"))
+    assert begun == [
+        (tmp_path / "photos-FLIR-E8-mrgs" / "photos-FLIR-E8", "FLIR E8"),
+        (tmp_path / "photos-M3T-mrgs" / "photos-M3T", "M3T"),
+    ]
+    begun.clear()
+    results = tmp_path / "results"
+    for arguments in (
+        ("--camera", "M3T", "--output", results / "photos-M3T"),
+        ("--output", results),
+    ):
+        run("run", photos, "--quality", "fast", *arguments)
+    scene = results / "photos-M3T" / "photos-M3T"
+    assert [place for place, camera in begun if camera == "M3T"] == [scene, scene]
+    begun.clear()
+    assert run("run", photos, "--quality", "fast", "--thermal-fov", "57") == 2
+    assert begun == [], "the lens of one camera is not the other's"
+    capsys.readouterr()
+    assert run("prepare", photos, tmp_path / "scene") == 2
+    assert "(--camera)" in capsys.readouterr().err

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from mrgs.export import export
 from mrgs.export.job import comment_lines, described, facts_of
 from mrgs.maps.surfaces import up_direction
 from mrgs.rasterizer.contract import Dilation
-from mrgs.scene import RGB, THERMAL, Camera, View
+from mrgs.scene import RGB, THERMAL, Box, Camera, View
 from tests.helpers.exports import make_baked
 
 
@@ -84,3 +85,14 @@ def test_up_is_not_guessed(scene, roll):
     if roll(1) == 0:  # one camera's horizontal axis fits any up
         case = replace(case, train=case.train[:1])
     assert up_direction(case) is None
+
+
+def test_an_export_says_what_is_left_out(run, scene, tmp_path):
+    means = run.model.gaussians.means
+    box = Box.between(*means.amin(dim=0).tolist(), *means.median(dim=0).values.tolist())
+    cropped = run.cropped(box)
+    export(cropped, scene, "ply", tmp_path)
+    facts = json.loads((tmp_path / "rgb.ply.json").read_text(encoding="utf-8"))
+    assert facts["splats"] == len(means) - facts["crop"]["splats_left_out"] < len(means)
+    assert facts["crop"]["high"] == list(box.high)
+    assert "crop" not in facts_of(make_baked(), scene, None, None)

@@ -23,7 +23,7 @@ from mrgs.pipeline.intake import take_in
 from mrgs.pipeline.plan import QUALITIES, Quality
 from mrgs.pipeline.stages import LEDGER
 from mrgs.prepare import Preparation, PrepareOptions, StageReport
-from mrgs.survey import SURVEY_FILE, Survey, read_survey
+from mrgs.survey import SURVEY_FILE, Survey, read_survey, write_survey
 from tests.helpers.photos import photo
 from tests.helpers.scenes import write_scene
 
@@ -122,9 +122,11 @@ def test_everything_lands_in_one_folder(finished, small_scene):
 
 
 def test_the_results_lie_beside_the_photos_by_default(small_scene):
-    folder = run_module.default_output(small_scene)
+    folder = run_module.default_output(small_scene, PrepareOptions())
     assert folder == small_scene.parent / f"{small_scene.name}-mrgs"
-    assert run_module.default_output(small_scene / "transforms.json") == folder
+    assert run_module.default_output(small_scene / "transforms.json", PrepareOptions()) == folder
+    of_one = run_module.default_output(small_scene, PrepareOptions(camera="../FLIR E8"))
+    assert of_one == small_scene.parent / f"{small_scene.name}-..-FLIR-E8-mrgs"
 
 
 def test_a_result_that_is_gone_is_made_again_and_nothing_else(own, small_scene):
@@ -150,6 +152,9 @@ def test_what_is_stated_or_marked_later_is_reported(own, small_scene):
     assert run_again() == []
     marks.accept("H1")
     assert run_again() == ["report", "page", "exports"]
+    everything = Survey(crop=(-99.0, -99.0, -99.0, 99.0, 99.0, 99.0))
+    write_survey(own / "fast" / "survey.yaml", everything)
+    assert run_again() == ["render", "report", "page", "exports"]
     (own / "fast" / "marks.json").write_text("[", encoding="utf-8")
     with pytest.warns(MrgsWarning, match="is damaged"):
         assert run_again() == ["report", "page", "exports"]

@@ -26,7 +26,7 @@ from mrgs.report.sections import read_scores
 from mrgs.report.texts import Texts
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
-from mrgs.scene import RGB, THERMAL, Scene, View
+from mrgs.scene import RGB, THERMAL, Box, Scene, View
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
 from mrgs.survey import Survey, write_survey
 from mrgs.training import make_config, train
@@ -531,3 +531,11 @@ def test_what_too_few_photos_see_is_no_proposal(run: Run, sharp: Scene):
     assert proposals(beside).anomalies
     found = proposals(away)
     assert (found.anomalies, found.held_back) == ({}, 0)
+
+
+@pytest.mark.usefixtures("without_spots")
+def test_a_cropped_model_is_reported_with_its_box(run, sharp, plain, tmp_path):
+    cropped = run.cropped(Box((-0.5, -2.0, -2.0), (2.0, 2.0, 2.0)))
+    page = Page(report_run(cropped, tmp_path / "report.html", "de", scene=sharp))
+    assert "x, y, z von −0,5; −2; −2 bis 2; 2; 2" in page.text
+    assert "Only a box" not in plain.text

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import mrgs
-from mrgs.errors import DeviceError, RunError, SceneError
+from mrgs.errors import ConfigError, DeviceError, RunError, SceneError
 from mrgs.evaluation import evaluate_run
 from mrgs.evaluation.evaluate import evaluate
 from mrgs.field import RadianceField
@@ -17,7 +17,8 @@ from mrgs.kernels.heat.residuals import residuals_on_cpu
 from mrgs.render import Model
 from mrgs.runs.open import Run, load_run, open_run
 from mrgs.runs.registry import Method
-from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
+from mrgs.scene import RGB, THERMAL, Box, Camera, Modality, Rendering
+from mrgs.survey import Survey, write_survey
 from mrgs.system.operation import PLAIN_VARIABLE
 from tests.helpers.runs import SMALL, trained_run
 
@@ -217,3 +218,33 @@ def test_help_has_a_text(attribute):
 def test_what_is_no_scene_is_named(run):
     with pytest.raises(SceneError, match="not list"):
         load_run(run.folder.path, [])
+
+
+def test_a_cropped_run_shows_what_is_in_the_box_as_before(run):
+    means = run.model.gaussians.means
+    low, high = means.amin(dim=0), means.median(dim=0).values
+    box = Box.between(*low.tolist(), *high.tolist())
+    inside = ((means >= low) & (means <= high)).all(dim=1)
+    cropped = run.cropped(box)
+    assert (cropped.crop, cropped.left_out) == (box, len(means) - int(inside.sum()))
+    assert 0 < cropped.gaussian_count == int(inside.sum()) < run.gaussian_count
+    camera = run.load_scene().eval[0].images[RGB].camera
+    for modality in (RGB, THERMAL):
+        values = [each.model.values(modality, camera.position.float()) for each in (run, cropped)]
+        torch.testing.assert_close(values[1], values[0][inside])
+    assert cropped.render(camera)[RGB].alpha.sum() < run.render(camera)[RGB].alpha.sum()
+
+
+def test_the_box_of_the_survey_counts_where_none_is_given(run, tmp_path):
+    own = replace(run, folder=type(run.folder)(tmp_path))
+    assert own.cropped() is own
+    write_survey(tmp_path / "survey.yaml", Survey(crop=(-9, -9, -9, 9, 9, 9)))
+    assert own.cropped().crop == Box((-9, -9, -9), (9, 9, 9))
+    assert own.cropped(Box((-8, -8, -8), (8, 8, 8))).crop.high == (8, 8, 8)
+
+
+def test_a_box_beside_the_model_is_refused_with_where_the_model_is(run):
+    low = [f"{each:.6g}" for each in run.model.gaussians.means.quantile(0.02, dim=0).tolist()]
+    with pytest.raises(ConfigError, match="crop") as refused:
+        run.cropped(Box((90, 90, 90), (91, 91, 91)))
+    assert " ".join(low)[:5] in str(refused.value)

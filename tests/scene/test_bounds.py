@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.scene import Camera, SceneBounds
+from mrgs.errors import ConfigError
+from mrgs.scene import Box, Camera, SceneBounds
 from mrgs.scene.world import TIMES_AS_FAR
 
 
@@ -59,3 +60,16 @@ def test_depths_of_the_background_become_infinite_and_unknown_ones_stay_so():
     expected = depth.clone()
     expected[0, 0] = torch.inf
     torch.testing.assert_close(found, expected, equal_nan=True)
+
+
+def test_a_box_is_spanned_by_any_two_opposite_corners():
+    box = Box.between(1, -2, 3, -1, 2, 0)
+    assert box == Box((-1, -2, 0), (1, 2, 3))
+    places = torch.tensor([[0, 0, 0], [1, 2, 3], [0, 0, 3.1], [-1.1, 0, 0], [torch.nan, 0, 0]])
+    assert box.contains(places).tolist() == [True, True, False, False, False]
+
+
+@pytest.mark.parametrize("corner", [(1, 1, 0), (1, 1, float("nan")), (1, float("inf"), 1)])
+def test_corners_that_span_no_box_are_refused(corner):
+    with pytest.raises(ConfigError, match="crop"):
+        Box.between(0, 0, 0, *corner)

@@ -16,6 +16,7 @@ STATED = Survey(
     time="06:30",
     inside_c=21.0,
     wind_m_s=0.0,
+    crop=(-4.0, -3.0, 0.0, 4.0, 3.0, 6.5),
 )
 
 
@@ -66,6 +67,9 @@ def test_assignments_change_some_fields():
         ("date=2026-05-01 10:00:00", "date .*'2026-05-01 10:00:00'"),
         ("date=01.05.2026", r"date .*'01\.05\.2026'"),
         ("date=2026", "date .*2026"),
+        ("crop=[1, 2, 3]", "crop .*6 values"),
+        ("crop=[0, 0, 0, 1, 1, warm]", "crop .*'warm'"),
+        ("crop=[0, 0, 0, 1, 1, 0]", "crop .*corners"),
         ("remarks=" + "x" * 2001, "remarks .*2,000"),
     ],
 )

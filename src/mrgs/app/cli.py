@@ -22,6 +22,7 @@ from mrgs.app.commands import COMMANDS
 from mrgs.app.interrupts import BY_CTRL_C, interrupts
 from mrgs.app.progress import PrepareProgress, progress_bar
 from mrgs.app.terminal import (
+    cropped,
     flags_of,
     note_unfinished,
     plain_warnings,
@@ -253,13 +254,17 @@ def _eval(command: commands.Eval) -> None:
 def _render(command: commands.Render) -> None:
     from mrgs.evaluation import render_run
     from mrgs.evaluation.score_run import PathOptions
-    from mrgs.runs.open import open_run
+    from mrgs.runs.open import Run, open_run
 
     options = {name: getattr(command, name) for name in ("frames", "width", "fps")}
     given = {name: value for name, value in options.items() if value is not None}
     given |= {"scale_bar": True} if command.scale_bar else {}
     path = PathOptions(**given) if given else None
     run = open_run(command.run, command.scene, command.device)
+    if isinstance(run, Run):
+        run = cropped(run, command.crop)
+    elif command.crop is not None:
+        raise ConfigError(f"--crop: a run of {run.config.method} has no Gaussians")
     with progress_bar("rendering") as progress:
         folder = render_run(run, command.split, command.palette, path, progress)
     say(f"images: {folder}", *(f"video:  {film}" for film in sorted(folder.glob("*.mp4"))))
@@ -269,7 +274,7 @@ def _view(command: commands.ViewRun) -> None:
     from mrgs.runs.open import load_run
     from mrgs.viewer import view
 
-    run = load_run(command.run, command.scene, "cpu")
+    run = cropped(load_run(command.run, command.scene, "cpu"), command.crop)
     note_unfinished(run)
     view(run, scene_if_there(run), command.host, command.port, on_ready=print_viewer_address)
 
@@ -282,7 +287,7 @@ def _export(command: commands.Export) -> None:
     from mrgs.system.memory import release_when_freed
 
     release_when_freed()
-    run = load_run(command.run, command.scene, "cpu")
+    run = cropped(load_run(command.run, command.scene, "cpu"), command.crop)
     note_unfinished(run)
     folder = command.output or command.run / "export"
     plane = None if command.plane is None else parse_plane(*command.plane)
@@ -297,19 +302,17 @@ def _export(command: commands.Export) -> None:
 def _report(command: commands.Report) -> None:
     from mrgs.pipeline.forecast import expect_report
     from mrgs.report import report_run
-    from mrgs.report.write import require_weasyprint
     from mrgs.runs.open import load_run
 
-    if command.pdf:
-        require_weasyprint()
     run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
     _state_survey(command)
-    scene = run.load_scene()
+    run, scene = cropped(run), run.load_scene()
     with progress_bar("report", expect_report(run, scene)) as progress:
         write = partial(report_run, run, command.output, command.language, command.pdf)
-        path = write(appendix=command.appendix, scene=scene, progress=progress)
-    say(f"report: {path}", *([f"pdf: {path.with_suffix('.pdf')}"] if command.pdf else []))
+        page = write(docx=command.docx, appendix=command.appendix, scene=scene, progress=progress)
+    others = [name for name in ("pdf", "docx") if getattr(command, name)]
+    say(f"report: {page}", *(f"{name}: {page.with_suffix(f'.{name}')}" for name in others))
 
 
 def _state_survey(command: commands.Report) -> None:

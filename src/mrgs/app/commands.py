@@ -69,6 +69,10 @@ RunPath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN", hel
 MovedScene = Annotated[
     Maybe[Path], tyro.conf.arg(help="Scene folder, if it has moved since training.")
 ]
+CropBox = Annotated[
+    Maybe[tuple[float, float, float, float, float, float]],
+    tyro.conf.arg(metavar="X0 Y0 Z0 X1 Y1 Z1", help="Crop to this box, not to the survey's."),
+]
 ScenePath = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCENE")]
 
 _OF_PREPARE = ("pairs", "pair_table", "poses", "one_camera", "thermal_camera", "eval_every")
@@ -125,6 +129,8 @@ class PhotoOptions(PhotoSettings):
     """CSV file with the columns rgb and thermal, if pairs cannot be inferred from file names."""
     tolerance: float = 2.0
     """Maximum time difference within a pair, in seconds."""
+    camera: Maybe[str] = None
+    """Thermal camera whose photos are used, if there are several: its model, such as M3T."""
     poses: Maybe[Path] = None
     """Folder with poses of these photos from COLMAP or nerfstudio; they are used as they are."""
     thermal_fov: Maybe[float] = None
@@ -149,6 +155,7 @@ class PhotoOptions(PhotoSettings):
         return PrepareOptions(
             overrides=self.overrides(),
             tolerance_s=self.tolerance,
+            camera=self.camera,
             thermal_fov_deg=self.thermal_fov,
             target=None if target is None else parse_target(*target),
             known_distance=None if known is None else parse_known_distance(*known),
@@ -295,6 +302,7 @@ class Render:
     """Frames per second of its videos, by default 24."""
     scale_bar: bool = False
     """Draw a scale bar beside the temperatures of its frames."""
+    crop: CropBox = None
     device: RenderDevice = "auto"
 
 
@@ -308,6 +316,7 @@ class ViewRun:
     """Address to listen on; 0.0.0.0 exposes the viewer to the network, to whoever has its token."""
     port: int = 8080
     """TCP port; 0 picks a free port."""
+    crop: CropBox = None
 
 
 @dataclass(frozen=True)
@@ -332,6 +341,7 @@ class Export:
     """Pixel size of the maps (ortho, elevation) in metres; by default that of the photos."""
     crs: Maybe[str] = None
     """ortho, las: projected coordinate system in metres, such as EPSG:25832; by default UTM."""
+    crop: CropBox = None
 
 
 @dataclass(frozen=True)
@@ -353,6 +363,8 @@ class Report:
     """Language of the report."""
     pdf: bool = False
     """Also write a PDF beside it. Needs mrgs[report]."""
+    docx: bool = False
+    """Also write a Word document to be edited. Needs mrgs[report]."""
     appendix: bool = False
     """With scores, contact sheet, training, and drift and shading of the thermal camera."""
     scene: MovedScene = None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mrgs.app.commands import Measure
-from mrgs.app.terminal import note_unfinished, print_note
+from mrgs.app.terminal import cropped, note_unfinished, print_note
 from mrgs.errors import ConfigError
 from mrgs.marks import MarkReading, RunMarks, open_marks
 from mrgs.marks.mark import KINDS, MarkKind
@@ -26,7 +26,7 @@ def measure(command: Measure) -> None:
     ``RunMarks``; also ConfigError if an option cannot be understood, or two exclude each other."""
     added = [kind for kind in KINDS if getattr(command, kind)]
     _check(command, added)
-    run = load_run(command.run, command.scene, command.device)
+    run = cropped(load_run(command.run, command.scene, command.device))
     note_unfinished(run)
     marks = open_marks(run)
     if command.undo:
@@ -57,7 +57,7 @@ def measure(command: Measure) -> None:
         else:
             for _ in range(2):  # once more for the share of the mark that is not quite opaque
                 marks.calibrate(name.strip(), float(celsius))
-                marks = open_marks(load_run(command.run, command.scene, command.device))
+                marks = open_marks(load_run(command.run, command.scene, command.device).cropped())
     _show(command, marks)
 
 

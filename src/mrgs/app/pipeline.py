@@ -16,6 +16,7 @@ from mrgs.app.terminal import flags_of, print_note, styled
 from mrgs.errors import MrgsError, printable
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
 from mrgs.prepare import PrepareOptions, StageReport
+from mrgs.prepare.contract import SeveralCamerasError
 from mrgs.run_files.folder import RunConfig
 from mrgs.run_files.record import StepStatistics
 from mrgs.scene import Scene
@@ -35,8 +36,8 @@ def follow_pipeline(
     yes: bool,
     flat_field: Path | None = None,
 ) -> None:
-    """Run a pipeline, show how far it is, and print what to open. Errors as for
-    ``run_pipeline``."""
+    """Run a pipeline, show how far it is, and print what to open; of photos of several cameras one
+    after another, whatever fails of one. Errors as for ``run_pipeline``."""
     terminal, started = PipelineTerminal(yes), time.perf_counter()
     try:
         results = run_pipeline(
@@ -48,6 +49,24 @@ def follow_pipeline(
             monitor=terminal,
             flat_field=flat_field,
         )
+    except SeveralCamerasError as error:
+        facts_of_one = (flat_field, options.thermal_fov_deg, options.thermal_camera)
+        if not isinstance(command, RunAll) or any(each is not None for each in facts_of_one):
+            raise
+        terminal.pause()
+        print_note(f"photos of several cameras, each for a model: {', '.join(error.cameras)}")
+        failed: list[MrgsError] = []
+        for camera in error.cameras:
+            chosen, output = replace(options, camera=camera), command.output
+            own = replace(command, output=output and output / chosen.name_of(source))
+            try:
+                follow_pipeline(source, own, chosen, yes, flat_field)
+            except MrgsError as stopped:
+                print_note(f"{camera}: {stopped}{flags_of(stopped)}", "warning")
+                failed.append(stopped)
+        if failed:
+            raise failed[0] from None
+        return
     except KeyboardInterrupt:
         terminal.pause()
         print_note("results so far are kept; re-run the same command to resume")

@@ -117,6 +117,17 @@ def note_unfinished(run: Run) -> None:
         )
 
 
+def cropped(run: Run, corners: Sequence[float] | None = None) -> Run:
+    """The run without what is outside a box between two corners, x, y, z each, by default outside
+    the one in its survey; says how much that is. ConfigError as for ``Run.cropped``."""
+    from mrgs.scene import Box
+
+    found = run.cropped(None if corners is None else Box.between(*corners))
+    if found.crop is not None:
+        print_note(f"{found.left_out:,} Gaussians are left out: not in the box {found.crop}")
+    return found
+
+
 def print_baking_loss(loss: BakingLoss) -> None:
     """PSNR on the held-out views that plain splats lose against the trained model."""
     known = {each.title: round(value, 2) + 0.0 for each, value in loss.items() if value is not None}

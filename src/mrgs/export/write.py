@@ -160,6 +160,8 @@ def _job(
     scale, up = thermal_scale(baked, palette, range_c), up_direction(scene)
     loss = None if run is None else baking_loss_db(run, baked, scene)
     facts = facts_of(baked, scene, up, loss, maps.crs)
+    if run is not None and run.crop is not None:
+        facts["crop"] = {**run.crop._asdict(), "splats_left_out": run.left_out}
     marks = None if run is None else open_marks(run, scene)
     regions = None
     if marks is not None and scene.train_photos(THERMAL):

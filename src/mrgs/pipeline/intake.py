@@ -134,6 +134,7 @@ def _photos(source: Path, options: PrepareOptions, progress: Progress | None) ->
         rule=options.pairs,
         table=options.pair_table,
         tolerance_s=options.tolerance_s,
+        camera=options.camera,
         progress=progress,
     )
     count = len(pairing.pairs)

@@ -64,7 +64,7 @@ def run_pipeline(
 
     Args:
         source: folder of photos, or of a scene; it is only read.
-        output: folder of all results; by default ``NAME-mrgs`` beside the source.
+        output: folder of all results; by default ``default_output``, beside the source.
         quality: how much work is put into the model: "fast", "default" or "best".
         options: facts about the photos.
         device: where it is trained and rendered.
@@ -88,7 +88,7 @@ def run_pipeline(
     intake, options = _taken_in(source, options or PrepareOptions(), monitor)
     unit = options.overrides.unit
     chosen = replace(QUALITIES[quality], flat_field=flat_field, flat_field_unit=unit)
-    target = (default_output(source) if output is None else Path(output)).absolute()
+    target = (default_output(source, options) if output is None else Path(output)).absolute()
     _require_own(source, target)
     if intake.kind == "photos" and options.poses is None:
         check_version(installed_version())
@@ -122,11 +122,10 @@ def run_pipeline(
     return _results(job)
 
 
-def default_output(source: Path) -> Path:
-    """The folder of the results of a source: beside it, with its name."""
-    folder = source.parent if source.is_file() else source
-    folder = folder.resolve()
-    return folder.parent / f"{folder.name}-mrgs"
+def default_output(source: Path, options: PrepareOptions) -> Path:
+    """The folder of a source's results: beside it, with its name and that of a chosen camera."""
+    folder = (source.parent if source.is_file() else source).resolve()
+    return folder.parent / f"{options.name_of(folder)}-mrgs"
 
 
 def _taken_in(

@@ -32,7 +32,7 @@ from mrgs.run_files.record import StepStatistics
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.registry import find_method
 from mrgs.scene import Scene
-from mrgs.survey import SURVEY_FILE, survey_of
+from mrgs.survey import SURVEY_FILE, read_survey, survey_of
 from mrgs.system.atomic import write_text
 from mrgs.system.disk import read_text
 from mrgs.system.gpu import DeviceName
@@ -82,7 +82,7 @@ class Job:
         """The scene's folder; that of photos has their name, which is the model's title."""
         if self.intake.kind == "scene":
             return self.intake.source
-        name = self.intake.source.resolve().name
+        name = self.options.name_of(self.intake.source)
         return self.output / (f"{name}-scene" if name in QUALITIES else name)
 
     @property
@@ -99,7 +99,7 @@ class Job:
             Stage(PREPARE, self._made_from_source, first),
             Stage(f"{own}/train", self._made_from_scene, self._train),
             Stage(f"{own}/score", self._made_from_model, self._score),
-            Stage(f"{own}/render", self._made_from_model, self._render),
+            Stage(f"{own}/render", self._made_from_cropped, self._render),
             Stage(f"{own}/report", self._made_from_measured, self._report),
             Stage(f"{own}/page", self._made_from_measured, partial(self._exported, [PAGE_FORMAT])),
             Stage(f"{own}/exports", self._made_from_measured, self._exports),
@@ -125,6 +125,9 @@ class Job:
         newest = RunFolder(self.model).newest_checkpoint()
         stamp = file_stamp(newest, self.model)
         return fingerprint(version("mrgs"), stamp, self._scene_contents())
+
+    def _made_from_cropped(self) -> str:
+        return fingerprint(self._made_from_model(), read_survey(self.model / SURVEY_FILE).crop)
 
     def _made_from_measured(self) -> str:
         """The model, and what the user has stated and marked in its folder."""
@@ -220,6 +223,11 @@ class Job:
         return load_run(self.model, self.scene, self.device)
 
     @cached_property
+    def _cropped(self) -> Run:
+        """The run without what the survey crops; the scores are of the whole."""
+        return self._run.cropped()
+
+    @cached_property
     def _loaded(self) -> Scene:
         return self._run.load_scene()
 
@@ -232,14 +240,14 @@ class Job:
 
     def _render(self, report: Report) -> list[Path]:
         folder = render_run(
-            self._run,
+            self._cropped,
             "eval" if self._loaded.eval else "train",
             progress=lambda done, total: report("rendering", done, total),
         )
         return [path for path in folder.rglob("*") if path.is_file()]
 
     def _report(self, report: Report) -> list[Path]:
-        return [report_run(self._run, scene=self._loaded, progress=_named_parts(report))]
+        return [report_run(self._cropped, scene=self._loaded, progress=_named_parts(report))]
 
     def _exports(self, report: Report) -> list[Path]:
         formats = []
@@ -251,7 +259,7 @@ class Job:
 
     def _exported(self, formats: list[str], report: Report) -> list[Path]:
         folder, progress = self.model / "export", _named_parts(report)
-        return export(self._run, self._loaded, formats, folder, progress=progress)
+        return export(self._cropped, self._loaded, formats, folder, progress=progress)
 
 
 def _named_parts(report: Report) -> Callable[[int, int, str], None]:

@@ -50,6 +50,14 @@ class Skipped:
     reason: str
 
 
+class SeveralCamerasError(SceneError):
+    """Photos are of several thermal cameras, and a scene has one; ``cameras`` are their names."""
+
+    def __init__(self, message: str, cameras: tuple[str, ...]) -> None:
+        super().__init__(message, options=("camera",))
+        self.cameras = cameras
+
+
 class TooFewPosesError(SceneError):
     """Structure from motion found too few poses; ``failed`` lists the images without one."""
 

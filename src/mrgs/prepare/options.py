@@ -23,6 +23,7 @@ class PrepareOptions:
         pairs: how RGB and thermal photos are paired; ``thermal`` uses the thermal photos only.
         pair_table: a CSV file with the pairs.
         tolerance_s: maximum time difference within a pair, seconds.
+        camera: the thermal camera whose photos are used of several, see ``find_pairs``.
         poses: a folder with a COLMAP model or a ``transforms.json`` of these photos; None for
             structure from motion.
         one_camera: both images of a pair show the same scene, pixel for pixel; there is no thermal
@@ -38,6 +39,7 @@ class PrepareOptions:
     pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
     pair_table: Path | None = None
     tolerance_s: float = 2.0
+    camera: str | None = None
     poses: Path | None = None
     one_camera: bool = False
     thermal_fov_deg: float | None = None
@@ -45,6 +47,11 @@ class PrepareOptions:
     target: ChessboardTarget | None = None
     known_distance: KnownDistance | None = None
     eval_every: int = 8
+
+    def name_of(self, photos: Path) -> str:
+        """The name of a folder of photos, and of the camera where one is chosen of several."""
+        name, camera = photos.resolve().name, re.sub(r"[^\w.]+", "-", self.camera or "")
+        return f"{name}-{camera[:60]}" if camera else name
 
     def __post_init__(self) -> None:
         if self.thermal_fov_deg is not None and not 1 <= self.thermal_fov_deg <= 150:

@@ -47,16 +47,18 @@ from mrgs.system.wording import counted
 def pairs(work: Work) -> StageSummary:
     """Which photos belong together; depends on the names and times of all files."""
     options, table = work.options, work.options.pair_table
+    chosen = options.pairs, options.tolerance_s, options.camera
     table_content = None if table is None else (table.resolve(), digest(table))
     work.pairing = work.cache.get(
         "pairs",
         Pairing,
-        (work.photos, stamps(work.photos), options.pairs, table_content, options.tolerance_s),
+        (work.photos, stamps(work.photos), table_content, *chosen),
         lambda: find_pairs(
             work.photos,
             rule=options.pairs,
             table=table,
             tolerance_s=options.tolerance_s,
+            camera=options.camera,
             progress=work.progress,
         ),
     )

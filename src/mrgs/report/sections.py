@@ -169,6 +169,14 @@ def read_logo(survey: Survey, folder: Path) -> InlineImage | None:
     return inline_image(image, survey.company or "logo", png=True)
 
 
+def crop_notes(run: Run, t: Texts) -> list[str]:
+    """A sentence on what has been left out of the model; none for a whole one."""
+    if run.crop is None:
+        return []
+    low, high = (t.numbers(", ".join(f"{x:g}" for x in end)) for end in run.crop)
+    return [t("Only a box is shown: x, y, z from {low} to {high}.", low=low, high=high)]
+
+
 def _listed(settings: Iterable[Setting], t: Texts) -> str:
     return "; ".join(f"{t(each.label)} {_range(each, t)}" for each in settings)
 

@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -22,8 +23,9 @@ from mrgs.run_files.facts import require_scene
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.registry import Method, find_method
 from mrgs.runs.trained_run import TrainedRun
-from mrgs.scene import NOT_COARSER, Camera, Modality, Rendering, Scene
+from mrgs.scene import NOT_COARSER, Box, Camera, Modality, Rendering, Scene
 from mrgs.scene.view import moved_view
+from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST, DeviceName, lacks_memory
 from mrgs.system.threads import will_compute
@@ -38,12 +40,14 @@ __all__ = ["Run", "TrainedRun", "load_run", "method_of", "open_gaussians", "open
 class Run(TrainedRun):
     """A run with Gaussians: its model, with t̂ computed once for all views, and what the cameras do
     to the images, as learned. It may render on a GPU, its ``device``; model and images are in the
-    host's memory in any case."""
+    host's memory in any case. The model is without ``left_out`` Gaussians outside ``crop``."""
 
     config: TrainConfig
     model: Model
     image_model: ImageModel
     device: torch.device = HOST
+    crop: Box | None = None
+    left_out: int = 0
 
     @cached_property
     def _rendered(self) -> Model:
@@ -101,6 +105,32 @@ class Run(TrainedRun):
         if poses is None or not poses.moves:
             return scene
         return with_refined_poses(scene, poses)
+
+    def cropped(self, box: Box | None = None) -> Run:
+        """This run without the Gaussians whose centres are outside a box in world coordinates, by
+        default the one in the survey of its folder; itself without either. ConfigError if none is
+        inside, or the survey has a value that cannot be."""
+        if box is None:
+            stated = read_survey(self.folder.path / SURVEY_FILE).crop
+            if stated is None:
+                return self
+            box = Box.between(*stated)
+        gaussians, residuals = self.model.gaussians, self.model.temperature_residuals
+        inside = box.contains(gaussians.means)
+        if not inside.any():
+            low, high = np.percentile(gaussians.means.numpy(), [2, 98], axis=0).tolist()
+            raise ConfigError(
+                f"crop: no Gaussian is in the box {box}; nearly all are in {Box(low, high)}"
+            )
+        rows = inside.nonzero()[:, 0]
+        model = replace(
+            self.model,
+            gaussians=gaussians.rows(rows),
+            neighbours=None,  # not read once t̂ is known
+            temperature_residuals=None if residuals is None else residuals[rows],
+        )
+        left_out = self.left_out + len(inside) - len(rows)
+        return replace(self, model=model, crop=box, left_out=left_out)
 
     @property
     def gaussian_count(self) -> int:

@@ -19,7 +19,7 @@ from mrgs.scene.radiometry import TemperatureRange
 from mrgs.scene.rendering import NOT_COARSER, Blend, CameraResponse, Rendering, ideal_cameras
 from mrgs.scene.scene import Scene
 from mrgs.scene.view import Pixels, PosedImage, View, evenly_spaced
-from mrgs.scene.world import EarthPosition, SceneBounds, WorldFrame
+from mrgs.scene.world import Box, EarthPosition, SceneBounds, WorldFrame
 
 __all__ = [
     "BUILT_IN",
@@ -28,6 +28,7 @@ __all__ = [
     "THERMAL",
     "Array",
     "Blend",
+    "Box",
     "Camera",
     "CameraResponse",
     "EarthPosition",

@@ -1,4 +1,5 @@
-"""The world of a scene: its frame, and its bounds, behind which photos show the background."""
+"""The world of a scene: its frame, its bounds, behind which photos show the background, and
+boxes in it."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
+from mrgs.errors import ConfigError
 from mrgs.scene.arrays import constant
 from mrgs.scene.camera import Camera
 
@@ -97,3 +99,31 @@ class SceneBounds(NamedTuple):
     ) -> Float[Tensor, "h w"]:
         """A camera's z-depths in scene units, infinite where they are those of the background."""
         return torch.where(self.is_background(camera.unproject_image(depth)), torch.inf, depth)
+
+
+class Box(NamedTuple):
+    """A box along the axes of the world from ``low`` to ``high``, both included; scene units."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    @classmethod
+    def between(cls, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> Box:
+        """The box between two opposite corners. ConfigError if they span none."""
+        ends = [sorted(pair) for pair in ((x0, x1), (y0, y1), (z0, z1))]
+        if not all(math.isfinite(low) and math.isfinite(high) and low < high for low, high in ends):
+            raise ConfigError(
+                f"crop: the box from {x0:g} {y0:g} {z0:g} to {x1:g} {y1:g} {z1:g} has no inside: "
+                f"give x, y and z of two opposite corners, which differ in all three"
+            )
+        (x0, x1), (y0, y1), (z0, z1) = ends
+        return cls((x0, y0, z0), (x1, y1, z1))
+
+    def contains(self, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
+        """Whether points of the world, [..., 3], are in it; NaN is not."""
+        low, high = (constant(end, points) for end in self)
+        return ((points >= low) & (points <= high)).all(dim=-1)
+
+    def __str__(self) -> str:
+        low, high = (" ".join(f"{number:.6g}" for number in end) for end in self)
+        return f"{low} to {high}"

@@ -56,6 +56,7 @@ class Survey:
         photos_in_page: whether the exported page shows the photos of its views; it does by default.
         logo: picture for the report's cover; its path, from the survey's folder if it is relative.
         scale_low_c: with ``scale_high_c``, the ends of the palette in all pictures and on the page.
+        crop: x, y, z of two opposite corners of the box to which the model is cropped.
     """
 
     title: str | None = _stated()
@@ -104,6 +105,7 @@ class Survey:
     scale_low_c: float | None = _stated(unit="°C", low=-273, high=5000)
     scale_high_c: float | None = _stated(unit="°C", low=-273, high=5000)
     photos_in_page: bool | None = _stated(high=1)
+    crop: tuple[float, float, float, float, float, float] | None = _stated()
     statement: str | None = _stated()
     remarks: str | None = _stated("Remarks")
 
@@ -120,6 +122,8 @@ class Survey:
             if isinstance(value, (int, float)) and not low <= value <= high:
                 limits = f"{low:g} to {high:g} {unit}".rstrip()
                 raise ConfigError(f"{name} must be from {limits}, not {shown(value)}")
+        if self.crop is not None and any(self.crop[i] == self.crop[i + 3] for i in range(3)):
+            raise ConfigError("crop must be two opposite corners, which differ in x, y and z")
         if (self.scale_low_c is None) != (self.scale_high_c is None):
             raise ConfigError("give both scale_low_c and scale_high_c, or neither")
         if self.scale is not None and not self.scale[0] < self.scale[1]:
@@ -197,6 +201,7 @@ def write_survey(path: Path, survey: Survey) -> Path:
     for line in template.splitlines():
         name = line.removesuffix(":")
         if name in stated and stated[name] is not None:
-            line = yaml.safe_dump({name: stated[name]}, allow_unicode=True).rstrip()
-        lines.append(line)
+            flow = None if isinstance(stated[name], tuple) else False  # numbers in one line
+            line = yaml.safe_dump({name: stated[name]}, default_flow_style=flow, allow_unicode=True)
+        lines.append(line.rstrip())
     return write_text(path, "\n".join(lines) + "\n")

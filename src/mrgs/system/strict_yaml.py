@@ -153,6 +153,11 @@ def convert(hint: Any, value: Any, source: str) -> Any:
         if value is None:
             return None
         hint = _member([option for option in get_args(hint) if option is not type(None)], value)
+    if typing.get_origin(hint) is tuple:
+        kinds = get_args(hint)
+        if not isinstance(value, list) or len(value) != len(kinds):
+            raise ConfigError(f"{source} must be a list of {len(kinds)} values, not {shown(value)}")
+        return tuple(convert(*each, source) for each in zip(kinds, value, strict=True))
     if dataclasses.is_dataclass(hint):
         return _build(typing.cast(type, hint), value, source)
     if typing.get_origin(hint) is Literal:

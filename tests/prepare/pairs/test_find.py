@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mrgs.errors import ConfigError, SceneError
-from mrgs.prepare.contract import Pairing
+from mrgs.prepare.contract import Pairing, SeveralCamerasError
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.pairs.inventory import take_inventory
 from mrgs.scene import RGB, THERMAL
@@ -671,3 +671,75 @@ def test_the_headers_of_unchanged_files_are_read_once(photos):
     changed, same = take_inventory(root).photos
     assert changed.size == (32, 12)
     assert same is thermal
+
+
+MIXED = {
+    **{f"DJI_000{i}_T.tiff": ("celsius", {"model": "M3T"}) for i in range(4)},
+    **{f"DJI_000{i}_W.JPG": ("jpg", {"model": "M3T"}) for i in range(4)},
+    **{f"FLIR{i}.jpg": ("flir with visible", {"model": "FLIR E8"}) for i in range(3)},
+    "stray.tiff": ("celsius", {"model": "Testo 885"}),
+}
+"""Two cameras whose pairs different rules find, and one thermal photo of a third."""
+
+
+def test_several_cameras_are_named_whatever_rule_finds_their_pairs(photos):
+    with pytest.raises(SeveralCamerasError, match="M3T") as refusal:
+        find_pairs(photos(MIXED))
+    assert refusal.value.cameras == ("M3T", "FLIR E8"), "not the one with too few photos"
+    assert refusal.value.options == ("camera",)
+
+
+@pytest.mark.parametrize(
+    ("camera", "names"),
+    [
+        ("M3T", ["DJI_0000", "DJI_0001", "DJI_0002", "DJI_0003"]),
+        ("FLIR E8", ["FLIR0", "FLIR1", "FLIR2"]),
+    ],
+)
+def test_the_photos_of_one_camera_are_used_alone(photos, camera, names):
+    root = photos(MIXED)
+    found = find_pairs(root, camera=camera)
+    assert [pair.name for pair in found.pairs] == names
+    assert all(pair.embedded or RGB in pair.photos for pair in found.pairs)
+    assert camera in reasons(found)["stray.tiff"]
+    assert len(found.pairs) * (1 if camera == "FLIR E8" else 2) + len(found.skipped) == len(MIXED)
+
+
+def test_a_camera_that_took_no_photo_is_told_with_those_that_did(photos):
+    with pytest.raises(SceneError, match="E9") as refusal:
+        find_pairs(photos(MIXED), camera="E9")
+    assert [name for name in ("M3T", "FLIR E8", "Testo") if name not in str(refusal.value)] == []
+    assert refusal.value.options == ("camera",)
+
+
+def test_one_camera_may_be_named_too(photos):
+    content = {name: kind for name, kind in MIXED.items() if name.startswith("DJI")}
+    assert len(find_pairs(photos(content), camera="M3T").pairs) == 4
+
+
+def test_a_table_of_several_cameras_is_cut_to_one(photos):
+    root = photos(MIXED)
+    table = root.parent / "pairs.csv"
+    rows = [f"DJI_000{i}_W.JPG,DJI_000{i}_T.tiff" for i in range(4)] + [
+        f",FLIR{i}.jpg" for i in range(3)
+    ]
+    table.write_text("\n".join(["rgb,thermal", *rows]), encoding="utf-8")
+    assert [pair.name for pair in find_pairs(root, table=table, camera="FLIR E8").pairs] == [
+        "FLIR0", "FLIR1", "FLIR2",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["16 x 12", "8 x 6"])
+def test_sizes_and_lenses_tell_cameras_of_one_model_apart(photos, name):
+    sizes = {f"{i}.tiff": ("celsius", {"size": (8, 6) if i < 3 else (16, 12)}) for i in range(6)}
+    with pytest.raises(SeveralCamerasError, match=name):
+        find_pairs(photos(sizes))
+    assert len(find_pairs(photos(sizes, name), camera=name).pairs) == 3
+
+
+def test_lenses_are_chosen_by_their_angle(photos):
+    root = photos({f"{i}.jpg": with_view(25.0 + i % 2 + 20 * (i > 3)) for i in range(8)})
+    with pytest.raises(SeveralCamerasError) as refusal:
+        find_pairs(root)
+    assert refusal.value.cameras == ("25°", "45°")
+    assert [pair.name for pair in find_pairs(root, camera="45°").pairs] == ["4", "5", "6", "7"]

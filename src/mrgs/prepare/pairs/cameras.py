@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from mrgs.data.files import scene_error
-from mrgs.errors import printable
+from mrgs.errors import SceneError, printable
+from mrgs.prepare.contract import MIN_VIEWS, SeveralCamerasError, Skipped
 from mrgs.prepare.pairs.inventory import Inventory, Photo
 from mrgs.prepare.pairs.names import PARTNER, REFERENCE
-from mrgs.prepare.pairs.rules import NEARLY, Pair
+from mrgs.prepare.pairs.rules import NEARLY, Match, Pair, by_modality
 from mrgs.scene import Modality
-from mrgs.system.wording import listed
+from mrgs.system.wording import listed, shown
 
 Value = TypeVar("Value", bound=Hashable)
 
@@ -43,23 +46,17 @@ def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...
     warnings: tuple[str, ...] = ()
     for modality in (PARTNER, REFERENCE):
         photos = [pair.photos[modality] for pair in pairs if modality in pair.photos]
-        for groups in (
-            _grouped(photos, lambda photo: photo.exif.model),
-            _grouped(photos, lambda photo: photo.size),
-        ):
-            if len(groups) < 2:
-                continue
+        if len(cameras := _by_camera(photos)) > 1:
             of_each = [
-                f"{len(own)} of {_described(own[0], inventory)}"
-                for own in sorted(groups.values(), key=len, reverse=True)
+                f"{len(own)} of {name} such as {inventory.name(own[0])}"
+                for name, own in sorted(cameras.items(), key=lambda each: -len(each[1]))
             ]
             raise scene_error(
                 inventory.root,
-                f"the {modality.title} photos are of {len(groups)} cameras or sizes: "
-                f"{listed(of_each, MOST_NAMED)}; prepare each camera separately, from a folder of "
-                f"its own",
+                f"the {modality.title} photos are of {len(cameras)} cameras, lenses or sizes: "
+                f"{listed(of_each, MOST_NAMED)}; prepare each separately, from a folder of its own",
+                options=("camera",) if modality == REFERENCE else (),
             )
-        _check_lenses(modality, photos, inventory)
         focal_mm = [photo.focal_mm for photo in photos if photo.focal_mm is not None]
         if focal_mm and max(focal_mm) > _ZOOM * min(focal_mm):
             warnings += (
@@ -71,9 +68,51 @@ def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...
     return warnings
 
 
-def _described(photo: Photo, inventory: Inventory) -> str:
-    size = "" if photo.size is None else f" with {photo.size[0]} x {photo.size[1]} pixels"
-    return f"{photo.exif.model or 'a camera'}{size} such as {inventory.name(photo)}"
+def of_one_camera(
+    inventory: Inventory, root_name: str, camera: str | None, match: Callable[[Inventory], Match]
+) -> Inventory:
+    """The inventory without the photos of other thermal cameras than the chosen one, and without
+    RGB photos of their models; all of it where none is chosen. SceneError if there is no such
+    camera. SeveralCamerasError if none is chosen, and several have pairs enough for a scene where
+    each is matched apart: the rule for all photos may find those of one alone."""
+    references, partners = by_modality(inventory.photos, root_name)
+    cameras = _by_camera(references)
+
+    def only(name: str) -> Inventory:
+        left_out = {*references} - {*cameras[name]}
+        left_out |= {each for each in partners if each.exif.model in cameras.keys() - {name}}
+        skipped = [Skipped(inventory.name(each), f"is not of {name}") for each in left_out]
+        kept = tuple(each for each in inventory.photos if each not in left_out)
+        return replace(inventory, photos=kept, skipped=(*inventory.skipped, *skipped))
+
+    if camera in cameras:
+        return only(camera)
+    names = listed([*cameras], MOST_NAMED) or "unknown cameras"
+    if camera is not None:
+        text = f"no thermal photo is of {shown(camera)}: they are of {names}"
+        raise scene_error(inventory.root, text, options=("camera",))
+    enough = []
+    for name in cameras if len(cameras) > 1 else ():
+        with suppress(SceneError):  # no pairs
+            enough += [name] if len(match(only(name)).pairs) >= MIN_VIEWS else []
+    if len(enough) > 1:
+        text = f"{inventory.root}: the thermal photos are of {names}, and a scene has one camera"
+        raise SeveralCamerasError(f"{text}: choose one", tuple(enough))
+    return inventory
+
+
+def _by_camera(photos: Sequence[Photo]) -> dict[str, list[Photo]]:
+    """The photos by the models of their cameras, or where these do not differ by their sizes, else
+    by their lenses; without those whose files do not tell."""
+    lenses: dict[float | None, str] = {}
+    narrow = 0.0
+    for degrees in sorted(each.field_of_view_deg for each in photos if each.field_of_view_deg):
+        narrow = degrees if degrees > _OTHER_LENS * narrow else narrow
+        lenses[degrees] = f"{narrow:.0f}°"
+    models = _grouped(photos, lambda photo: photo.exif.model)
+    sizes = _grouped(photos, lambda photo: photo.size and "{} x {}".format(*photo.size))
+    by_lens = _grouped(photos, lambda photo: lenses.get(photo.field_of_view_deg))
+    return next((each for each in (models, sizes, by_lens) if len(each) > 1), models)
 
 
 def _grouped(
@@ -85,20 +124,6 @@ def _grouped(
         if (value := attribute(photo)) is not None:
             groups.setdefault(value, []).append(photo)
     return groups
-
-
-def _check_lenses(modality: Modality, photos: Sequence[Photo], inventory: Inventory) -> None:
-    by_view = _grouped(photos, lambda photo: photo.field_of_view_deg)
-    views_deg = sorted(by_view)
-    if not views_deg or views_deg[-1] <= _OTHER_LENS * views_deg[0]:
-        return
-    narrow, wide = (by_view[views_deg[end]] for end in (0, -1))
-    raise scene_error(
-        inventory.root,
-        f"the {modality.title} photos were taken with lenses of {views_deg[0]:.0f}° such as "
-        f"{inventory.name(narrow[0])}, and of {views_deg[-1]:.0f}° such as "
-        f"{inventory.name(wide[0])}; prepare each lens separately, from a folder of its own",
-    )
 
 
 def _several(modality: Modality, photos: Sequence[Photo], inventory: Inventory) -> tuple[str, ...]:

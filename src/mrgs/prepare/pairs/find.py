@@ -6,13 +6,14 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes, scene_error
 from mrgs.errors import ConfigError, SceneError, printable
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
-from mrgs.prepare.pairs.cameras import check_cameras, shifted
+from mrgs.prepare.pairs.cameras import check_cameras, of_one_camera, shifted
 from mrgs.prepare.pairs.inventory import NOT_READ, Inventory, Photo, take_inventory
 from mrgs.prepare.pairs.names import HEADINGS, PARTNER, REFERENCE, natural, read_stem, view_names
 from mrgs.prepare.pairs.rules import (
@@ -44,6 +45,7 @@ def find_pairs(
     rule: Rule = "auto",
     table: Path | None = None,
     tolerance_s: float = 2.0,
+    camera: str | None = None,
     progress: Progress | None = None,
 ) -> Pairing:
     """The photos of a folder and its subfolders that belong together.
@@ -57,13 +59,15 @@ def find_pairs(
         table: a CSV file with the pairs, ``rgb,thermal``, relative to the folder; instead of a
             rule.
         tolerance_s: maximum time difference within a pair, seconds.
+        camera: the thermal camera whose photos are used: its model, where these are equal the size
+            of its photos such as ``640 x 512``, and else its lens such as ``45°``.
 
     Returns:
         The pairs. Every other file, except hidden ones, is in ``skipped`` with a reason.
 
     Raises:
         SceneError: the folder or the table cannot be read, there are no pairs, or they are of
-            different cameras.
+            different cameras (SeveralCamerasError: of which one can be chosen).
         ConfigError: both a rule and a table, or an invalid tolerance.
     """
     if not (math.isfinite(tolerance_s) and tolerance_s >= 0):
@@ -78,9 +82,14 @@ def find_pairs(
         )
     inventory = take_inventory(photos, progress)
     root_name = needed_root_name(inventory.photos, inventory.root.resolve().name)
+    by_rule = partial(_match, root_name=root_name, rule=rule, tolerance_s=tolerance_s)
     match = by_table(table, inventory) if table else None
-    match = match or _match(inventory, root_name, rule, tolerance_s)
-    pairs = [pair for pair in match.pairs if pair.partner or pair.embedded] or [*match.pairs]
+    if camera is not None or match is None:
+        inventory = of_one_camera(inventory, root_name, camera, by_rule)
+    match = match or by_rule(inventory)
+    kept = {*inventory.photos}
+    pairs = [pair for pair in match.pairs if pair.reference in kept]
+    pairs = [pair for pair in pairs if pair.partner or pair.embedded] or pairs
     warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory))
     unread = [item.name for item in inventory.skipped if NOT_READ in item.reason]
     if unread and not any(pair.partner or pair.embedded for pair in pairs):
