@@ -161,7 +161,8 @@ def test_marks_are_drawn_measured_and_saved(inspection, camera, subject):
     reading = subject.board.readings[2]
     rendering = inspection.drawn.images[0]
     inside = rendering.images[THERMAL][54:66, 72:88][rendering.solid[54:66, 72:88]]
-    assert reading.mean == pytest.approx(inside.mean(), abs=1.0)
+    low, high = subject.limits[THERMAL]
+    assert reading.mean == pytest.approx(inside.mean(), abs=0.1 * (high - low))
     again = Inspection(subject_of_same_folder(subject))
     again.subject.board.refresh()
     assert again.labels()[-1].label == label.label
