@@ -59,8 +59,8 @@ def rounded_photo(number: int, noise: float, folder: Path) -> View:
 def part_of_photos(noise: float, folder: Path) -> float:
     views = [rounded_photo(number, noise, folder) for number in range(3)]
     witnesses = PhotoReadings(render_wall, ideal_cameras, views, RANGE)
-    spread = np.linspace(0.0, 0.3, 5, dtype=np.float32)
-    points = np.stack([spread, 0 * spread, spread], axis=1)
+    x, z = np.meshgrid(*2 * [np.linspace(-0.5, 0.5, 20, dtype=np.float32)])
+    points = np.stack([x.ravel(), np.zeros(400, np.float32), z.ravel()], axis=1)
     return float(witnesses.of_mark(points, 20.0).photos[0])
 
 

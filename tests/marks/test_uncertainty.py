@@ -15,6 +15,7 @@ from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import (
     OF_MARK,
     OF_POINT,
+    ONE_PHOTO,
     SHIFT_PX,
     PhotoReadings,
     SightingSums,
@@ -29,7 +30,7 @@ from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
 EYE = (0.0, -5.0, 0.5)
 BOX = Mark("B1", "box", ((0.0, 0.0, 0.0), (1, 0.0, 0.0), (1, 0.0, 1.0), (0.0, 0.0, 1.0)), EYE)
-SHIFTS_C = (-0.3, 0.0, 0.6)
+SHIFTS_C = (-0.1, 0.0, 0.2)
 CAPTURE = CaptureSettings(SurfaceSettings(0.95, 20.0))
 SETTINGS = ObjectParameters(0.95, 8.0, 20.0, 10.0, 0.5)
 
@@ -38,6 +39,11 @@ def photo_of_wall(number: int, shift_c: float) -> View:
     camera = camera_before_wall(number - 1.0)
     values = render_wall(camera)[THERMAL].image.float() + shift_c / RANGE.span_c
     return View(f"v{number}", {THERMAL: PosedImage(camera, lambda: Pixels(values))})
+
+
+def channels(reading: float) -> np.ndarray:
+    """What one photo reads of one place, and nothing about its surroundings."""
+    return np.array([[reading, 11.5, 0, 0, 0, 0, 0]], np.float32)
 
 
 def meter_of(budget: Budget | None = None, views: list[View] | None = None) -> MarkMeter:
@@ -58,26 +64,41 @@ def of_place(
     return budget.of_mean(of_photos, np.array([celsius]), surfaces)
 
 
-def test_what_photos_disagree_by_and_how_sharp_a_place_is():
+def test_what_photos_disagree_by():
     even = (-0.3, 0.0, 0.3)  # their mean is that of the model
     views = [photo_of_wall(number, shift) for number, shift in enumerate(even)]
     found = meter_of(views=views).read(BOX).uncertainty
-    assert found.photos == pytest.approx(OF_MARK.scatter * np.std(even), rel=0.01)
-    pixel_m = 5 / camera_before_wall().K[0, 0].item()
-    change = SHIFT_PX * pixel_m * (5 / 2) ** 0.5  # 2 and 1 K per metre across and down
-    # The photos see it at an angle, and in larger pixels than it is measured in.
-    assert 1 < found.model / (OF_MARK.contrast * change) < 2
+    assert found.photos == pytest.approx(2 * OF_MARK.scatter * np.std(even), rel=0.01)
+    assert found.model == pytest.approx(0.0, abs=0.1)
     assert found.detail == pytest.approx(0.0, abs=1e-3)  # an even slope
     assert found.total == pytest.approx(math.hypot(found.photos, found.model))
     assert found.known.keys() == {"photos", "model", "detail"}
 
 
+def test_one_photo_alone_says_as_much_as_the_place_is_even():
+    found = meter_of(views=[photo_of_wall(0, 0.0)]).read(BOX).uncertainty
+    pixel_m = 5 / camera_before_wall().K[0, 0].item()
+    change = SHIFT_PX * pixel_m * (5 / 2) ** 0.5  # 2 and 1 K per metre across and down
+    # The photo sees it at an angle, and in larger pixels than it is measured in.
+    assert 1 < found.photos / (OF_MARK.scatter * ONE_PHOTO * change) < 2
+
+
+def test_near_photos_weigh_more():
+    sums = SightingSums(1, 0.0)
+    for reading, z in ((10.0, 1.0), (12.0, 2.0), (12.0, 2.0)):
+        sums.add(np.array([0]), channels(reading), np.array([z], np.float32))
+    mean, spread = (10 + 2 * 12 / 4) / 1.5, np.sqrt((4 / 9 + 2 * (4 / 3) ** 2 / 4) / 1.5)
+    parts = sums.parts(OF_MARK, np.array([mean + 1]))
+    assert parts.photos[0] == pytest.approx(2 * OF_MARK.scatter * spread, rel=1e-3)
+    assert parts.model[0] == pytest.approx(OF_MARK.deviation, rel=1e-3)
+
+
 def test_a_value_that_differs_from_what_the_photos_read_is_doubtful():
     sums = SightingSums(2, 0.2)
     for reading in (10.0, 12.0):
-        sums.add(np.array([0]), np.array([[reading, 11.5, 0, 0, 0, 0, 0]], np.float32))
+        sums.add(np.array([0]), channels(reading), np.ones(1, np.float32))
     parts = sums.parts(OF_MARK, np.array([11.5, 3.0]))
-    assert parts.photos[0] == pytest.approx(math.hypot(OF_MARK.scatter, 0.2))
+    assert parts.photos[0] == pytest.approx(math.hypot(3 * OF_MARK.scatter, 0.2), rel=1e-3)
     assert parts.model[0] == pytest.approx(0.5 * OF_MARK.deviation)
     assert np.isnan(parts.total[1])
     assert sums.parts(OF_POINT).model[0] == 0.0
@@ -86,11 +107,11 @@ def test_a_value_that_differs_from_what_the_photos_read_is_doubtful():
 def test_a_narrow_peak_is_doubtful_and_a_slope_is_not():
     sums = SightingSums(2, 0.0)
     slope, peak = [20, 20, 2, -2, 1, -1, 0], [20, 20, -4, -4, -4, -4, -1.5]
-    sums.add(np.arange(2), np.array([slope, peak], np.float32))
+    sums.add(np.arange(2), np.array([slope, peak], np.float32), np.ones(2, np.float32))
     parts = sums.parts(OF_MARK, np.full(2, 20.0))
     assert parts.detail == pytest.approx(np.array([0, 1.5]) * OF_MARK.blur)
-    assert parts.total == pytest.approx(np.hypot(parts.model, parts.detail))
-    assert not sums.parts(OF_POINT).detail.any()
+    assert parts.total == pytest.approx(np.hypot(parts.photos, parts.detail))
+    assert sums.parts(OF_POINT).detail == pytest.approx(np.array([0, 1.5]) * OF_POINT.blur)
 
 
 def test_where_no_photo_looked_there_is_no_uncertainty():
@@ -109,7 +130,7 @@ def test_points_have_the_uncertainty_of_a_map():
     points = np.array([[0.5, 0.0, 0.5]], np.float32)
     (found,) = meter_of(budget).uncertainty.of_points(points, np.array([21.5], np.float32))
     assert found == pytest.approx(
-        math.hypot(0.95 * 2, OF_POINT.scatter * np.std(SHIFTS_C)), rel=0.05
+        math.hypot(0.95 * 2, 2 * OF_POINT.scatter * np.std(SHIFTS_C)), rel=0.05
     )
 
 
@@ -262,8 +283,8 @@ def test_per_cent_alone_do_not_make_the_camera_exact_about_0_degrees():
 def test_panels_show_the_uncertainty_and_its_parts():
     reading = meter_of(Budget(accuracy=(2.0, 0.0))).read(BOX)
     text = mark_text(reading, "", RANGE, WorldFrame())
-    assert text["value"].endswith("± 1.9 °C")
-    assert "photos 0.3, model 0." in text["lines"][1]
+    assert text["value"].endswith("± 2.0 °C")
+    assert "photos 0.4, model 0." in text["lines"][1]
     assert text["lines"][1].endswith("data sheet 1.9")
 
 

@@ -111,7 +111,8 @@ def test_the_uncertainty_follows_the_survey(board, add):
     assert any("accuracy" in note for note in board.notes)
     (board._store.folder / SURVEY_FILE).write_text("camera_accuracy_c: 5")
     board.refresh()
-    assert board.readings[0].uncertainty.total > before + 2
+    assert board.readings[0].uncertainty.total > before
+    assert board.readings[0].uncertainty.known["camera"] == pytest.approx(0.95 * 5)
     assert not any("accuracy" in note for note in board.notes)
 
 

@@ -22,7 +22,10 @@ from mrgs.scene import THERMAL, CameraResponse, TemperatureRange, View, evenly_s
 from mrgs.scene.depth_map import MAX_VIEWS, DepthMap, SurfaceRenderer, visible
 from mrgs.system.memory import row_chunks
 
-OF_ONE_VALUE = 2 / 12**0.5
+COVERAGE = 2.0
+"""Times the standard uncertainty: an interval that contains the truth in 95 of 100 cases."""
+
+OF_ONE_VALUE = COVERAGE / 12**0.5
 """Half the width of the interval for 95 of 100 cases, in steps: errors within a step are equally
 likely (GUM F.2.2.1)."""
 
@@ -59,24 +62,28 @@ class Shares(NamedTuple):
     Attributes:
         scatter: of the standard deviation of the photos' readings. It is not divided by the root of
             their number: their mean keeps a reflection or a wrong depth.
-        contrast: of the change of the model's value when the place is shifted by ``SHIFT_PX``:
-            places and poses are not known better, and finer detail is not resolved.
         blur: of the change by the camera's blur: a peak that the photos show as narrow was higher
             before they blurred it, and their noise makes some.
         deviation: of the difference between a value and the mean of the photos' readings.
     """
 
     scatter: float
-    contrast: float
     blur: float
     deviation: float
 
 
-OF_POINT = Shares(0.7, 0.65, 0.0, 0.0)
+OF_POINT = Shares(0.85, 0.6, 0.0)
 """For what the photos' cameras see at a single point, which has no deviation."""
 
-OF_MARK = Shares(0.9, 0.4, 4.0, 1.2)
-"""For the mean of a mark, which averages over unresolved detail."""
+OF_MARK = Shares(1.75, 1.0, 1.0)
+"""For the mean of a mark."""
+
+FEW_PHOTOS = 2.0
+"""The scatter of n photos counts 1 + 2 / (n − 1) times: few may agree by chance."""
+
+ONE_PHOTO = 0.25
+"""What one photo alone reads varies by this share of the change of the model's value when the place
+is shifted by ``SHIFT_PX``: places and poses are not known better."""
 
 READING, RENDERED = 0, 1
 SHIFTS = slice(2, 6)
@@ -92,7 +99,7 @@ class PhotoParts(NamedTuple):
 
     Attributes:
         photos: their disagreement, and the rounding of their values.
-        model: its change nearby, and the difference between the value and the photos' readings.
+        model: the difference between the value and the photos' readings.
         detail: from how narrow a peak the place is.
     """
 
@@ -107,39 +114,51 @@ class PhotoParts(NamedTuple):
 
 
 class SightingSums:
-    """What photos show of places, gathered photo by photo. ``rounding`` is half the width of the
-    interval that the rounding of the photos' values leaves, in their unit.
-    """
+    """What photos show of places, gathered photo by photo with weights 1 / z², as temperatures are.
+    ``rounding`` is half the width of the interval that the rounding of the photos' values leaves,
+    in their unit."""
 
     def __init__(self, places: int, rounding: float = 0.0) -> None:
         self._rounding = rounding
         self.photos = np.zeros(places, np.float32)
-        self._readings, self._squares, self._contrast, self._blur = np.zeros(
-            (4, places), np.float32
+        self._weights, self._readings, self._squares, self._contrast, self._blur = np.zeros(
+            (5, places), np.float32
         )
 
-    def add(self, rows: Int64[np.ndarray, " m"], values: Float32[np.ndarray, "m c"]) -> None:
-        """Add the channels of a photo at places, each once; those with NaN do not count."""
+    def add(
+        self,
+        rows: Int64[np.ndarray, " m"],
+        values: Float32[np.ndarray, "m c"],
+        z: Float32[np.ndarray, " m"],
+    ) -> None:
+        """Add the channels of a photo at places, each once, with their z-depths; those with NaN do
+        not count."""
         known = np.isfinite(values).all(axis=1)
-        rows, values = rows[known], values[known]
+        rows, values, weights = rows[known], values[known], z[known] ** -2.0
         self.photos[rows] += 1
+        self._weights[rows] += weights
+        share = weights / self._weights[rows]
         step = values[:, READING] - self._readings[rows]
-        self._readings[rows] += step / self.photos[rows]
-        self._squares[rows] += step * (values[:, READING] - self._readings[rows])
-        self._contrast[rows] += np.square(values[:, SHIFTS]).mean(axis=1)
-        self._blur[rows] += values[:, BLURRED]
+        self._readings[rows] += share * step
+        self._squares[rows] += weights * step * (values[:, READING] - self._readings[rows])
+        for mean, new in (
+            (self._contrast, np.square(values[:, SHIFTS]).mean(axis=1)),
+            (self._blur, values[:, BLURRED]),
+        ):
+            mean[rows] += share * (new - mean[rows])
 
     def parts(self, shares: Shares, values: Float[np.ndarray, " p"] | None = None) -> PhotoParts:
         """The parts of the uncertainty; ``values`` of the places where their deviation counts."""
-        count = np.where(self.photos > 0, self.photos, np.float32(np.nan))
-        scatter = np.sqrt(np.maximum(self._squares, 0) / count)
-        contrast = np.sqrt(self._contrast / count)
-        readings = np.where(self.photos > 0, self._readings, np.float32(np.nan))
-        away = 0.0 if values is None else values - readings
+        seen = np.where(self.photos > 0, np.float32(1), np.float32(np.nan))
+        spread = np.sqrt(np.maximum(self._squares, 0) / (seen * self._weights))
+        few = 1 + FEW_PHOTOS / np.maximum(self.photos - 1, 1)
+        one = ONE_PHOTO * np.sqrt(self._contrast)
+        scatter = seen * np.where(self.photos == 1, one, few * spread)
+        away = 0.0 if values is None else values - self._readings
         return PhotoParts(
             np.hypot(shares.scatter * scatter, self._rounding),
-            np.hypot(shares.contrast * contrast, shares.deviation * away),
-            shares.blur * np.abs(self._blur / count),
+            seen * shares.deviation * np.abs(away),
+            seen * shares.blur * np.abs(self._blur),
         )
 
 
@@ -195,12 +214,13 @@ class PhotoReadings:
         for index, view in enumerate(self._views):
             if not len(visible(view.images[THERMAL].camera, points).rows):
                 continue
-            item = self[index]
-            values = item.image[item.shown(points).pixels]
-            values = values[np.isfinite(values).all(axis=1)]
-            if len(values) >= max(LEAST_SHARE * len(points), 1):
-                mean = values.mean(axis=0, dtype=np.float64, keepdims=True)
-                sums.add(np.array([0]), mean.astype(np.float32))
+            shown = self[index].shown(points)
+            values = self[index].image[shown.pixels]
+            known = np.isfinite(values).all(axis=1)
+            if known.sum() >= max(LEAST_SHARE * len(points), 1):
+                mean = values[known].mean(axis=0, dtype=np.float64, keepdims=True)
+                z = shown.z[known].mean(keepdims=True)
+                sums.add(np.array([0]), mean.astype(np.float32), z)
         return sums.parts(OF_MARK, np.array([value]))
 
     def of_points(self, points: Float32[np.ndarray, "n 3"]) -> PhotoParts:
@@ -212,7 +232,7 @@ class PhotoReadings:
             for index in range(len(self._views)):
                 item = self[index]
                 shown = item.shown(points[rows])
-                sums.add(shown.rows, item.image[shown.pixels])
+                sums.add(shown.rows, item.image[shown.pixels], shown.z)
             found.append(sums.parts(OF_POINT))
         return PhotoParts(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 

@@ -15,7 +15,7 @@ import numpy as np
 from mrgs.data.earth import geodetic
 from mrgs.marks.mark import Mark
 from mrgs.marks.measure import MarkReading
-from mrgs.marks.uncertainty import COVERAGE
+from mrgs.marks.photo_readings import COVERAGE
 from mrgs.pictures.escape import escape_cell
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.values import decimals_of, unit_label

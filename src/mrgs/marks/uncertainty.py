@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
-from mrgs.marks.photo_readings import PhotoReadings
+from mrgs.marks.photo_readings import COVERAGE, PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.surface import checked_points
 from mrgs.scene import Scene, TemperatureRange
@@ -27,9 +27,6 @@ from mrgs.survey import Survey
 from mrgs.system.wording import Message
 
 Values: TypeAlias = Float64[np.ndarray, "..."]
-
-COVERAGE = 2.0
-"""Times the standard uncertainty: an interval that contains the truth in 95 of 100 cases."""
 
 EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT = 0.02, 2.0, 10.0
 """Standard uncertainties of settings where the survey states none."""
@@ -60,7 +57,7 @@ class Uncertainty:
 
     Attributes:
         photos: what the photos that see the place disagree by.
-        model: how far the model is from what the photos show there, and how sharp the place is.
+        model: how far the model is from what the photos show there.
         detail: how narrow a peak the place is, which the photos blur.
         shared: the parts by input quantities that other temperatures may have too: sensitivity
             coefficient times half the width of the quantity's interval, with the sign.
