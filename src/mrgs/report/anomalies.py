@@ -34,7 +34,7 @@ from mrgs.marks import MarkReading, Marks, RunMarks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.regions import Regions
 from mrgs.marks.resolution import square_about
-from mrgs.marks.run_marks import eye_of, spot_radius
+from mrgs.marks.run_marks import spot_radius
 from mrgs.pictures.files import to_array
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, SceneBounds, View, evenly_spaced
 from mrgs.scene.depth_map import DepthMap, SurfaceRenderer, visible
@@ -438,8 +438,8 @@ def _measured(spot: Spot, marks: RunMarks, scene: Scene, regions: Regions) -> An
     """A spot as a mark without a name of its own, seen from the view that shows it best."""
     view = scene.views[spot.view]
     camera = view.images[THERMAL].camera
-    points = places_of([spot.position.tolist()])
-    mark = Mark("?", "spot", points, eye_of(camera), spot_radius(points[0], camera, scene))
+    place, eye = places_of([spot.position.tolist(), camera.position.tolist()])
+    mark = Mark("?", "spot", (place,), eye, spot_radius(place, camera, scene))
     contrast = spot.value - surroundings(view, spot, regions.render(camera))
     span = 1.0 if scene.temperature is None else scene.temperature.span_c
     return Anomaly(spot, marks.meter.read(mark, regions), span * contrast)

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from mrgs.errors import RunError, warn_user
 from mrgs.marks.emissivity import CaptureSettings
-from mrgs.marks.measure import CachedMeter, MarkMeter
+from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.run_marks import MarkPicker, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
@@ -219,7 +219,7 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         return subject.source.run(lambda model: render_surface(model, camera, subject))
 
     changes = not isinstance(subject.source, TrainedSource)  # what is found is of one step alone
-    meter = (MarkMeter if changes else CachedMeter)(
+    meter = MarkMeter(
         before_background(draw, None if subject.scene is None else subject.scene.reach),
         subject.temperature,
         thermal_cameras(subject.scene),
