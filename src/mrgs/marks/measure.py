@@ -229,8 +229,8 @@ class MarkMeter:
         """Temperatures of places that an eye sees, corrected for regions, and as the photos'
         cameras see them in the model, in their unit; ``shown``, normalised, where none does.
 
-        A model's image depends on where its camera points: Gaussians are sorted by z and projected
-        to first order. One that is turned towards a place is none that the model was fitted to."""
+        A model's image depends on where its camera points, as Gaussians are projected to first
+        order: the model was not fitted to an image of a camera that is turned towards a place."""
         in_photos = shown
         if self._photos and not self._changes:
             seen = self.survey.temperatures(places.astype(np.float32))
@@ -246,20 +246,16 @@ class MarkMeter:
             least = max(doubt, STANDING_OUT_SHARE)
         else:
             least = max(doubt, STANDING_OUT_C) / self._temperature.span_c
+        mark, extremes = reading.mark, [(reading.high_at, 1), (reading.low_at, -1)]
+        if mark.kind == "spot":
+            # What is extreme at its edge belongs to what is beside it. Its middle is hot or cold
+            # against its surroundings: a cut in something hot is not a cold place.
+            extremes = [(mark.points[0], self._resolution.side_of(mark.points[0]))]
         return tuple(
             NARROW_HOT if sign > 0 else NARROW_COLD
-            for place, sign in self._extremes(reading)
+            for place, sign in extremes
             if self._resolution.width_px(place, sign, least) < RESOLVED_PX
         )
-
-    def _extremes(self, reading: MarkReading) -> list[tuple[Sequence[float], int]]:
-        """The hottest (1) and the coldest place (-1) of a mark. Of a spot its middle, as what is
-        extreme at its edge belongs to what is beside it, and only by what its surroundings are:
-        a cut in something hot is no cold place."""
-        mark = reading.mark
-        if mark.kind == "spot":
-            return [(mark.points[0], self._resolution.side_of(mark.points[0]))]
-        return [(reading.high_at, 1), (reading.low_at, -1)]
 
     def _photos_of(self, places: Float[np.ndarray, "n 3"]) -> int | None:
         """Number of thermal cameras that see at least half of the places, by the share of those

@@ -208,7 +208,8 @@ class Inspection:
         return self._photo_images(modality, pane.photo, self.subject.temperature)
 
     def _titled(self, pane: Pane) -> Pane:
-        """The model that is compared with a thermal photo says if others are corrected."""
+        """The pane; where surfaces elsewhere are corrected, the title of a model beside a thermal
+        photo states that it is not."""
         corrects = self.subject.board is not None and self.subject.board.regions
         if not corrects or pane.photo is None or pane.kind == "photo" or pane.scaled != THERMAL:
             return pane

@@ -206,8 +206,8 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
 
 
 def title_of(folder: Path, scene: str) -> str:
-    """Heading of a run's viewer: names of the scene (empty if not known) and of the folder, which
-    tells the scene's runs apart; the folder's alone where it begins with the scene's."""
+    """Heading of a run's viewer: the names of the scene (empty if not known) and of the folder, by
+    which runs of one scene differ; the folder's alone where it begins with the scene's."""
     own = folder.resolve().name
     return own if own.startswith(scene) else f"{scene}, {own}"
 
