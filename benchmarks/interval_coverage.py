@@ -20,7 +20,7 @@ from mrgs.errors import ConfigError
 from mrgs.evaluation.evaluate import Truth
 from mrgs.marks import open_marks
 from mrgs.marks.mark import Mark, places_of
-from mrgs.marks.run_marks import RunMarks, eye_of, spot_radius
+from mrgs.marks.run_marks import RunMarks, spot_radius
 from mrgs.report.anomalies import find_spots
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL, Camera, Scene, View
@@ -187,8 +187,8 @@ def _peaks(scene: Scene, marks: RunMarks) -> Iterator[Mark]:
     for spots in find_spots(views, marks.run.render, PEAKS, scene.reach, []):
         for spot in spots:
             camera = views[spot.view].images[THERMAL].camera
-            points = places_of([spot.position.tolist()])
-            yield Mark("?", "spot", points, eye_of(camera), spot_radius(points[0], camera, scene))
+            place, eye = places_of([spot.position.tolist(), camera.position.tolist()])
+            yield Mark("?", "spot", (place,), eye, spot_radius(place, camera, scene))
 
 
 def main() -> None:

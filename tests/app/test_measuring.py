@@ -173,7 +173,7 @@ def test_a_reference_temperature_shifts_the_whole_run(run, tmp_path):
 def test_a_reference_temperature_that_cannot_be_is_refused(run, capsys, reference, words):
     marks = open_marks(load_run(run))
     far = Mark("Far", "spot", ((50.0, 50.0, 50.0),), (51.0, 50.0, 50.0), 0.1)
-    marks.store.edit(lambda known: known.adding(far))
+    marks.store.edit(lambda known: known.adding(**vars(far)))
     assert main(["measure", str(run), "--reference", reference]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line

@@ -70,9 +70,9 @@ def test_json_that_is_no_mark_is_refused(value, message):
 
 def test_names_are_unique_and_given_in_order():
     marks = Marks((SPOT, BOX))
-    assert (marks.free_name("spot"), marks.free_name("line")) == ("S2", "L1")
+    assert (marks.free_names("S", 1), marks.free_names("L", 2)) == (["S2"], ["L1", "L2"])
     with pytest.raises(ConfigError, match=r"two .* 'S1'"):
-        marks.adding(replace(BOX, name="S1"))
+        marks.adding(**vars(replace(BOX, name="S1")))
     with pytest.raises(ConfigError, match=r"'S9': .* S1, B1"):
         Marks(marks.marks, "S9")
     with pytest.raises(ConfigError, match=r"'S9': .* none"):

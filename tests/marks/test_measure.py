@@ -12,7 +12,7 @@ from mrgs.errors import ConfigError
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.marks import Mark, Marks
 from mrgs.marks.measure import NO_PHOTO, NO_PLANE, NO_SURFACE, NO_THERMAL, MarkMeter
-from mrgs.marks.run_marks import picked_places
+from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.surface import (
     has_flat_outline,
     outline_area,
@@ -219,11 +219,10 @@ def test_the_sky_is_refused():
     celsius = [np.zeros((120, 160), np.float32)]
     scene = Scene.from_arrays([camera], celsius=celsius, points=np.array(corners))
     aside = camera.look_at([0, -5, 0], [4.0, 0, 0])
-    assert picked_places(see(wall_before_sky, aside), [(150.0, 60.0)])
-    surface = see(before_background(wall_before_sky, scene.reach), aside)
-    with pytest.raises(ConfigError, match=r"surface .* 150, 60"):
-        picked_places(surface, [(150.0, 60.0)])
+    assert MarkPicker(MarkMeter(wall_before_sky, RANGE), None).pick("spot", aside, [(150.0, 60.0)])
     meter = MarkMeter(before_background(wall_before_sky, scene.reach), RANGE)
+    with pytest.raises(ConfigError, match=r"surface .* 150, 60"):
+        MarkPicker(meter, None).pick("spot", aside, [(150.0, 60.0)])
     sky = replace(BOX, points=tuple((x + 120, 100.0, z) for x, _, z in SQUARE))
     assert meter.read(sky).problem == NO_SURFACE
     over_the_end = replace(BOX, points=tuple((x + 2.5, y, z) for x, y, z in SQUARE))
@@ -245,17 +244,17 @@ def test_a_mark_about_its_own_eye_is_refused(meter):
     assert "too wide" in meter.read(wide).problem
 
 
-def test_places_are_picked_on_the_surface():
-    surface = see(render_wall, camera_before_wall())
-    (place,) = picked_places(surface, [(100.0, 40.0)])
+def test_places_are_picked_on_the_surface(meter):
+    camera, picker = camera_before_wall(), MarkPicker(meter, None)
+    (place,) = picker.pick("spot", camera, [(100.0, 40.0)])["points"]
     assert place[1] == pytest.approx(0.0, abs=1e-6)
-    pixel, _ = surface.camera.project(torch.tensor(place).double())
+    pixel, _ = camera.project(torch.tensor(place).double())
     assert pixel.tolist() == pytest.approx([100.0, 40.0], abs=1e-6)
     with pytest.raises(ConfigError, match=r"200, 40 .* 160 × 120"):
-        picked_places(surface, [(200.0, 40.0)])
-    aside = see(render_wall, camera_before_wall().look_at([0, -5, 0], [4.0, 0, 0]))
+        picker.pick("spot", camera, [(200.0, 40.0)])
+    aside = camera.look_at([0, -5, 0], [4.0, 0, 0])
     with pytest.raises(ConfigError, match=r"surface .* 150, 60"):
-        picked_places(aside, [(150.0, 60.0)])
+        picker.pick("spot", aside, [(150.0, 60.0)])
 
 
 def test_a_picked_depth_is_steadier_than_a_pixel():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.marks.run_marks import picked_places
+from mrgs.marks.measure import MarkMeter
+from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.surface import see
 from mrgs.scene import RGB, THERMAL, Blend, Camera, Pixels, PosedImage, Rendering, View
@@ -58,12 +59,14 @@ def stereo(xs: tuple[float, ...], textured: bool = True) -> PhotoStereo:
 
 
 def test_a_place_is_where_the_photos_agree():
-    surface = see(render_too_far, camera_before_wall(1.0, distance=4.5))
-    (by_model,) = picked_places(surface, [PIXEL])
-    (by_photos,) = picked_places(surface, [PIXEL], stereo((-2.0, -0.7, 0.8, 2.2)))
+    camera = camera_before_wall(1.0, distance=4.5)
+    picker = MarkPicker(MarkMeter(render_too_far, None), None)
+    (by_model,) = picker.pick("spot", camera, [PIXEL])["points"]
+    picker._stereo = stereo((-2.0, -0.7, 0.8, 2.2))
+    (by_photos,) = picker.pick("spot", camera, [PIXEL])["points"]
     assert by_model[1] == pytest.approx(-0.012 * -4.5, rel=0.02)
     assert abs(by_photos[1]) < 0.003
-    pixel, _ = surface.camera.project(torch.tensor(by_photos).double())
+    pixel, _ = camera.project(torch.tensor(by_photos).double())
     assert pixel.tolist() == pytest.approx(PIXEL, abs=1e-6)
 
 

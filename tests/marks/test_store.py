@@ -21,7 +21,7 @@ def store(tmp_path: Path) -> MarkStore:
 
 
 def add(store: MarkStore, name: str) -> Marks:
-    return store.edit(lambda marks: marks.adding(replace(SPOT, name=name)))
+    return store.edit(lambda marks: marks.adding(**vars(replace(SPOT, name=name))))
 
 
 def test_what_is_saved_is_read_again(store):

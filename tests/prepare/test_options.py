@@ -35,7 +35,7 @@ def test_what_cannot_be_is_told(options, message):
     ],
 )
 def test_one_camera_excludes_what_is_known_of_a_second(other):
-    with pytest.raises(ConfigError, match="second one") as error:
+    with pytest.raises(ConfigError, match="second camera") as error:
         PrepareOptions(one_camera=True, **other)
     assert error.value.options == ("one_camera", *other)
 

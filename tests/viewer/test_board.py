@@ -36,7 +36,8 @@ def add(board, camera):
     """Adds a box about a place of the picture; returns its number."""
 
     def add_box(x: float = 80.0, y: float = 60.0) -> int:
-        board.draw("box", camera, [(x - 4, y - 4), (x + 5, y + 5)])
+        picked = board.picker.pick("box", camera, [(x - 4, y - 4), (x + 5, y + 5)])
+        board.edit(lambda marks: marks.adding("box", **picked))
         return board.numbers[-1]
 
     return add_box
@@ -138,7 +139,7 @@ def test_a_broken_survey_is_a_problem_and_no_reason_not_to_open(board, disk, add
     add()
     survey = disk.folder / SURVEY_FILE
     survey.write_text("camera_accuracy_c: a lot")
-    opened = MarkBoard(disk, board._picker, board._appraise)
+    opened = MarkBoard(disk, board.picker, board._appraise)
     opened.refresh()
     assert "camera_accuracy_c" in opened.problems[0]
     survey.unlink()
@@ -247,7 +248,7 @@ def test_what_is_missing_is_said_of_the_mark_by_its_name(board, add):
 def test_a_problem_has_the_name_that_the_mark_has_now(board):
     ends = ((2.9, -4.0, 0.0), (2.9, 4.0, 0.0))  # farther apart than anything sees from so near
     line = Mark("L1", "line", ends, (3.0, 0.0, 0.0))
-    board.edit(lambda marks: marks.adding(line))
+    board.edit(lambda marks: marks.adding(**vars(line)))
     problem = board.readings[0].problem
     assert problem.startswith("L1 ")
     board.change(board.numbers[0], {"name": "Door"})

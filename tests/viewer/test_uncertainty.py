@@ -15,9 +15,8 @@ def test_a_surface_with_settings_of_its_own_has_their_uncertainty(subject, camer
     before = subject.uncertainty(camera)
     rows, columns = np.nonzero(before.solid)
     row, column = float(np.median(rows)), float(np.median(columns))
-    board.draw("box", camera, [(column - 4, row - 4), (column + 5, row + 5)])
-    (mark,) = board.marks.marks
-    board.edit(lambda marks: marks.changing(mark.name, emissivity=0.4, reflected_c=0.0))
+    picked = board.picker.pick("box", camera, [(column - 4, row - 4), (column + 5, row + 5)])
+    board.edit(lambda marks: marks.adding("box", **picked, emissivity=0.4, reflected_c=0.0))
     after = subject.uncertainty(camera)
     changed = after.images[THERMAL] != before.images[THERMAL]
     changed &= before.solid
@@ -39,8 +38,8 @@ def test_the_picture_of_uncertainty_has_the_areas_that_that_of_temperatures_has(
         return of_mode[0], of_mode[1]
 
     before = pictures()
-    board.draw("box", camera, [(66, 46), (94, 74)])
-    board.edit(lambda marks: marks.changing("B1", emissivity=0.4, reflected_c=0.0))
+    picked = board.picker.pick("box", camera, [(66, 46), (94, 74)])
+    board.edit(lambda marks: marks.adding("box", **picked, emissivity=0.4, reflected_c=0.0))
     changed = [now != then for now, then in zip(pictures(), before, strict=True)]
     known = np.isfinite(before[0]) & np.isfinite(before[1])
     assert 100 < (changed[0] & known).sum() < known.sum() - 100

@@ -398,7 +398,7 @@ def test_a_closed_browser_leaves_its_changes_and_nothing_else(viewer, balls, req
     board = viewer._subject.board
     place = tuple(balls.points.positions[0].tolist())
     spot = Mark("S1", "spot", (place,), (3.0, 0.0, 0.0), 0.1)
-    board.edit(lambda marks: marks.adding(spot))
+    board.edit(lambda marks: marks.adding(**vars(spot)))
     wait_until(lambda: not viewer.busy, "it has warmed up")
 
     async def visit(connection: ClientConnection) -> None:
@@ -415,7 +415,7 @@ def test_a_closed_browser_leaves_its_changes_and_nothing_else(viewer, balls, req
 
     browse(viewer, visit)
     wait_until(lambda: not viewer.browsers, "it has gone")
-    assert len(viewer._worker._jobs) == 2
+    assert sum(map(len, viewer._worker._jobs.values())) == 2
     request.getfixturevalue("held").set()
     wait_until(lambda: not viewer.busy, "the changes are made")
     assert (board.marks.marks[-1].note, board.marks.marks[-1].severity) == ("kept", "2")
@@ -444,7 +444,7 @@ def test_a_drive_that_does_not_answer_stops_no_browser(subject, camera):
 
     board = subject.board
     store = StoreOnDrive(board._store.folder, board._store._spread)
-    subject = replace(subject, board=MarkBoard(store, board._picker))
+    subject = replace(subject, board=MarkBoard(store, board.picker))
     viewer = Viewer(subject, start_at(camera, subject.scene), "127.0.0.1", 0)
     try:
         browse(viewer, visit)

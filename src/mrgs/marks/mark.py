@@ -171,19 +171,18 @@ class Marks:
         """The mark of a name; ConfigError if there is none."""
         return _named(self.marks, name, "mark", "none")
 
-    def free_name(self, kind: MarkKind) -> str:
-        """The first of S1, S2 ... that is not taken; L, B, P for the other kinds."""
-        return self.free_names(kind[0].upper(), 1)[0]
-
     def free_names(self, letter: str, count: int) -> list[str]:
-        """The first ``count`` of a letter with 1, 2, 3 ... that nothing is named yet."""
+        """The first ``count`` names of a letter and a number from 1 that are not taken."""
         taken = {mark.name for mark in (*self.marks, *self.proposals, *self.dropped)}
         names = (f"{letter}{number}" for number in range(1, len(taken) + count + 1))
         return [name for name in names if name not in taken][:count]
 
-    def adding(self, mark: Mark) -> Marks:
-        """These marks and another one."""
-        return replace(self, marks=(*self.marks, mark))
+    def adding(self, kind: MarkKind, name: str = "", **fields: Any) -> Marks:
+        """These marks and a new one with the ``fields`` of ``Mark``. Without a name it is the first
+        of S1, S2 ... that is not taken; L, B, P for the other kinds. ConfigError if the name is
+        taken, or a value cannot be."""
+        name = name or self.free_names(kind[0].upper(), 1)[0]
+        return replace(self, marks=(*self.marks, Mark(name, kind, **fields)))
 
     def without(self, name: str) -> Marks:
         """These marks without one, which must exist; what referred to it refers to nothing."""

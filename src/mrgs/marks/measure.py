@@ -106,9 +106,16 @@ class MarkReading:
     remarks: tuple[str, ...] = ()
 
 
+MOST_CACHED = 4 * MOST_MARKS
+
+
 class MarkMeter:
-    """Measures marks in one model, with a survey of what the cameras see of it; one that
-    ``changes``, in training, by the views from the marks' eyes, as no survey lasts."""
+    """Measures marks in one model, with a survey of what the cameras see of it.
+
+    Each mark is measured only once: a note, a name or another mark change no reading. Surfaces with
+    an emissivity of their own may be under any mark: when they change, all are measured again. A
+    model that ``changes``, in training, is measured every time, by the views from the marks' eyes.
+    """
 
     def __init__(
         self,
@@ -127,14 +134,27 @@ class MarkMeter:
         self._temperature = temperature
         self._photos = len(cameras)
         self._changes = changes
+        self._own: list[tuple[str, Mark]] = []
+        self._regions: Regions | None = None
+        self._cached = lru_cache(MOST_CACHED)(self._measured)
 
     def regions(self, marks: Marks) -> Regions:
-        """The parts of the surface with an emissivity of their own."""
-        return Regions(marks, self.render, self._temperature, self.capture)
+        """The parts of the surface with an emissivity of their own; the same object as long as they
+        and the model are the same."""
+        own = [(mark.name, _surface_of(mark)) for mark in marks.marks if mark.has_settings]
+        known, before = self._regions, self._own
+        renamed = known is not None and known.problems and own != before  # they have names
+        changed = [each for _, each in own] != [each for _, each in before]
+        if known is None or renamed or changed or self._changes:
+            known = Regions(marks, self.render, self._temperature, self.capture)
+            self._regions = known
+            self._cached.cache_clear()
+        self._own = own  # not before: if that fails, the regions are still to be computed
+        return known
 
     def measure(self, marks: Marks, regions: Regions | None = None) -> list[MarkReading]:
-        """Every mark, in their order, with the differences between them. ``regions`` are those of
-        these marks, where they are known already: each is a rendering."""
+        """Every mark, in their order, with the differences between them; ``regions`` are those of
+        these marks."""
         if regions is None:
             regions = self.regions(marks)
         readings = [self.read(mark, regions) for mark in marks.marks]
@@ -142,9 +162,19 @@ class MarkMeter:
         return [_with_difference(reading, named, marks.reference) for reading in readings]
 
     def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
-        """One mark by itself, in a model with regions."""
+        """One mark by itself, in a model with regions; those of this mark alone if None."""
         if regions is None:
             regions = self.regions(Marks((mark,)))
+        if not self._changes and mark.name not in regions.problems:
+            reading = self._cached(_surface_of(mark), regions, self.uncertainty)
+            if not reading.problem:  # which has the mark's name
+                return replace(reading, mark=mark)
+        return self._measured(mark, regions, self.uncertainty)
+
+    def _measured(
+        self, mark: Mark, regions: Regions, uncertainty: UncertaintyMeter | None
+    ) -> MarkReading:
+        """A mark as it is measured now."""
         problem = regions.problems.get(mark.name)
         try:
             if problem:
@@ -183,9 +213,9 @@ class MarkMeter:
         settings, share = regions.shares_at(places)[0]
         remarks = () if share >= ONE_SURFACE else (SEVERAL_SURFACES,)
         reading = replace(reading, surface=settings, remarks=(*reading.remarks, *remarks))
-        if self.uncertainty is None:
+        if uncertainty is None:
             return reading
-        found = self.uncertainty.of_mark(places, in_photos, regions)
+        found = uncertainty.of_mark(places, in_photos, regions)
         unresolved = self._remarks(reading, found)
         return replace(reading, uncertainty=found, remarks=(*reading.remarks, *unresolved))
 
@@ -199,8 +229,8 @@ class MarkMeter:
         """Temperatures of places that an eye sees, corrected for regions, and as the photos'
         cameras see them in the model, in their unit; ``shown``, normalised, where none does.
 
-        A model's image depends on where its camera points: Gaussians are sorted by z and projected
-        to first order. One that is turned towards a place is none that the model was fitted to."""
+        A model's image depends on where its camera points, as Gaussians are projected to first
+        order: the model was not fitted to an image of a camera that is turned towards a place."""
         in_photos = shown
         if self._photos and not self._changes:
             seen = self.survey.temperatures(places.astype(np.float32))
@@ -216,20 +246,16 @@ class MarkMeter:
             least = max(doubt, STANDING_OUT_SHARE)
         else:
             least = max(doubt, STANDING_OUT_C) / self._temperature.span_c
+        mark, extremes = reading.mark, [(reading.high_at, 1), (reading.low_at, -1)]
+        if mark.kind == "spot":
+            # What is extreme at its edge belongs to what is beside it. Its middle is hot or cold
+            # against its surroundings: a cut in something hot is not a cold place.
+            extremes = [(mark.points[0], self._resolution.side_of(mark.points[0]))]
         return tuple(
             NARROW_HOT if sign > 0 else NARROW_COLD
-            for place, sign in self._extremes(reading)
+            for place, sign in extremes
             if self._resolution.width_px(place, sign, least) < RESOLVED_PX
         )
-
-    def _extremes(self, reading: MarkReading) -> list[tuple[Sequence[float], int]]:
-        """The hottest (1) and the coldest place (-1) of a mark. Of a spot its middle, as what is
-        extreme at its edge belongs to what is beside it, and only by what its surroundings are:
-        a cut in something hot is no cold place."""
-        mark = reading.mark
-        if mark.kind == "spot":
-            return [(mark.points[0], self._resolution.side_of(mark.points[0]))]
-        return [(reading.high_at, 1), (reading.low_at, -1)]
 
     def _photos_of(self, places: Float[np.ndarray, "n 3"]) -> int | None:
         """Number of thermal cameras that see at least half of the places, by the share of those
@@ -240,45 +266,6 @@ class MarkMeter:
         shown = [len(item.shown(points).rows) for item in self.survey]
         seen = sum(count >= 0.5 * len(points) for count in shown)
         return -(-seen * self._photos // len(self.survey.chosen))
-
-
-MOST_CACHED = 4 * MOST_MARKS
-
-
-class CachedMeter(MarkMeter):
-    """Measures marks in a model that does not change, each only once: a note, a name or another
-    mark change no reading. Surfaces with an emissivity of their own may be under any mark: when
-    they change, all are measured again.
-    """
-
-    def __init__(self, *args: Any, **more: Any) -> None:
-        super().__init__(*args, **more)
-        self._own: list[tuple[str, Mark]] = []
-        self._regions: Regions | None = None
-        # Read again, too, with another meter of uncertainties.
-        self._known = lru_cache(MOST_CACHED)(
-            lambda mark, regions, uncertainty: MarkMeter.read(self, mark, regions)
-        )
-
-    def regions(self, marks: Marks) -> Regions:
-        """The parts of the surface with an emissivity of their own; the same object as long as
-        they are the same."""
-        own = [(mark.name, _surface_of(mark)) for mark in marks.marks if mark.has_settings]
-        known, before = self._regions, self._own
-        renamed = known is not None and known.problems and own != before  # they have names
-        if known is None or renamed or [each for _, each in own] != [each for _, each in before]:
-            known = self._regions = super().regions(marks)
-            self._known.cache_clear()
-        self._own = own  # not before: if that fails, the regions are still to be computed
-        return known
-
-    def read(self, mark: Mark, regions: Regions | None = None) -> MarkReading:
-        """One mark by itself, from the cache if its reading is still valid."""
-        if regions is not None and mark.name not in regions.problems:
-            reading = self._known(_surface_of(mark), regions, self.uncertainty)
-            if not reading.problem:  # which has the mark's name
-                return replace(reading, mark=mark)
-        return super().read(mark, regions)
 
 
 def _surface_of(mark: Mark) -> Mark:

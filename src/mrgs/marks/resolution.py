@@ -22,7 +22,7 @@ RESOLVED_PX = 3.0
 """Width from which on a temperature is measured."""
 
 ABOUT_PX = 8
-"""How far the surroundings of a place are looked at, pixels."""
+"""Radius of the inspected surroundings of a place, pixels."""
 
 SURROUNDINGS_SHARE = 0.4
 """Side of what counts as the surroundings of a spot, as a share of the image's shorter side."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import SeenSurface, see, steady_depth
+from mrgs.marks.surface import see, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, WorldFrame
@@ -110,11 +110,8 @@ class RunMarks:
         name: str = "", **more: Any,
     ) -> Mark:  # fmt: skip
         """Add a mark of any kind through pixels of a camera's image; see ``spot``."""
-        picked = self._picker.pick(kind, camera, pixels)
-        fields = {**picked._asdict(), **more}
-        return self.store.edit(
-            lambda marks: marks.adding(Mark(name or marks.free_name(kind), kind, **fields))
-        ).marks[-1]
+        fields = {**self._picker.pick(kind, camera, pixels), **more}
+        return self.store.edit(lambda marks: marks.adding(kind, name, **fields)).marks[-1]
 
     def change(self, name: str, /, **changes: Any) -> Mark:
         """Change fields of a mark; returns it. See ``Mark`` for the fields. ConfigError if there is
@@ -209,14 +206,6 @@ def open_marks(run: Run, scene: Scene | None = None) -> RunMarks:
     return RunMarks(run, scene)
 
 
-class PickedMark(NamedTuple):
-    """The place of a mark: ``points``, ``eye`` and ``radius`` of ``Mark``."""
-
-    points: tuple[Place, ...]
-    eye: Place
-    radius: float
-
-
 class MarkPicker:
     """Finds the places on the surface for a mark that is drawn in an image: at depths on which the
     photos agree, or without ``by_photos`` at those of the model."""
@@ -226,37 +215,29 @@ class MarkPicker:
         views = [view for view in scene.train if THERMAL in view.images] if scene else []
         self._stereo = PhotoStereo(meter.survey, views) if by_photos and views else None
 
-    def pick(self, kind: MarkKind, camera: Camera, pixels: Sequence[Sequence[float]]) -> PickedMark:
-        """A mark through pixels (x, y) of a camera's image, of a box also two opposite corners.
-        ConfigError if a pixel is outside the image, or shows no surface; SceneError if a photo
-        cannot be read."""
+    def pick(
+        self, kind: MarkKind, camera: Camera, pixels: Sequence[Sequence[float]]
+    ) -> dict[str, Any]:
+        """``points``, ``eye`` and ``radius`` of a mark through pixels (x, y) of a camera's image; a
+        box may have two opposite corners. ConfigError if a pixel is outside the image, or shows no
+        surface; SceneError if a photo cannot be read."""
         if kind == "box" and len(pixels) == 2:
             (x0, y0), (x1, y1) = pixels
             pixels = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-        points = picked_places(see(self.meter.render, camera), pixels, self._stereo)
+        surface, places = see(self.meter.render, camera), []
+        for x, y in pixels:
+            if not (0 <= x < camera.width and 0 <= y < camera.height):
+                size = f"{camera.width} × {camera.height}"
+                raise ConfigError(f"pixel {x:g}, {y:g} lies outside the image of {size}")
+            depth = steady_depth(surface, x, y)
+            if not np.isfinite(depth):
+                raise ConfigError(f"no surface at pixel {x:g}, {y:g}: choose a place on the model")
+            if self._stereo is not None:
+                depth = self._stereo.depth(camera, x, y, depth)
+            places.append(camera.unproject([x, y], depth).tolist())
+        points, eye = places_of(places), tuple(camera.position.tolist())
         radius = spot_radius(points[0], camera, self._scene) if kind == "spot" else 0.0
-        return PickedMark(points, eye_of(camera), radius)
-
-
-def picked_places(
-    surface: SeenSurface, pixels: Sequence[Sequence[float]], stereo: PhotoStereo | None = None
-) -> tuple[Place, ...]:
-    """The places of the surface at pixels (x, y) of an image, at the model's depth without
-    ``stereo``; errors as for ``MarkPicker.pick``."""
-    camera, places = surface.camera, []
-    for x, y in pixels:
-        if not (0 <= x < camera.width and 0 <= y < camera.height):
-            raise ConfigError(
-                f"pixel {x:g}, {y:g} lies outside the image of {camera.width} × {camera.height}"
-            )
-        depth = steady_depth(surface, x, y)
-        if not np.isfinite(depth):
-            raise ConfigError(f"no surface at pixel {x:g}, {y:g}: choose a place on the model")
-        if stereo is not None:
-            depth = stereo.depth(camera, x, y, depth)
-        pixel = torch.tensor([x, y], dtype=torch.float64)
-        places.append(camera.unproject(pixel, pixel.new_tensor(depth)).tolist())
-    return places_of(places)
+        return {"points": points, "eye": eye, "radius": radius}
 
 
 def spot_radius(place: Place, camera: Camera, scene: Scene | None) -> float:
@@ -270,12 +251,6 @@ def spot_radius(place: Place, camera: Camera, scene: Scene | None) -> float:
     if sizes:
         return 0.5 * SPOT_PHOTO_PX * min(sizes)
     return 0.5 * SPOT_SHARE * (point - camera.position).norm().item()
-
-
-def eye_of(camera: Camera) -> Place:
-    """Position of a camera."""
-    (place,) = places_of([camera.position.tolist()])
-    return place
 
 
 def thermal_cameras(scene: Scene | None) -> list[Camera]:

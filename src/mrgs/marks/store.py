@@ -127,7 +127,14 @@ class MarkStore:
 
     def _write(self, states: Sequence[Marks], path: Path) -> None:
         """Write the only state into ``marks.json``, or any number into the file for undoing."""
-        contents = [_content(state) for state in states]
+        lists = ("marks", "proposals", "dropped")
+        contents: list[dict[str, Any]] = [
+            {
+                "reference": state.reference,
+                **{name: [mark.to_json() for mark in getattr(state, name)] for name in lists},
+            }
+            for state in states
+        ]
         content = contents[0] if path == self.file else {"states": contents}
         head = {"program": f"mrgs {version('mrgs')}", "version": VERSION}
         whole = {**head, "cameras": asdict(self._spread), **content}
@@ -142,8 +149,13 @@ class MarkStore:
                 return []
             document = json.loads(read_text(path))
             self._require_own(path, from_json(_Head, document))
-            states = from_json(list[dict[str, Any]], document.get("states", [document]))
-            return [_marks_of(from_json(_State, state)) for state in states]
+            states = []
+            for each in from_json(list[dict[str, Any]], document.get("states", [document])):
+                state = from_json(_State, each)
+                lists = (state.marks, state.proposals, state.dropped)
+                marks, proposals, dropped = (tuple(map(Mark.from_json, own)) for own in lists)
+                states.append(Marks(marks, state.reference, proposals, dropped))
+            return states
         except OSError as error:
             if error.errno != errno.EFBIG:
                 raise RunError(
@@ -237,19 +249,3 @@ class _State:
     reference: str = ""
     proposals: list[dict[str, Any]] = field(default_factory=list)
     dropped: list[dict[str, Any]] = field(default_factory=list)
-
-
-def _content(marks: Marks) -> dict[str, Any]:
-    lists = ("marks", "proposals", "dropped")
-    return {
-        "reference": marks.reference,
-        **{name: [mark.to_json() for mark in getattr(marks, name)] for name in lists},
-    }
-
-
-def _marks_of(state: _State) -> Marks:
-    """The marks that ``_content`` wrote; ConfigError if one cannot be."""
-    marks, proposals, dropped = (
-        tuple(map(Mark.from_json, each)) for each in (state.marks, state.proposals, state.dropped)
-    )
-    return Marks(marks, state.reference, proposals, dropped)

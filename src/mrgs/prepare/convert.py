@@ -43,7 +43,7 @@ IMAGE_FOLDERS = {RGB: "images", THERMAL: "thermal"}
 """Folders of the images in the scene's folder."""
 
 VIEWS, CONTENTS = "photos", "contents.json"
-"""Of the cache: the folder with a result for each pair, and the file with digests of the photos."""
+"""Names in the cache: the folder of the pairs' results, and the file with digests of the photos."""
 
 _VERSION = 10
 """Raise it when the same photos give other images or facts."""
@@ -56,8 +56,8 @@ LYING = 5
 
 
 class _Settings(NamedTuple):
-    """Of the conversion of a pair: the scene's folder, the user's overrides, the unit that was
-    guessed for numbers in this file format, and the orientations."""
+    """Settings of the conversion of a pair: the scene's folder, the user's overrides, the unit that
+    was guessed for numbers in this file format, and the orientations."""
 
     scene: Path
     overrides: Overrides
@@ -71,10 +71,6 @@ class _CachedPair:
 
     view: ConvertedView | None
     refusal: str = ""
-
-    @property
-    def images(self) -> Iterable[ConvertedImage]:
-        return () if self.view is None else self.view.images.values()
 
 
 def convert_photos(
@@ -163,7 +159,10 @@ def _cached(pair: PhotoPair, settings: _Settings, cache: Cache, contents: Digest
             _CachedPair,
             (_VERSION, pair, held, *settings[1:]),
             make,
-            lambda found: [settings.scene / image.file for image in found.images],
+            lambda found: [
+                settings.scene / image.file
+                for image in (found.view.images.values() if found.view else ())
+            ],
         )
     except SceneError as error:
         return _CachedPair(None, str(error))
@@ -176,10 +175,11 @@ def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> C
     if unit is not None:
         overrides = dataclasses.replace(overrides, unit=unit)
     thermal = read_thermal_photo(source, overrides)
-    files = {
-        RGB: _rgb_file(pair, thermal, orientations),
-        THERMAL: _thermal_file(thermal, orientations[THERMAL]),
-    }
+    files = {RGB: None, THERMAL: _thermal_file(thermal, orientations[THERMAL])}
+    if RGB in pair.photos:
+        files[RGB] = read_rgb(pair.photos[RGB], orientations[RGB])
+    elif pair.embedded:
+        files[RGB] = read_embedded(thermal.facts.visible, source, orientations[THERMAL])
     if _stamps(pair) != stamps:
         raise scene_error(
             source, "this photo or its RGB photo changed while it was read; wait until it is copied"
@@ -209,21 +209,6 @@ def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> C
     celsius = thermal.temperature_c
     range_c = None if celsius is None else (float(np.nanmin(celsius)), float(np.nanmax(celsius)))
     return ConvertedView(pair.name, images, exif, facts, range_c)
-
-
-def _rgb_file(
-    pair: PhotoPair, thermal: ThermalPhoto, orientations: Orientations
-) -> ImageFile | None:
-    if RGB in pair.photos:
-        return read_rgb(pair.photos[RGB], orientations[RGB])
-    if not pair.embedded:
-        return None
-    if thermal.facts.visible is None:
-        raise scene_error(
-            pair.photos[THERMAL],
-            "holds no visible photo, while others do; leave it out, or add its RGB photo",
-        )
-    return read_embedded(thermal.facts.visible, orientations[THERMAL])
 
 
 def _thermal_file(thermal: ThermalPhoto, orientation: int) -> ImageFile:

@@ -69,7 +69,8 @@ class PrepareOptions:
         given = [name for name in others if getattr(self, name) is not None]
         if self.one_camera and given:
             raise ConfigError(
-                "one camera for both images needs no second one; give one of the two options",
+                "one camera for both images cannot be combined with a second camera; give one of "
+                "the two options",
                 options=("one_camera", given[0]),
             )
 

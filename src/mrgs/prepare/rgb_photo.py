@@ -11,7 +11,7 @@ from PIL import Image, JpegImagePlugin
 from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from mrgs.data.files import read_bytes
+from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.images import as_stored, opened, probe, upright
 from mrgs.data.radiometric import VisibleImage, read_exif
 from mrgs.data.radiometric.exif import clean_text
@@ -44,8 +44,13 @@ def read_rgb(path: Path, orientation: int) -> ImageFile:
         return _turned(stored, orientation, suffix or ".png")
 
 
-def read_embedded(visible: VisibleImage, orientation: int) -> ImageFile:
-    """The RGB photo embedded in a thermal photo's file. SceneError if it is damaged."""
+def read_embedded(visible: VisibleImage | None, path: Path, orientation: int) -> ImageFile:
+    """The RGB photo embedded in a thermal photo's file, with its path. SceneError if there is none,
+    or it is damaged."""
+    if visible is None:
+        raise scene_error(
+            path, "holds no visible photo, while others do; leave it out, or add its RGB photo"
+        )
     image = Image.fromarray(visible.pixels())
     if orientation == 1 and visible.data.startswith(b"\xff\xd8\xff"):
         return ImageFile(visible.data, ".jpg", image.size)

@@ -34,7 +34,7 @@ from mrgs.marks import MarkReading, Marks, RunMarks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.regions import Regions
 from mrgs.marks.resolution import square_about
-from mrgs.marks.run_marks import eye_of, spot_radius
+from mrgs.marks.run_marks import spot_radius
 from mrgs.pictures.files import to_array
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, SceneBounds, View, evenly_spaced
 from mrgs.scene.depth_map import DepthMap, SurfaceRenderer, visible
@@ -357,7 +357,7 @@ LEAST_PHOTOS = 2
 """Number of photos that must see a proposed place."""
 
 LEAST_CERTAINTY, LARGEST_UNCERTAINTY_C = 10.0, 5.0
-"""A place is proposed if its contrast is so many times its uncertainty, and that is so small, K."""
+"""Least contrast of a proposed place in multiples of its uncertainty, and the largest of these."""
 
 SAME_PLACE = 10.0
 """Distance from an earlier proposal, in its radii, below which a spot keeps that name."""
@@ -428,21 +428,18 @@ def _standing_out(
     """The ``count`` spots that stand out most certainly, and how many do not; without those that
     too few photos see as a mark, such as what floats beside an outline."""
     least = min(LEAST_PHOTOS, len(scene.train_photos(THERMAL)))
-    found = [_measured(spot, marks, scene, regions) for spot in spots]
+    found = []
+    for spot in spots:
+        view = scene.views[spot.view]  # that shows it best
+        camera = view.images[THERMAL].camera
+        place, eye = places_of([spot.position.tolist(), camera.position.tolist()])
+        mark = Mark("?", "spot", (place,), eye, spot_radius(place, camera, scene))
+        contrast = spot.value - surroundings(view, spot, regions.render(camera))
+        span = 1.0 if scene.temperature is None else scene.temperature.span_c
+        found.append(Anomaly(spot, marks.meter.read(mark, regions), span * contrast))
     seen = [each for each in found if (each.reading.photos or 0) >= least]
     kept = sorted((each for each in seen if each.stands_out), key=lambda each: -each.certainty)
     return kept[:count], len(seen) - len(kept)
-
-
-def _measured(spot: Spot, marks: RunMarks, scene: Scene, regions: Regions) -> Anomaly:
-    """A spot as a mark without a name of its own, seen from the view that shows it best."""
-    view = scene.views[spot.view]
-    camera = view.images[THERMAL].camera
-    points = places_of([spot.position.tolist()])
-    mark = Mark("?", "spot", points, eye_of(camera), spot_radius(points[0], camera, scene))
-    contrast = spot.value - surroundings(view, spot, regions.render(camera))
-    span = 1.0 if scene.temperature is None else scene.temperature.span_c
-    return Anomaly(spot, marks.meter.read(mark, regions), span * contrast)
 
 
 def _named(letter: str, anomalies: Sequence[Anomaly], marks: Marks) -> dict[str, Anomaly]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -59,6 +59,9 @@ MOST_STEPS = 6
 """Heights of a name that it may stand away from its place."""
 
 
+Pixel: TypeAlias = tuple[float, float] | Float64[np.ndarray, "2"]
+
+
 def draw_marks(
     image: Image.Image, marks: Mapping[str, Mark], places: Mapping[str, Float64[np.ndarray, "_ 2"]]
 ) -> None:
@@ -72,13 +75,7 @@ def draw_marks(
                 draw.ellipse([x - r, y - r, x + r, y + r], outline=color, width=width)
         else:
             drawing.draw_outline(image, path, marks[name].is_area, STROKE_PX)
-    draw_names_at(image, places)
-
-
-def draw_names_at(image: Image.Image, places: Mapping[str, Float64[np.ndarray, "_ 2"]]) -> None:
-    """Write names in the middle of their marks' corners, see ``draw_names``."""
-    middles = {name: corners.mean(axis=0) for name, corners in places.items()}
-    draw_names(image, {name: (float(x), float(y)) for name, (x, y) in middles.items()})
+    draw_names(image, {name: corners.mean(axis=0) for name, corners in places.items()})
 
 
 def draw_place(
@@ -102,9 +99,10 @@ def small_picture(image: Image.Image) -> Image.Image:
     return image.resize(size, Image.Resampling.LANCZOS)
 
 
-def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) -> dict[str, Box]:
-    """Write names beside their places, so that none covers another, nor another's place: many in
-    smaller letters, farther away where it is crowded, and none without room. Returns the boxes."""
+def draw_names(image: Image.Image, places: Mapping[str, Pixel]) -> dict[str, Box]:
+    """Write names beside their places, x and y in pixels, so that none covers another, nor
+    another's place: many in smaller letters, farther away where it is crowded, and none without
+    room. Returns the boxes."""
     size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
     labels = {name: drawing.fit_text(name, size, image.width / 2) for name in places}
     boxes = _boxes_of(image, labels, places, size)
@@ -120,7 +118,7 @@ def draw_names(image: Image.Image, places: Mapping[str, tuple[float, float]]) ->
 def _boxes_of(
     image: Image.Image,
     labels: Mapping[str, str],
-    places: Mapping[str, tuple[float, float]],
+    places: Mapping[str, Pixel],
     size: int,
 ) -> dict[str, Box]:
     """Boxes for the names that there is room for."""
@@ -204,7 +202,8 @@ class Plan:
         image = self._ground.copy()
         for mark in marks.values():
             draw_place(image, mark, self._pixels(self._flat(mark)), LABEL_PX / 4)
-        draw_names_at(image, {name: self._pixels(self._flat(m)) for name, m in marks.items()})
+        middles = {name: self._pixels(self._flat(m)).mean(axis=0) for name, m in marks.items()}
+        draw_names(image, middles)
         self._draw_scale(image)
         return image
 

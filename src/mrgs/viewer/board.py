@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import threading
 import warnings
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
@@ -13,13 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from mrgs.errors import ConfigError, MrgsError, MrgsWarning
-from mrgs.marks.mark import Mark, MarkKind, Marks
+from mrgs.marks.mark import Mark, Marks
 from mrgs.marks.measure import MarkReading
 from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.store import MarkStore, file_stamp
 from mrgs.marks.uncertainty import UncertaintyMeter
-from mrgs.scene import Camera
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
 Listener = Callable[[], None]
@@ -80,13 +78,12 @@ class MarkBoard:
         self.problems: tuple[str, ...] = ()
         self.is_measuring = False
         self._store = store
-        self._picker = picker
+        self.picker = picker
         self._meter = picker.meter
         self._appraise = appraise
         self._identities = MarkNumbers()
         self._files: object = None
-        self._lock = threading.Lock()
-        self._listeners: list[Listener] = []
+        self._listeners: tuple[Listener, ...] = ()
         try:
             survey = read_survey(self._store.folder / SURVEY_FILE)
         except MrgsError:
@@ -118,14 +115,12 @@ class MarkBoard:
         return float(found[0])
 
     def subscribe(self, listener: Listener) -> None:
-        """Call a function after each change."""
-        with self._lock:
-            self._listeners.append(listener)
+        """Call a function after each change; to be called by one thread, as ``unsubscribe``."""
+        self._listeners = (*self._listeners, listener)
 
     def unsubscribe(self, listener: Listener) -> None:
         """No longer call a function after each change."""
-        with self._lock:
-            self._listeners = [each for each in self._listeners if each != listener]
+        self._listeners = tuple(each for each in self._listeners if each != listener)
 
     @property
     def is_stale(self) -> bool:
@@ -137,29 +132,25 @@ class MarkBoard:
         if not self.is_stale:
             return
         self._files = self._files_now()
-        before = self.marks, self.survey, self.problems
+        before = self.problems
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", MrgsWarning)
             try:
                 marks, survey = self._store.read(), read_survey(self._store.folder / SURVEY_FILE)
-                if (marks, survey) != self._measured:
-                    if survey != self.survey:
-                        self._use_survey(survey)
-                    self._measure(marks)
-                self.problems = ()
+                if survey != self.survey:
+                    self._use_survey(survey)
+                if (marks, survey) == self._measured:
+                    self.problems = ()
+                else:
+                    self._measure(marks, problems=())
             except MrgsError as error:
                 self.problems = (str(error),)
         if caught:  # of a damaged file, which reading has moved away
             self.problems = (*self.problems, *(str(each.message) for each in caught))
             self._files = self._files_now()
-        if self.is_measuring or (self.marks, self.survey, self.problems) != before:
-            self._notify()
-
-    def draw(self, kind: MarkKind, camera: Camera, pixels: Sequence[tuple[float, float]]) -> None:
-        """Add a mark through pixels of a camera's image, under the next free name; errors as for
-        ``edit``, also SceneError if a photo cannot be read."""
-        place = self._picker.pick(kind, camera, pixels)
-        self.edit(lambda marks: marks.adding(Mark(marks.free_name(kind), kind, *place)))
+        if self.problems != before:
+            for listener in self._listeners:
+                listener()
 
     def change(self, number: int, fields: dict[str, Any]) -> None:
         """Change fields of the mark of a number; errors as for ``edit``."""
@@ -180,36 +171,32 @@ class MarkBoard:
     def edit(self, change: Callable[[Marks], Marks]) -> None:
         """Change the marks, save, measure and notify. ConfigError if the change is not possible,
         RunError if it cannot be saved."""
-        self._show_saved(self._store.edit(change))
+        self._measure(self._store.edit(change), self.problems)
+        self._files = None
 
     def undo(self) -> None:
         """Undo the last change; errors as for ``edit``."""
-        self._show_saved(self._store.undo())
-
-    def _show_saved(self, marks: Marks) -> None:
-        """Show what has just been written. What cannot be measured is saved all the same: that is a
-        problem, and no error of the change."""
+        self._measure(self._store.undo(), self.problems)
         self._files = None
+
+    def _measure(self, marks: Marks, problems: tuple[str, ...]) -> None:
+        """Measure marks that have been saved, and notify before and after. If that fails, it is a
+        problem in place of the known ones, and no error of the change, which has been saved."""
+        self.is_measuring = True
+        for listener in self._listeners:
+            listener()
         try:
-            self._measure(marks)
+            regions = self._meter.regions(marks)
+            readings = self._meter.measure(marks, regions)
+            proposals = self._meter.measure(Marks(marks.proposals), regions)
+            self.regions, self.readings, self.proposals = regions, readings, proposals
+            self.marks, self.numbers = marks, self._identities.of(marks.marks)
+            self._measured, self.problems = (marks, self.survey), problems
         except MrgsError as error:
             self.problems = (str(error),)
-        self._notify()
-
-    def _measure(self, marks: Marks) -> None:
-        self._notify(measuring=True)
-        regions = self._meter.regions(marks)
-        readings = self._meter.measure(marks, regions)
-        proposals = self._meter.measure(Marks(marks.proposals), regions)
-        self.regions, self.readings, self.proposals = regions, readings, proposals
-        self.marks, self.numbers = marks, self._identities.of(marks.marks)
-        self._measured = marks, self.survey
-
-    def _notify(self, measuring: bool = False) -> None:
-        self.is_measuring = measuring
-        with self._lock:
-            listeners = list(self._listeners)
-        for listener in listeners:
+        finally:
+            self.is_measuring = False
+        for listener in self._listeners:
             listener()
 
     def _name(self, marks: Marks, number: int) -> str:

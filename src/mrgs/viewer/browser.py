@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import logging
 import math
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -44,7 +43,7 @@ CHANGE = "change of marks"
 """Name of jobs that change marks: none replaces another, and they outlive their browser."""
 
 MOST_CHANGES, CHANGES_S = 20, 2.0
-"""So many changes of marks in so many seconds are taken from one browser: more than hands make."""
+"""Largest number of changes of marks that one browser may make within a number of seconds."""
 
 _log = logging.getLogger(__name__)
 
@@ -63,8 +62,8 @@ class Browser:
         self.subject = subject
         self._worker = worker
         self._send_data = send
-        self._lock = threading.Lock()
-        self._look: Look | None = None
+        self.look: Look | None = None
+        self._drawn: Look | None = None
         self._sending = False
         self._changes = itertools.count()
         self._changed_s: deque[float] = deque(maxlen=MOST_CHANGES)
@@ -82,24 +81,21 @@ class Browser:
             # A mark that a change is about has its refusal beside it in the list.
             mark = getattr(message, "mark", None)
             number = mark if isinstance(mark, int) else None
-            if message.job == CHANGE and self._is_hasty():
-                text = "too many changes of marks at once: wait a second, then go on"
-                self.send("refused", mark=number, text=text)
-            elif message.job:
+            if message.job == CHANGE:
+                now_s, changed_s = time.monotonic(), self._changed_s
+                if len(changed_s) == MOST_CHANGES and now_s - changed_s[0] < CHANGES_S:
+                    text = "too many changes of marks at once: wait a second, then go on"
+                    self.send("refused", mark=number, text=text)
+                    return
+                changed_s.append(now_s)
+            if message.job:
                 self.enqueue(message.job, lambda: message._act(self), number)
             else:
                 message._act(self)
         except (ValueError, RecursionError, MrgsError) as error:
             self.report(str(error) or repr(error), failed=True)
-        self.subject.source.charge()
-
-    def _is_hasty(self) -> bool:
-        """Whether the browser changes marks faster than hands can; counts a change if not."""
-        now_s = time.monotonic()
-        if len(self._changed_s) == MOST_CHANGES and now_s - self._changed_s[0] < CHANGES_S:
-            return True
-        self._changed_s.append(now_s)
-        return False
+        finally:
+            self.subject.source.charge()
 
     def close(self) -> None:
         """Drop the browser's waiting jobs, but not its changes of marks."""
@@ -136,27 +132,13 @@ class Browser:
         """Show a text below the picture, perhaps as an error."""
         self.send("status", text=text, failed=failed)
 
-    def redraw(self) -> None:
-        """Make the browser ask for a picture: it knows where its camera is."""
-        self.send("changed")
-
-    def show(self, look: Look) -> None:
-        """Draw a picture unless one is being sent; then it follows, or a newer one."""
-        with self._lock:
-            self._look = look
-        self._draw_if_idle()
-
-    def _draw_if_idle(self) -> None:
-        with self._lock:
-            if self._look is None or self._sending:
-                return
-        self.enqueue("picture", self._draw)
-
-    def _draw(self) -> None:
-        with self._lock:
-            look, self._look = self._look, None
-        if look is None:
+    def draw(self) -> None:
+        """Draw the newest ``look`` and send the picture, unless that has been done. While another
+        picture is being sent, this one waits for it."""
+        look = self.look
+        if look is None or look is self._drawn or self._sending:
             return
+        self._drawn = look
         source, moving = self.subject.source, look.effort == "moving"
         side = self._moving_side_px if moving else source.most_pixels[look.effort]
         camera = look.camera()
@@ -179,7 +161,7 @@ class Browser:
 
         def sent(_: Future[None]) -> None:
             self._sending = False
-            self._draw_if_idle()
+            self.enqueue("picture", self.draw)
 
         self._send_data(message).add_done_callback(sent)
 
@@ -202,12 +184,7 @@ class Browser:
             self.send("measuring")
             return
         self.send("marks", **facts.marks_facts(self.board, self.subject))
-        self.redraw()
-
-    def send_point(self) -> None:
-        """Send the point that was read last; it is gone where there is none."""
-        point = self.inspection.point
-        self.send("point", of=None if point is None else facts.point_text(point, self.subject))
+        self.send("changed")  # the page then asks for a picture: it knows where its camera is
 
     def send_keyframes(self) -> None:
         """Send how many keyframes the path has, and what it still needs."""
@@ -287,7 +264,8 @@ class Look(BrowserMessage, tag="look"):
 
     def _act(self, browser: Browser) -> None:
         self.camera()  # raises for a wrong one
-        browser.show(self)
+        browser.look = self
+        browser.enqueue("picture", browser.draw)
 
 
 class Choose(BrowserMessage, tag="choose"):
@@ -318,7 +296,7 @@ class Choose(BrowserMessage, tag="choose"):
             subject.modes[self.mode], self.palette, limits, self.isotherm, self.share,
             scaled or old.scaled, self.marks,
         )  # fmt: skip
-        browser.redraw()
+        browser.send("changed")
 
 
 class Hover(BrowserMessage, tag="hover"):
@@ -339,10 +317,12 @@ class ReadPoint(BrowserMessage, tag="read"):
     y: Share
 
     def _act(self, browser: Browser) -> None:
-        if browser.inspection.click(self.x, self.y) is None:
+        point = browser.inspection.click(self.x, self.y)
+        if point is None:
             browser.report("Nothing there: the model is empty at this point.")
-        browser.send_point()
-        browser.redraw()
+        text = None if point is None else facts.point_text(point, browser.subject)
+        browser.send("point", of=text)
+        browser.send("changed")
 
 
 class AddMark(BrowserMessage, tag="add_mark"):
@@ -354,7 +334,7 @@ class AddMark(BrowserMessage, tag="add_mark"):
 
     def _act(self, browser: Browser) -> None:
         browser.inspection.add_mark(self.kind, self.points)
-        browser.send_point()
+        browser.send("point", of=None)  # what was read is no longer drawn
 
 
 class ChangeMark(BrowserMessage, tag="change_mark"):
@@ -439,7 +419,7 @@ class FitScales(BrowserMessage, tag="fit"):
         browser.inspection.fit()
         limits = browser.inspection.settings.limits
         browser.send("limits", of={modality.name: ends for modality, ends in limits.items()})
-        browser.redraw()
+        browser.send("changed")
 
 
 class TakeScreenshot(BrowserMessage, tag="screenshot"):

@@ -27,7 +27,7 @@ from mrgs.pictures.values import range_of
 from mrgs.scene import THERMAL, Modality, WorldFrame
 from mrgs.viewer.board import MarkBoard
 from mrgs.viewer.inspection import Inspection, PointReading
-from mrgs.viewer.painting import DrawnPicture, MarkLabel, pane_scale, seen_labels
+from mrgs.viewer.painting import DrawnPicture, pane_scale, seen_labels
 from mrgs.viewer.panes import ValueReading
 from mrgs.viewer.settings import Subject
 from mrgs.viewer.source import Effort
@@ -91,35 +91,32 @@ def picture_message(
     options = MOVING_JPEG if effort == "moving" else SHARP_JPEG
     Image.fromarray(drawn.pixels).save(buffer, "JPEG", **options)
     wanted = min(longest_px, inspection.subject.source.most_pixels["still"])
-    labels = [*inspection.labels(), *inspection.proposals()]
+    labels, (width, height), panes = inspection.labels(with_proposals=True), drawn.size, []
+    for pane, shown in zip(drawn.panes, drawn.images, strict=True):
+        place = (pane.left / width, pane.top / height)
+        scale, seen = pane_scale(pane, drawn.scales), seen_labels(pane, shown, labels)
+        scale_facts = None if scale is None else scale._asdict()
+        if scale_facts is not None:
+            del scale_facts["decimal"]  # the page writes the numbers itself
+        panes.append(
+            {  # over which the page draws title, scale and marks
+                "place": [*place, pane.camera.width / width, pane.camera.height / height],
+                "free": pane.photo is None,
+                "title": pane.title,
+                "scale": scale_facts,
+                "marks": [(*e.corners[0], e.label, e.short) for e in seen if len(e.corners) == 1],
+                "outlines": [each._asdict() for each in seen if len(each.corners) > 1],
+            }
+        )
     facts = {
         "number": number,
         "effort": effort,
         "full": max(drawn.size) >= wanted,
-        "panes": [_pane(drawn, index, labels) for index in range(len(drawn.panes))],
+        "panes": panes,
         "photo": inspection.view_index,
     }
     header = encode(facts).encode()
     return struct.pack("<I", len(header)) + header + buffer.getvalue()
-
-
-def _pane(drawn: DrawnPicture, index: int, labels: list[MarkLabel]) -> dict[str, Any]:
-    """A pane, over which the page draws title, scale and marks."""
-    pane, shown = drawn.panes[index], drawn.images[index]
-    scale = pane_scale(pane, drawn.scales)
-    scale_facts = None if scale is None else scale._asdict()
-    if scale_facts is not None:
-        del scale_facts["decimal"]  # the page writes the numbers itself
-    (width, height), size = drawn.size, pane.camera
-    seen = seen_labels(pane, shown, labels)
-    return {
-        "place": [pane.left / width, pane.top / height, size.width / width, size.height / height],
-        "free": pane.photo is None,
-        "title": pane.title,
-        "scale": scale_facts,
-        "marks": [(*e.corners[0], e.label, e.short) for e in seen if len(e.corners) == 1],
-        "outlines": [each._asdict() for each in seen if len(each.corners) > 1],
-    }
 
 
 def marks_facts(board: MarkBoard, subject: Subject) -> dict[str, Any]:

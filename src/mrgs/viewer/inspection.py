@@ -136,30 +136,27 @@ class Inspection:
             }
             self.settings = replace(self.settings, limits={**self.settings.limits, **fitted})
 
-    def labels(self) -> list[MarkLabel]:
-        """The lines and areas, the spots, and the point that was read last."""
-        board, point = self.subject.board, self.point
-        readings = board.readings if board is not None and self.settings.marks else ()
-        labels = [self._label(reading) for reading in readings]
+    def labels(self, with_proposals: bool = False) -> list[MarkLabel]:
+        """The lines and areas, the spots, the point that was read last, and the places that the
+        report proposes, with a question mark."""
+        board, point = self.subject.board if self.settings.marks else None, self.point
+
+        def label(reading: MarkReading, doubt: str = "") -> MarkLabel:
+            mark, text = reading.mark, label_text(reading, self.subject.temperature)
+            ends = ((), ()) if mark.kind == "spot" else (reading.low_at, reading.high_at)
+            return MarkLabel(
+                np.array(mark.points), text + doubt, mark.name + doubt, mark.is_area, *ends
+            )
+
+        labels = [label(each) for each in (() if board is None else board.readings)]
         labels.sort(key=lambda label: len(label.corners) == 1)
         if point is not None:
             text = "point"
             if point.modality is not None and point.value is not None:
                 text = self.subject.format_value(point.modality, point.value)
             labels.append(MarkLabel(point.reading.position[None], text))
-        return labels
-
-    def proposals(self) -> list[MarkLabel]:
-        """The places that the report proposes."""
-        board = self.subject.board if self.settings.marks else None
-        return [self._label(each, " ?") for each in (() if board is None else board.proposals)]
-
-    def _label(self, reading: MarkReading, doubt: str = "") -> MarkLabel:
-        mark, text = reading.mark, label_text(reading, self.subject.temperature)
-        ends = ((), ()) if mark.kind == "spot" else (reading.low_at, reading.high_at)
-        return MarkLabel(
-            np.array(mark.points), text + doubt, mark.name + doubt, mark.is_area, *ends
-        )
+        proposals = board.proposals if board is not None and with_proposals else ()
+        return labels + [label(each, " ?") for each in proposals]
 
     def add_mark(self, kind: MarkKind, points: Sequence[tuple[float, float]]) -> None:
         """Add a mark through places of the latest picture, from 0 to 1, of a box two opposite
@@ -177,7 +174,8 @@ class Inspection:
             raise ConfigError("draw the mark within one picture")
         camera = pane.own_camera
         pixels = [(place.u * camera.width, place.v * camera.height) for place in places]
-        board.draw(kind, camera, pixels)
+        picked = board.picker.pick(kind, camera, pixels)
+        board.edit(lambda marks: marks.adding(kind, **picked))
         self.point = None
 
     def _images(self, pane: Pane, moving: bool) -> PaneImages:
@@ -210,7 +208,8 @@ class Inspection:
         return self._photo_images(modality, pane.photo, self.subject.temperature)
 
     def _titled(self, pane: Pane) -> Pane:
-        """The model that is compared with a thermal photo says if others are corrected."""
+        """The pane; where surfaces elsewhere are corrected, the title of a model beside a thermal
+        photo states that it is not."""
         corrects = self.subject.board is not None and self.subject.board.regions
         if not corrects or pane.photo is None or pane.kind == "photo" or pane.scaled != THERMAL:
             return pane

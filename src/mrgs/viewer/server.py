@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from mrgs.errors import RunError, warn_user
 from mrgs.marks.emissivity import CaptureSettings
-from mrgs.marks.measure import CachedMeter, MarkMeter
+from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.run_marks import MarkPicker, thermal_cameras
 from mrgs.marks.store import CameraSpread, MarkStore
@@ -206,8 +206,8 @@ def open_viewer(run: Run, scene: Scene | None, host: str, port: int) -> Viewer:
 
 
 def title_of(folder: Path, scene: str) -> str:
-    """Heading of a run's viewer: names of the scene (empty if not known) and of the folder, which
-    tells the scene's runs apart; the folder's alone where it begins with the scene's."""
+    """Heading of a run's viewer: the names of the scene (empty if not known) and of the folder, by
+    which runs of one scene differ; the folder's alone where it begins with the scene's."""
     own = folder.resolve().name
     return own if own.startswith(scene) else f"{scene}, {own}"
 
@@ -219,7 +219,7 @@ def board_of(subject: Subject, spread: CameraSpread) -> MarkBoard:
         return subject.source.run(lambda model: render_surface(model, camera, subject))
 
     changes = not isinstance(subject.source, TrainedSource)  # what is found is of one step alone
-    meter = (MarkMeter if changes else CachedMeter)(
+    meter = MarkMeter(
         before_background(draw, None if subject.scene is None else subject.scene.reach),
         subject.temperature,
         thermal_cameras(subject.scene),

@@ -35,8 +35,7 @@ class Worker:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._jobs: dict[Hashable, Job] = {}
-        self._line: list[Hashable] = []  # the browsers with waiting jobs, by their turn
+        self._jobs: dict[Hashable, dict[Hashable, Job]] = {}  # of the browsers, by their turn
         self._working = False
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="mrgs-viewer", daemon=True)
@@ -52,17 +51,18 @@ class Worker:
         """Do a job after the browser's waiting ones, in place of one with the same key."""
         with self._changed:
             if not self._closed:
-                self._jobs[key] = job
-                if _owner(key) not in self._line:
-                    self._line.append(_owner(key))
+                owner = key[0] if isinstance(key, tuple) else key
+                self._jobs.setdefault(owner, {})[key] = job
                 self._changed.notify()
 
     def drop(self, keys: Callable[[Hashable], bool]) -> None:
         """Forget the waiting jobs whose keys fit."""
         with self._changed:
-            self._jobs = {key: job for key, job in self._jobs.items() if not keys(key)}
-            waiting = set(map(_owner, self._jobs))
-            self._line = [owner for owner in self._line if owner in waiting]
+            left = {
+                owner: {key: job for key, job in jobs.items() if not keys(key)}
+                for owner, jobs in self._jobs.items()
+            }
+            self._jobs = {owner: jobs for owner, jobs in left.items() if jobs}
 
     def close(self) -> None:
         """Forget all jobs, and end the thread after the one that it is doing; does not wait."""
@@ -75,14 +75,6 @@ class Worker:
         """Wait until the thread has ended, at most for some seconds."""
         self._thread.join(timeout_s)
 
-    def _next_key(self) -> Hashable:
-        """The oldest job of the browser whose turn it is; then it is the last in the line."""
-        owner = self._line.pop(0)
-        mine = [key for key in self._jobs if _owner(key) == owner]
-        if len(mine) > 1:
-            self._line.append(owner)
-        return mine[0]
-
     def _work(self) -> None:
         while True:
             with self._changed:
@@ -90,7 +82,11 @@ class Worker:
                 self._changed.wait_for(lambda: self._closed or self._jobs)
                 if self._closed:
                     return
-                job = self._jobs.pop(self._next_key())
+                owner, jobs = next(iter(self._jobs.items()))
+                job = jobs.pop(next(iter(jobs)))
+                del self._jobs[owner]
+                if jobs:  # it is the browser's turn again after all others
+                    self._jobs[owner] = jobs
                 self._working = True
             try:
                 job()
@@ -98,11 +94,6 @@ class Worker:
                 self.close()
             except Exception:
                 _log.warning("the viewer failed", exc_info=True)
-
-
-def _owner(key: Hashable) -> Hashable:
-    """The browser of a job."""
-    return key[0] if isinstance(key, tuple) else key
 
 
 MOST_IN_VIEW = 80_000

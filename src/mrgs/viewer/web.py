@@ -271,18 +271,18 @@ class Viewer:
         headers, gate = request.headers, self._gate
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if not gate.is_own_host(hosts) or not gate.is_own_origin(origins, hosts):
-            return _text(HTTPStatus.FORBIDDEN, "This address belongs to another page.")
+            return _response(HTTPStatus.FORBIDDEN, "This address belongs to another page.")
         token = gate.token_in(request.path)
         allowed = gate.knows(token) or gate.has_cookie(headers.get_all("Cookie"), self.port)
         path = request.path.partition("?")[0]
         if path == "/favicon.ico":
-            return _text(HTTPStatus.NO_CONTENT, "")
+            return _response(HTTPStatus.NO_CONTENT, "")
         if path not in ("/", SOCKET_PATH):
-            return _text(HTTPStatus.NOT_FOUND, "There is nothing here.")
+            return _response(HTTPStatus.NOT_FOUND, "There is nothing here.")
         if not allowed:
             if token is not None or gate.has_cookie_name(headers.get_all("Cookie"), self.port):
                 if len(self._guessing) >= MOST_GUESSES:
-                    return _text(HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens: wait.")
+                    return _response(HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens: wait.")
                 self._guessing.append(request)
                 try:
                     async with self._guess:
@@ -291,29 +291,25 @@ class Viewer:
                 finally:  # also of a guess that is given up while it waits
                     self._guessing.remove(request)
             if path == SOCKET_PATH:
-                return _text(HTTPStatus.FORBIDDEN, "The token is missing.")
-            return _html(HTTPStatus.FORBIDDEN, self._question)
+                return _response(HTTPStatus.FORBIDDEN, "The token is missing.")
+            return _response(HTTPStatus.FORBIDDEN, self._question)
         if path == SOCKET_PATH:
             return None
         if token is None:
-            return _html(HTTPStatus.OK, self._page)
+            return _response(HTTPStatus.OK, self._page)
         # The token leaves the address, so that it is not copied along with it.
-        response = _text(HTTPStatus.SEE_OTHER, "")
+        response = _response(HTTPStatus.SEE_OTHER, "")
         response.headers["Location"] = "/"
         response.headers["Set-Cookie"] = gate.cookie(self.port)
         return response
 
 
-def _html(status: HTTPStatus, page: Page) -> Response:
-    body = page.html.encode("utf-8", "replace")
-    return _response(status, "text/html", body, page.policy)
-
-
-def _text(status: HTTPStatus, text: str) -> Response:
-    return _response(status, "text/plain", text.encode(), "default-src 'none'")
-
-
-def _response(status: HTTPStatus, kind: str, body: bytes, policy: str) -> Response:
+def _response(status: HTTPStatus, content: str | Page) -> Response:
+    """A page, or a plain text, as the server sends it."""
+    kind, text, policy = "text/plain", content, "default-src 'none'"
+    if isinstance(content, Page):
+        kind, text, policy = "text/html", content.html, content.policy
+    body = str(text).encode("utf-8", "replace")
     headers = Headers(
         {
             "Content-Type": f"{kind}; charset=utf-8",

@@ -234,9 +234,9 @@ def test_a_file_that_is_cut_off(save):
             {0x58: struct.pack("<f", float("nan"))},
             r"\(not a number\)",
         ),
-        ({0x58: struct.pack("<f", -3.0)}, r"absurd \(R1 = -3"),
-        ({0x5C: struct.pack("<f", 3.0)}, r"absurd \(B = 3\)"),
-        ({0x60: struct.pack("<f", 99.0)}, r"absurd \(F = 99\)"),
+        ({0x58: struct.pack("<f", -3.0)}, r"implausible \(R1 = -3"),
+        ({0x5C: struct.pack("<f", 3.0)}, r"implausible \(B = 3\)"),
+        ({0x60: struct.pack("<f", 99.0)}, r"implausible \(F = 99\)"),
         (
             {0x308: struct.pack("<i", -(10**9))},
             "Planck .* plausible",

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mrgs.data.files import scene_error
-from mrgs.data.radiometric.exif import ExifFacts
+from mrgs.data.radiometric.exif import read_exif
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import FLOAT_UNITS
@@ -41,7 +41,7 @@ _OPTIONS = {
 """The tool's option for each value that a user may override, and what turns our unit into its."""
 
 
-def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
+def read_r_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in an R-JPEG, whose signal only DJI's library turns into temperatures. ``TOOL`` is
     run with a time limit, and what it writes is checked like any file. Overrides of emissivity,
     distance, humidity, reflected and air temperature are handed on; the photo's own count
@@ -56,16 +56,17 @@ def read_r_jpeg(path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPho
             f"photo elsewhere: {TOOL} -s {path.name} -a measure -o {path.stem}.raw --measurefmt "
             f"float32",
         )
+    exif = read_exif(data)
     given = {name: v for name, v in overrides.of_parameters().items() if name in _OPTIONS}
     with tempfile.TemporaryDirectory(prefix="mrgs-") as folder:
         output = Path(folder, "measured.raw")
         run_tool(tool, path, output, given)
         size = output.stat().st_size if output.is_file() else 0
-        data = output.read_bytes() if 0 < size <= MAX_BYTES else b""
+        numbers = output.read_bytes() if 0 < size <= MAX_BYTES else b""
     source = f"DJI R-JPEG, read by {TOOL}"
     facts = PhotoFacts(source, exif.model, taken=exif.taken, gps=exif.gps, given=given)
     unit = Overrides(unit="celsius")
-    return _bare_numbers(data, path, facts, unit, f"{TOOL} wrote {size} bytes")
+    return _bare_numbers(numbers, path, facts, unit, f"{TOOL} wrote {size} bytes")
 
 
 def run_tool(

@@ -200,7 +200,7 @@ _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 _STANDALONE = {0x01, *range(0xD0, 0xD9)}
 
 RECORD_MARKS = (b"FLIR\0", b"WORK\0")
-"""Of the parts of a thermal record in FLIR's format, by FLIR and by Workswell."""
+"""How the parts of a thermal record in FLIR's format begin, by FLIR and by Workswell."""
 
 _FLIR_HEADER = 8
 """The mark, a 1, the number of this part from 0, and the number of the last part."""
@@ -258,8 +258,8 @@ def flir_record(data: bytes, path: Path) -> bytes | None:
     return b"".join(part.content[_FLIR_HEADER:] for part in parts)
 
 
-def holds_dji_signal(data: bytes, make: str | None) -> bool:
+def holds_dji_signal(data: bytes) -> bool:
     """Whether this is a DJI R-JPEG: made by DJI, with the raw signal in APP3 segments."""
-    if make is None or "DJI" not in make.upper():
+    if not data.startswith(JPEG_SIGNATURE) or "DJI" not in (read_exif(data).make or "").upper():
         return False
     return sum(len(s.content) for s in segments(data) if s.marker == _APP3) > _DJI_RAW_BYTES

@@ -11,14 +11,20 @@ import struct
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt16
 
 from mrgs.data.files import scene_error
 from mrgs.data.images import opened
-from mrgs.data.radiometric.exif import ExifFacts, clean_text
+from mrgs.data.radiometric.exif import (
+    JPEG_SIGNATURE,
+    ExifFacts,
+    clean_text,
+    flir_record,
+    read_exif,
+)
 from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, object_temperature
 from mrgs.data.radiometric.photo import Alignment, Overrides, PhotoFacts, ThermalPhoto, VisibleImage
 from mrgs.data.radiometric.raster import finished
@@ -42,33 +48,37 @@ _WORKSWELL = b"WWP"
 """Creator of a record whose numbers are temperatures; its Planck constants are all 0."""
 
 
-class CameraFacts(NamedTuple):
-    """What a record says of its camera; None where it does not: the horizontal field of view of the
-    lens that was on it, and the time by its own clock, without a time zone."""
+def camera_facts(records: Records) -> ExifFacts:
+    """Facts in a record about its camera, as EXIF data have them: model, serial number, time, and
+    the field of view of the lens that was on it; none in a damaged one. Reads no pixels."""
+    info = RecordFields.of(records.get(CAMERA_INFO) or b"")
+    if info is None:
+        return ExifFacts()
+    view_deg, stamp = info.number(0x1B4), info.read(0x384, "IIh")
+    taken = None
+    if stamp is not None and stamp[0] != 0:  # in UTC, and the minutes that the camera is behind it
+        seconds, milliseconds, behind = (int(number) for number in stamp)
+        seconds -= 60 * behind if abs(behind) <= 14 * 60 else 0
+        taken = datetime(1970, 1, 1) + timedelta(
+            seconds=seconds, milliseconds=(milliseconds & 0xFFFF) % 1000
+        )
+    return ExifFacts(
+        model=clean_text(info.data[0xD4:0xF4]),
+        taken=taken,
+        serial=clean_text(info.data[0x104:0x114]),
+        field_of_view_deg=view_deg if view_deg is not None and 0 < view_deg < 180 else None,
+    )
 
-    model: str | None = None
-    serial: str | None = None
-    field_of_view_deg: float | None = None
-    taken: datetime | None = None
 
-
-def camera_facts(records: Records) -> CameraFacts:
-    """What a record says of its camera, without its pixels; a damaged one says nothing."""
-    content = records.get(CAMERA_INFO) or b""
-    order = order_of(content)
-    return CameraFacts() if order is None else _camera(RecordFields(content, order))
-
-
-def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
-    """The photo in an FFF record. SceneError if the record is cut off or damaged, or its constants
-    are missing or absurd. ``exif`` is that of the JPEG file around it; empty for a bare FFF file.
-    """
-    records = Records(record, path)
-    content = records.require(CAMERA_INFO, "camera info with the Planck constants")
-    order = order_of(content)
-    if order is None:
+def read_flir(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
+    """The photo in a JPEG with FLIR's thermal record, or in an FFF file, which is the bare record.
+    SceneError if the record is cut off or damaged, or its constants are missing or implausible."""
+    is_jpeg = data.startswith(JPEG_SIGNATURE)
+    record = (flir_record(data, path) if is_jpeg else None) or data
+    records, exif = Records(record, path), read_exif(data) if is_jpeg else ExifFacts()
+    info = RecordFields.of(records.require(CAMERA_INFO, "camera info with the Planck constants"))
+    if info is None:
         raise scene_error(path, "its camera info is damaged; copy the photo from the camera again")
-    info = RecordFields(content, order)
     raw = raw_signal(records.require(RAW_DATA, "raw image"), path)
     facts = _facts(info, records, path, exif)
     if record[4:7] == _WORKSWELL:
@@ -76,11 +86,12 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         return finished(raw.astype(np.float32), WIRIS_UNITS, path, facts, overrides, True)
     planck = _planck(info, path)
     stored, given = _parameters(info, path), overrides.of_parameters()
-    corrected = {
-        name: round(value - ZERO_CELSIUS_K, 3)
-        for name in _SURROUNDINGS
-        if _is_kelvin(value := getattr(stored, name))
-    }
+    corrected = {}
+    for name in _SURROUNDINGS:
+        value = getattr(stored, name)
+        low, high = _LIKELY_KELVIN if round(value % 1, 2) == 0.15 else _KELVIN_AS_CELSIUS
+        if low <= value <= high:
+            corrected[name] = round(value - ZERO_CELSIUS_K, 3)
     parameters = replace(stored, **{**corrected, **given})
     if problem := parameters.problem():
         name, sentence = problem
@@ -113,17 +124,12 @@ def read_flir(record: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
     return ThermalPhoto(celsius, None, valid, facts)
 
 
-def _is_kelvin(value: float) -> bool:
-    low, high = _LIKELY_KELVIN if round(value % 1, 2) == 0.15 else _KELVIN_AS_CELSIUS
-    return low <= value <= high
-
-
 def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
     """The detector's counts in the record of the raw image: a PNG, or bare 16-bit numbers.
     SceneError if it is damaged, cut off, too large, or compressed in a way that is not read."""
-    order = order_of(record)
-    size = None if order is None else RecordFields(record, order).read(2, "HH")
-    if order is None or size is None or 0 in size:
+    fields = RecordFields.of(record)
+    size = None if fields is None else fields.read(2, "HH")
+    if fields is None or size is None or 0 in size:
         raise scene_error(
             path, "the header of its raw image is damaged; copy the photo from the camera again"
         )
@@ -155,7 +161,7 @@ def raw_signal(record: bytes, path: Path) -> UInt16[np.ndarray, "h w"]:
         )
     if len(content) < 2 * width * height:
         raise cut_off(path, "raw image", len(content), 2 * width * height)
-    counts = np.frombuffer(content, f"{order}u2", width * height)
+    counts = np.frombuffer(content, f"{fields.order}u2", width * height)
     return counts.reshape(height, width).astype(np.uint16)
 
 
@@ -173,8 +179,8 @@ def _planck(info: RecordFields, path: Path) -> Planck:
         )
     planck = Planck(*constants)
     if problem := planck.problem():
-        fault = f"its Planck constants are absurd ({problem}); copy the photo from the camera again"
-        raise scene_error(path, fault)
+        fault = f"its Planck constants are implausible ({problem})"
+        raise scene_error(path, f"{fault}; copy the photo from the camera again")
     return planck
 
 
@@ -207,7 +213,7 @@ def _transmission(info: RecordFields, parameters: ObjectParameters, path: Path) 
 
 
 def _facts(info: RecordFields, records: Records, path: Path, exif: ExifFacts) -> PhotoFacts:
-    camera = _camera(info)
+    camera = camera_facts(records)
     visible, warnings = _visible(records, path)
     return PhotoFacts(
         source="FLIR radiometric JPEG" if exif != ExifFacts() else "FLIR thermal record",
@@ -219,23 +225,6 @@ def _facts(info: RecordFields, records: Records, path: Path, exif: ExifFacts) ->
         calibrated_c=_range(info.celsius(0x94), info.celsius(0x90)),
         visible=visible,
         warnings=warnings,
-    )
-
-
-def _camera(info: RecordFields) -> CameraFacts:
-    view_deg, stamp = info.number(0x1B4), info.read(0x384, "IIh")
-    taken = None
-    if stamp is not None and stamp[0] != 0:  # in UTC, and the minutes that the camera is behind it
-        seconds, milliseconds, behind = (int(number) for number in stamp)
-        seconds -= 60 * behind if abs(behind) <= 14 * 60 else 0
-        taken = datetime(1970, 1, 1) + timedelta(
-            seconds=seconds, milliseconds=(milliseconds & 0xFFFF) % 1000
-        )
-    return CameraFacts(
-        clean_text(info.data[0xD4:0xF4]),
-        clean_text(info.data[0x104:0x114]),
-        view_deg if view_deg is not None and 0 < view_deg < 180 else None,
-        taken,
     )
 
 
@@ -264,17 +253,14 @@ def _visible(records: Records, path: Path) -> tuple[VisibleImage | None, tuple[s
         return None, (
             "The photo in visible light inside the file is of an unknown kind; left out.",
         )
-    return VisibleImage(image, path, _alignment(records.get(PICTURE_IN_PICTURE))), ()
-
-
-def _alignment(record: bytes | None) -> Alignment | None:
-    """The record has no mark of its byte order: the one that gives a plausible ratio is taken."""
-    for order in ("<", ">"):
-        found = None if record is None else RecordFields(record, order).read(0, "f6h")
-        if found is not None and 0.1 < found[0] < 10:
+    placed, alignment = records.get(PICTURE_IN_PICTURE) or b"", None
+    orders: tuple[ByteOrder, ...] = ("<", ">")  # not stated: that which gives a plausible ratio
+    for order in orders:
+        found = RecordFields(placed, order).read(0, "f6h")
+        if alignment is None and found is not None and 0.1 < found[0] < 10:
             dx, dy, left, right, top, bottom = (int(value) for value in found[1:])
-            return Alignment(float(found[0]), dx, dy, (left, right, top, bottom))
-    return None
+            alignment = Alignment(float(found[0]), dx, dy, (left, right, top, bottom))
+    return VisibleImage(image, path, alignment), ()
 
 
 def _doubts(
@@ -313,6 +299,14 @@ class RecordFields:
         self.data = data
         self.order = order
 
+    @classmethod
+    def of(cls, record: bytes) -> RecordFields | None:
+        """The fields of a record that starts with a small 16-bit number, in whose byte order they
+        are; None if it does not."""
+        if len(record) < 2 or (record[0] != 0) == (record[1] != 0):
+            return None
+        return cls(record, "<" if record[0] else ">")
+
     def read(self, offset: int, form: str) -> tuple[float | int, ...] | None:
         """The numbers of ``struct``'s ``form`` at ``offset``."""
         layout = struct.Struct(f"{self.order}{form}")
@@ -330,18 +324,32 @@ class RecordFields:
         return None if kelvin is None else round(kelvin - ZERO_CELSIUS_K, 3)
 
 
-def order_of(record: bytes) -> ByteOrder | None:
-    """Byte order of a record that starts with a small 16-bit number; None if it does not."""
-    if len(record) < 2 or (record[0] != 0) == (record[1] != 0):
-        return None
-    return "<" if record[0] else ">"
-
-
 class Records:
-    """The records of an FFF file by type; the first of each type counts."""
+    """The records of an FFF file by type; the first of each type counts, and free ones are left
+    out. SceneError if the header or the directory is damaged or cut off."""
 
     def __init__(self, data: bytes, path: Path) -> None:
-        self._data, self._path, self._places = data, path, _directory(data, path)
+        self._data, self._path = data, path
+        if len(data) < _HEADER_BYTES or data[:4] not in FFF_SIGNATURES:
+            raise scene_error(
+                path,
+                "its thermal record does not start as FLIR's do; copy the photo from the camera "
+                "again",
+            )
+        order: ByteOrder = ">" if 100 <= int.from_bytes(data[0x14:0x18], "big") < 256 else "<"
+        offset, count = struct.unpack_from(f"{order}II", data, 0x18)
+        if count > _MAX_ENTRIES:
+            raise scene_error(
+                path, f"its thermal record lists {count} parts; it is damaged, copy the photo again"
+            )
+        end = offset + count * _ENTRY_BYTES
+        if end > len(data):
+            raise cut_off(path, "directory", len(data), end)
+        self._places: dict[int, slice] = {}
+        for start in range(offset, end, _ENTRY_BYTES):
+            type_, at, length = struct.unpack_from(f"{order}H10xII", data, start)
+            if type_ != 0:
+                self._places.setdefault(type_, slice(at, at + length))
 
     def get(self, type_: int) -> bytes | None:
         """The content of a record; None if there is none, or it is cut off."""
@@ -366,28 +374,3 @@ def cut_off(path: Path, what: str, there: int, wanted: int) -> SceneError:
         f"its thermal record is cut off ({there} of {wanted} bytes of the {what}); copy the photo "
         f"again",
     )
-
-
-def _directory(data: bytes, path: Path) -> dict[int, slice]:
-    """Where the first record of each type lies; free ones are left out. SceneError if the header or
-    the directory is damaged or cut off."""
-    if len(data) < _HEADER_BYTES or data[:4] not in FFF_SIGNATURES:
-        raise scene_error(
-            path,
-            "its thermal record does not start as FLIR's do; copy the photo from the camera again",
-        )
-    order: ByteOrder = ">" if 100 <= int.from_bytes(data[0x14:0x18], "big") < 256 else "<"
-    offset, count = struct.unpack_from(f"{order}II", data, 0x18)
-    if count > _MAX_ENTRIES:
-        raise scene_error(
-            path, f"its thermal record lists {count} parts; it is damaged, copy the photo again"
-        )
-    end = offset + count * _ENTRY_BYTES
-    if end > len(data):
-        raise cut_off(path, "directory", len(data), end)
-    places: dict[int, slice] = {}
-    for start in range(offset, end, _ENTRY_BYTES):
-        type_, at, length = struct.unpack_from(f"{order}H10xII", data, start)
-        if type_ != 0:
-            places.setdefault(type_, slice(at, at + length))
-    return places

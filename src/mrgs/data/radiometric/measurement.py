@@ -3,8 +3,7 @@
 Planck's law in the form of a camera's calibration, and the measurement formula with its reflected,
 atmospheric and window terms are in the user manuals of FLIR's cameras, chapter "The measurement
 formula"; the transmission of the air is FLIR's, with the constants that its cameras store. Both are
-discussed in W. Minkina and S. Dudzik, *Infrared
-Thermography: Errors and Uncertainties*, Wiley 2009.
+discussed in W. Minkina and S. Dudzik, *Infrared Thermography*, Wiley 2009.
 """
 
 from __future__ import annotations
@@ -31,8 +30,9 @@ class Measurement:
     parameters: ObjectParameters
     transmission: float
 
-    def object_signal(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """S_obj: the signal of the object's surface, were it black, and seen through nothing."""
+    def celsius(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
+        """The object's temperature, °C, by S_obj, the signal that its surface would give if it were
+        black and seen through nothing; not finite where its surroundings give more signal."""
         p, tau, at = self.parameters, self.transmission, self.planck.signal
         at_lens = signal
         if p.window_transmission < 1:
@@ -40,11 +40,7 @@ class Measurement:
             at_lens = (signal - of_window) / p.window_transmission
         reflected = (1 - p.emissivity) * tau * at(p.reflected_c)
         surroundings = reflected + (1 - tau) * at(p.atmospheric_c)
-        return (at_lens - surroundings) / (p.emissivity * tau)
-
-    def celsius(self, signal: Float64[np.ndarray, "..."]) -> Float64[np.ndarray, "..."]:
-        """The object's temperature, °C; not finite where its surroundings give more signal."""
-        return self.planck.celsius(self.object_signal(signal))
+        return self.planck.celsius((at_lens - surroundings) / (p.emissivity * tau))
 
 
 def object_temperature(

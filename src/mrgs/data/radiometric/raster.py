@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32
 
 from mrgs.data.files import scene_error
 from mrgs.data.images import LUMINANCE, as_stored, holds_numbers, numbers_of, opened
-from mrgs.data.radiometric.exif import ExifFacts
+from mrgs.data.radiometric.exif import read_exif
 from mrgs.data.radiometric.measurement import masked
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.units import (
@@ -34,7 +34,7 @@ _NO_VALUE = -999.0
 _RELATIVE = "relative values from 0 to 1 are used"
 
 
-def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) -> ThermalPhoto:
+def read_raster(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     """The photo in an image file, given its content. SceneError if it is damaged, of an unknown
     scale, or given bounds without being grey."""
     with opened(path, data) as image:
@@ -47,6 +47,7 @@ def read_raster(data: bytes, path: Path, exif: ExifFacts, overrides: Overrides) 
         else:
             grey = "L" if mode in ("1", "L", "LA", "La") else "RGB"
             pixels = np.array(as_stored(image).convert(grey))
+    exif = read_exif(data)
     facts = PhotoFacts(
         f"{kind} image", exif.model, exif.serial, exif.taken, exif.gps, exif.field_of_view_deg
     )
@@ -133,6 +134,7 @@ def _from_grey(
 def _from_colours(
     pixels: np.ndarray, path: Path, facts: PhotoFacts, overrides: Overrides
 ) -> ThermalPhoto:
+    """An image in colours, 0 to 255: shades of grey if it has hardly any, else relative values."""
     grey = pixels.astype(np.float32) @ LUMINANCE.numpy() / 255
     spread = pixels.max(axis=2).astype(int) - pixels.min(axis=2)
     if float(np.mean(spread > _GREY_TOLERANCE)) < 0.01:  # a printed logo may be coloured

@@ -10,13 +10,7 @@ from typing import Literal, NamedTuple
 from mrgs.data.files import read_bytes, scene_error
 from mrgs.data.images import TIFF_SIGNATURES
 from mrgs.data.radiometric.dji import read_bare_numbers, read_r_jpeg
-from mrgs.data.radiometric.exif import (
-    JPEG_SIGNATURE,
-    ExifFacts,
-    flir_record,
-    holds_dji_signal,
-    read_exif,
-)
+from mrgs.data.radiometric.exif import JPEG_SIGNATURE, flir_record, holds_dji_signal
 from mrgs.data.radiometric.flir import FFF_SIGNATURES, read_flir
 from mrgs.data.radiometric.photo import Overrides, ThermalPhoto
 from mrgs.data.radiometric.raster import read_raster
@@ -49,12 +43,6 @@ class Reader(NamedTuple):
     read: Callable[[bytes, Path, Overrides], ThermalPhoto]
     kind: Kind = "image"
     needs_tool: bool = False
-
-
-def _read_flir_jpeg(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
-    record = flir_record(data, path)
-    assert record is not None
-    return read_flir(record, path, read_exif(data), overrides)
 
 
 class _ClosedFormat(NamedTuple):
@@ -91,27 +79,13 @@ _CLOSED_FORMATS = (
 READERS = [
     Reader(
         lambda data, path: data.startswith(JPEG_SIGNATURE) and flir_record(data, path) is not None,
-        _read_flir_jpeg,
+        read_flir,
         "signal",
     ),
-    Reader(
-        lambda data, _: (
-            data.startswith(JPEG_SIGNATURE) and holds_dji_signal(data, read_exif(data).make)
-        ),
-        lambda data, path, overrides: read_r_jpeg(path, read_exif(data), overrides),
-        "signal",
-        needs_tool=True,
-    ),
-    Reader(
-        lambda data, _: data.startswith(FFF_SIGNATURES),
-        lambda data, path, overrides: read_flir(data, path, ExifFacts(), overrides),
-        "signal",
-    ),
+    Reader(lambda data, _: holds_dji_signal(data), read_r_jpeg, "signal", needs_tool=True),
+    Reader(lambda data, _: data.startswith(FFF_SIGNATURES), read_flir, "signal"),
     *(Reader(each.recognises, each.refuse, "signal") for each in _CLOSED_FORMATS),
-    Reader(
-        lambda data, _: data.startswith(_RASTERS),
-        lambda data, path, overrides: read_raster(data, path, read_exif(data), overrides),
-    ),
+    Reader(lambda data, _: data.startswith(_RASTERS), read_raster),
     Reader(lambda _, path: path.suffix.lower() in _TABLE_SUFFIXES, read_table, "table"),
     Reader(lambda _, path: path.suffix.lower() == ".raw", read_bare_numbers, "numbers"),
 ]

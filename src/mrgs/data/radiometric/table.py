@@ -47,7 +47,7 @@ def read_table(data: bytes, path: Path, overrides: Overrides) -> ThermalPhoto:
     temperature. The separator is a semicolon, a tab, a comma or a blank; a comma inside quotes, or
     beside another separator, is a decimal comma, and where commas are both, every second one. Under
     headings lines may be a pixel's place and temperature. SceneError if there is no such block, or
-    the numbers are no temperatures. Of the ``overrides`` the ``unit`` counts."""
+    the numbers are no temperatures. Only ``unit`` of the ``overrides`` is used."""
     if len(data) > MAX_BYTES:
         raise scene_error(path, f"has {len(data)} bytes, too long for a photo's table; check it")
     text = decoded_text(data).replace("º", "°").replace("−", "-").replace("–", "-")
@@ -213,7 +213,7 @@ def _without_indices(
 ) -> Float64[np.ndarray, "rows columns"]:
     """The numbers without those of their rows and columns, as spreadsheets and pandas write them:
     even steps, other than those of the last column, that count from 0 or 1, or have a heading or an
-    empty corner. ``doubts`` are told of others."""
+    empty corner. A sentence about others is added to ``doubts``."""
     has_corner = bool(np.isnan(values[0, 0]))
     is_named = has_corner or has_head
     for name in ("column", "line"):

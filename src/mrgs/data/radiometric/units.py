@@ -44,7 +44,7 @@ _MENTIONED = (
 """How texts mention a unit."""
 
 _STATED = re.compile(r"(?i)\bunits?[\s\"':=;,(\[]*(?:(0[.,]\d{0,3}[1-9])[\s*]*)?(?:°\s*)?([CFK])\b")
-"""How they say that it is that of the numbers, or a decimal fraction of it."""
+"""How texts state that it is the unit of the numbers, or a decimal fraction of it."""
 
 _SETTING = re.compile(r"(?:^|[;,:=\t])[ \"']*[+-]?\d|\d *(?:° *)?[CFK]\b")
 """A line with a number of its own: a unit in it is that of a setting."""
@@ -110,8 +110,8 @@ def everyday(candidates: tuple[str, ...], numbers: Float[np.ndarray, "3"]) -> li
 
 
 def units_named(lines: list[str]) -> tuple[str, ...]:
-    """The units that texts beside numbers name: those that they say are of the numbers, else all
-    that they mention in lines without a number of their own."""
+    """The units that texts beside numbers name: if any are stated to be of the numbers, these, else
+    all that are mentioned in lines without a number of their own."""
     found = [match for line in lines for match in _STATED.findall(line)]
     for line in lines if not found else ():
         if not _SETTING.search(line):
@@ -190,7 +190,7 @@ _TLINEAR_K = (1e-4, 10.0)
 """Temperatures of one count that can be; cameras have 0.01, 0.04, 0.1 or 0.4 K."""
 
 WIRIS_UNITS = ("(celsius+100)*40", "kelvin*25")
-"""Of Workswell's WIRIS cameras; the second is said to be that of others than the WIRIS Pro."""
+"""Units of Workswell's WIRIS cameras; the second is reported of models other than the WIRIS Pro."""
 
 _BY_MAKER = (
     ("workswell", "wiris pro", WIRIS_UNITS, True),

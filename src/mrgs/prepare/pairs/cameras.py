@@ -74,7 +74,7 @@ def of_one_camera(
     """The inventory without the photos of other thermal cameras than the chosen one, and without
     RGB photos of their models; all of it where none is chosen. SceneError if there is no such
     camera. SeveralCamerasError if none is chosen, and several have pairs enough for a scene where
-    each is matched apart: the rule for all photos may find those of one alone."""
+    each is matched apart: the rule for all photos may find only the pairs of one."""
     references, partners = by_modality(inventory.photos, root_name)
     cameras = _by_camera(references)
 
@@ -144,8 +144,8 @@ def _several(modality: Modality, photos: Sequence[Photo], inventory: Inventory) 
 
 _FEWEST_TIMED, _FEWEST_SHIFTED = 5, 2
 _NEARER_S = 2.0
-"""A pair is doubted if its partner was taken that many seconds nearer to another photo, where at
-least so many pairs have times and so many are doubted."""
+"""Seconds by which the partner of a doubted pair was taken nearer to another photo, and the least
+numbers of pairs with times and of doubted pairs for a warning."""
 
 
 def shifted(pairs: Sequence[Pair]) -> tuple[str, ...]:

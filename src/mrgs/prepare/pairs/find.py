@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Literal
 
 from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes, scene_error
@@ -97,7 +97,11 @@ def find_pairs(
             f"{counted(len(unread), 'photo')} cannot be read, such as {printable(unread[0])}, so "
             f"there are no colours: save them as JPEG.",
         )
-    names = view_names([_name_without_suffix(pair.reference) for pair in pairs])
+    origins = []
+    for pair in pairs:
+        reference, origin = pair.reference, pair.reference.origin
+        key = read_stem(origin.name, reference.is_thermal).key  # without the camera's suffix
+        origins.append(origin.with_name(key) if key else origin)
     found = [
         PhotoPair(
             name,
@@ -105,7 +109,7 @@ def find_pairs(
             pair.embedded,
             {modality: photo.exif for modality, photo in pair.photos.items()},
         )
-        for name, pair in zip(names, pairs, strict=True)
+        for name, pair in zip(view_names(origins), pairs, strict=True)
     ]
     skipped = [*inventory.skipped, *_unused(inventory, root_name, match, pairs)]
     return Pairing(
@@ -116,14 +120,9 @@ def find_pairs(
     )
 
 
-def _name_without_suffix(reference: Photo) -> PurePosixPath:
-    """The path of a photo without the camera suffix, which names the view."""
-    key = read_stem(reference.origin.name, reference.is_thermal).key
-    return reference.origin.with_name(key) if key else reference.origin
-
-
 def _match(inventory: Inventory, root_name: str, rule: Rule, tolerance_s: float) -> Match:
-    """What the rule finds; with ``auto``, the best."""
+    """What the rule finds; with ``auto``, the best. Only the reference photos where no or too few
+    partners are there."""
     references, others = by_modality(inventory.photos, root_name)
     if rule == REFERENCE.name and references:
         return _alone(
@@ -133,7 +132,14 @@ def _match(inventory: Inventory, root_name: str, rule: Rule, tolerance_s: float)
     best = _best_match(inventory.photos, root_name, rule, tolerance_s, pairable)
     count, least = _count(best), max(_FEWEST_PAIRS, len(references) / 10)
     if 2 * max(count, len(others)) < len(references) and count < least:
-        return _mostly_alone(references, others)
+        found = len(others) + sum(photo.embedded for photo in references)
+        doubt = (
+            f"There are {len(references)} {REFERENCE.title} photos but only {found} "
+            f"{PARTNER.title} photos: only the {REFERENCE.title} photos are used. To use only the "
+            f"pairs, remove the other photos, or list the pairs in a CSV file.",
+        )
+        reason = f"most {REFERENCE.title} photos have no {PARTNER.title} photo"
+        return _alone(references, dict.fromkeys(others, reason), doubt if found else ())
     if best is None:
         raise _no_pairs(inventory, references, others, rule, tolerance_s)
     return best
@@ -142,42 +148,25 @@ def _match(inventory: Inventory, root_name: str, rule: Rule, tolerance_s: float)
 def _best_match(
     photos: Sequence[Photo], root_name: str, rule: Rule, tolerance_s: float, pairable: int
 ) -> Match | None:
-    """The match with the most pairs; numbers and times count only where names fail for most
-    photos."""
+    """The match with the most pairs, the first of equal ones; numbers and times count only where
+    names fail for most photos."""
     best: Match | None = None
     if rule in ("auto", "names"):
         best = by_names(photos, tolerance_s)
     if rule in ("auto", "folders"):
-        best = _larger(best, by_folders(photos, root_name, tolerance_s))
+        best = max(best, by_folders(photos, root_name, tolerance_s), key=_count)
     if rule in ("auto", "names"):
         if 2 * _count(best) <= pairable:
-            best = _larger(best, by_numbers(photos))
+            best = max(best, by_numbers(photos), key=_count)
         embedded = by_embedded(photos)  # smaller than separate photos
         best = embedded if _count(best) < NEARLY * _count(embedded) else best
     if rule == "time" or (rule == "auto" and 2 * _count(best) < pairable):
-        best = _larger(best, by_time(photos, root_name, tolerance_s))
+        best = max(best, by_time(photos, root_name, tolerance_s), key=_count)
     return best
 
 
 def _count(match: Match | None) -> int:
     return 0 if match is None else len(match.pairs)
-
-
-def _larger(first: Match | None, second: Match | None) -> Match | None:
-    """The one with more pairs; the first if they are equal."""
-    return second if _count(second) > _count(first) else first
-
-
-def _mostly_alone(references: list[Photo], others: list[Photo]) -> Match:
-    """Only the reference photos, because no or too few partners are there."""
-    partners = len(others) + sum(photo.embedded for photo in references)
-    doubt = (
-        f"There are {len(references)} {REFERENCE.title} photos but only {partners} "
-        f"{PARTNER.title} photos: only the {REFERENCE.title} photos are used. To use only the "
-        f"pairs, remove the other photos, or list the pairs in a CSV file.",
-    )
-    reason = f"most {REFERENCE.title} photos have no {PARTNER.title} photo"
-    return _alone(references, dict.fromkeys(others, reason), doubt if partners else ())
 
 
 def _alone(

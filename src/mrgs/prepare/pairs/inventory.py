@@ -27,7 +27,7 @@ _HEAD_BYTES = 2**20
 """The header of a JPEG without a thermal record rarely takes more."""
 
 _TABLE_COLUMNS = 8
-"""A table of temperatures has a line of at least so many cells."""
+"""Least number of cells in the longest line of a table of temperatures."""
 
 _UNSUPPORTED = {
     ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".dng", ".gpr", ".cr2", ".cr3", ".nef",
@@ -80,8 +80,8 @@ class Photo:
 
 
 def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
-    """The photo in a file, or why it is none (half a sentence); ``relative`` is its path below the
-    folder of photos."""
+    """The photo in a file, or half a sentence with the reason why it is not one; ``relative`` is
+    its path below the folder of photos."""
     suffix, origin = path.suffix.lower(), relative.with_suffix("")
     try:
         data = _head(path)
@@ -115,7 +115,7 @@ def _head(path: Path) -> bytes:
     return read_bytes(path, MAX_BYTES) if has_record else start
 
 
-def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
+def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo:
     """A camera's signal; FLIR's record, in a JPEG or in a file of its own, is parsed."""
     is_jpeg = data.startswith(JPEG_SIGNATURE)
     record = flir_record(data, path) if is_jpeg else None
@@ -124,7 +124,7 @@ def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     exif = read_exif(data) if is_jpeg else ExifFacts()
     if record is None:  # another maker's
         photo = _image(path, origin, data) if is_jpeg else Photo(path, origin, "signal")
-        return photo if isinstance(photo, str) else replace(photo, kind="signal")
+        return replace(photo, kind="signal")
     records = flir.Records(record, path)
     if is_jpeg and records.get(flir.RAW_DATA) is None:  # a photo in visible light
         return _image(path, origin, data)
@@ -140,10 +140,29 @@ def _signal(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
     )
 
 
-def _image(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
+def _image(path: Path, origin: PurePosixPath, data: bytes, is_whole: bool = False) -> Photo:
     """An image file. Only an unusually long header makes a JPEG worth reading to its end."""
-    photo = _raster(path, origin, data) if data.startswith(JPEG_SIGNATURE) else ""
-    return _raster(path, origin, read_bytes(path, MAX_BYTES)) if isinstance(photo, str) else photo
+    if not (is_whole or data.startswith(JPEG_SIGNATURE)):
+        data, is_whole = read_bytes(path, MAX_BYTES), True
+    try:
+        with opened(path, data) as image:
+            size, has_numbers = stored_size(image), holds_numbers(image)
+            kind: Kind = "numbers" if has_numbers or image.mode.startswith("I") else "image"
+    except SceneError:
+        if is_whole:
+            raise
+        return _image(path, origin, read_bytes(path, MAX_BYTES), is_whole=True)
+    exif = read_exif(data)
+    return Photo(
+        path,
+        origin,
+        kind,
+        size,
+        exif=exif,
+        focal_mm=exif.focal_mm,
+        field_of_view_deg=exif.field_of_view_deg if kind == "numbers" else None,
+        serial=exif.serial,
+    )
 
 
 def _table(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
@@ -169,27 +188,6 @@ _PHOTOS: dict[Kind, Callable[[Path, PurePosixPath, bytes], Photo | str]] = {
     "image": _image,
 }
 """The function that inspects a file of each kind."""
-
-
-def _raster(path: Path, origin: PurePosixPath, data: bytes) -> Photo | str:
-    try:
-        with opened(path, data) as image:
-            size, has_numbers = stored_size(image), holds_numbers(image)
-            kind: Kind = "numbers" if has_numbers or image.mode.startswith("I") else "image"
-    except SceneError as error:
-        return str(error).removeprefix(f"{path}: ")
-    exif = read_exif(data)
-    view_deg = exif.field_of_view_deg if kind == "numbers" else None
-    return Photo(
-        path,
-        origin,
-        kind,
-        size,
-        exif=exif,
-        focal_mm=exif.focal_mm,
-        field_of_view_deg=view_deg,
-        serial=exif.serial,
-    )
 
 
 @dataclass(frozen=True)
@@ -254,8 +252,8 @@ def _inspected(path: Path, relative: PurePosixPath, stamp: Stamp) -> Photo | str
 
 
 def _without_copies(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
-    """Of files of one name that hold the same bytes, as in a backup of the card, the one with the
-    shortest path.
+    """The photos without copies: of files with the same name and content, as in a backup of the
+    card, the one with the shortest path is kept.
 
     Each copy would be a view of its own, and that of a held-out view would be trained on.
     """
@@ -279,9 +277,9 @@ def _without_copies(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[
 
 
 def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
-    """Of files that hold the same thermal photo, the best; the others are skipped.
+    """The best file of each thermal photo; the others are skipped.
 
-    Files of one stem in one folder hold the same photo, and so do a DJI R-JPEG and the one file of
+    Files of one stem in one folder are the same photo, and so are a DJI R-JPEG and the one file of
     that stem elsewhere that it was converted to.
     """
     by_stem: dict[str, list[Photo]] = {}

@@ -68,7 +68,7 @@ class StemFacts:
 
 def read_stem(stem: str, radiometric: bool = False) -> StemFacts:
     """The facts in a stem. If the file is ``radiometric``, thermal by content, then an ``_R`` or
-    ``_RAD`` at the end says so, too (FLIR Duo, DJI XT2, Workswell)."""
+    ``_RAD`` at the end marks it as thermal, too (FLIR Duo, DJI XT2, Workswell)."""
     if radiometric and (found := _LAST_R.search(stem)):
         return StemFacts(stem[: found.start()], THERMAL, "r")
     if (found := _STAMPED.fullmatch(stem)) and (modality := _modality_of(found[4])) is not None:

@@ -84,16 +84,21 @@ class Candidate(NamedTuple):
         return self.modality == REFERENCE
 
 
-def candidate_by_name(photo: Photo) -> Candidate:
-    """Modality by content and file name; the folder is part of the key."""
-    named = read_stem(photo.origin.name, photo.is_thermal).modality
-    return _candidate(photo, named, photo.origin.parts[:-1])
+def candidate_by_name(photo: Photo, folders: Sequence[str] | None = None) -> Candidate:
+    """Modality by content and file name; the folder is part of the key, or ``folders`` are."""
+    folders = photo.origin.parts[:-1] if folders is None else folders
+    facts = read_stem(photo.origin.name, photo.is_thermal)
+    key = composed("/".join([*folders, facts.key]).casefold())
+    modality = REFERENCE if photo.is_thermal else facts.modality
+    return Candidate(photo, modality, key, facts.mark, facts.moment)
 
 
 def candidate_by_folder(photo: Photo, root_name: str = "") -> Candidate:
     """Modality by content and folder; the folder named after a modality is not part of the key. The
     name of the folder of all photos is given where it counts; see ``needed_root_name``."""
-    return _candidate(photo, *folder_modality([root_name, *photo.origin.parts[:-1]]))
+    named, folders = folder_modality([root_name, *photo.origin.parts[:-1]])
+    modality = REFERENCE if photo.is_thermal else named
+    return candidate_by_name(photo, folders)._replace(modality=modality)
 
 
 def needed_root_name(photos: Sequence[Photo], root_name: str) -> str:
@@ -104,12 +109,6 @@ def needed_root_name(photos: Sequence[Photo], root_name: str) -> str:
         for photo in photos
     )
     return "" if is_known else root_name
-
-
-def _candidate(photo: Photo, named: Modality | None, folders: Sequence[str]) -> Candidate:
-    facts = read_stem(photo.origin.name, photo.is_thermal)
-    key = composed("/".join([*folders, facts.key]).casefold())
-    return Candidate(photo, REFERENCE if photo.is_thermal else named, key, facts.mark, facts.moment)
 
 
 def by_modality(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], list[Photo]]:
@@ -152,7 +151,12 @@ def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> M
         done = {*reasons, *(photo for pair in pairs for photo in pair.photos.values())}
         return [candidate for candidate in candidates if candidate.photo not in done]
 
-    left = add(_by_keys([_with_whole_name(each) for each in candidates], tolerance_s))
+    whole = []  # with the whole stem in the key, and no suffix
+    for each in candidates:
+        folder, stem = each.key.rpartition("/")[0], each.photo.origin.name
+        key = f"{folder}/{composed(stem.casefold())}"
+        whole.append(each._replace(key=key, mark="", moment=None))
+    left = add(_by_keys(whole, tolerance_s))
     left = add(_by_keys(left, tolerance_s))
     partners = {pair.partner for pair in pairs}
     marks = {candidate.mark for candidate in candidates if candidate.photo in partners}
@@ -166,13 +170,6 @@ def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> M
     pairs += _by_keys(unique, tolerance_s)[0]
     rule = "A pair has the same name in the folders of the two cameras."
     return Match(in_order(pairs), rule, "of its name", reasons) if pairs else None
-
-
-def _with_whole_name(candidate: Candidate) -> Candidate:
-    """With the whole stem in the key, and no suffix."""
-    folder, _, _ = candidate.key.rpartition("/")
-    stem = composed(candidate.photo.origin.name.casefold())
-    return candidate._replace(key=f"{folder}/{stem}", mark="", moment=None)
 
 
 def _by_keys(

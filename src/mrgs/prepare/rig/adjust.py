@@ -277,7 +277,7 @@ class _NormalEquations(NamedTuple):
         return rig, torch.linalg.solve(self.motions, left)
 
     def covariances(self) -> Float64[Tensor, "v 18 18"]:
-        """Of the rig's parameters and each pair's motion."""
+        """Covariances of the rig's parameters and each pair's motion."""
         reduced, eliminated = self._reduced()
         rig = torch.linalg.inv(reduced)
         mixed = -rig @ eliminated

@@ -35,8 +35,8 @@ the root of the number of pairs. Pairs that belong together reached 1.5 and 0.7 
 that do not, never both."""
 
 WIDTHS_PX = (96, 160)
-"""Of the thermal images; the larger one where nothing stands out. It takes more than twice as long,
-and told eight faint pairs of a room apart from exchanged ones where the smaller did not."""
+"""Widths of the thermal images; the larger where nothing stands out. It takes more than twice as
+long, and distinguished eight faint pairs of a room from exchanged ones, unlike the smaller."""
 
 _BLUR_WIDTHS = 1 / 64
 _SCALE_STEP = 1.07

@@ -82,7 +82,7 @@ EXTREMES_PERCENT = (1.0, 99.0)
 """Values beyond these, of lamps and the sky, are clipped: their surroundings would be flat."""
 
 RANGE = 3.0
-"""Grey levels span so many times the local contrast to either side."""
+"""Range of the grey levels to either side, in multiples of the local contrast."""
 
 
 def evened(file: Path) -> UInt8[np.ndarray, "h w"]:
