@@ -89,7 +89,8 @@ def test_near_photos_weigh_more():
         sums.add(np.array([0]), channels(reading), np.array([z], np.float32))
     mean, spread = (10 + 2 * 12 / 4) / 1.5, np.sqrt((4 / 9 + 2 * (4 / 3) ** 2 / 4) / 1.5)
     parts = sums.parts(OF_MARK, np.array([mean + 1]))
-    assert parts.photos[0] == pytest.approx(2 * OF_MARK.scatter * spread, rel=1e-3)
+    # In effect two photos: (1 + 1/4 + 1/4)² / (1 + 1/16 + 1/16).
+    assert parts.photos[0] == pytest.approx(3 * OF_MARK.scatter * spread, rel=1e-3)
     assert parts.model[0] == pytest.approx(OF_MARK.deviation, rel=1e-3)
 
 
@@ -284,7 +285,7 @@ def test_panels_show_the_uncertainty_and_its_parts():
     reading = meter_of(Budget(accuracy=(2.0, 0.0))).read(BOX)
     text = mark_text(reading, "", RANGE, WorldFrame())
     assert text["value"].endswith("± 2.0 °C")
-    assert "photos 0.4, model 0." in text["lines"][1]
+    assert "photos 0.5, model 0." in text["lines"][1]
     assert text["lines"][1].endswith("data sheet 1.9")
 
 

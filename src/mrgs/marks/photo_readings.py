@@ -75,7 +75,7 @@ class Shares(NamedTuple):
 OF_POINT = Shares(0.85, 0.6, 0.0)
 """For what the photos' cameras see at a single point, which has no deviation."""
 
-OF_MARK = Shares(1.75, 1.0, 1.0)
+OF_MARK = Shares(1.95, 1.0, 1.0)
 """For the mean of a mark."""
 
 FEW_PHOTOS = 2.0
@@ -121,9 +121,10 @@ class SightingSums:
     def __init__(self, places: int, rounding: float = 0.0) -> None:
         self._rounding = rounding
         self.photos = np.zeros(places, np.float32)
-        self._weights, self._readings, self._squares, self._contrast, self._blur = np.zeros(
-            (5, places), np.float32
+        self._weights, self._weights2, self._readings, self._squares = np.zeros(
+            (4, places), np.float32
         )
+        self._contrast, self._blur = np.zeros((2, places), np.float32)
 
     def add(
         self,
@@ -137,6 +138,7 @@ class SightingSums:
         rows, values, weights = rows[known], values[known], z[known] ** -2.0
         self.photos[rows] += 1
         self._weights[rows] += weights
+        self._weights2[rows] += weights**2
         share = weights / self._weights[rows]
         step = values[:, READING] - self._readings[rows]
         self._readings[rows] += share * step
@@ -151,9 +153,11 @@ class SightingSums:
         """The parts of the uncertainty; ``values`` of the places where their deviation counts."""
         seen = np.where(self.photos > 0, np.float32(1), np.float32(np.nan))
         spread = np.sqrt(np.maximum(self._squares, 0) / (seen * self._weights))
-        few = 1 + FEW_PHOTOS / np.maximum(self.photos - 1, 1)
-        one = ONE_PHOTO * np.sqrt(self._contrast)
-        scatter = seen * np.where(self.photos == 1, one, few * spread)
+        # One close photo among far ones is nearly alone (the effective number of a weighted mean).
+        count = (seen * self._weights) ** 2 / self._weights2.clip(np.finfo(np.float32).tiny)
+        few = 1 + FEW_PHOTOS / np.maximum(count - 1, 1)
+        alone = ONE_PHOTO * np.sqrt(self._contrast) * np.clip(2 - count, 0, 1)
+        scatter = np.hypot(few * spread, alone)
         away = 0.0 if values is None else values - self._readings
         return PhotoParts(
             np.hypot(shares.scatter * scatter, self._rounding),
