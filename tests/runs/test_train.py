@@ -79,10 +79,10 @@ def test_from_arrays_to_scores_and_files_without_a_folder(small_scene: Path, tmp
     metrics = evaluate_run(run)
     assert [view.name for view in metrics.views] == [view.name for view in scene.eval]
     assert json.loads((place / "eval" / "metrics.json").read_text())["scene"] == "scene"
-    assert [path.name for path in export_run(run, tmp_path, "points")] == [
-        "points.ply",
-        "points.ply.json",
-    ]
+    parts: list[str] = []
+    written = export_run(run, tmp_path, "points", progress=lambda *told: parts.append(told[2]))
+    assert [path.name for path in written] == ["points.ply", "points.ply.json"]
+    assert parts[-1] == "points"
     assert "Thermal report: scene" in report_run(run).read_text()
     del run
     gc.collect()
