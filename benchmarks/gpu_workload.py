@@ -197,8 +197,8 @@ def random_scene(
     numbers.
 
     One in ten lies behind the camera, a third outside the image; from less than a pixel to more
-    than the image, most of a few pixels; opacities from below 1/255 to above 0.999. Depths keep a
-    distance, so that rounding swaps none.
+    than the image, most of a few pixels; opacities from below 1/255 to above 0.999. Distances from
+    the camera's centre differ, so that no rounding can swap two Gaussians.
     """
     rng = torch.Generator().manual_seed(seed)
 
@@ -210,11 +210,12 @@ def random_scene(
     viewmat = torch.eye(4, dtype=torch.float64)
     viewmat[:3, :3] = reference.rotation_matrices(uniform(-1, 1, 1, 4))[0]
     viewmat[:3, 3] = uniform(-2, 2, 3)
-    depths = 1 + 5 * (torch.randperm(count, generator=rng) + uniform(0, 0.5, count)) / max(count, 1)
+    steps = torch.randperm(count, generator=rng) + uniform(0, 0.5, count)
+    distances = 1 + 5 * steps / max(count, 1)
     places = uniform(-0.1, 1.1, count, 2) * size
-    in_camera = (
-        torch.cat([(places - centre) / focal, torch.ones(count, 1)], dim=1) * depths[:, None]
-    )
+    rays = torch.cat([(places - centre) / focal, torch.ones(count, 1)], dim=1)
+    depths = distances / rays.norm(dim=1)
+    in_camera = rays * depths[:, None]
     in_camera[::10] *= -1
     extent_px = torch.exp(uniform(-1, 2, count))
     extent_px[3::50] = uniform(0.3, 1.0, len(extent_px[3::50])) * width

@@ -58,7 +58,7 @@ def stages(case: Case) -> Stages:
         notes["(pixel, Gaussian) pairs of the two opacities"] = listed
         timings += [
             Timing("gsplat: tile intersection, one opacity", lambda _: reference.intersect_tiles()),
-            Timing("mrgs: depth order and tile lists", lambda _: ours.list_tiles_from_projection()),
+            Timing("mrgs: order and tile lists", lambda _: ours.list_tiles_from_projection()),
             Timing(
                 "gsplat: projection and compositing of listed pairs, two opacities, forward + "
                 "backward",
@@ -72,7 +72,11 @@ def stages(case: Case) -> Stages:
 
 
 def agreement(theirs: list[Tensor], ours: list[Tensor]) -> dict[str, str]:
-    """Differences of the images, of which there are image, depth and alpha per modality."""
+    """Differences of the images, of which there are image, depth and alpha per modality.
+
+    gsplat sorts by z unless told otherwise, and images in another order differ wherever Gaussians
+    overlap: ``GsplatReference`` gives it the distances from the camera, by which ``mrgs`` sorts.
+    """
     notes = {}
     for name, first, second in zip(
         ("rgb", "rgb depth, m", "rgb alpha"), theirs, ours, strict=False
@@ -100,6 +104,8 @@ class GsplatReference:
         self._scene = {name: tensor.requires_grad_() for name, tensor in room(count).items()}
         seen_by = camera(width, height)
         self._viewmats, self._Ks = seen_by.viewmat.float()[None], seen_by.K.float()[None]
+        offsets = self._scene["means"].detach() - seen_by.position.float()
+        self._distances = offsets.norm(dim=1)[None]
         self._sh = torch.randn(
             count, 16, 3, generator=torch.Generator().manual_seed(6)
         ).requires_grad_()
@@ -133,16 +139,17 @@ class GsplatReference:
         return radii, means2d, depths, conics
 
     def intersect_tiles(self) -> tuple[Tensor, Tensor]:
-        """Gaussians of all tiles in depth order, and where each tile's begin."""
-        radii, means2d, depths, _ = self._projected
-        _, keys, ids = self._gsplat._isect_tiles(means2d, radii, depths, TILE_SIZE, *self._tiles)
+        """Gaussians of all tiles, nearest first, and where each tile's begin."""
+        radii, means2d, _, _ = self._projected
+        found = self._gsplat._isect_tiles(means2d, radii, self._distances, TILE_SIZE, *self._tiles)
+        _, keys, ids = found
         return ids, self._gsplat._isect_offset_encode(keys, 1, *self._tiles)
 
     @cached_property
     @torch.no_grad()
     def pairs(self) -> list[tuple[Tensor, Tensor]]:
         """Of each modality, the pairs that count: (Gaussian, pixel), sorted by pixel and then by
-        depth."""
+        distance."""
         _, means2d, _, conics = self._projected
         width, height = self._size
         gaussian, pixel = _candidates(*self.intersect_tiles(), width, height)
@@ -203,7 +210,7 @@ def _import_reference() -> Any:
 
 def _candidates(ids: Tensor, offsets: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
     """Every pixel of every tile with every Gaussian of the tile, sorted by pixel and then by
-    depth."""
+    distance."""
     starts = torch.cat([offsets.flatten(), torch.tensor([len(ids)])])
     tile = torch.repeat_interleave(torch.arange(offsets.numel()), starts.diff())
     inner = torch.arange(TILE_SIZE**2)

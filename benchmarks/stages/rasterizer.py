@@ -30,7 +30,7 @@ def stages(case: Case) -> Stages:
     steps.run_all()
     timings = [
         Timing("project", lambda _: steps.project()),
-        Timing("depth order", lambda _: steps.sort()),
+        Timing("order", lambda _: steps.sort()),
         Timing("gather", lambda _: steps.gather()),
         Timing("tile lists", lambda _: steps.list_tiles()),
         Timing("blend", lambda _: steps.blend()),

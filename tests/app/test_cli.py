@@ -915,6 +915,11 @@ def test_minutes_leave_no_other_choice_of_steps(other, trained, small_scene, cap
     refused(capsys, message, "train", small_scene, *options)
 
 
+def test_minutes_and_scoring_exclude_each_other(small_scene, tmp_path, capsys):
+    options = ("--output", tmp_path / "run", "--minutes", 1, "--eval-steps", 2)
+    refused(capsys, "--minutes .*--eval-steps .*--max-steps", "train", small_scene, *options)
+
+
 def test_minutes_are_above_zero(small_scene, tmp_path, capsys):
     options = ("--output", tmp_path / "run", "--minutes", 0)
     refused(capsys, "--minutes .*above 0", "train", small_scene, *options)

@@ -90,6 +90,13 @@ def test_scenes_grow_and_have_all_kinds_of_layers():
     assert (counts[0], counts[-1]) == (0, FULL.largest_scene[0])
 
 
+def test_no_rounding_swaps_two_gaussians_of_a_scene():
+    scene = random_scene(1, 300, 37, 29, ("rgb",))
+    turned = scene.tensors["means"] @ scene.viewmat[:3, :3].T
+    distances = (turned + scene.viewmat[:3, 3]).norm(dim=1).sort().values
+    assert distances.diff().min() > 1e-3
+
+
 class WronglyRendered(RandomScene):
     """All but its oracle's images: α is off, and so is the gradient of the means."""
 

@@ -238,6 +238,15 @@ def test_single_blocks_are_trained_for_job_arrays_and_joined_later(scene, tmp_pa
         started.train_block(3)
 
 
+def test_a_joined_run_names_the_replaced_equations_of_all_its_parts(scene, tmp_path, joined):
+    folder = copy_of(joined, tmp_path / "run", "coarse", "001", "002", "seam-001", "seam-002")
+    lines = [f"equation: {name}: mine.{name}" for name in ("first", "second")]
+    RunFolder(folder / "blocks/coarse").note_custom_parts(lines[:1])
+    RunFolder(folder / "blocks/002").note_custom_parts(lines)
+    assert training(folder, scene).join()
+    assert sorted(RunFolder(folder).custom_parts) == lines
+
+
 @pytest.mark.slow
 def test_a_method_with_heads_gives_the_same_bits_whatever_was_drawn_before(scene, tmp_path):
     config = short_config("mrgs", max_steps=4, checkpoint_every=4)

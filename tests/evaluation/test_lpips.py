@@ -12,8 +12,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from mrgs import RGB, THERMAL, evaluate_run, load_run
-from mrgs.errors import RunError
-from mrgs.evaluation.lpips import Lpips, weight_shapes
+from mrgs.errors import MrgsWarning, RunError
+from mrgs.evaluation.lpips import KEPT_AS, Lpips, weight_shapes
 from tests.helpers.runs import SMALL, trained_run
 
 
@@ -113,6 +113,17 @@ def test_weights_that_the_page_converts_are_found_without_naming_them(
     run = load_run(trained_run(tmp_path_factory, small_scene, SMALL, tmp_path / "run"))
     means = evaluate_run(run).mean
     assert all(isinstance(means[modality]["lpips"], float) for modality in (RGB, THERMAL))
+
+
+def test_damaged_weights_that_nobody_asked_for_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = tmp_path / "hub" / "checkpoints" / KEPT_AS
+    kept.parent.mkdir(parents=True)
+    kept.write_bytes(b"half a download")
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    with pytest.warns(MrgsWarning, match=rf"LPIPS is left out: .*{KEPT_AS}.*delete"):
+        assert Lpips.found(None) is None
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 import pytest
@@ -32,11 +32,12 @@ from mrgs import (
     train,
     train_steps,
 )
-from mrgs.errors import ConfigError, MrgsWarning, RunError, SceneError
+from mrgs.errors import ConfigError, DeviceError, MrgsWarning, RunError, SceneError
 from mrgs.method.losses.term import LossContext, Term
 from mrgs.run_files.folder import RunFolder
 from mrgs.scene import RGB, THERMAL, Pixels, Scene, View
 from mrgs.training import train as train_into
+from mrgs.training.loop import Trainer, Validation
 from mrgs.training.start import Hooks
 from tests.helpers.array_checks import unchecked
 from tests.helpers.runs import trained_run
@@ -79,10 +80,10 @@ def test_from_arrays_to_scores_and_files_without_a_folder(small_scene: Path, tmp
     metrics = evaluate_run(run)
     assert [view.name for view in metrics.views] == [view.name for view in scene.eval]
     assert json.loads((place / "eval" / "metrics.json").read_text())["scene"] == "scene"
-    assert [path.name for path in export_run(run, tmp_path, "points")] == [
-        "points.ply",
-        "points.ply.json",
-    ]
+    parts: list[str] = []
+    written = export_run(run, tmp_path, "points", progress=lambda *told: parts.append(told[2]))
+    assert [path.name for path in written] == ["points.ply", "points.ply.json"]
+    assert parts[-1] == "points"
     assert "Thermal report: scene" in report_run(run).read_text()
     del run
     gc.collect()
@@ -239,6 +240,30 @@ def test_a_held_out_photo_that_cannot_be_read_ends_the_training_with_its_step(
     resumed = train(small_scene, tmp_path / "run", resume=True)
     whole = train(small_scene, tmp_path / "whole", CONFIG)
     assert same_files(resumed.folder.newest_checkpoint(), whole.folder.newest_checkpoint())
+
+
+@pytest.mark.parametrize(
+    "error", [DeviceError("too many Gaussians"), torch.cuda.OutOfMemoryError("out of memory")]
+)
+def test_a_training_goes_on_where_there_is_no_memory_to_score(error, whole, small_scene, tmp_path):
+    def score(trainer: Trainer) -> NoReturn:
+        raise error
+
+    hooks = Hooks(validation=Validation(4, score))
+    with pytest.warns(MrgsWarning, match="held-out views were not scored"):
+        train_into(small_scene, tmp_path / "run", CONFIG, hooks=hooks)
+    found = RunFolder(tmp_path / "run")
+    assert same_files(found.newest_checkpoint(), whole.newest_checkpoint())
+    assert not scores_of(found)
+
+
+def test_an_error_in_scoring_that_is_not_of_memory_ends_the_training(small_scene, tmp_path):
+    def score(trainer: Trainer) -> NoReturn:
+        raise RuntimeError("wrong shape")
+
+    hooks = Hooks(validation=Validation(1, score))
+    with pytest.raises(RuntimeError, match="wrong shape"):
+        train_into(small_scene, tmp_path / "run", CONFIG, hooks=hooks)
 
 
 @pytest.mark.parametrize("steps", [0, -3, 2.5])

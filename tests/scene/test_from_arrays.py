@@ -145,7 +145,11 @@ def test_pixels_that_are_not_known_stay_unknown_in_undistorted_images():
         ({"distortion": [-99.0, 0, 0, 0]}, "fold"),
         ({"distortion": 0.1}, "list of coefficients"),
         ({"distortion": "BROWN"}, "numbers"),
-        ({"thermal_distortion": BROWN}, "thermal_cameras"),
+        ({"distortion": [[0.1]] * 9}, r"distortion must have 4 or 5 .* not 1"),
+        ({"fisheye": True}, "fisheye .*give distortion"),
+        ({"thermal_distortion": BROWN}, "thermal_distortion .*thermal_cameras"),
+        ({"thermal_fisheye": True}, "thermal_fisheye .*thermal_cameras"),
+        ({"thermal_fisheye": True, "thermal_cameras": CAMERAS}, "fisheye .*thermal_distortion"),
     ],
 )
 def test_a_lens_that_cannot_be_is_refused_in_one_line(options, message):

@@ -244,8 +244,10 @@ class TrainingProgress:
     def paused(self) -> Iterator[None]:
         """Within this block there are no steps: its time does not count in their speed."""
         began = self._line.clock()
-        yield
-        self._started += self._line.clock() - began
+        try:
+            yield
+        finally:
+            self._started += self._line.clock() - began
 
     def _text(self, statistics: StepStatistics) -> str:
         """The line; a narrow terminal cuts off its end."""

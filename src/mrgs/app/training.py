@@ -99,6 +99,11 @@ def _require_possible(command: Train, method: Method) -> None:
     if command.minutes is not None:
         if command.resume or command.max_steps is not None:
             raise ConfigError("--minutes chooses the steps: leave --resume and --max-steps out")
+        if command.eval_steps is not None:  # how long it takes is known only once it is done
+            raise ConfigError(
+                "--minutes does not allow for the time of scoring: leave --eval-steps out, or give "
+                "--max-steps instead of --minutes"
+            )
         if not 0 < command.minutes < math.inf:
             raise ConfigError(f"--minutes must be above 0, not {command.minutes:g}")
     if command.flat_field is not None and command.resume:

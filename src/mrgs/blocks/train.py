@@ -161,6 +161,10 @@ class BlockTraining:
             blocks = [self.block_folder(number) for number in numbers]
             joined = join(self.coarse_folder, blocks, self.plan, self.scene, self.config)
             more = [facts for number in numbers if (facts := self._close_seam(joined, number))]
+            # Of all its parts, as other processes may have trained them.
+            parts = [RunFolder(file.parent) for file in sorted(self._below.glob("*/config.yaml"))]
+            custom = dict.fromkeys(line for part in parts for line in part.custom_parts)
+            self.folder.note_custom_parts(custom)
             path = self.folder.checkpoint_file(self.config.max_steps)
             save(path, joined, self.config, more)
         return True

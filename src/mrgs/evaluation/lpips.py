@@ -21,7 +21,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.nn import functional
 
-from mrgs.errors import RunError
+from mrgs.errors import RunError, warn_user
 
 _BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
 """Indices of the convolutions in VGG-16's ``features``; a max pooling stands between blocks, and
@@ -47,9 +47,19 @@ class Lpips:
     @classmethod
     def found(cls, path: Path | None) -> Lpips | None:
         """With the weights of a file, or if that is None with those among the checkpoints of
-        torch's hub; None if there are none. RunError as for ``from_file``."""
+        torch's hub; None if there are none, or with a warning if these cannot be used, as nobody
+        asked for them. RunError as for ``from_file`` for the file."""
+        if path is not None:
+            return cls.from_file(path)
         kept = Path(torch.hub.get_dir(), "checkpoints", KEPT_AS)
-        return cls.from_file(path or kept) if path or kept.is_file() else None
+        try:
+            return cls.from_file(kept) if kept.is_file() else None
+        except RunError as error:
+            warn_user(
+                f"LPIPS is left out: {error}; delete this file, or convert the weights again "
+                f"(docs/runs.md)"
+            )
+            return None
 
     @classmethod
     def from_file(cls, path: Path, device: torch.device | str = "cpu") -> Lpips:

@@ -36,6 +36,7 @@ def export_run(
     palette: PaletteName | None = None,
     range_c: tuple[float, float] | None = None,
     maps: MapOptions = DEFAULT_MAPS,
+    progress: Progress | None = None,
 ) -> list[Path]:
     """Write a run in one format, or in all that can be written here, for other programs; returns
     the paths.
@@ -51,6 +52,7 @@ def export_run(
             for splats, a map's own for a map; the page then begins with the viewer's range, or
             with what the model shows to the photos' cameras where areas are corrected.
         maps: choices for ``ortho`` and ``elevation``.
+        progress: called when a part begins, as by ``mrgs.progress_bar``.
 
     Raises:
         ConfigError: an unknown format, a range that cannot be used, an extra that is not installed,
@@ -59,7 +61,8 @@ def export_run(
         SceneError: the scene or a photo cannot be read.
     """
     target = run.folder.path / "export" if folder is None else Path(folder)
-    return export(run, run.load_scene(), format, target, palette, range_c, maps)
+    scene = run.load_scene()
+    return export(run, scene, format, target, palette, range_c, maps, progress=progress)
 
 
 def export(

@@ -99,8 +99,9 @@ def train(
     Warns:
         MrgsWarning: a kernel differs from the plain definition of its operation, which is then used
             in its place; the newest checkpoint is damaged and an older one is used; changes of the
-            scene are accepted; the scene has a problem that ``mrgs.check`` finds; or a run without
-            ``output`` was stopped, and where it is kept until this process ends.
+            scene are accepted; the GPU's memory does not suffice to score the held-out views; the
+            scene has a problem that ``mrgs.check`` finds; or a run without ``output`` was stopped,
+            and where it is kept until this process ends.
 
     Raises:
         SceneError: the scene cannot be used.

@@ -92,8 +92,9 @@ class Scene:
             thermal_cameras: of the thermal images, one for each view; else those of ``cameras``.
             distortion: OpenCV's coefficients of the lens of ``cameras``, if the images are not
                 undistorted: k1, k2, p1, p2[, k3], or k1, k2, k3, k4 of a fisheye; one set for all
-                views, or one for each, None for a view without distortion. Images are undistorted
-                when they are read, and the cameras of the views become those of what is left.
+                views, also as one array of shape [n, 1], or one for each, None for a view without
+                distortion. Images are undistorted when they are read, and the cameras of the views
+                become those of what is left.
             thermal_distortion: the same of ``thermal_cameras``.
             fisheye: whether ``distortion`` is that of ``cv2.fisheye``.
             thermal_fisheye: whether ``thermal_distortion`` is.
@@ -110,8 +111,8 @@ class Scene:
             SceneError: there is no view, a view has no image, or no temperature is finite.
             ValueError: the numbers of cameras and images differ, an image has not the size of its
                 camera, an array has another shape or values in another range, a lens has another
-                number of coefficients or such as fold the image, or ``eval_every`` is not 0 or a
-                whole number from 2.
+                number of coefficients or such as fold the image, a fisheye has none, or
+                ``eval_every`` is not 0 or a whole number from 2.
         """
         eval_every = as_whole(eval_every, "eval_every")
         if eval_every != 0 and eval_every < 2:
@@ -120,8 +121,9 @@ class Scene:
         thermal = _thermal_images(celsius)
         temperature = _range_of(thermal)
         own = _cameras_from(thermal_cameras, "thermal_cameras")
-        if thermal_distortion is not None and not own:
-            raise ValueError("thermal_distortion is that of thermal_cameras: give these, too")
+        if (thermal_distortion is not None or thermal_fisheye) and not own:
+            name = "thermal_fisheye" if thermal_distortion is None else "thermal_distortion"
+            raise ValueError(f"{name} is that of thermal_cameras: give these, too")
         posed = _with_lenses(cameras, distortion, fisheye, "distortion")
         given = thermal_distortion, thermal_fisheye, "thermal_distortion"
         thermal_posed = _with_lenses(own, *given) if own else posed
@@ -216,9 +218,14 @@ def _cameras_from(cameras: Iterable[Camera] | None, name: str) -> list[Camera]:
 def _with_lenses(
     cameras: Sequence[Camera], distortion: Distortion | None, fisheye: bool, name: str
 ) -> list[Posed]:
+    if fisheye and distortion is None:
+        raise ValueError(f"a fisheye has coefficients: give {name}, too")
     given = _listed([None] if distortion is None else distortion, name, "coefficients")
-    sets = [None if each is None else as_floats(each, name).flatten().tolist() for each in given]
-    if all(numbers is not None and len(numbers) == 1 for numbers in sets):  # of one lens
+    arrays = [None if each is None else as_floats(each, name) for each in given]
+    sets = [None if each is None else each.flatten().tolist() for each in arrays]
+    # Rows of a list are lenses, one for each view, even where each has one number.
+    is_column = isinstance(distortion, Tensor | np.ndarray) and distortion.shape[1:] == (1,)
+    if is_column or all(each is not None and each.ndim == 0 for each in arrays):  # of one lens
         sets = [[number for numbers in sets if numbers for number in numbers]]
     sets = sets * len(cameras) if len(sets) == 1 else sets
     if len(sets) != len(cameras):

@@ -9,7 +9,14 @@ from typing import TypeVar
 
 import torch
 
-from mrgs.errors import ConfigError, NotFiniteError, RunError, TrainingError, warn_user
+from mrgs.errors import (
+    ConfigError,
+    DeviceError,
+    NotFiniteError,
+    RunError,
+    TrainingError,
+    warn_user,
+)
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.parts import part_spreads
@@ -121,12 +128,23 @@ class Trainer:
             self._record.save_if_due(last)
 
     def _validate_if_due(self) -> None:
-        """Score the held-out views if it is time; Ctrl-C does not wait for the end."""
+        """Score the held-out views if it is time; MrgsWarning if the GPU's memory does not suffice.
+        Other threads wait for the end; Ctrl-C does not, unless the caller postpones it."""
         validation, step = self._validation, self._record.step
         if validation is None or (step % validation.every and step != self.config.max_steps):
             return
         with self._record.paused(), self.between_steps():
-            numbers, pictures = validation.score(self)
+            try:
+                numbers, pictures = validation.score(self)
+            except (DeviceError, RuntimeError) as error:
+                if not isinstance(error, DeviceError) and not lacks_memory(error):
+                    raise
+                # Without the step, so that a full memory is said once and not at every scoring.
+                warn_user(
+                    f"{self.scene.name}: held-out views were not scored: the GPU's memory does not "
+                    f"suffice for it beside the training, which goes on; score the finished run"
+                )
+                return
             self.folder.append_log({"step": step, **numbers}, pictures)
 
     def save(self) -> None:
