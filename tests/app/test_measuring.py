@@ -15,7 +15,7 @@ from mrgs.app.cli import main
 from mrgs.marks.mark import Mark
 from mrgs.runs.open import load_run
 from mrgs.scene import THERMAL
-from mrgs.survey import Survey, write_survey
+from mrgs.survey import Survey, read_survey, write_survey
 from tests.helpers.runs import SMALL, trained_run
 
 VIEW = "frame_train_00001"
@@ -196,6 +196,18 @@ def test_what_is_cropped_is_not_measured(run, capsys):
 def test_a_box_beside_the_model_is_refused_before_anything_is_made(run, command, capsys):
     assert main([command, str(run), "--crop", "-9", "9", "9", "-8", "8.5", "8"]) == 2
     assert "crop: no Gaussian is in the box -9 8.5 8 to -8 9 9" in capsys.readouterr().err
+
+
+def test_a_box_beside_the_model_is_refused_before_it_is_in_the_survey(run, capsys):
+    survey = run / "survey.yaml"
+    write_survey(survey, Survey(client="Town"))
+    assert main(["report", str(run), "--set", "crop=[90, 90, 90, 91, 91, 91]"]) == 2
+    assert read_survey(survey) == Survey(client="Town")
+    write_survey(survey, Survey(crop=(90, 90, 90, 91, 91, 91)))
+    capsys.readouterr()
+    assert main(["report", str(run), "--set", "client=City"]) == 2
+    assert f"{survey}: crop" in capsys.readouterr().err
+    survey.unlink()
 
 
 def test_a_rendering_shows_what_is_in_the_box(run, capsys):

@@ -240,8 +240,33 @@ def test_photos_of_several_cameras_become_a_model_each(tmp_path, monkeypatch, ca
     scene = results / "photos-M3T" / "photos-M3T"
     assert [place for place, camera in begun if camera == "M3T"] == [scene, scene]
     begun.clear()
-    assert run("run", photos, "--quality", "fast", "--thermal-fov", "57") == 2
-    assert begun == [], "the lens of one camera is not the other's"
+    for of_one in (
+        ("--thermal-fov", "57"),
+        ("--poses", tmp_path),
+        ("--known-distance", "M3T0:1,2", "M3T0:3,4", "1.5"),
+    ):
+        assert run("run", photos, "--quality", "fast", *of_one) == 2
+    assert begun == [], "what is known of one camera is not true of the other"
     capsys.readouterr()
     assert run("prepare", photos, tmp_path / "scene") == 2
     assert "(--camera)" in capsys.readouterr().err
+
+
+def test_cameras_whose_names_differ_in_punctuation_have_folders_of_their_own(tmp_path):
+    each = [PrepareOptions(camera=name) for name in ("M3 T", "M3-T", "m3/t", "E8")]
+    source, output = tmp_path / "photos", tmp_path / "out"
+    names = ["photos-M3-T", "photos-M3-T-2", "photos-m3-t-3", "photos-E8"]
+    assert [*pipeline._folders(source, output, each)] == [output / name for name in names]
+    assert [*pipeline._folders(source, None, each)] == [
+        None, tmp_path / f"{names[1]}-mrgs", tmp_path / f"{names[2]}-mrgs", None,
+    ]  # fmt: skip
+
+
+def test_a_camera_of_photos_is_refused_with_a_scene_before_anything_is_written(
+    make_scene, tmp_path, capsys
+):
+    scene = make_scene()
+    before = {*tmp_path.rglob("*")}
+    assert run("run", scene, "--camera", "M3T") == 2
+    assert "(--camera)" in capsys.readouterr().err
+    assert {*tmp_path.rglob("*")} == before

@@ -27,6 +27,20 @@ def test_what_cannot_be_is_told(options, message):
 
 
 @pytest.mark.parametrize(
+    ("camera", "name"),
+    [
+        ("45°", "a-45"),
+        ("(16 x 12)", "a-16-x-12"),
+        (59 * "x" + " y", f"a-{59 * 'x'}"),
+        ("°", "a"),
+        (None, "a"),
+    ],
+)
+def test_folders_have_the_names_of_cameras_without_punctuation_at_their_ends(camera, name):
+    assert PrepareOptions(camera=camera).name_of(Path("a")) == name
+
+
+@pytest.mark.parametrize(
     "other",
     [
         {"target": ChessboardTarget((7, 6))},

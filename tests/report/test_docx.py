@@ -13,6 +13,7 @@ from PIL import Image
 from mrgs import open_marks
 from mrgs.app.cli import main
 from mrgs.errors import ConfigError
+from mrgs.pictures.drawing import blank, draw_text
 from mrgs.report import report_run
 from mrgs.report.write import write_docx
 from mrgs.runs.open import Run
@@ -89,3 +90,33 @@ def test_without_the_library_one_line_says_how_to_get_it(run, monkeypatch, capsy
     assert main(["report", str(run.folder.path), "--docx"]) == 2
     assert "python-docx" in capsys.readouterr().err
     assert not (run.folder.path / "report.docx").exists()
+
+
+def converted(folder: Path, body: str, title: str = "Report"):
+    """A Word document of a page that has this body."""
+    page = folder / "page.html"
+    text = f'<html lang="en"><head><title>{title}</title></head><body>{body}</body></html>'
+    page.write_text(text, encoding="utf-8")
+    return docx.Document(str(write_docx(page, folder / "page.docx")))
+
+
+def test_charts_have_the_letters_of_all_pictures(tmp_path):
+    text = "−5 °C, é × 2"
+    chart = f'<svg viewBox="0 0 120 30" fill="#5c646e"><text x="9" y="20">{text}</text></svg>'
+    (image,) = converted(tmp_path, f"<div>{chart}</div>").part.package.image_parts
+    expected = blank((360, 90))
+    draw_text(expected, (27, 60), text, 39, (0x5C, 0x64, 0x6E))
+    drawn = Image.open(io.BytesIO(image.blob)).convert("RGB")
+    assert np.array_equal(np.asarray(drawn), np.asarray(expected))
+
+
+def test_what_word_cannot_hold_is_cut_or_escaped(tmp_path):
+    body = (
+        "<h1>a\x01b</h1><p>c\x08d</p><table></table><table><tr></tr></table>"
+        "<table><tr><td>e\x02f</td></tr></table>"
+    )
+    written = converted(tmp_path, body, "é\x03" + 300 * "x")
+    assert [each.text for each in written.paragraphs[:2]] == [r"a\u0001b", r"c\u0008d"]
+    assert [rows(table) for table in written.tables] == [[[r"e\u0002f"]]]
+    title = written.core_properties.title
+    assert (len(title), title[:8]) == (255, r"é\u0003x")

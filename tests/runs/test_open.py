@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -241,6 +242,17 @@ def test_the_box_of_the_survey_counts_where_none_is_given(run, tmp_path):
     write_survey(tmp_path / "survey.yaml", Survey(crop=(-9, -9, -9, 9, 9, 9)))
     assert own.cropped().crop == Box((-9, -9, -9), (9, 9, 9))
     assert own.cropped(Box((-8, -8, -8), (8, 8, 8))).crop.high == (8, 8, 8)
+    write_survey(tmp_path / "survey.yaml", Survey(crop=(90, 90, 90, 91, 91, 91)))
+    with pytest.raises(ConfigError, match=re.escape(str(tmp_path / "survey.yaml"))):
+        own.cropped()
+
+
+def test_a_run_that_is_cropped_twice_has_what_is_in_both_boxes(run):
+    first = run.cropped(Box((-9, -9, 0), (9, 9, 9)))
+    twice = first.cropped(Box((0, -9, -9), (8, 9, 9)))
+    assert twice.crop == Box((0, -9, 0), (8, 9, 9))
+    assert twice.gaussian_count == int(twice.crop.contains(run.model.gaussians.means).sum())
+    assert twice.left_out == run.gaussian_count - twice.gaussian_count
 
 
 def test_a_box_beside_the_model_is_refused_with_where_the_model_is(run):

@@ -44,6 +44,8 @@ from mrgs.system.wording import quoted
 
 if TYPE_CHECKING:
     from mrgs.comparison.table import Table
+    from mrgs.runs.open import Run
+    from mrgs.survey import Survey
 
 EXIT_BAD_SCENE = 1
 
@@ -302,12 +304,18 @@ def _export(command: commands.Export) -> None:
 def _report(command: commands.Report) -> None:
     from mrgs.pipeline.forecast import expect_report
     from mrgs.report import report_run
+    from mrgs.report.write import require_docx, require_weasyprint
     from mrgs.runs.open import load_run
 
+    if command.pdf:
+        require_weasyprint()
+    if command.docx:
+        require_docx()
     run = load_run(command.run, command.scene, command.device)
     note_unfinished(run)
-    _state_survey(command)
-    run, scene = cropped(run), run.load_scene()
+    stated = _stated_survey(command)
+    run, scene = _cropped_as_stated(run, command, stated), run.load_scene()
+    _keep_survey(command.run, stated)
     with progress_bar("report", expect_report(run, scene)) as progress:
         write = partial(report_run, run, command.output, command.language, command.pdf)
         page = write(docx=command.docx, appendix=command.appendix, scene=scene, progress=progress)
@@ -315,25 +323,42 @@ def _report(command: commands.Report) -> None:
     say(f"report: {page}", *(f"{name}: {page.with_suffix(f'.{name}')}" for name in others))
 
 
-def _state_survey(command: commands.Report) -> None:
-    """Write the survey that the options state to the run's folder, or an empty one to fill in."""
+def _stated_survey(command: commands.Report) -> Survey | None:
+    """The survey of the run's folder with what the options state; None if they state nothing."""
     from mrgs.report.sections import read_logo
-    from mrgs.survey import SURVEY_FILE, read_survey, survey_of, write_survey
+    from mrgs.survey import SURVEY_FILE, read_survey
 
-    own = command.run / SURVEY_FILE
+    if command.survey is None and not command.set:
+        return None
     if command.survey is not None and not command.survey.is_file():
         raise ConfigError(f"--survey {command.survey}: there is no such file")
-    if command.survey is not None or command.set:
-        stated = read_survey(command.survey or own)
-        if command.survey is not None and stated.logo is not None:
-            stated = replace(stated, logo=str(command.survey.absolute().parent / stated.logo))
-        stated = stated.stating(command.set, "--set")
-        if stated.logo and any(each.startswith("logo=") for each in command.set):
-            stated = replace(stated, logo=str(Path(stated.logo).absolute()))
-        read_logo(stated, command.run)
+    stated = read_survey(command.survey or command.run / SURVEY_FILE)
+    if command.survey is not None and stated.logo is not None:
+        stated = replace(stated, logo=str(command.survey.absolute().parent / stated.logo))
+    stated = stated.stating(command.set, "--set")
+    if stated.logo and any(each.startswith("logo=") for each in command.set):
+        stated = replace(stated, logo=str(Path(stated.logo).absolute()))
+    read_logo(stated, command.run)
+    return stated
+
+
+def _cropped_as_stated(run: Run, command: commands.Report, stated: Survey | None) -> Run:
+    """The run in the box that the options state, or else in that of the survey in its folder."""
+    sets_box = command.survey is not None or any(each.startswith("crop=") for each in command.set)
+    if stated is None or not sets_box:
+        return cropped(run)
+    return run if stated.crop is None else cropped(run, stated.crop)
+
+
+def _keep_survey(folder: Path, stated: Survey | None) -> None:
+    """Write the stated survey to the run's folder, or an empty one to fill in."""
+    from mrgs.survey import SURVEY_FILE, survey_of, write_survey
+
+    own = folder / SURVEY_FILE
+    if stated is not None:
         write_survey(own, stated)
     elif not own.exists():
-        survey_of(command.run)
+        survey_of(folder)
         print(f"survey: fill in {own}, and write the report again")
 
 

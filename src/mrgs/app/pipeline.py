@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -15,6 +16,7 @@ from mrgs.app.progress import PrepareProgress, TrainingProgress, duration, progr
 from mrgs.app.terminal import flags_of, print_note, styled
 from mrgs.errors import MrgsError, printable
 from mrgs.pipeline import Monitor, PipelinePlan, PipelineResults, PlannedStage, run_pipeline
+from mrgs.pipeline.run import default_output
 from mrgs.prepare import PrepareOptions, StageReport
 from mrgs.prepare.contract import SeveralCamerasError
 from mrgs.run_files.folder import RunConfig
@@ -50,19 +52,20 @@ def follow_pipeline(
             flat_field=flat_field,
         )
     except SeveralCamerasError as error:
-        facts_of_one = (flat_field, options.thermal_fov_deg, options.thermal_camera)
+        facts_of_one: list[object] = [flat_field, options.thermal_fov_deg, options.thermal_camera]
+        facts_of_one += [options.poses, options.known_distance]
         if not isinstance(command, RunAll) or any(each is not None for each in facts_of_one):
             raise
         terminal.pause()
         print_note(f"photos of several cameras, each for a model: {', '.join(error.cameras)}")
         failed: list[MrgsError] = []
-        for camera in error.cameras:
-            chosen, output = replace(options, camera=camera), command.output
-            own = replace(command, output=output and output / chosen.name_of(source))
+        choices = [replace(options, camera=camera) for camera in error.cameras]
+        for chosen, output in zip(choices, _folders(source, command.output, choices), strict=True):
+            own = replace(command, output=output)
             try:
                 follow_pipeline(source, own, chosen, yes, flat_field)
             except MrgsError as stopped:
-                print_note(f"{camera}: {stopped}{flags_of(stopped)}", "warning")
+                print_note(f"{chosen.camera}: {stopped}{flags_of(stopped)}", "warning")
                 failed.append(stopped)
         if failed:
             raise failed[0] from None
@@ -75,6 +78,22 @@ def follow_pipeline(
         terminal.pause()
     print(f"finished in {duration(time.perf_counter() - started)}\n")
     print(what_to_open(results))
+
+
+def _folders(
+    source: Path, output: Path | None, choices: Sequence[PrepareOptions]
+) -> Iterator[Path | None]:
+    """The folders of the results for each camera; None for the default. Names that differ only in
+    punctuation or case would share one, so the second and later ones are numbered."""
+    known: Counter[str] = Counter()
+    for options in choices:
+        name, default = options.name_of(source), default_output(source, options)
+        known[name.casefold()] += 1
+        number = known[name.casefold()]
+        if output is not None:
+            yield output / (f"{name}-{number}" if number > 1 else name)
+        else:
+            yield default.with_name(f"{name}-{number}-mrgs") if number > 1 else None
 
 
 def what_to_open(results: PipelineResults) -> str:

@@ -50,8 +50,9 @@ class PrepareOptions:
 
     def name_of(self, photos: Path) -> str:
         """The name of a folder of photos, and of the camera where one is chosen of several."""
-        name, camera = photos.resolve().name, re.sub(r"[^\w.]+", "-", self.camera or "")
-        return f"{name}-{camera[:60]}" if camera else name
+        name, words = photos.resolve().name, re.sub(r"[^\w.]+", "-", self.camera or "")
+        camera = words.strip("-")[:60].rstrip("-")
+        return f"{name}-{camera}" if camera else name
 
     def __post_init__(self) -> None:
         if self.thermal_fov_deg is not None and not 1 <= self.thermal_fov_deg <= 150:

@@ -14,11 +14,13 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from PIL import Image, ImageDraw, ImageFile, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFile
 
 from mrgs.errors import ConfigError
 from mrgs.marks import open_marks
 from mrgs.marks.tables import DASH, PART_NAMES
+from mrgs.pictures.drawing import draw_text
+from mrgs.pictures.escape import without_controls
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.settings import settings_of
 from mrgs.report import sections
@@ -197,6 +199,9 @@ def require_docx() -> Any:
 TEXT_MM, TALLEST_MM, LOGO_MM, MM_PER_PX = 174.0, 190.0, 40.0, 25.4 / 150
 """Width of the text on A4; a picture's largest height, a logo's largest width, and a pixel's."""
 
+LONGEST_PROPERTY = 255
+"""Characters of a document property, such as the title."""
+
 HEADINGS = {"h1": 0, "h2": 1, "h3": 2}
 STYLES = {"figcaption": "Caption", "li": "List Bullet", "p": None}
 """Levels of Word's headings, and names of its styles for paragraphs, by HTML's elements."""
@@ -222,7 +227,8 @@ def write_docx(page: Path, path: Path) -> Path:
         style.font.name, style.font.size, style.font.bold = "Calibri", docx.shared.Pt(9.5), False
         style.font.color.rgb = docx.shared.RGBColor(28, 34, 41)
     about = document.core_properties
-    about.title, about.author, about.comments = html.findtext(".//title"), "mrgs", ""
+    title = without_controls(html.findtext(".//title") or "")
+    about.title, about.author, about.comments = title[:LONGEST_PROPERTY], "mrgs", ""
     about.created = about.modified = datetime.now(timezone.utc)
     for element in html.find("body"):
         _add(document, element)
@@ -262,21 +268,24 @@ _AS_WRITTEN = "ancestor-or-self::*[contains(@class, 'said') or contains(@class, 
 
 
 def _text(element: Any) -> str:
-    """The text of an element; line breaks count where the page has them, in what people wrote."""
+    """The text of an element; line breaks count where the page has them, in what people wrote.
+    Characters that XML forbids become escapes."""
     parts = []
     for text in element.xpath(".//text()"):
         owner = text.getparent().getparent() if text.is_tail else text.getparent()
         written = text if owner.xpath(_AS_WRITTEN) else re.sub(r"\s+", " ", text)
         parts.append(f"_{written}" if owner.tag == "sub" else written)
-    whole = "".join(parts).strip()
+    whole = without_controls("".join(parts).strip())
     return whole.replace(" ", "\u00a0") if "n" in element.get("class", "").split() else whole
 
 
 def _add_table(document: Any, rows: Sequence[Any]) -> None:
     """A table with borders, whose headings each page repeats. A column is as wide as its longest
-    word asks for, and wider for long texts."""
+    word asks for, and wider for long texts. Nothing where there are no cells."""
     docx = require_docx()
     texts = [[_text(cell) for cell in row] for row in rows]
+    if not any(texts):
+        return
     asked = [
         max(4 + max(map(len, text.split(" "))) + min(len(text), 80) // 4 for text in column)
         for column in zip_longest(*texts, fillvalue="")
@@ -311,7 +320,8 @@ def _add_pictures(document: Any, elements: Sequence[Any]) -> None:
         content = io.BytesIO(base64.b64decode(source.partition(",")[2]))
         inline = paragraph.add_run().add_picture(content, mm(width))._inline
         paragraph.add_run(" ")
-        inline.docPr.set("descr", element.get("alt") or element.get("aria-label") or "")
+        label = element.get("alt") or element.get("aria-label") or ""
+        inline.docPr.set("descr", without_controls(label))
         inline.attrib.update({"distL": "0", "distR": "0"})  # LibreOffice's default is 3 mm
 
 
@@ -324,12 +334,12 @@ def _drawn(svg: Any) -> Image.Image:
 
     _, _, width, height = scaled(svg.get("viewbox"))
     image = Image.new("RGB", (round(width), round(height)), "white")
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(13 * scale)
+    draw, color = ImageDraw.Draw(image), ImageColor.getrgb(svg.get("fill"))[:3]
     for part in svg:
         if part.tag == "text":
             x, y = scaled(f"{part.get('x')} {part.get('y')}")
             anchor = "rs" if part.get("text-anchor") == "end" else "ls"
-            draw.text((x, y), part.text, svg.get("fill"), font, anchor)
+            draw_text(image, (x, y), part.text, 13 * scale, color, anchor)
         else:
             path = part.get("d") or "{x1} {y1} {x2} {y2}".format_map(part.attrib)
             for piece in path.strip("M").split("M"):

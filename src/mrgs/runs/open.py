@@ -108,10 +108,13 @@ class Run(TrainedRun):
 
     def cropped(self, box: Box | None = None) -> Run:
         """This run without the Gaussians whose centres are outside a box in world coordinates, by
-        default the one in the survey of its folder; itself without either. ConfigError if none is
-        inside, or the survey has a value that cannot be."""
+        default the one in the survey of its folder; itself without either. A cropped run keeps what
+        is in both boxes. ConfigError if none is inside, or the survey has a value that cannot be.
+        """
+        source = "crop"
         if box is None:
-            stated = read_survey(self.folder.path / SURVEY_FILE).crop
+            file = self.folder.path / SURVEY_FILE
+            source, stated = f"{file}: crop", read_survey(file).crop
             if stated is None:
                 return self
             box = Box.between(*stated)
@@ -120,7 +123,7 @@ class Run(TrainedRun):
         if not inside.any():
             low, high = np.percentile(gaussians.means.numpy(), [2, 98], axis=0).tolist()
             raise ConfigError(
-                f"crop: no Gaussian is in the box {box}; nearly all are in {Box(low, high)}"
+                f"{source}: no Gaussian is in the box {box}; nearly all are in {Box(low, high)}"
             )
         rows = inside.nonzero()[:, 0]
         model = replace(
@@ -130,7 +133,8 @@ class Run(TrainedRun):
             temperature_residuals=None if residuals is None else residuals[rows],
         )
         left_out = self.left_out + len(inside) - len(rows)
-        return replace(self, model=model, crop=box, left_out=left_out)
+        crop = box if self.crop is None else box.within(self.crop)
+        return replace(self, model=model, crop=crop, left_out=left_out)
 
     @property
     def gaussian_count(self) -> int:

@@ -119,6 +119,12 @@ class Box(NamedTuple):
         (x0, x1), (y0, y1), (z0, z1) = ends
         return cls((x0, y0, z0), (x1, y1, z1))
 
+    def within(self, other: Box) -> Box:
+        """What is in both boxes, which must meet."""
+        x0, y0, z0 = map(max, self.low, other.low)
+        x1, y1, z1 = map(min, self.high, other.high)
+        return Box((x0, y0, z0), (x1, y1, z1))
+
     def contains(self, points: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
         """Whether points of the world, [..., 3], are in it; NaN is not."""
         low, high = (constant(end, points) for end in self)

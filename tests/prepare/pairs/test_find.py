@@ -712,6 +712,36 @@ def test_a_camera_that_took_no_photo_is_told_with_those_that_did(photos):
     assert refusal.value.options == ("camera",)
 
 
+def test_photos_that_name_no_camera_are_of_the_only_one_with_their_size(photos):
+    sizes = {"M3T": (8, 6), "E8": (16, 12), "H20T": (16, 12)}
+    content = {
+        f"{model}{i}.tiff": ("celsius", {"model": model, "size": size})
+        for model, size in sizes.items()
+        for i in range(3)
+    }
+    bare = {"a": (8, 6), "b": (16, 12), "c": (32, 24)}
+    content |= {f"{name}.tiff": ("celsius", {"size": size}) for name, size in bare.items()}
+    root = photos(content)
+    small, large = (find_pairs(root, rule="thermal", camera=name) for name in ("M3T", "E8"))
+    assert [pair.name for pair in small.pairs] == ["a", "M3T0", "M3T1", "M3T2"]
+    assert reasons(small)["b.tiff"] == "is not of M3T"
+    assert any("1 thermal photo" in text and "c.tiff" in text for text in small.warnings)
+    assert [pair.name for pair in large.pairs] == ["E80", "E81", "E82"]
+    assert any("2 thermal photos" in text for text in large.warnings)
+    assert "camera" in reasons(large)["b.tiff"]
+
+
+def test_a_camera_that_was_chosen_is_not_asked_for_again(photos):
+    content = {
+        f"{model}{i}.tiff": ("celsius", {"model": model, "size": (8, 6) if i % 2 else (16, 12)})
+        for model in ("M3T", "E8")
+        for i in range(6)
+    }
+    with pytest.raises(SceneError, match="16 x 12") as refusal:
+        find_pairs(photos(content), camera="M3T")
+    assert refusal.value.options == ()
+
+
 def test_one_camera_may_be_named_too(photos):
     content = {name: kind for name, kind in MIXED.items() if name.startswith("DJI")}
     assert len(find_pairs(photos(content), camera="M3T").pairs) == 4

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
@@ -17,7 +17,7 @@ from mrgs.prepare.pairs.inventory import Inventory, Photo
 from mrgs.prepare.pairs.names import PARTNER, REFERENCE
 from mrgs.prepare.pairs.rules import NEARLY, Match, Pair, by_modality
 from mrgs.scene import Modality
-from mrgs.system.wording import listed, shown
+from mrgs.system.wording import counted, listed, shown
 
 Value = TypeVar("Value", bound=Hashable)
 
@@ -31,9 +31,15 @@ _OTHER_LENS = 1.2
 """Fields of view whose ratio is larger are those of two lenses, not of one focused differently."""
 
 
-def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...]:
-    """Warnings about the cameras of the pairs. SceneError if the photos of a modality are of two
-    models of camera, two lenses or two sizes."""
+UNKNOWN_CAMERA = "does not say which camera took it"
+"""Why a thermal photo is left out whose file names no camera, where its size does not tell."""
+
+
+def check_cameras(
+    pairs: Sequence[Pair], inventory: Inventory, camera: str | None
+) -> tuple[str, ...]:
+    """Warnings about the cameras of the pairs, after ``of_one_camera``. SceneError if the photos of
+    a modality are of two models of camera, two lenses or two sizes."""
     partners = [pair.partner for pair in pairs if pair.partner is not None]
     embedded = [pair.reference for pair in pairs if pair.partner is None]
     if partners and embedded:
@@ -55,7 +61,7 @@ def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...
                 inventory.root,
                 f"the {modality.title} photos are of {len(cameras)} cameras, lenses or sizes: "
                 f"{listed(of_each, MOST_NAMED)}; prepare each separately, from a folder of its own",
-                options=("camera",) if modality == REFERENCE else (),
+                options=("camera",) if modality == REFERENCE and camera is None else (),
             )
         focal_mm = [photo.focal_mm for photo in photos if photo.focal_mm is not None]
         if focal_mm and max(focal_mm) > _ZOOM * min(focal_mm):
@@ -65,6 +71,13 @@ def check_cameras(pairs: Sequence[Pair], inventory: Inventory) -> tuple[str, ...
                 f"that were zoomed.",
             )
         warnings += _several(modality, photos, inventory)
+    unknown = [item.name for item in inventory.skipped if item.reason == UNKNOWN_CAMERA]
+    if unknown:
+        count = counted(len(unknown), f"{REFERENCE.title} photo")
+        warnings += (
+            f"Files that do not say which camera took them are left out: {count}, such as "
+            f"{printable(unknown[0])}. Prepare each camera from a folder of its own.",
+        )
     return warnings
 
 
@@ -72,16 +85,23 @@ def of_one_camera(
     inventory: Inventory, root_name: str, camera: str | None, match: Callable[[Inventory], Match]
 ) -> Inventory:
     """The inventory without the photos of other thermal cameras than the chosen one, and without
-    RGB photos of their models; all of it where none is chosen. SceneError if there is no such
+    RGB photos of their models; all of it where none is chosen. A thermal photo that names no camera
+    is of the one whose photos alone have its size. SceneError if there is no such
     camera. SeveralCamerasError if none is chosen, and several have pairs enough for a scene where
     each is matched apart: the rule for all photos may find only the pairs of one."""
     references, partners = by_modality(inventory.photos, root_name)
     cameras = _by_camera(references)
+    candidates = _candidates(references, cameras)
 
     def only(name: str) -> Inventory:
-        left_out = {*references} - {*cameras[name]}
-        left_out |= {each for each in partners if each.exif.model in cameras.keys() - {name}}
-        skipped = [Skipped(inventory.name(each), f"is not of {name}") for each in left_out]
+        left_out = {
+            photo: f"is not of {name}" if names and name not in names else UNKNOWN_CAMERA
+            for photo, names in candidates.items()
+            if names != [name]
+        }
+        others = [each for each in partners if each.exif.model in cameras.keys() - {name}]
+        left_out |= dict.fromkeys(others, f"is not of {name}")
+        skipped = [Skipped(inventory.name(each), reason) for each, reason in left_out.items()]
         kept = tuple(each for each in inventory.photos if each not in left_out)
         return replace(inventory, photos=kept, skipped=(*inventory.skipped, *skipped))
 
@@ -99,6 +119,19 @@ def of_one_camera(
         text = f"{inventory.root}: the thermal photos are of {names}, and a scene has one camera"
         raise SeveralCamerasError(f"{text}: choose one", tuple(enough))
     return inventory
+
+
+def _candidates(
+    photos: Sequence[Photo], cameras: Mapping[str, Sequence[Photo]]
+) -> dict[Photo, list[str]]:
+    """The cameras of which each photo may be: its own, or if it names none, those with photos of
+    its size."""
+    known = {photo: [name] for name, own in cameras.items() for photo in own}
+    sizes = {name: {photo.size for photo in own} - {None} for name, own in cameras.items()}
+    return {
+        photo: known.get(photo) or [name for name in cameras if photo.size in sizes[name]]
+        for photo in photos
+    }
 
 
 def _by_camera(photos: Sequence[Photo]) -> dict[str, list[Photo]]:

@@ -90,7 +90,7 @@ def find_pairs(
     kept = {*inventory.photos}
     pairs = [pair for pair in match.pairs if pair.reference in kept]
     pairs = [pair for pair in pairs if pair.partner or pair.embedded] or pairs
-    warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory))
+    warnings = (*match.warnings, *shifted(pairs), *check_cameras(pairs, inventory, camera))
     unread = [item.name for item in inventory.skipped if NOT_READ in item.reason]
     if unread and not any(pair.partner or pair.embedded for pair in pairs):
         warnings += (
