@@ -70,8 +70,8 @@ def test_the_facade_is_found_and_metric(elevation):
     known = np.array([edge for window in WINDOWS for edge in window[:2]])
     a_photo_s_pixel = 0.065
     np.testing.assert_allclose(found, known, atol=a_photo_s_pixel)
-    # Opaque discs that overlap in one plane show their nearer halves, so that an untrained wall looks
-    # half a disc wider on both sides.
+    # Opaque discs that overlap in one plane show their nearer halves: an untrained wall looks half
+    # a disc wider on both sides.
     np.testing.assert_allclose(found[2:] - found[:2], known[2:] - known[:2], atol=a_photo_s_pixel)
     column = round((-2.0 - corner[0]) / PIXEL)
     heights = corner[2] + PIXEL * (len(celsius) - edges(celsius[:, column]))
