@@ -12,6 +12,7 @@ from mrgs.data import load_scene
 from mrgs.method.camera_model.pose_refinement import PoseRefinement
 from mrgs.method.config import make_config
 from mrgs.runs.open import Run, load_run
+from mrgs.scene import THERMAL
 from tests.helpers.runs import trained_run
 
 STEPS = 12
@@ -107,3 +108,16 @@ def refine(scene: Path, folder: Path, stop: int, resume: bool = False) -> None:
 
 def test_nothing_is_refined_unless_it_is_asked_for(given, small_scene):
     assert given.load_scene().notes == load_scene(small_scene).notes
+
+
+def test_photos_keep_their_offsets_at_refined_poses(run):
+    drift = run.image_model.thermal_drift
+    offsets = torch.linspace(-0.1, 0.1, len(drift.residuals))
+    drift.begin(offsets, torch.full_like(offsets, 1e8))
+    for number, view in enumerate(run.load_scene().train):
+        rendering = run.render_view(view)
+        added = run.camera_response(rendering, view.camera)[THERMAL].image
+        expected = run.image_model(rendering, torch.tensor([number]))[THERMAL].image
+        torch.testing.assert_close(added, expected)
+        change = (added - rendering[THERMAL].image).mean().item()
+        assert change == pytest.approx(offsets[number].item(), abs=0.02)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple, TypeAlias
 
 import msgspec
+from jaxtyping import Float64
+from torch import Tensor
 
 from mrgs.scene.air import AirPath
 from mrgs.scene.camera import Camera
@@ -31,6 +33,13 @@ class Viewpoint(NamedTuple):
     def of(cls, camera: Camera, extent: float) -> Viewpoint:
         """The viewpoint of a camera in a scene of this extent."""
         return cls(tuple((camera.position / extent).tolist()), tuple(camera.forward.tolist()))
+
+    def moved(self, motion: Float64[Tensor, "4 4"], extent: float) -> Viewpoint:
+        """The viewpoint of the camera after ``Camera.moved``, by a motion in scene units."""
+        back = motion[:3, :3].T
+        position = back @ (motion.new_tensor(self.position) - motion[:3, 3] / extent)
+        forward = back @ motion.new_tensor(self.forward)
+        return Viewpoint(tuple(position.tolist()), tuple(forward.tolist()))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from mrgs.method.adam import ParameterGroup
 from mrgs.method.camera_model.photo_drift import PhotoDrift, part_medians
-from mrgs.method.camera_model.photo_gain import PhotoGain
+from mrgs.method.camera_model.photo_gain import PhotoGain, only_one_at, viewpoint_distances
 from mrgs.method.camera_model.photo_shading import PhotoShading
 from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.method.camera_model.pose_refinement import PoseRefinement
@@ -104,7 +104,7 @@ class ImageModel(nn.Module):
         self._radiance = capture.radiance if config.radiance else None
         self.air = capture.air if config.air and self._radiance is not None else None
         self.register_buffer("constant", torch.zeros(()))
-        self._extent = capture.extent
+        self._extent, self._viewpoints = capture.extent, capture.thermal_viewpoints
 
     @property
     def moves_poses(self) -> bool:
@@ -143,8 +143,21 @@ class ImageModel(nn.Module):
     ) -> Rendering:
         """The rendering of any camera as it is expected to record it, a ``CameraResponse``; no
         gradients."""
-        viewpoint = Viewpoint.of(camera, self._extent)
+        viewpoint = self._as_given(Viewpoint.of(camera, self._extent))
         return self._recorded(rendering, lambda effect: effect.expected(viewpoint), pixel_sizes)
+
+    def _as_given(self, viewpoint: Viewpoint) -> Viewpoint:
+        """A training view's viewpoint before its pose was refined, if this is it now: by that the
+        effects know their photos."""
+        if self.poses is None or not self.poses.moves:
+            return viewpoint
+        given, motions = self._viewpoints, self.poses.all_motions()
+        known = [(each, m) for each, m in zip(given, motions, strict=True) if each is not None]
+        if not known:
+            return viewpoint
+        now = [each.moved(motion, self._extent) for each, motion in known]
+        same = only_one_at(viewpoint_distances([viewpoint], now)[0])
+        return viewpoint if same is None else known[same][0]
 
     def thermal_residual(self, recorded: Rendering, photo: Pixels) -> Float[Tensor, " n"] | None:
         """How far the parts of a training view's thermal photo are above the model, for ``learn``;
