@@ -84,7 +84,7 @@ def logged(run: str) -> list[dict[str, Any]]:
 
 def test_every_recipe_is_tested() -> None:
     tests = Path(__file__).read_text(encoding="utf-8")
-    assert len(RECIPES) == 8
+    assert len(RECIPES) == 9
     assert [title for title in RECIPES if f'cook("{title}"' not in tests] == []
 
 
@@ -142,6 +142,19 @@ def test_a_loss(kitchen: Kitchen) -> None:
     kitchen.cook("A loss")
     assert load_run("runs/sparse").folder.custom_parts == ["term: sparsity: <run_path>.Sparsity"]
     assert any(0 < line.get("loss_sparsity", 0) < 1 for line in logged("runs/sparse"))
+
+
+def test_a_prior_between_neighbours(kitchen: Kitchen, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = RECIPES["A prior between neighbours"]["python"].replace("step % 16 == 0", "True")
+    monkeypatch.setitem(RECIPES["A prior between neighbours"], "python", text)
+    names = kitchen.cook("A prior between neighbours")
+    assert all(line["loss_conduction"] >= 0 for line in logged("runs/conduction"))
+    gaussians = load_run("runs/conduction").model.gaussians
+    near = torch.arange(len(gaussians)).roll(1)[:, None]
+    weights = names["likeness"](gaussians, near)
+    assert 0 <= weights.min() <= weights.max() <= 1
+    gaussians.sh_dc[RGB] = gaussians.sh_dc[RGB] * 0  # of one colour
+    assert (names["likeness"](gaussians, near) >= weights - 1e-6).all()
 
 
 def test_a_kernel(kitchen: Kitchen) -> None:
