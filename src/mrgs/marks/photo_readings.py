@@ -2,7 +2,7 @@
 the parts of a temperature's uncertainty that follow from both.
 
 The constants were set on generated scenes with exact temperatures, and checked on others: see
-``docs/decisions/036-uncertainty.md``.
+``docs/decisions/068-narrower-uncertainty.md``.
 """
 
 from __future__ import annotations
