@@ -256,7 +256,8 @@ class RunFolder:
     def note_custom_parts(self, parts: Iterable[str]) -> None:
         """Add those to config.yaml that it does not name yet. RunError if it cannot be written."""
         lines = [" ".join(part.split())[:_LONGEST_CUSTOM] for part in parts]
-        if new := [line for line in lines if line not in self.custom_parts]:
+        known = self.custom_parts if lines else []
+        if new := [line for line in lines if line not in known]:
             text = self.read_config(lambda text, _: text.rstrip("\n"))
             write_text(self.config_file, "\n".join([text, *(_CUSTOM + line for line in new), ""]))
 

@@ -218,14 +218,11 @@ def open_gaussians(
     return Run(folder, config, facts.moved_to(scene), model, image_model, chosen)
 
 
-@torch.no_grad()
 def with_refined_poses(scene: Scene, poses: PoseRefinement) -> Scene:
     """The scene with the poses of its training views as they were refined on it, and a note of how
     far they were moved, in pixels of each view's first camera; held-out views keep theirs."""
     views, shifts = scene.train, poses.shifts().tolist()
-    train = tuple(
-        moved_view(view, poses.motion(torch.tensor([number]))) for number, view in enumerate(views)
-    )
+    train = tuple(map(moved_view, views, poses.all_motions()))
     pixels = [shift * view.camera.focal_px for shift, view in zip(shifts, views, strict=True)]
     farthest = max(range(len(views)), key=pixels.__getitem__)
     note = (

@@ -80,8 +80,8 @@ def full_name(named: type | FunctionType) -> str:
 def warn_of_missing(custom_parts: Iterable[str]) -> None:
     """MrgsWarning if a run was trained with replaced definitions that this process has not
     replaced; see ``RunFolder.custom_parts``."""
-    here = [part.split(": ")[1] for part in custom_definitions()]
     trained = [part.split(": ")[1] for part in custom_parts if part.startswith("equation: ")]
+    here = [part.split(": ")[1] for part in custom_definitions()] if trained else []
     if names := [name for name in trained if name not in here]:
         warn_user(
             f"the run was trained with other definitions of {listed(names)}: replace them in this "
