@@ -23,29 +23,39 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.ndimage import uniform_filter
 
 from benchmarks.interval_coverage import BORDER_PX
 from mrgs.errors import ConfigError
-from mrgs.marks import open_marks
+from mrgs.marks import Mark, open_marks
+from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.surface import disc_mask, seen_depth
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.start.overlap import find_from_overlap, without_camera
 from mrgs.runs.open import Run, open_gaussians
-from mrgs.scene import THERMAL, Blend, Rendering, Scene
+from mrgs.scene import THERMAL, Blend, Rendering, Scene, View
 from mrgs.scene.capture import Capture
+from mrgs.scene.depth_map import SURFACE_DEPTH, DepthMap, carry_over
 
-TRIES = 6
-"""Places that are tried for each spot."""
+FEWEST_PHOTOS = 3
+"""The mean of fewer photos is little better than one."""
 
 
 class Repeat(NamedTuple):
-    """A spot in a photo of the later pass: the photo's number, what the photo shows as taken and
-    with the pass's camera corrected, each minus the mark's mean, K; the ± of the mark, without and
-    with what all marks share, K."""
+    """A spot in a photo of the later pass.
+
+    Attributes:
+        photo: number of the photo.
+        as_taken: what it shows minus the mark's mean, K.
+        corrected: the same with the pass's drift and shading corrected.
+        together: of all photos of the pass that see the place, corrected; NaN for few of them.
+        own, total: the ± of the mark, without and with what all marks share, K.
+    """
 
     photo: int
     as_taken: float
     corrected: float
+    together: float
     own: float
     total: float
 
@@ -60,44 +70,52 @@ def corrected_pass(run: Run, scene: Scene) -> Scene:
 
 def repeats(run: Run, spots: int, seed: int) -> list[Repeat]:
     """Random spots of all photos of the later pass."""
-    scene, scale = run.load_scene(), run.temperature
-    assert scale is not None
+    scene = run.load_scene()
     marks, generator = open_marks(run, scene), np.random.default_rng(seed)
-    found = []
-    for number, (view, own) in enumerate(
-        zip(scene.eval, corrected_pass(run, scene).train, strict=True)
-    ):
+    picker = MarkPicker(marks.meter, scene)
+    taken, corrected = (
+        [_without_blur(run, view) for view in views]
+        for views in (scene.eval, corrected_pass(run, scene).train)
+    )
+    found: list[Repeat] = []
+    for number, view in enumerate(scene.eval):
         camera = view.images[THERMAL].camera
-        rendering = run.render({THERMAL: camera})
-        sharp = rendering[THERMAL].image
-        nothing = Rendering({THERMAL: Blend.of_image(torch.zeros_like(sharp))})
-        added = run.camera_response(nothing, camera)[THERMAL].image
-        blurring = run.camera_response(rendering, camera)[THERMAL].image - added - sharp
-        depth = seen_depth(rendering)
-        taken, corrected = (
-            scale.to_celsius(each.images[THERMAL].load().values - blurring)[..., 0].numpy()
-            for each in (view, own)
-        )
-        for _ in range(TRIES * spots):
+        for _ in range(spots):
             x = generator.uniform(BORDER_PX, camera.width - BORDER_PX)
             y = generator.uniform(BORDER_PX, camera.height - BORDER_PX)
             try:
-                mark = marks.spot(camera, (x, y))
+                place = picker.pick("spot", camera, [(x, y)])
             except ConfigError:
                 continue
-            marks.remove(mark.name)
-            disc = disc_mask(camera, depth, np.array(mark.points[0]), mark.radius)
-            disc[int(y), int(x)] = True
-            reading = marks.meter.read(mark)
+            reading = marks.meter.read(Mark("?", "spot", **place))
             if reading.problem or reading.uncertainty is None:
                 continue
+            points = np.array(place["points"], np.float32)
+            disc = disc_mask(camera, taken[number].depth, points[0].astype(float), place["radius"])
+            disc[int(y), int(x)] = True
+            alone = [float(np.nanmean(each[number].image[disc])) for each in (taken, corrected)]
+            seen = sum(len(each.shown(points).rows) for each in corrected)
+            mean = carry_over(corrected, points, 0.0, SURFACE_DEPTH)[0][0, 0]
+            together = float(mean) if seen >= FEWEST_PHOTOS else np.nan
+            off = [each - reading.mean for each in (*alone, together)]
             around = reading.uncertainty
-            first, second = (float(np.nanmean(image[disc])) for image in (taken, corrected))
-            off = first - reading.mean, second - reading.mean
             found.append(Repeat(number, *off, around.own, around.total))
-            if sum(each.photo == number for each in found) == spots:
-                break
     return found
+
+
+def _without_blur(run: Run, view: View) -> DepthMap:
+    """The temperatures of a photo less the change by the camera's blur, °C, means over 3×3 pixels,
+    with the depths of the model."""
+    scale, camera = run.temperature, view.images[THERMAL].camera
+    assert scale is not None
+    rendering = run.render({THERMAL: camera})
+    sharp = rendering[THERMAL].image
+    nothing = Rendering({THERMAL: Blend.of_image(torch.zeros_like(sharp))})
+    added = run.camera_response(nothing, camera)[THERMAL].image
+    blurring = run.camera_response(rendering, camera)[THERMAL].image - added - sharp
+    values = scale.to_celsius(view.images[THERMAL].load().values - blurring)[..., 0].numpy()
+    depth = seen_depth(rendering).astype(np.float32)
+    return DepthMap(camera, depth, uniform_filter(values, 3)[..., None])
 
 
 def split(scene: Path, folder: Path, first: int, swapped: bool) -> None:
@@ -136,20 +154,21 @@ def main() -> None:
 def _print(options: argparse.Namespace) -> None:
     """The table of a run."""
     found = repeats(open_gaussians(options.run), options.spots, options.seed)
-    photo, taken, corrected, own, total = map(np.array, zip(*found, strict=True))
+    photo, taken, corrected, together, own, total = map(np.array, zip(*found, strict=True))
     by_photo = np.array([np.median(taken[photo == each]) for each in photo])
-    own_c = np.array([np.median(corrected[photo == each]) for each in photo])
-    print(f"{len(found)} spots; ± {np.median(own):.2f} K alone, {np.median(total):.2f} K in all")
-    print("| what is taken off the photos | median difference, K | within ± alone | within ± |")
-    print("|---|---:|---:|---:|")
+    print(f"± {np.nanmedian(own):.2f} K alone, {np.nanmedian(total):.2f} K in all (medians)")
+    print("| of the photos | spots | median difference, K | within ± alone | within ± |")
+    print("|---|---:|---:|---:|---:|")
     for name, off in (
-        ("the pass's constant", taken - np.median(taken)),
-        ("each photo's own constant", taken - by_photo),
-        ("the pass's drift and shading, its constant", corrected - np.median(corrected)),
-        ("the pass's drift and shading, each photo's own", corrected - own_c),
+        ("each as taken, less one constant", taken - np.nanmedian(taken)),
+        ("each as taken, less its own constant", taken - by_photo),
+        ("each less drift and shading, less one constant", corrected - np.nanmedian(corrected)),
+        ("the mean less drift and shading, less one constant", together - np.nanmedian(together)),
     ):
-        held = (f"{100 * np.mean(np.abs(off) <= width):.1f} %" for width in (own, total))
-        print(f"| {name} | {np.median(np.abs(off)):.3f} | {' | '.join(held)} |")
+        known = np.isfinite(off) & np.isfinite(own)
+        away = np.abs(off[known])
+        held = (f"{100 * np.mean(away <= width[known]):.1f} %" for width in (own, total))
+        print(f"| {name} | {known.sum()} | {np.median(away):.3f} | {' | '.join(held)} |")
 
 
 if __name__ == "__main__":
