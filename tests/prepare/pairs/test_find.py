@@ -659,18 +659,21 @@ def shuffled(walked):
 
 
 def test_the_headers_of_unchanged_files_are_read_once(photos):
-    """What was read before is the same object, and not merely equal."""
+    """What was read before is the same object, and not merely equal: the facts of the header."""
     root = photos({"a_rgb.jpg": "jpg", "a_thermal.tif": "celsius"})
     steps = []
     rgb, thermal = take_inventory(root, lambda *step: steps.append(step)).photos
     assert steps == [("reading headers", 0, 2), ("reading headers", 1, 2)]
     again = take_inventory(root).photos
-    assert again[0] is rgb
-    assert again[1] is thermal
+    assert again[0] == rgb
+    assert again[0].exif is rgb.exif
+    assert again[1] == thermal
+    assert again[1].exif is thermal.exif
     (root / "a_rgb.jpg").write_bytes(photo("jpg", size=(32, 12)))
     changed, same = take_inventory(root).photos
     assert changed.size == (32, 12)
-    assert same is thermal
+    assert same == thermal
+    assert same.exif is thermal.exif
 
 
 MIXED = {

@@ -16,14 +16,15 @@ from typing import NamedTuple
 from mrgs.data.files import composed
 from mrgs.errors import printable
 from mrgs.prepare.pairs.clocks import clock_offset, match_times
-from mrgs.prepare.pairs.inventory import Photo
-from mrgs.prepare.pairs.names import (
+from mrgs.prepare.pairs.photo import (
     PARTNER,
     PARTNER_MARKS,
     REFERENCE,
-    folder_modality,
+    Candidate,
+    Photo,
+    candidate_by_folder,
+    candidate_by_name,
     natural,
-    read_stem,
 )
 from mrgs.scene import Modality
 
@@ -69,59 +70,6 @@ class Match:
     warnings: tuple[str, ...] = ()
 
 
-class Candidate(NamedTuple):
-    """A photo with the facts in its name; photos of one moment have the same key."""
-
-    photo: Photo
-    modality: Modality | None
-    key: str
-    mark: str
-    moment: datetime | None
-
-    @property
-    def is_reference(self) -> bool:
-        """Whether the photo is known to be of the reference modality."""
-        return self.modality == REFERENCE
-
-
-def candidate_by_name(photo: Photo, folders: Sequence[str] | None = None) -> Candidate:
-    """Modality by content and file name; the folder is part of the key, or ``folders`` are."""
-    folders = photo.origin.parts[:-1] if folders is None else folders
-    facts = read_stem(photo.origin.name, photo.is_thermal)
-    key = composed("/".join([*folders, facts.key]).casefold())
-    modality = REFERENCE if photo.is_thermal else facts.modality
-    return Candidate(photo, modality, key, facts.mark, facts.moment)
-
-
-def candidate_by_folder(photo: Photo, root_name: str = "") -> Candidate:
-    """Modality by content and folder; the folder named after a modality is not part of the key. The
-    name of the folder of all photos is given where it counts; see ``needed_root_name``."""
-    named, folders = folder_modality([root_name, *photo.origin.parts[:-1]])
-    modality = REFERENCE if photo.is_thermal else named
-    return candidate_by_name(photo, folders)._replace(modality=modality)
-
-
-def needed_root_name(photos: Sequence[Photo], root_name: str) -> str:
-    """The name of the folder of all photos, where nothing else says what any of them is; else
-    empty: a folder of both cameras' photos may be called "thermal survey"."""
-    is_known = any(
-        photo.is_thermal or candidate_by_folder(photo).modality or candidate_by_name(photo).modality
-        for photo in photos
-    )
-    return "" if is_known else root_name
-
-
-def by_modality(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], list[Photo]]:
-    """All reference photos, and all others, which may be partners: by content, else by the folder,
-    else by the name."""
-    found: dict[bool, list[Photo]] = {True: [], False: []}
-    for photo in photos:
-        by_folder = candidate_by_folder(photo, root_name)
-        known = by_folder if by_folder.modality else candidate_by_name(photo)
-        found[known.is_reference].append(photo)
-    return found[True], found[False]
-
-
 def in_order(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
     """In natural order of the reference photos."""
     return tuple(sorted(pairs, key=lambda pair: natural(str(pair.reference.origin))))
@@ -137,10 +85,10 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     return Match(pairs, rule, "of its name", reasons)
 
 
-def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
+def by_folders(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
     else unique; names that are equal to the letter come before names with a camera suffix."""
-    candidates = [candidate_by_folder(photo, root_name) for photo in photos]
+    candidates = [candidate_by_folder(photo) for photo in photos]
     pairs: list[Pair] = []
     reasons: dict[Photo, str] = {}
 
@@ -298,7 +246,7 @@ def by_embedded(photos: Sequence[Photo]) -> Match | None:
     return Match(pairs, rule, reasons=reasons)
 
 
-def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
+def by_time(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     """The nearest in time by EXIF, after the clocks are compared."""
     timed = [photo for photo in photos if photo.exif.taken is not None]
     in_zones = all(photo.exif.zone_s is not None for photo in timed)
@@ -310,8 +258,11 @@ def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Matc
         return photo.exif.taken - timedelta(seconds=zone_s or 0.0)
 
     references, partners = (
-        sorted(group, key=lambda photo: (moment(photo), natural(str(photo.origin))))
-        for group in by_modality(timed, root_name)
+        sorted(
+            (photo for photo in timed if photo.is_reference == wanted),
+            key=lambda photo: (moment(photo), natural(str(photo.origin))),
+        )
+        for wanted in (True, False)
     )
     if not references or not partners:
         return None
