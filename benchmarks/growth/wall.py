@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from benchmarks.growth.plan import Case
-from mrgs.data.lens import Lens
+from mrgs.scene.lens import Lens
 from mrgs.data.ply import write_points
 from mrgs.data.transforms import (
     BOUNDS,

@@ -10,8 +10,15 @@ from mrgs.scene import Modality
 
 
 def converted_view(
-    name: str, files: dict[Modality, str], exif: ExifFacts | None = None, **facts: Any
+    name: str,
+    files: dict[Modality, str],
+    exif: ExifFacts | None = None,
+    sizes: dict[Modality, tuple[int, int]] | None = None,
+    **facts: Any,
 ) -> ConvertedView:
-    """A view whose images are these files; sizes and digests are not known."""
-    images = {modality: ConvertedImage(file) for modality, file in files.items()}
+    """A view whose images are these files, of these sizes, else 32 x 24; digests are not known."""
+    images = {
+        modality: ConvertedImage(file, (sizes or {}).get(modality, (32, 24)))
+        for modality, file in files.items()
+    }
     return ConvertedView(name, images, exif or ExifFacts(), **facts)

@@ -18,7 +18,6 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.data.kept import stamps
-from mrgs.data.lens import Lens
 from mrgs.data.ply import write_points
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
@@ -30,6 +29,7 @@ from mrgs.prepare.run import Steps, locked
 from mrgs.prepare.thermal_camera import read_thermal_camera
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
+from mrgs.scene.lens import Lens
 
 STAGES = ["pairs", "images", "poses", "scale and north", "thermal camera", "scene files", "page"]
 BOUNDS = Overrides(bounds_c=(10.0, 30.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 
@@ -17,28 +17,18 @@ from mrgs.data.colmap import (
     read_images,
     read_points3d,
 )
-from mrgs.data.files import composed, is_file, scene_error, without_image_suffix
+from mrgs.data.files import composed, scene_error, without_image_suffix
 from mrgs.data.images import probe
-from mrgs.data.kept import digest, stamps
-from mrgs.data.lens import Lens
-from mrgs.data.nerfstudio import find_points, find_transforms, read_transforms
+from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.sources import ReadingNotes, point_cloud
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import Modality, PointCloud, WorldFrame
+from mrgs.scene.lens import Lens
 from mrgs.scene.modality import in_order
 
 Item = TypeVar("Item")
 _ASPECT_TOLERANCE = 0.01
-
-
-def state_of_poses(folder: Path) -> tuple[Any, ...]:
-    """What changes with the files that ``existing_poses`` reads in a folder, or with a transforms
-    file. SceneError if the folder cannot be listed, or the transforms file is damaged."""
-    if folder.is_dir():
-        return stamps(folder)
-    points = find_points(folder.parent.resolve(), folder) if _is_transforms(folder) else None
-    return digest(folder), None if points is None else digest(points)
 
 
 def existing_poses(
@@ -103,22 +93,20 @@ def existing_poses(
     )
 
 
-def _is_transforms(path: Path) -> bool:
-    return path.suffix == ".json" and is_file(path)
-
-
 def _read(
     folder: Path,
 ) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes, WorldFrame]:
     """Poses by the names of their images without folders and extension, points, the name of the
     file, what was repaired, and what is known of the world."""
-    root, file = folder.resolve(), None
-    if _is_transforms(folder):
+    if folder.is_dir():
+        root = folder.resolve()
+        file = find_transforms(root)
+    elif folder.suffix == ".json" and folder.is_file():
         root = folder.parent.resolve()
         file = root / folder.name
-    elif not folder.is_dir():
+    else:
         raise scene_error(folder, "is not a folder; give the one with the poses")
-    if file := file or find_transforms(root):
+    if file is not None:
         source = read_transforms(root, file)
         firsts = [(view.key, _first(view.images)) for view in source.views]
         poses = [RegisteredImage(_stem(key), image.lens, image.viewmat) for key, image in firsts]

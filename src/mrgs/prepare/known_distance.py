@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from mrgs.data.lens import Lens
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Reconstruction
+from mrgs.scene.lens import Lens
 
 NEIGHBOURS = 12
 """Triangulated points from which the depth of a pixel is interpolated."""

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from mrgs.check.problem import views_text
-from mrgs.data.lens import Lens
 from mrgs.pictures.palette import round_down
 from mrgs.prepare.page.temperatures import histogram, spread_chart, temperatures
 from mrgs.prepare.page.views import (
@@ -27,6 +26,7 @@ from mrgs.prepare.page.views import (
 from mrgs.prepare.page.world import World, frustum_size, orbit_facts
 from mrgs.prepare.page.write import lens_text
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
+from mrgs.scene.lens import Lens
 
 
 def camera(x: float = 0.0, width: int = 64, height: int = 48) -> Camera:

@@ -16,7 +16,6 @@ from torch import Tensor
 from mrgs.check import Problem
 from mrgs.check.photos import agreements, jump
 from mrgs.data import load_scene
-from mrgs.data.lens import Lens
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
 from mrgs.pictures.page_data import BASE64_SCRIPT
@@ -38,6 +37,7 @@ from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Scene, View
 from mrgs.scene.camera import field_of_view
+from mrgs.scene.lens import Lens
 from mrgs.scene.view import evenly_spaced
 from mrgs.system.wording import counted, quoted
 
