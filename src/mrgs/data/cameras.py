@@ -14,8 +14,9 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrgs.data.files import MAX_MAGNITUDE, Number, json_value, scene_error
+from mrgs.data.files import MAX_MAGNITUDE, Number
 from mrgs.data.images import probe
+from mrgs.errors import scene_error
 from mrgs.scene.lens import Lens
 from mrgs.scene.rotations import (
     OPENGL_FROM_OPENCV,
@@ -25,6 +26,7 @@ from mrgs.scene.rotations import (
     nearest_rotations,
     rigid_transform,
 )
+from mrgs.system.typed_json import json_value
 from mrgs.system.wording import shown
 
 _MAX_SIDE_PX = 1_000_000

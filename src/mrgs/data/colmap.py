@@ -29,13 +29,12 @@ from mrgs.data.files import (
     is_file,
     on_disk,
     read_bytes,
-    scene_error,
     without_image_suffix,
 )
 from mrgs.data.images import decode, probe
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
 from mrgs.data.transforms import BOUNDS_FILES
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, scene_error
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.scene.lens import Lens
 from mrgs.system.wording import Message, shown

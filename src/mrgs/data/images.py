@@ -28,8 +28,8 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 from torch import Tensor
 
-from mrgs.data.files import MAX_FILE_BYTES, scene_error
-from mrgs.errors import ConfigError, SceneError
+from mrgs.data.files import MAX_FILE_BYTES
+from mrgs.errors import ConfigError, SceneError, scene_error
 from mrgs.scene.radiometry import ZERO_CELSIUS_K
 from mrgs.system.disk import open_regular
 from mrgs.system.wording import quoted

@@ -29,9 +29,7 @@ from mrgs.data.files import (
     composed,
     contained,
     is_file,
-    json_value,
     read_json_object,
-    scene_error,
     without_image_suffix,
 )
 from mrgs.data.ply import read_ply
@@ -44,10 +42,11 @@ from mrgs.data.sources import (
     point_cloud,
 )
 from mrgs.data.transforms import RECORD
+from mrgs.errors import scene_error
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
 from mrgs.scene.lens import Lens
 from mrgs.scene.radiometry import PhotoRecord
-from mrgs.system.typed_json import from_json
+from mrgs.system.typed_json import from_json, json_value
 from mrgs.system.wording import shown
 
 _NotNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=MAX_MAGNITUDE)]

@@ -10,11 +10,10 @@ from typing import Literal
 
 from mrgs.data import load_scene
 from mrgs.data.colmap import find_model
-from mrgs.data.files import scene_error
 from mrgs.data.images import probe
 from mrgs.data.nerfstudio import find_transforms
 from mrgs.data.radiometric import Overrides, ThermalPhoto, read_thermal_photo
-from mrgs.errors import ConfigError, MrgsError
+from mrgs.errors import ConfigError, MrgsError, scene_error
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Progress
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.pairs.find import find_pairs

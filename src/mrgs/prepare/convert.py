@@ -20,7 +20,7 @@ from PIL import Image, JpegImagePlugin
 from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from mrgs.data.files import read_bytes, scene_error
+from mrgs.data.files import read_bytes
 from mrgs.data.images import as_stored, kind_of, opened, upright
 from mrgs.data.kept import Cache, Digests, Stamp, digest, stamp_of
 from mrgs.data.radiometric import (
@@ -32,7 +32,7 @@ from mrgs.data.radiometric import (
 )
 from mrgs.data.radiometric.exif import clean_text
 from mrgs.data.transforms import TRANSFORMS
-from mrgs.errors import RunError, SceneError, ToolError
+from mrgs.errors import RunError, SceneError, ToolError, scene_error
 from mrgs.pictures.settings import SETTINGS
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import (

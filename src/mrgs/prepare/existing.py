@@ -17,11 +17,11 @@ from mrgs.data.colmap import (
     read_images,
     read_points3d,
 )
-from mrgs.data.files import composed, scene_error, without_image_suffix
+from mrgs.data.files import composed, without_image_suffix
 from mrgs.data.images import probe
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.sources import ReadingNotes, point_cloud
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, scene_error
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import Modality, PointCloud, WorldFrame
 from mrgs.scene.lens import Lens

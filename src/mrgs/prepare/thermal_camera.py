@@ -13,10 +13,10 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from mrgs.data.cameras import lens_from_json, matrix_from_json, nearest_rotation
-from mrgs.data.files import read_json_object, scene_error
+from mrgs.data.files import read_json_object
 from mrgs.data.images import decode
 from mrgs.data.sources import ImageSource, decode_rgb, posed_image
-from mrgs.errors import ConfigError
+from mrgs.errors import ConfigError, scene_error
 from mrgs.prepare.contract import ConvertedImage, ConvertedView, Georeference
 from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair
 from mrgs.prepare.work import Work

@@ -10,8 +10,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mrgs.data.files import scene_error
-from mrgs.errors import SceneError, printable
+from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import MIN_VIEWS, SeveralCamerasError, Skipped
 from mrgs.prepare.pairs.inventory import Inventory
 from mrgs.prepare.pairs.photo import PARTNER, REFERENCE, Photo

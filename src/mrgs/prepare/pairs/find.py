@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes, scene_error
-from mrgs.errors import ConfigError, SceneError, printable
+from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes
+from mrgs.errors import ConfigError, SceneError, printable, scene_error
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
 from mrgs.prepare.pairs.cameras import check_cameras, of_one_camera, shifted
 from mrgs.prepare.pairs.inventory import NOT_READ, Inventory, take_inventory

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
-from mrgs.data.files import composed, decoded_text, read_bytes, scene_error, visible_files
+from mrgs.data.files import composed, decoded_text, read_bytes, visible_files
 from mrgs.data.images import holds_numbers, opened, stored_size
-from mrgs.data.kept import Stamp, digest, stamp_of
+from mrgs.data.kept import Stamp, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, RECORD_MARKS, flir_record
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.data.radiometric.table import numbers_in
-from mrgs.errors import SceneError, printable
+from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import Progress, Skipped
 from mrgs.prepare.pairs.photo import Photo, folder_modality, natural, told_apart
 from mrgs.scene import Modality
@@ -228,13 +230,21 @@ def _without_copies(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
         by_name.setdefault(key, []).append(photo)
     copies: dict[Photo, Photo] = {}
     for group in by_name.values():
-        originals: dict[str, Photo] = {}
-        for photo in sorted(group, key=lambda one: len(str(one.origin))) if group[1:] else ():
-            content = digest(photo.path)
-            if content and originals.setdefault(content, photo) is not photo:
-                copies[photo] = originals[content]
+        originals: list[Photo] = []
+        for photo in sorted(group, key=lambda one: len(str(one.origin))):
+            first = next((one for one in originals if _same_content(one.path, photo.path)), None)
+            if first is None:
+                originals.append(photo)
+            else:
+                copies[photo] = first
     skipped = [Skipped(photo.name, f"is a copy of {first.name}") for photo, first in copies.items()]
     return [photo for photo in photos if photo not in copies], skipped
+
+
+def _same_content(first: Path, second: Path) -> bool:
+    with suppress(OSError):  # the next reader raises the error
+        return filecmp.cmp(first, second, shallow=False)
+    return False
 
 
 def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
