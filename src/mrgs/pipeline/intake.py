@@ -128,14 +128,7 @@ def _scene(source: Path) -> Intake:
 
 
 def _photos(source: Path, options: PrepareOptions, progress: Progress | None) -> Intake:
-    pairing = find_pairs(
-        source,
-        rule=options.pairs,
-        table=options.pair_table,
-        tolerance_s=options.tolerance_s,
-        camera=options.camera,
-        progress=progress,
-    )
+    pairing = find_pairs(source, options, progress)
     count = len(pairing.pairs)
     if count < MIN_VIEWS:
         raise scene_error(

@@ -53,14 +53,7 @@ def pairs(work: Work) -> StageSummary:
         "pairs",
         Pairing,
         (work.photos, stamps(work.photos), table_content, *chosen),
-        lambda: find_pairs(
-            work.photos,
-            rule=options.pairs,
-            table=table,
-            tolerance_s=options.tolerance_s,
-            camera=options.camera,
-            progress=work.progress,
-        ),
+        lambda: find_pairs(work.photos, options, work.progress),
     )
     return summarize_pairs(work.pairing)
 

@@ -8,11 +8,11 @@ import re
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes
 from mrgs.errors import ConfigError, SceneError, printable, scene_error
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
+from mrgs.prepare.options import PairRule, PrepareOptions
 from mrgs.prepare.pairs.cameras import check_cameras, of_one_camera, shifted
 from mrgs.prepare.pairs.inventory import NOT_READ, Inventory, take_inventory
 from mrgs.prepare.pairs.photo import (
@@ -38,35 +38,24 @@ from mrgs.prepare.pairs.rules import (
 from mrgs.scene import Modality
 from mrgs.system.wording import counted, shown
 
-Rule = Literal["auto", "names", "folders", "time", "thermal"]
-
 _FEWEST_PAIRS = 3
 """With fewer, or with fewer than a tenth of the reference photos, a set that lacks most partners
 is used without any."""
 
 
 def find_pairs(
-    photos: Path,
-    *,
-    rule: Rule = "auto",
-    table: Path | None = None,
-    tolerance_s: float = 2.0,
-    camera: str | None = None,
-    progress: Progress | None = None,
+    photos: Path, options: PrepareOptions | None = None, progress: Progress | None = None
 ) -> Pairing:
     """The photos of a folder and its subfolders that belong together.
 
-    Args:
-        rule: ``names`` compares the names of files (DJI's ``_T`` and ``_W``, FLIR's neighbouring
-            numbers, suffixes), or takes the RGB photos embedded in FLIR's files; ``folders`` looks
-            for equal names in folders such as ``rgb`` and ``thermal``; ``time`` compares the times
-            in EXIF; ``auto`` takes the one of these with the most pairs; ``thermal`` takes the
-            thermal photos only.
-        table: a CSV file with the pairs, ``rgb,thermal``, relative to the folder; instead of a
-            rule.
-        tolerance_s: maximum time difference within a pair, seconds.
-        camera: the thermal camera whose photos are used: its model, where these are equal the size
-            of its photos such as ``640 x 512``, and else its lens such as ``45°``.
+    Of the options, ``pairs`` is the rule: ``names`` compares the names of files (DJI's ``_T`` and
+    ``_W``, FLIR's neighbouring numbers, suffixes), or takes the RGB photos embedded in FLIR's
+    files; ``folders`` looks for equal names in folders such as ``rgb`` and ``thermal``; ``time``
+    compares the times in EXIF; ``auto`` takes the one of these with the most pairs; ``thermal``
+    takes the thermal photos only. ``pair_table`` is a CSV file with the pairs, ``rgb,thermal``,
+    relative to the folder, instead of a rule. ``camera`` is the model of the thermal camera, where
+    the models are equal the size of its photos such as ``640 x 512``, and else its lens such as
+    ``45°``.
 
     Returns:
         The pairs. Every other file, except hidden ones, is in ``skipped`` with a reason.
@@ -76,6 +65,10 @@ def find_pairs(
             different cameras (SeveralCamerasError: of which one can be chosen).
         ConfigError: both a rule and a table, or an invalid tolerance.
     """
+    options = options or PrepareOptions()
+    rule, table, camera, tolerance_s = (
+        options.pairs, options.pair_table, options.camera, options.tolerance_s
+    )  # fmt: skip
     if not (math.isfinite(tolerance_s) and tolerance_s >= 0):
         raise ConfigError(
             f"invalid time difference of {tolerance_s:g} s; give 0 s or more",
@@ -125,7 +118,7 @@ def find_pairs(
     )
 
 
-def _match(inventory: Inventory, rule: Rule, tolerance_s: float) -> Match:
+def _match(inventory: Inventory, rule: PairRule, tolerance_s: float) -> Match:
     """What the rule finds; with ``auto``, the best. Only the reference photos where no or too few
     partners are there."""
     references, others = inventory.references, inventory.others
@@ -151,7 +144,7 @@ def _match(inventory: Inventory, rule: Rule, tolerance_s: float) -> Match:
 
 
 def _best_match(
-    photos: Sequence[Photo], rule: Rule, tolerance_s: float, pairable: int
+    photos: Sequence[Photo], rule: PairRule, tolerance_s: float, pairable: int
 ) -> Match | None:
     """The match with the most pairs, the first of equal ones; numbers and times count only where
     names fail for most photos."""
@@ -182,7 +175,7 @@ def _alone(
     return Match(pairs, f"Only the {REFERENCE.title} photos are used.", "", reasons, warnings)
 
 
-def _no_pairs(inventory: Inventory, rule: Rule, tolerance_s: float) -> SceneError:
+def _no_pairs(inventory: Inventory, rule: PairRule, tolerance_s: float) -> SceneError:
     references, others = inventory.references, inventory.others
     options: tuple[str, ...] = ("pair_table",)
     found = f"its {len(references)} {REFERENCE.title} and {len(others)} other photos make no pairs"
