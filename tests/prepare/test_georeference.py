@@ -14,8 +14,7 @@ from mrgs.data.earth import SEMI_MAJOR_AXIS_M, enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Georeference, Reconstruction
-from mrgs.prepare.georeference import apply, centres, georeference, up_of_cameras
-from mrgs.prepare.known_distance import KnownDistance
+from mrgs.prepare.georeference import KnownDistance, apply, centres, georeference, up_of_cameras
 from mrgs.scene import EarthPosition, PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
 

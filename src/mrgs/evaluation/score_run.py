@@ -20,10 +20,9 @@ from torch import Tensor
 from mrgs.data.undistort import reduced
 from mrgs.errors import ConfigError, SceneError, warn_user
 from mrgs.evaluation.contact_sheet import SheetRows, ViewImages, contact_sheet
-from mrgs.evaluation.evaluate import Metrics, Truth, ViewMetrics, evaluate
+from mrgs.evaluation.evaluate import Metrics, Parts, Truth, ViewMetrics, evaluate, score_parts
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.metrics import psnr
-from mrgs.evaluation.parts import Parts, score_parts
 from mrgs.evaluation.report import RunFacts, ScoredData, write_report
 from mrgs.method.camera_model.pose_error import (
     Alignable,

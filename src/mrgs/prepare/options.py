@@ -9,7 +9,7 @@ from typing import Literal
 
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import ConfigError
-from mrgs.prepare.known_distance import KnownDistance
+from mrgs.prepare.georeference import KnownDistance
 from mrgs.prepare.rig.contract import ChessboardTarget
 
 PairRule = Literal["auto", "names", "folders", "time", "thermal"]

@@ -23,8 +23,7 @@ from mrgs.prepare.page.views import (
     thermal_overlay,
     thumbnail_width,
 )
-from mrgs.prepare.page.world import World, frustum_size, orbit_facts
-from mrgs.prepare.page.write import lens_text
+from mrgs.prepare.page.write import World, frustum_size, lens_text, orbit_facts
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
 from mrgs.scene.lens import Lens
 

@@ -25,8 +25,7 @@ from mrgs.prepare.page.views import (
     thermal_overlays,
     thumbnail_width,
 )
-from mrgs.prepare.page.world import World
-from mrgs.prepare.page.write import lens_rows, write_scene_page
+from mrgs.prepare.page.write import World, lens_rows, write_scene_page
 from mrgs.scene import Modality, Pixels, Scene
 from mrgs.scene.view import evenly_spaced
 
