@@ -47,7 +47,7 @@ from mrgs.render import bake_temperature_residuals
 from mrgs.run_files.folder import Pictures
 from mrgs.runs.open import Run, TrainedRun
 from mrgs.scene import CameraResponse, Modality, Rendering, Scene, View, ideal_cameras
-from mrgs.scene.camera_paths import orbit
+from mrgs.scene.camera import orbit
 from mrgs.scene.view import moved_cameras, moved_view
 from mrgs.system.gpu import HOST
 from mrgs.system.memory import give_back_freed

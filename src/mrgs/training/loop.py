@@ -25,8 +25,8 @@ from mrgs.run_files.folder import Pictures, RunFolder
 from mrgs.run_files.record import RunRecord, asks_to_stop
 from mrgs.scene import Scene
 from mrgs.system.gpu import lacks_memory
-from mrgs.system.limits import whole_number
 from mrgs.system.operation import kernels_disabled
+from mrgs.system.strict_yaml import whole_number
 from mrgs.system.threads import FairLock, ctrl_c_waits, require_own_threads
 from mrgs.system.torch_modes import own_modes
 from mrgs.training import checkpoint
