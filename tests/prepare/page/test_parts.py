@@ -189,9 +189,11 @@ def test_a_hundred_pairs_stay_under_six_megabytes():
         previews.append(Preview(f"v{index}", "training", True, images))
         overlays[f"v{index}"] = thermal.astype(np.float32)
     assert rgb.shape[1] == width
-    cards = pairs(previews, overlays, "°C", 10).cards
+    cards = pairs(previews, overlays, "°C", 10)["cards"]
     pictures = [
-        image for card in cards for image in (*card.images.values(), card.warped, card.edges)
+        image
+        for card in cards
+        for image in (*card["images"].values(), card["warped"], card["edges"])
     ]
     assert len(pictures) == 4 * len(cards)
     assert 10 * sum(len(picture.source) for picture in pictures) < 6e6
