@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from mrgs.data.images import probe
 from mrgs.data.radiometric import ExifFacts
 from mrgs.prepare.contract import ConvertedImage, ConvertedView
 from mrgs.scene import Modality
@@ -22,3 +25,9 @@ def converted_view(
         for modality, file in files.items()
     }
     return ConvertedView(name, images, exif or ExifFacts(), **facts)
+
+
+def sizes_of(images: Mapping[str, Path]) -> dict[str, tuple[int, int]]:
+    """Width and height of image files, by the views' names."""
+    found = {name: probe(path) for name, path in images.items()}
+    return {name: (info.width, info.height) for name, info in found.items()}

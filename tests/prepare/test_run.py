@@ -30,6 +30,7 @@ from mrgs.prepare.thermal_camera import read_thermal_camera
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
 from mrgs.scene.lens import Lens
+from tests.helpers.converted import sizes_of
 
 STAGES = ["pairs", "images", "poses", "scale and north", "thermal camera", "scene files", "page"]
 BOUNDS = Overrides(bounds_c=(10.0, 30.0))
@@ -69,7 +70,7 @@ class Fakes:
     ) -> Reconstruction:
         self.calls.append("thermal poses" if modality == THERMAL else "poses")
         progress("matching", 1, 2)
-        return replace(existing_poses(self.poses, images), images=modality)
+        return replace(existing_poses(self.poses, images, sizes_of(images)), images=modality)
 
     def calibrate(self, pairs, points, options, progress) -> RigCalibration:
         self.calls.append("thermal camera")

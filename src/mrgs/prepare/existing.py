@@ -18,7 +18,6 @@ from mrgs.data.colmap import (
     read_points3d,
 )
 from mrgs.data.files import composed, without_image_suffix
-from mrgs.data.images import probe
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.sources import ReadingNotes, point_cloud
 from mrgs.errors import SceneError, scene_error
@@ -34,6 +33,7 @@ _ASPECT_TOLERANCE = 0.01
 def existing_poses(
     folder: Path,
     images: Mapping[str, Path],
+    sizes: Mapping[str, tuple[int, int]],
     *,
     pairs: Sequence[PhotoPair] = (),
     two_cameras: bool = True,
@@ -47,6 +47,7 @@ def existing_poses(
     Args:
         folder: with the poses, or a transforms file.
         images: files by the views' names, without folders and extension.
+        sizes: width and height of each, in pixels.
         pairs: of the views, if the poses' images have the names of the photos.
         two_cameras: whether there is a thermal camera to be found, which needs points.
     """
@@ -82,7 +83,7 @@ def existing_poses(
     reason = f"{file} has no pose of this name"
     return Reconstruction(
         viewmats,
-        {name: _scaled(poses[name].lens, images[name]) for name in viewmats},
+        {name: _scaled(poses[name].lens, images[name], sizes[name]) for name in viewmats},
         cloud or PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)),
         None,
         tuple(Skipped(name, reason) for name in images if name not in poses),
@@ -136,13 +137,13 @@ def _stem(name: str) -> str:
     return composed(without_image_suffix(PurePosixPath(name.replace("\\", "/")).name))
 
 
-def _scaled(lens: Lens, path: Path) -> Lens:
+def _scaled(lens: Lens, path: Path, size: tuple[int, int]) -> Lens:
     """The lens at the size of the image, which must have the pose's aspect ratio."""
-    info = probe(path)
-    if abs(info.width / lens.width / (info.height / lens.height) - 1) > _ASPECT_TOLERANCE:
+    width, height = size
+    if abs(width / lens.width / (height / lens.height) - 1) > _ASPECT_TOLERANCE:
         raise SceneError(
-            f"{path} is {info.width}×{info.height} px, but its pose is for "
+            f"{path} is {width}×{height} px, but its pose is for "
             f"{lens.width}×{lens.height} px; give the photos as they were when the poses were "
             f"made, not cropped"
         )
-    return lens.resized(info.width, info.height)
+    return lens.resized(width, height)

@@ -83,9 +83,9 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
         view_deg = work.options.thermal_fov_deg or stated_field_of_view(views)
     if work.options.poses is not None:
         two_cameras = modality != THERMAL and not work.options.one_camera
-        given = existing_poses(
-            work.options.poses, files, pairs=work.pairing.pairs, two_cameras=two_cameras
-        )
+        folder, pairs = work.options.poses, work.pairing.pairs
+        sizes = {name: image.size for name, image in posed.items()}
+        given = existing_poses(folder, files, sizes, pairs=pairs, two_cameras=two_cameras)
         given = replace(given, images=modality)
 
     def find() -> Reconstruction:
