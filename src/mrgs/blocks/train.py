@@ -16,8 +16,15 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from mrgs.blocks import refinement
-from mrgs.blocks.coverage import Surveyor, only
-from mrgs.blocks.plan import BlockOptions, BlockPlan, config_values, make_plan, read_plan
+from mrgs.blocks.plan import (
+    BlockOptions,
+    BlockPlan,
+    Surveyor,
+    config_values,
+    make_plan,
+    only,
+    read_plan,
+)
 from mrgs.blocks.refinement import Part, Refinement, WholeModel
 from mrgs.blocks.region import parse_grid
 from mrgs.errors import ConfigError, FolderInUseError
