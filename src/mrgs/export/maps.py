@@ -19,9 +19,8 @@ from mrgs.maps.crs import (
     require_metres,
     require_pyproj,
 )
-from mrgs.maps.draw import BANDS, OrthographicMap, map_from_above
+from mrgs.maps.draw import BANDS, Caption, OrthographicMap, map_from_above, map_picture, map_scale
 from mrgs.maps.facade import facade_map
-from mrgs.maps.picture import Caption, map_picture, map_scale
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import write_png
 from mrgs.pictures.numbers import number_text
