@@ -12,14 +12,12 @@ import pytest
 from PIL import Image
 
 from mrgs.marks import Mark
-from mrgs.pictures.drawing import Box
-from mrgs.report import overview
+from mrgs.pictures import drawing
+from mrgs.pictures.drawing import RING_PX, Box, draw_names
 from mrgs.report.overview import (
     MARK,
-    RING_PX,
     SMALL_PX,
     draw_marks,
-    draw_names,
     draw_place,
     small_picture,
 )
@@ -77,7 +75,7 @@ def test_a_name_costs_no_more_among_hundreds():
 
     def count(frame: FrameType, event: str, argument: object) -> None:
         nonlocal calls
-        calls += "call" in event and frame.f_code.co_filename == overview.__file__
+        calls += "call" in event and frame.f_code.co_filename == drawing.__file__
 
     image, where, before = Image.new("RGB", SIZE), places(200), sys.getprofile()
     sys.setprofile(count)

@@ -276,6 +276,12 @@ def digits(value: float, count: int = 3) -> str:
     return f"{value:.{decimals}f}"
 
 
+def pixel_cm_text(pixel_m: float) -> str:
+    """The width of a pixel in cm: with a decimal, below 1 cm with two digits."""
+    cm = 100 * pixel_m
+    return digits(cm, 2) if cm < 1 else f"{cm:.1f}"
+
+
 _NOTHING = MarkReading(Mark("-", "spot", ((0.0, 0.0, 0.0),), (0.0, 0.0, 1.0), radius=1.0))
 
 PART_NAMES = {

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import math
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from mrgs.pictures.palette import PaletteName, colorize, palette_table, round_ticks, tick_labels
@@ -161,6 +162,80 @@ def fit_text(text: str, size: int, width: float | int) -> str:
     while text and text_width(text + "...", size) > width:
         text = text[:-1]
     return text.rstrip() + "..."
+
+
+LABEL_PX, SMALL_LABEL_PX = 24, 18
+MANY = 15
+"""Names from which on they are written in smaller letters."""
+
+MOST_STEPS = 6
+"""Heights of a name that it may stand away from its place."""
+
+RING_PX = 13
+"""Radius of a place that no name covers."""
+
+Pixel: TypeAlias = tuple[float, float] | Float64[np.ndarray, "2"]
+
+
+def draw_names(image: Image.Image, places: Mapping[str, Pixel]) -> dict[str, Box]:
+    """Write names beside their places, x and y in pixels, so that none covers another, nor
+    another's place: many in smaller letters, farther away where it is crowded, and none without
+    room. Returns the boxes."""
+    size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
+    labels = {name: fit_text(name, size, image.width / 2) for name in places}
+    boxes = _boxes_of(image, labels, places, size)
+    for name, box in boxes.items():
+        (x, y), (left, top, right, bottom) = places[name], box
+        end = (min(max(x, left), right), min(max(y, top), bottom))
+        ImageDraw.Draw(image).line((x, y, *end), fill=INK, width=2)
+    for name, box in boxes.items():
+        draw_plate(image, box, labels[name], size)
+    return boxes
+
+
+def _boxes_of(
+    image: Image.Image,
+    labels: Mapping[str, str],
+    places: Mapping[str, Pixel],
+    size: int,
+) -> dict[str, Box]:
+    """Boxes for the names that there is room for."""
+    taken = np.zeros((image.height, image.width), bool)
+    for x, y in places.values():
+        taken[_pixels_of((x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX))] = True
+    found = {}
+    for name, (x, y) in places.items():
+        wide, half = text_width(labels[name], size) + size / 2, size / 2 + 4
+        for box in _boxes_about(x, y, wide, half):
+            left, top, right, bottom = box
+            inside = left >= 0 and top >= 0 and right <= image.width and bottom <= image.height
+            if inside and not taken[_pixels_of(box)].any():
+                found[name] = box
+                taken[_pixels_of(box)] = True
+                break
+    return found
+
+
+def _boxes_about(x: float, y: float, wide: float, half: float) -> Iterator[Box]:
+    """Boxes of a size to the right and to the left of a place, then above and below it; the nearest
+    first."""
+    for distance in range(MOST_STEPS):
+        away = RING_PX + 2 + 2 * half * distance
+        for down in range(-distance - 1, distance + 2):
+            middle = y + 2 * half * down
+            for left in (x + away, x - away - wide):
+                yield left, middle - half, left + wide, middle + half
+        for middle in (y - away - half, y + away + half):
+            yield x - wide / 2, middle - half, x + wide / 2, middle + half
+
+
+def _pixels_of(box: Box) -> tuple[slice, slice]:
+    """Rows and columns that a box touches, from the image's first on."""
+    left, top, right, bottom = box
+    return (
+        slice(max(math.floor(top), 0), max(math.ceil(bottom), 0)),
+        slice(max(math.floor(left), 0), max(math.ceil(right), 0)),
+    )
 
 
 def scale_bar(

@@ -92,8 +92,8 @@ def to_picture(
     intensities as they are."""
     if not modality.is_metric:
         return to_rgb8(image)
-    scale = full_scale(modality, temperature, palette)
-    return scale.colorize(shown_values(modality, image, temperature))
+    values = shown_values(modality, image, temperature)
+    return full_scale(modality, temperature, palette).colorize(values)
 
 
 def shown_values(

@@ -27,7 +27,6 @@ from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit
 from mrgs.report import overview
 from mrgs.report.anomalies import Anomaly, photo_value
-from mrgs.report.sections import pixel_cm_text
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange, View
@@ -364,7 +363,7 @@ def show_findings(
         picture = inline_image(drawn.picture(named, style), "map", quality=90)
         grid = drawn.drawn.grid
         sides = [f"{pixels * grid.pixel_m:.1f}" for pixels in (grid.width, grid.height)]
-        found = found._replace(map=picture, map_size=[*sides, pixel_cm_text(grid.pixel_m)])
+        found = found._replace(map=picture, map_size=[*sides, tables.pixel_cm_text(grid.pixel_m)])
     if not named:
         views = [view for view in scene.train if THERMAL in view.images]
         if not views or not len(scene.points.positions):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +19,7 @@ from mrgs.maps.options import MapOptions
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.pictures import drawing
-from mrgs.pictures.drawing import Box, Scale
+from mrgs.pictures.drawing import LABEL_PX, RING_PX, Scale
 from mrgs.pictures.files import to_array, to_picture
 from mrgs.pictures.palette import PaletteName, display_range, round_down
 from mrgs.pictures.values import in_unit, unit_label
@@ -46,19 +45,9 @@ class Style(NamedTuple):
 
 PLAIN = Style()
 
-LABEL_PX = 24
 SMALL_PX = 420
 MARK, WHITE, BLACK = (200, 70, 0), (255, 255, 255), (0, 0, 0)
-RING_PX, STROKE_PX = 13, 3
-MANY = 15
-"""Names from which on they are written in smaller letters."""
-
-SMALL_LABEL_PX = 18
-MOST_STEPS = 6
-"""Heights of a name that it may stand away from its place."""
-
-
-Pixel: TypeAlias = tuple[float, float] | Float64[np.ndarray, "2"]
+STROKE_PX = 3
 
 
 def draw_marks(
@@ -74,7 +63,7 @@ def draw_marks(
                 draw.ellipse([x - r, y - r, x + r, y + r], outline=color, width=width)
         else:
             drawing.draw_outline(image, path, marks[name].is_area, STROKE_PX)
-    draw_names(image, {name: corners.mean(axis=0) for name, corners in places.items()})
+    drawing.draw_names(image, {name: corners.mean(axis=0) for name, corners in places.items()})
 
 
 def draw_place(
@@ -96,67 +85,6 @@ def small_picture(image: Image.Image) -> Image.Image:
     share = SMALL_PX / max(image.size)
     size = round(image.width * share), round(image.height * share)
     return image.resize(size, Image.Resampling.LANCZOS)
-
-
-def draw_names(image: Image.Image, places: Mapping[str, Pixel]) -> dict[str, Box]:
-    """Write names beside their places, x and y in pixels, so that none covers another, nor
-    another's place: many in smaller letters, farther away where it is crowded, and none without
-    room. Returns the boxes."""
-    size = LABEL_PX if len(places) < MANY else SMALL_LABEL_PX
-    labels = {name: drawing.fit_text(name, size, image.width / 2) for name in places}
-    boxes = _boxes_of(image, labels, places, size)
-    for name, box in boxes.items():
-        (x, y), (left, top, right, bottom) = places[name], box
-        end = (min(max(x, left), right), min(max(y, top), bottom))
-        ImageDraw.Draw(image).line((x, y, *end), fill=drawing.INK, width=2)
-    for name, box in boxes.items():
-        drawing.draw_plate(image, box, labels[name], size)
-    return boxes
-
-
-def _boxes_of(
-    image: Image.Image,
-    labels: Mapping[str, str],
-    places: Mapping[str, Pixel],
-    size: int,
-) -> dict[str, Box]:
-    """Boxes for the names that there is room for."""
-    taken = np.zeros((image.height, image.width), bool)
-    for x, y in places.values():
-        taken[_pixels_of((x - RING_PX, y - RING_PX, x + RING_PX, y + RING_PX))] = True
-    found = {}
-    for name, (x, y) in places.items():
-        wide, half = drawing.text_width(labels[name], size) + size / 2, size / 2 + 4
-        for box in _boxes_about(x, y, wide, half):
-            left, top, right, bottom = box
-            inside = left >= 0 and top >= 0 and right <= image.width and bottom <= image.height
-            if inside and not taken[_pixels_of(box)].any():
-                found[name] = box
-                taken[_pixels_of(box)] = True
-                break
-    return found
-
-
-def _boxes_about(x: float, y: float, wide: float, half: float) -> Iterator[Box]:
-    """Boxes of a size to the right and to the left of a place, then above and below it; the nearest
-    first."""
-    for distance in range(MOST_STEPS):
-        away = RING_PX + 2 + 2 * half * distance
-        for down in range(-distance - 1, distance + 2):
-            middle = y + 2 * half * down
-            for left in (x + away, x - away - wide):
-                yield left, middle - half, left + wide, middle + half
-        for middle in (y - away - half, y + away + half):
-            yield x - wide / 2, middle - half, x + wide / 2, middle + half
-
-
-def _pixels_of(box: Box) -> tuple[slice, slice]:
-    """Rows and columns that a box touches, from the image's first on."""
-    left, top, right, bottom = box
-    return (
-        slice(max(math.floor(top), 0), max(math.ceil(bottom), 0)),
-        slice(max(math.floor(left), 0), max(math.ceil(right), 0)),
-    )
 
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 1440, 840, 40
@@ -202,7 +130,7 @@ class Plan:
         for mark in marks.values():
             draw_place(image, mark, self._pixels(self._flat(mark)), LABEL_PX / 4)
         middles = {name: self._pixels(self._flat(m)).mean(axis=0) for name, m in marks.items()}
-        draw_names(image, middles)
+        drawing.draw_names(image, middles)
         self._draw_scale(image)
         return image
 

@@ -19,7 +19,7 @@ from mrgs.data.images import opened
 from mrgs.errors import ConfigError, RunError, SceneError
 from mrgs.evaluation.metrics import REPORTED
 from mrgs.evaluation.report import COLUMNS
-from mrgs.marks.tables import digits
+from mrgs.marks.tables import digits, pixel_cm_text
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.settings import Setting, settings_of
@@ -104,12 +104,6 @@ def _steady(survey: Survey) -> Condition:
         least = min(warmer, colder, key=abs) if warmer * colder > 0 else 0.0
         stated, met = _derived(least, "K"), abs(_rounded(least)) >= LEAST_DIFFERENCE_K
     return Condition("The same, over the 24 hours before", "at least 10 K", stated, met)
-
-
-def pixel_cm_text(pixel_m: float) -> str:
-    """The width of a pixel in cm: with a decimal, below 1 cm with two digits."""
-    cm = 100 * pixel_m
-    return digits(cm, 2) if cm < 1 else f"{cm:.1f}"
 
 
 def _derived(value: float | None, unit: str) -> str:
