@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, TypeAlias, get_args
@@ -29,6 +30,9 @@ LONGEST_SEVERITY = 40
 LONGEST_NOTE = 2_000
 FARTHEST = 1e9
 """Scene units."""
+
+SAME_PLACE = 10.0
+"""Distance between two spots, in radii of the earlier one, below which they are one place."""
 
 EMISSIVITY = (0.01, 1.0)
 REFLECTED_C = (-200.0, 3500.0)
@@ -88,6 +92,10 @@ class Mark:
     def has_settings(self) -> bool:
         """Whether its surface has an emissivity or a reflected temperature of its own."""
         return self.emissivity is not None or self.reflected_c is not None
+
+    def is_near(self, other: Mark) -> bool:
+        """Whether it is a spot in the place of another one."""
+        return math.dist(self.points[0], other.points[0]) < SAME_PLACE * self.radius
 
     @classmethod
     def from_json(cls, value: Any) -> Mark:
@@ -214,6 +222,20 @@ class Marks:
         ConfigError if there is no such proposal, or a value cannot be."""
         accepted = replace(self._proposed(name), **changes)
         return replace(self, marks=(*self.marks, accepted), proposals=self._proposals_without(name))
+
+    def proposing(self, found: Mapping[str, Sequence[Mark]]) -> Marks:
+        """These marks with other proposals, by the letters of their names: one near to a proposal
+        from before keeps that name, the others have the next free ones."""
+        proposals = []
+        for letter, marks in found.items():
+            free = iter(self.free_names(letter, len(marks)))
+            left = [each for each in self.proposals if each.name.startswith(letter)]
+            for mark in marks:
+                near = [each for each in left if each.is_near(mark)][:1]
+                name = near[0].name if near else next(free)
+                left = [each for each in left if each not in near]
+                proposals.append(replace(mark, name=name))
+        return replace(self, proposals=tuple(proposals))
 
     def dropping(self, name: str) -> Marks:
         """These marks with a proposal, which must exist, dropped for good."""

@@ -30,7 +30,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from scipy.ndimage import distance_transform_edt, label
 
-from mrgs.marks import MarkReading, Marks, RunMarks
+from mrgs.marks import MarkReading, RunMarks
 from mrgs.marks.mark import Mark, places_of
 from mrgs.marks.regions import Regions
 from mrgs.marks.resolution import square_about
@@ -322,7 +322,8 @@ def surroundings(view: View, spot: Spot, rendering: Rendering) -> float:
     """Normalised temperature about a spot: the median of the pixels about it that show a surface;
     that of the spot where none does."""
     camera = view.images[THERMAL].camera
-    part = square_about((camera.width, camera.height), *_pixel(camera, spot))
+    column, row = _pixel(camera, spot)
+    part = square_about((camera.width, camera.height), column, row)
     values = to_array(rendering[THERMAL].image[..., 0])[part]
     solid = np.isfinite(to_array(rendering.surface_depth(THERMAL))[part])
     return float(np.median(values[solid])) if solid.any() else spot.value
@@ -358,9 +359,6 @@ LEAST_PHOTOS = 2
 
 LEAST_CERTAINTY, LARGEST_UNCERTAINTY_C = 10.0, 5.0
 """Least contrast of a proposed place in multiples of its uncertainty, and the largest of these."""
-
-SAME_PLACE = 10.0
-"""Distance from an earlier proposal, in its radii, below which a spot keeps that name."""
 
 
 class Anomaly(NamedTuple):
@@ -410,15 +408,13 @@ def propose(marks: RunMarks, scene: Scene, regions: Regions, survey: Survey) -> 
         _standing_out(spots[: CANDIDATES * count], count, marks, scene, regions)
         for spots, count in zip(found, counts, strict=True)
     ]
-    named: dict[str, Anomaly] = {}
-
-    def change(now: Marks) -> Marks:
-        named.clear()
-        for letter, (anomalies, _) in zip("HC", chosen, strict=True):
-            named.update(_named(letter, anomalies, now))
-        return replace(now, proposals=tuple(each.reading.mark for each in named.values()))
-
-    marks.store.edit(change)
+    anomalies = [each for kept, _ in chosen for each in kept]
+    hot, cold = ([each.reading.mark for each in kept] for kept, _ in chosen)
+    proposals = marks.store.edit(lambda now: now.proposing({"H": hot, "C": cold})).proposals
+    named = {
+        mark.name: each._replace(reading=replace(each.reading, mark=mark))
+        for mark, each in zip(proposals, anomalies, strict=True)
+    }
     return Proposals(named, sum(held_back for _, held_back in chosen))
 
 
@@ -434,27 +430,10 @@ def _standing_out(
         camera = view.images[THERMAL].camera
         place, eye = places_of([spot.position.tolist(), camera.position.tolist()])
         mark = Mark("?", "spot", (place,), eye, spot_radius(place, camera, scene))
-        contrast = spot.value - surroundings(view, spot, regions.render(camera))
+        rendering = regions.render(camera)
+        contrast = spot.value - surroundings(view, spot, rendering)
         span = 1.0 if scene.temperature is None else scene.temperature.span_c
         found.append(Anomaly(spot, marks.meter.read(mark, regions), span * contrast))
     seen = [each for each in found if (each.reading.photos or 0) >= least]
     kept = sorted((each for each in seen if each.stands_out), key=lambda each: -each.certainty)
     return kept[:count], len(seen) - len(kept)
-
-
-def _named(letter: str, anomalies: Sequence[Anomaly], marks: Marks) -> dict[str, Anomaly]:
-    """Anomalies by name: the name of a proposal at the same place, else the next free one."""
-    free = iter(marks.free_names(letter, len(anomalies)))
-    left = [mark for mark in marks.proposals if mark.name.startswith(letter)]
-    named = {}
-    for anomaly in anomalies:
-        position = anomaly.spot.position
-        at = [np.linalg.norm(np.array(mark.points[0]) - position) for mark in left]
-        near = (mark for mark, d in zip(left, at, strict=True) if d < SAME_PLACE * mark.radius)
-        same = next(near, None)
-        if same is not None:
-            left.remove(same)
-        name = next(free) if same is None else same.name
-        reading = replace(anomaly.reading, mark=replace(anomaly.reading.mark, name=name))
-        named[name] = anomaly._replace(reading=reading)
-    return named
