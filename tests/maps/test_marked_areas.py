@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrgs.maps.draw import OrthographicMap
-from mrgs.maps.facade import facade_map
+from mrgs.maps.draw import OrthographicMap, draw_map
+from mrgs.maps.facade import facade_grid
 from mrgs.maps.options import MapOptions
+from mrgs.maps.surfaces import survey
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.photo_readings import PhotoReadings
@@ -32,6 +33,7 @@ pytestmark = pytest.mark.slow
 def maps(front, front_scene):
     """The wall of wide splats without and with the area, and what its pixels show of it."""
     wide = replace(front, scales=front.scales * 3)
+    seen = survey(wide, front_scene)
     readings = PhotoReadings(wide.render, ideal_cameras, front_scene.train, CELSIUS)
     meter = UncertaintyMeter.of(readings, front_scene, CELSIUS, Survey())
     regions = Regions(
@@ -43,7 +45,7 @@ def maps(front, front_scene):
             around = meter.of_points(points, celsius, regions if corrected else None)
             return regions.corrected_at(points, celsius) if corrected else celsius, around
 
-        return facade_map(wide, front_scene, OPTIONS, appraise)
+        return draw_map(wide, front_scene, seen, facade_grid(front_scene, seen, OPTIONS), appraise)
 
     plain, own = drawn(False), drawn(True)
     grid = plain.grid

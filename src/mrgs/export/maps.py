@@ -19,8 +19,9 @@ from mrgs.maps.crs import (
     require_metres,
     require_pyproj,
 )
-from mrgs.maps.draw import BANDS, Caption, OrthographicMap, map_from_above, map_picture, map_scale
-from mrgs.maps.facade import facade_map
+from mrgs.maps.draw import BANDS, Caption, OrthographicMap, draw_map, map_picture, map_scale
+from mrgs.maps.facade import facade_grid
+from mrgs.maps.surfaces import grid_from_above, survey
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import write_png
 from mrgs.pictures.numbers import number_text
@@ -126,7 +127,9 @@ def require_ortho(scene: Scene, crs: str | None = None) -> None:
 def export_ortho(job: ExportJob) -> list[Path]:
     """Write ``ortho.tif`` with its sidecar and its style for QGIS, and ``ortho.png``."""
     system = coordinate_system(job.scene, job.maps.crs)
-    drawn = map_from_above(job.baked, job.scene, system, job.maps, job.appraised)
+    maps = survey(job.baked, job.scene)
+    grid, coverage = grid_from_above(job.scene, maps, system, job.maps)
+    drawn = draw_map(job.baked, job.scene, maps, grid, job.appraised, coverage)
     return _write_map(job, "ortho", drawn, system.wkt, *ortho_texts(job.scene.name, drawn, system))
 
 
@@ -157,7 +160,9 @@ def export_elevation(job: ExportJob) -> list[Path]:
     Its coordinates are metres to the right and upwards from the lower left corner of the map, whose
     place in the scene is in the sidecar.
     """
-    drawn = facade_map(job.baked, job.scene, job.maps, job.appraised)
+    maps = survey(job.baked, job.scene)
+    grid = facade_grid(job.scene, maps, job.maps)
+    drawn = draw_map(job.baked, job.scene, maps, grid, job.appraised)
     wkt = local_wkt(f"{job.scene.name} façade")
     return _write_map(job, "elevation", drawn, wkt, *elevation_texts(job.scene, drawn))
 

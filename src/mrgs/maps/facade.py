@@ -16,10 +16,8 @@ import torch
 from jaxtyping import Bool, Float64
 
 from mrgs.errors import RunError
-from mrgs.maps.draw import Appraise, OrthographicMap, draw_map
 from mrgs.maps.options import MapOptions
-from mrgs.maps.surfaces import MapGrid, pixel_size_m, survey, up_direction, vertical
-from mrgs.runs.baked import BakedModel
+from mrgs.maps.surfaces import MapGrid, pixel_size_m, up_direction, vertical
 from mrgs.scene import Scene
 from mrgs.scene.depth_map import MAX_STEP, DepthMap
 
@@ -214,17 +212,12 @@ def _largest_part(places: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
     return labels == np.bincount(labels).argmax()
 
 
-def facade_map(
-    baked: BakedModel,
-    scene: Scene,
-    options: MapOptions,
-    appraise: Appraise | None = None,
-    most_px: int | None = None,
-) -> OrthographicMap:
-    """The map of a façade; ``options`` has plane and pixel size, for the others see ``draw_map``
-    and ``pixel_size_m``. ConfigError if the vertical is not known or the map has too many pixels,
-    RunError if no façade was found, SceneError if a photo cannot be read."""
-    maps = survey(baked, scene)
+def facade_grid(
+    scene: Scene, maps: Sequence[DepthMap], options: MapOptions, most_px: int | None = None
+) -> MapGrid:
+    """The pixels of the map of a façade, by a ``survey``; ``options`` has plane and pixel size. For
+    ``most_px`` see ``pixel_size_m``. ConfigError if the vertical is not known, RunError if there is
+    no façade."""
     surfaces = surfaces_of(maps)
     eye = torch.stack([item.camera.position for item in maps]).mean(dim=0).numpy()
     if options.plane is None:
@@ -235,5 +228,4 @@ def facade_map(
     width, height = (max(int(np.ceil(size / pixel_m)), 1) for size in (high - low)[:2])
     offset: Float64[np.ndarray, "2"] = -low[:2]  # map coordinates begin at the lower left corner
     slab = float(low[2]), float(high[2])
-    grid = MapGrid(axes, 1.0, offset, 0.0, height * pixel_m, pixel_m, width, height, slab)
-    return draw_map(baked, scene, maps, grid, appraise)
+    return MapGrid(axes, 1.0, offset, 0.0, height * pixel_m, pixel_m, width, height, slab)

@@ -4,8 +4,8 @@ camera from very far away is orthographic but for relief / distance: see ``docs/
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -14,10 +14,11 @@ from jaxtyping import Bool, Float32, Float64
 from scipy import ndimage
 
 from mrgs.errors import ConfigError, RunError
+from mrgs.maps.crs import CoordinateSystem
 from mrgs.maps.options import MapOptions
 from mrgs.pictures.files import to_array
 from mrgs.runs.baked import BakedModel
-from mrgs.scene import THERMAL, Camera, PosedImage, Rendering, Scene
+from mrgs.scene import THERMAL, Camera, Modality, PosedImage, Rendering, Scene
 from mrgs.scene.depth_map import MIN_ALPHA, DepthMap
 from mrgs.scene.rotations import rigid_transform
 
@@ -134,7 +135,7 @@ def survey(baked: BakedModel, scene: Scene) -> list[DepthMap]:
     maps, surface = [], scene.modalities[0]
     for image in scene.train_photos(THERMAL):
         camera = image.camera.with_width(min(image.camera.width, SURVEY_PX))
-        depth = _surface_depth(baked.render({surface: camera}, surface), scene, camera)
+        _, depth = _rendered(baked, scene, {surface: camera})
         maps.append(DepthMap(camera, depth, np.empty((*depth.shape, 0), np.float32)))
     if not any(np.isfinite(item.depth).any() for item in maps):
         raise RunError(NO_SURFACE)
@@ -257,20 +258,25 @@ def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
     assert scene.temperature is not None
     assert baked.temperature is not None
     camera, pixels = image.camera, image.load()
-    surface = scene.modalities[0]
-    rendering = baked.render(dict.fromkeys({surface, THERMAL}, camera), surface)
+    cameras = dict.fromkeys((scene.modalities[0], THERMAL), camera)
+    rendering, depth = _rendered(baked, scene, cameras)
     rendered = to_array(baked.temperature.to_celsius(rendering[THERMAL].image[..., 0]))
     measured = to_array(scene.temperature.to_celsius(pixels.values[..., 0]))
     if pixels.valid is not None:
         measured = np.where(pixels.valid.numpy(), measured, np.float32(np.nan))
     both = np.stack([rendered, measured], axis=2)
-    return DepthMap(camera, _surface_depth(rendering, scene, camera), both)
+    return DepthMap(camera, depth, both)
 
 
-def _surface_depth(rendering: Rendering, scene: Scene, camera: Camera) -> Plane:
-    """Depth of the first modality with photos, infinite where it shows the background."""
-    depth = rendering.surface_depth(scene.modalities[0], MIN_ALPHA)
-    return to_array(scene.reach.without_background(camera, depth))
+def _rendered(
+    baked: BakedModel, scene: Scene, cameras: Mapping[Modality, Camera]
+) -> tuple[Rendering, Plane]:
+    """A rendering, and the depth of the first modality with photos, infinite where it shows the
+    background."""
+    surface = scene.modalities[0]
+    rendering = baked.render(cameras, surface)
+    depth = rendering.surface_depth(surface, MIN_ALPHA)
+    return rendering, to_array(scene.reach.without_background(cameras[surface], depth))
 
 
 LEAST_SHARE = 0.4
@@ -321,6 +327,55 @@ class Coverage:
         share = ndimage.map_coordinates(self.share, at, order=1, mode="constant")
         covered: Bool[np.ndarray, "h w"] = ndimage.binary_fill_holes(share >= LEAST_SHARE)
         return covered
+
+
+TIMES_MEDIAN = 2.5
+"""The map shows surfaces within this multiple of the photos' median distance: pixels of what is
+farther are too coarse."""
+
+CELL_PX = 4
+"""Side of the cells in which photos are counted, in pixels of the survey at the median distance."""
+
+
+def grid_from_above(
+    scene: Scene,
+    maps: Sequence[DepthMap],
+    system: CoordinateSystem,
+    options: MapOptions,
+    most_px: int | None = None,
+) -> tuple[MapGrid, Coverage]:
+    """The pixels of the map of a scene from above, in the coordinates of ``system``, by a
+    ``survey``, and what enough photos show of it; for the others see ``facade_grid``. ConfigError
+    if the vertical is not known."""
+    axes, scale, offset = _plan_view(system, vertical(scene))
+    limit = TIMES_MEDIAN * median_distance(maps)
+    near = [replace(item, depth=np.where(item.depth < limit, item.depth, np.inf)) for item in maps]
+    points = [item.points() for item in near]
+    places = [scale * each @ axes[:2].T + offset for each in points]
+    coverage = Coverage.of(places, CELL_PX * scale * survey_pixel(maps))
+    heights = np.concatenate([each @ axes[2] for each in points])
+    slab = float(heights.min()), float(heights.max())
+    low, high = coverage.bounds
+    pixel_m = pixel_size_m(scene, maps, options, high - low, most_px)
+    # The edges are multiples of the pixel size, as GIS expect of neighbouring maps.
+    first, last = np.floor(low / pixel_m).astype(int), np.ceil(high / pixel_m).astype(int)
+    width, height = (max(int(size), 1) for size in last - first)
+    left, top = float(first[0] * pixel_m), float(last[1] * pixel_m)
+    return MapGrid(axes, scale, offset, left, top, pixel_m, width, height, slab), coverage
+
+
+def _plan_view(
+    system: CoordinateSystem, up: Float64[np.ndarray, "3"]
+) -> tuple[Float64[np.ndarray, "3 3"], float, Float64[np.ndarray, "2"]]:
+    """Axes, scale and offset of map coordinates: the CRS's, or of the scene's own frame."""
+    if system.on_earth:
+        matrix = system.matrix[:3, :3] / system.scale
+        axes = np.stack([matrix[0], matrix[1], up])
+        return axes, system.scale, system.matrix[:2, 3]
+    x = np.eye(3)[0] if abs(up[0]) < 0.9 else np.eye(3)[1]
+    right = x - up * (up @ x)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(up, right), up]), 1.0, np.zeros(2)
 
 
 CELL = 1.5

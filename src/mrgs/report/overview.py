@@ -13,9 +13,10 @@ from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.maps.crs import coordinate_system
-from mrgs.maps.draw import OrthographicMap, frame_map, map_body, map_from_above, map_scale
-from mrgs.maps.facade import facade_map
+from mrgs.maps.draw import OrthographicMap, draw_map, frame_map, map_body, map_scale
+from mrgs.maps.facade import facade_grid
 from mrgs.maps.options import MapOptions
+from mrgs.maps.surfaces import grid_from_above, survey
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.pictures import drawing
@@ -289,13 +290,16 @@ def draw_temperature_map(
         found = celsius if regions is None else regions.corrected_at(points, celsius)
         return found, np.full_like(celsius, np.nan)
 
+    maps = survey(baked, scene)
+    options = MapOptions()
     if faces_one_side(scene):
-        return TemperatureMap(
-            facade_map(baked, scene, MapOptions(), corrected, MOST_PX), True, False
-        )
-    system = coordinate_system(scene)
-    drawn = map_from_above(baked, scene, system, MapOptions(), corrected, MOST_PX)
-    return TemperatureMap(drawn, False, system.north)
+        grid, coverage, north = facade_grid(scene, maps, options, MOST_PX), None, False
+    else:
+        system = coordinate_system(scene)
+        grid, coverage = grid_from_above(scene, maps, system, options, MOST_PX)
+        north = system.north
+    drawn = draw_map(baked, scene, maps, grid, corrected, coverage)
+    return TemperatureMap(drawn, coverage is None, north)
 
 
 OVERVIEW_PX = 900
