@@ -12,7 +12,6 @@ from mrgs.export.glb import write_glb
 from mrgs.export.ply import write_splat_ply
 from mrgs.export.splats import shaded_splats, thermal_scale, thermal_splats
 from mrgs.export.spz import write_spz
-from mrgs.pictures.palette import colorize
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.exports import draw, read_glb, splat_transform, splats_of
 
@@ -44,9 +43,7 @@ def test_colour_mapped_temperatures(tmp_path, baked, scene, suffix, write):
     back = splat_transform(write(tmp_path / f"thermal.{suffix}", splats))
     for view in scene.eval:
         celsius = baked.temperature.to_celsius(view.images[THERMAL].load().values[..., 0]).numpy()
-        photo = torch.from_numpy(
-            colorize(celsius, scale.low, scale.high, scale.palette) / np.float32(255)
-        )
+        photo = torch.from_numpy(scale.colorize(celsius) / np.float32(255))
         rendering, drawn = draw(splats, view.cameras[THERMAL]), draw(back, view.cameras[THERMAL])
         assert abs(psnr(drawn, photo) - psnr(rendering, photo)) < TOLERANCE_DB
         assert psnr(drawn, rendering.clamp(0, 1)) > LEAST_LIKENESS_DB

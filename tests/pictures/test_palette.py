@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mrgs.pictures.drawing import Scale
 from mrgs.pictures.palette import (
     INVALID_COLOR,
     PALETTES,
     PaletteName,
-    colorize,
     display_range,
     palette_table,
     round_ticks,
@@ -51,7 +51,7 @@ def test_the_error_palette_is_white_in_the_middle_and_dark_at_both_ends() -> Non
 @pytest.mark.parametrize("name", PALETTES)
 def test_the_limits_take_the_first_and_the_last_color(name: PaletteName) -> None:
     values = np.array([[-40.0, 20.0, 30.0, 99.0]])
-    image = colorize(values, 20.0, 30.0, name)
+    image = Scale(name, 20.0, 30.0, "").colorize(values)
     table = palette_table(name)
     np.testing.assert_array_equal(image[0], [table[0], table[0], table[-1], table[-1]])
 
@@ -68,13 +68,13 @@ def test_endpoints_by_value() -> None:
 
 def test_a_reversed_scale_runs_the_other_way() -> None:
     values = np.linspace(0, 1, 11)[None]
-    np.testing.assert_array_equal(
-        colorize(values, 1.0, 0.0, "grey"), colorize(1 - values, 0.0, 1.0, "grey")
-    )
+    usual = Scale("grey", 0.0, 1.0, "").colorize(1 - values)
+    np.testing.assert_array_equal(Scale("grey", 1.0, 0.0, "").colorize(values), usual)
 
 
 def test_nan_turns_grey() -> None:
-    assert colorize(np.array([[np.nan]]), 0.0, 1.0, "iron")[0, 0].tolist() == list(INVALID_COLOR)
+    image = Scale("iron", 0.0, 1.0, "").colorize(np.array([[np.nan]]))
+    assert image[0, 0].tolist() == list(INVALID_COLOR)
 
 
 def test_ticks_by_hand() -> None:

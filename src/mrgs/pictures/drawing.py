@@ -13,7 +13,13 @@ import numpy as np
 from jaxtyping import Float, Float64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from mrgs.pictures.palette import PaletteName, colorize, palette_table, round_ticks, tick_labels
+from mrgs.pictures.palette import (
+    INVALID_COLOR,
+    PaletteName,
+    palette_table,
+    round_ticks,
+    tick_labels,
+)
 
 INK = (24, 28, 36)
 MUTED = (104, 111, 124)
@@ -52,7 +58,11 @@ class Scale(NamedTuple):
 
     def colorize(self, values: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
         """Colours of the values, [H, W]; NaN turns light grey."""
-        return colorize(values, self.low, self.high, self.palette)
+        position = (values - self.low) / (self.high - self.low)
+        position = np.nan_to_num(position, nan=0.0, posinf=1.0, neginf=0.0).clip(0, 1)
+        image = palette_table(self.palette)[np.rint(position * 255).astype(np.uint8)]
+        image[np.isnan(values)] = INVALID_COLOR
+        return image
 
 
 def blank(size: tuple[int, int], color: tuple[int, int, int] = PAPER) -> Image.Image:

@@ -11,7 +11,7 @@ from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from torch import Tensor
 
 from mrgs.pictures.drawing import Scale, blank, scale_bar
-from mrgs.pictures.palette import PaletteName, colorize, display_range
+from mrgs.pictures.palette import PaletteName, display_range
 from mrgs.pictures.values import folder_of_values, full_scale, in_unit
 from mrgs.scene import Modality, PosedImage, Rendering, SceneBounds, TemperatureRange, View
 from mrgs.scene.preview import to_rgb8
@@ -90,10 +90,10 @@ def to_picture(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """An image as people look at it: values with a unit through the palette over their whole range,
     intensities as they are."""
-    if not modality.is_metric:
-        return to_rgb8(image)
-    values = shown_values(modality, image, temperature)
-    return full_scale(modality, temperature, palette).colorize(values)
+    if modality.is_metric:
+        values = shown_values(modality, image, temperature)
+        return full_scale(modality, temperature, palette).colorize(values)
+    return to_rgb8(image)
 
 
 def shown_values(
@@ -135,4 +135,4 @@ def with_scale_bar(values: Float[np.ndarray, "h w"], scale: Scale) -> Image.Imag
 def write_depth_png(path: Path, depth: Float[np.ndarray, "h w"]) -> Path:
     """Write a colour-mapped PNG of the depth, near is light, between its own percentiles."""
     low, high = display_range(depth)
-    return write_png(path, colorize(depth, high, low, "depth"))
+    return write_png(path, Scale("depth", high, low, "").colorize(depth))

@@ -54,17 +54,6 @@ def palette_table(name: PaletteName) -> UInt8[np.ndarray, "256 3"]:
     return table
 
 
-def colorize(
-    values: Float[np.ndarray, "h w"], low: float, high: float, palette: PaletteName
-) -> UInt8[np.ndarray, "h w 3"]:
-    """Colours of the values from ``low``, the palette's first, to ``high``, its last, which may be
-    the smaller number; NaN turns light grey."""
-    position = np.nan_to_num((values - low) / (high - low), nan=0.0, posinf=1.0, neginf=0.0)
-    image = palette_table(palette)[np.rint(position.clip(0, 1) * 255).astype(np.uint8)]
-    image[np.isnan(values)] = INVALID_COLOR
-    return image
-
-
 def round_ticks(low: float, high: float, count: int = 6) -> list[float]:
     """Round numbers (1, 2, 2.5 or 5 times a power of ten apart) between the two limits, at most
     about ``count``."""

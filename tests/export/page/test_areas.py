@@ -16,7 +16,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.regions import Regions
-from mrgs.pictures.palette import colorize
+from mrgs.pictures.drawing import Scale
 from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Rendering, TemperatureRange
@@ -99,9 +99,9 @@ def test_the_picture_shows_what_is_corrected_and_the_cursor_reads_it(
     own = solid & (after != before)
     assert 0.2 < own.sum() / solid.sum() < 0.8
     heat = picture(page)
-    assert psnr(heat[own], colorize(after, 0.0, 80.0, "inferno")[own]) > 30
-    assert psnr(heat[own], colorize(before, 0.0, 80.0, "inferno")[own]) < 20
-    off = np.abs(heat - colorize(after, 0.0, 80.0, "inferno")).max(axis=2) > 12
+    assert psnr(heat[own], Scale("inferno", 0.0, 80.0, "").colorize(after)[own]) > 30
+    assert psnr(heat[own], Scale("inferno", 0.0, 80.0, "").colorize(before)[own]) < 20
+    off = np.abs(heat - Scale("inferno", 0.0, 80.0, "").colorize(after)).max(axis=2) > 12
     assert off[solid].mean() < 0.02
 
     edges = solid & (own ^ np.roll(own, 2, axis=1))

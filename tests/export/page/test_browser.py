@@ -15,7 +15,7 @@ from PIL import Image
 
 from mrgs.export.page import packing
 from mrgs.export.page.write import PageContent, PageMark, write_page
-from mrgs.pictures.palette import colorize
+from mrgs.pictures.drawing import Scale
 from mrgs.rasterizer import contract as dilation
 from mrgs.rasterizer.contract import Dilation
 from mrgs.runs.baked import BakedModel
@@ -74,7 +74,7 @@ def test_the_page_shows_and_tells_what_the_model_renders(open_page, baked, camer
     heat = shown(page, "thermal")
     celsius = baked.temperature.to_celsius(expected[THERMAL].image[..., 0]).numpy()
     seen = expected[THERMAL].alpha.numpy() >= 0.5
-    assert psnr(heat[seen], colorize(celsius, 0.0, 80.0, "inferno")[seen]) > 40
+    assert psnr(heat[seen], Scale("inferno", 0.0, 80.0, "").colorize(celsius)[seen]) > 40
 
     depth = expected.surface_depth(THERMAL).numpy()
     for x, y in [(int(share_x * width), int(share_y * height)) for share_x, share_y in PIXELS]:

@@ -20,7 +20,7 @@ from mrgs.errors import SceneError
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.files import to_rgb8
 from mrgs.pictures.html import inline_image
-from mrgs.pictures.palette import colorize, display_range
+from mrgs.pictures.palette import display_range
 from mrgs.prepare.contract import ConvertedView, Progress
 from mrgs.prepare.rig.images import STEP_PX, inverse_depth
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Pixels, PointCloud, TemperatureRange, View
@@ -238,7 +238,7 @@ def _card(
 def _picture(modality: Modality, pixels: np.ndarray, scale: Scale) -> Image.Image:
     """Colours as they are, temperatures on the common scale, other intensities in grey."""
     if modality == THERMAL:
-        pixels = colorize(pixels, scale.low, scale.high, scale.palette)
+        pixels = scale.colorize(pixels)
     elif pixels.ndim == 2:
         pixels = np.rint(255 * np.nan_to_num(pixels).clip(0, 1)).astype(np.uint8)
     return Image.fromarray(pixels)
