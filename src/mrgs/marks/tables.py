@@ -129,6 +129,40 @@ def text_rows(
     return [row(each) for each in readings]
 
 
+def texts_of_reading(
+    reading: MarkReading, reference: str, temperature: TemperatureRange | None, world: WorldFrame
+) -> dict[str, Any]:
+    """A reading as a page shows it; numbers are formatted. ``around`` is empty if not known, a part
+    of the uncertainty a dash; ``settings`` are empty if they are the photos'. ``reference`` is the
+    mark that all differences refer to, empty for none."""
+    mark = reading.mark
+    difference = value_text(reading.difference, temperature, sign=True)
+    around, of_difference = (
+        "" if math.isnan(each) else around_text(each, temperature)
+        for each in (total_uncertainty(reading), reading.difference_uncertainty)
+    )
+    return {
+        "name": mark.name,
+        "severity": mark.severity,
+        "mean": value_text(reading.mean, temperature),
+        "around": around,
+        "parts": {
+            PART_NAMES[name]: value_text(part, temperature)
+            for name, part in uncertainty_parts(reading).items()
+        },
+        "low": value_text(reading.low, temperature),
+        "high": value_text(reading.high, temperature),
+        "difference": " ± ".join(filter(None, (difference, of_difference))),
+        "compared_with": "" if math.isnan(reading.difference) else mark.against or reference,
+        "size": size_text(reading, world),
+        "photos": DASH if reading.photos is None else str(reading.photos),
+        "settings": settings_texts(reading),
+        "note": mark.note,
+        "problem": reading.problem,
+        "remarks": reading.remarks,
+    }
+
+
 def facts_of_reading(
     reading: MarkReading,
     temperature: TemperatureRange | None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any, NamedTuple, TypeAlias
 
@@ -29,8 +29,7 @@ from mrgs.report import overview
 from mrgs.report.anomalies import Anomaly, photo_value
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
-from mrgs.scene import RGB, THERMAL, Camera, Scene, TemperatureRange, View
-from mrgs.scene.preview import best_view
+from mrgs.scene import RGB, THERMAL, Camera, PosedImage, Scene, TemperatureRange, View
 from mrgs.survey import Survey
 
 WIDTH_PX = 640
@@ -69,22 +68,20 @@ def mark_pictures(
 ) -> list[InlineImage]:
     """The thermal rendering of a view with its scale, and its photo. SceneError if the photo cannot
     be read."""
-    name = reading.mark.name
-    camera = _about(reading.mark, view.images[THERMAL].camera)
+    mark, camera = reading.mark, _about(reading.mark, view.images[THERMAL].camera)
+    part = _part_about(mark, camera)
+    photos = [_photo_about(mark, view.images[RGB])] if RGB in view.images else []
     values = to_array(regions.render(camera)[THERMAL].image[..., 0])
     values = in_unit(THERMAL, values, scene.temperature)
-    limits = display_range(values[_part_about(reading.mark, camera)])
-    scale = style.scale(limits, scene.temperature)
+    scale = style.scale(display_range(values[part]), scene.temperature)
     thermal = Image.fromarray(scale.colorize(values))
-    _draw(thermal, reading, camera)
+    for picture, own in ((thermal, camera), *photos):
+        _draw(picture, reading, own)
     whole = drawing.above_scale(thermal, scale, BAR_TEXT_PX, SCALE_GAP_PX)
-    pictures = [inline_image(whole, f"{name}, thermal", quality=90)]
-    if RGB in view.images:
-        photo_camera = _about(reading.mark, view.images[RGB].camera)
-        photo = _cropped(view, photo_camera)
-        _draw(photo, reading, photo_camera)
-        pictures.append(inline_image(photo, f"{name}, photo", quality=88))
-    return pictures
+    return [
+        inline_image(whole, f"{mark.name}, thermal", quality=90),
+        *(inline_image(photo, f"{mark.name}, photo", quality=88) for photo, _ in photos),
+    ]
 
 
 def _about(mark: Mark, camera: Camera) -> Camera:
@@ -117,20 +114,21 @@ def _part_about(mark: Mark, camera: Camera) -> tuple[slice, slice]:
     return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
 
 
-def _cropped(view: View, wanted: Camera) -> Image.Image:
-    """The part of a view's photo that another camera at its place shows."""
-    photo = view.images[RGB]
+def _photo_about(mark: Mark, photo: PosedImage) -> tuple[Image.Image, Camera]:
+    """The part of a photo about a mark, and its camera."""
     whole = Image.fromarray(to_picture(RGB, photo.load().values, None, "grey"))
+    wanted = _about(mark, photo.camera)
     zoom = wanted.K[0, 0].item() / photo.camera.K[0, 0].item()
     left, top = (photo.camera.K[:2, 2] - wanted.K[:2, 2] / zoom).tolist()
     right, bottom = left + wanted.width / zoom, top + wanted.height / zoom
-    return whole.transform(
+    part = whole.transform(
         (wanted.width, wanted.height),
         Image.Transform.EXTENT,
         (left, top, right, bottom),
         Image.Resampling.BICUBIC,
         fillcolor=drawing.PAPER,
     )
+    return part, wanted
 
 
 def _draw(image: Image.Image, reading: MarkReading, camera: Camera) -> None:
@@ -181,51 +179,26 @@ def show_marks(
     regions: Regions,
     scene: Scene,
     survey: Survey,
-    place: Callable[[Mark], Image.Image],
+    places: overview.Places,
     style: overview.Style = overview.PLAIN,
 ) -> list[ShownMark]:
-    """Measured marks as the template reads them, with formatted numbers; SceneError if a photo
-    cannot be read.
-
-    ``around`` is empty if not known, a part of the uncertainty and ``factor`` a dash; ``settings``
-    are empty if they are the photos'; ``pictures`` are the thermal rendering, then the photo, of
-    ``view``. ``reference`` is the mark that all differences refer to, empty for none."""
-    temperature, found = scene.temperature, []
+    """Measured marks as the template reads them: their ``texts_of_reading``; ``factor``, a dash
+    where there is none; ``pictures``, the thermal rendering, then the photo, of ``view``; ``plan``
+    and ``chart``. SceneError if a photo cannot be read."""
+    found = []
     for reading in readings:
-        mark, view = reading.mark, nearest_view(reading.mark, scene)
-        difference = tables.value_text(reading.difference, temperature, sign=True)
-        around = _around(reading.difference_uncertainty, temperature)
+        view = nearest_view(reading.mark, scene)
         shown = {
-            "name": mark.name,
-            "severity": mark.severity,
-            "mean": tables.value_text(reading.mean, temperature),
-            "around": _around(tables.total_uncertainty(reading), temperature),
-            "parts": {
-                tables.PART_NAMES[name]: tables.value_text(part, temperature)
-                for name, part in tables.uncertainty_parts(reading).items()
-            },
+            **tables.texts_of_reading(reading, reference, scene.temperature, scene.world),
             "factor": _factor(reading.low, tables.total_uncertainty(reading), survey),
-            "low": tables.value_text(reading.low, temperature),
-            "high": tables.value_text(reading.high, temperature),
-            "difference": " ± ".join(filter(None, (difference, around))),
-            "compared_with": "" if math.isnan(reading.difference) else mark.against or reference,
-            "size": tables.size_text(reading, scene.world),
-            "photos": tables.DASH if reading.photos is None else str(reading.photos),
-            "settings": tables.settings_texts(reading),
-            "note": mark.note,
-            "problem": reading.problem,
-            "remarks": reading.remarks,
+            "chart": _chart(reading, scene),
             "view": "" if view is None else view.name,
             "pictures": [] if view is None else mark_pictures(reading, view, regions, scene, style),
-            "chart": _chart(reading, scene),
-            "plan": inline_image(place(mark), f"{mark.name}, plan", quality=85),
         }
-        found.append(shown)
+        name = reading.mark.name
+        plan = inline_image(places.small(reading.mark), f"{name}, plan", quality=85)
+        found.append({**shown, "plan": plan})
     return found
-
-
-def _around(value: float, temperature: TemperatureRange | None) -> str:
-    return "" if math.isnan(value) else tables.around_text(value, temperature)
 
 
 AIR_C = 0.5
@@ -327,18 +300,12 @@ def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
 
 
 class Findings(NamedTuple):
-    """What was measured and what was found; the plan is None without marks, or where the map shows
-    them all, the map where the scene has none; ``map_size`` is its width and height, m, and its
-    pixel, cm. For ``like`` see ``like_parts``."""
+    """What was measured and what was found, and where; for ``like`` see ``like_parts``."""
 
-    marks: Sequence[ShownMark] = ()
-    like: Sequence[Mapping[str, Any]] = ()
-    proposals: Sequence[Mapping[str, Any]] = ()
-    overviews: Sequence[Mapping[str, Any]] = ()
-    plan: InlineImage | None = None
-    from_the_front: bool = False
-    map: InlineImage | None = None
-    map_size: Sequence[str] = ()
+    places: overview.Places
+    marks: Sequence[ShownMark]
+    like: Sequence[Mapping[str, Any]]
+    proposals: Sequence[Mapping[str, Any]]
 
 
 def show_findings(
@@ -354,52 +321,18 @@ def show_findings(
     known = marks.marks
     readings = marks.meter.measure(known, regions)
     proposed = [anomaly.reading for anomaly in anomalies.values()]
+    facts = [_facts(anomaly, marks.run, scene) for anomaly in anomalies.values()]
     named = {reading.mark.name: reading.mark for reading in (*readings, *proposed)}
     limits = None if scene.temperature is None else survey.scale
     style = overview.Style(survey.palette or "inferno", limits, t.decimal)
-    drawn = overview.temperature_map(marks.run, scene, regions)
-    found = Findings(from_the_front=overview.faces_one_side(scene))
-    if drawn is not None:
-        picture = inline_image(drawn.picture(named, style), "map", quality=90)
-        grid = drawn.drawn.grid
-        sides = [f"{pixels * grid.pixel_m:.1f}" for pixels in (grid.width, grid.height)]
-        found = found._replace(map=picture, map_size=[*sides, tables.pixel_cm_text(grid.pixel_m)])
-    if not named:
-        views = [view for view in scene.train if THERMAL in view.images]
-        if not views or not len(scene.points.positions):
-            return found
-        cameras = [view.images[THERMAL].camera for view in views]
-        view = views[best_view(cameras, scene.points.positions)]
-        cover = overview.overview(view, {}, scene, regions.render, style)
-        return found._replace(overviews=[_inline(cover)])
-    plan = overview.Plan(scene, list(named.values()))
-
-    def place(mark: Mark) -> Image.Image:
-        return plan.small(mark) if drawn is None or not drawn.shows(mark) else drawn.small(mark)
-
-    all_on_map = drawn is not None and all(map(drawn.shows, named.values()))
-    found = found._replace(
-        overviews=[
-            _inline(each)
-            for each in overview.overviews(scene, named, marks.meter.survey, regions.render, style)
-        ],
-        plan=None if all_on_map else inline_image(plan.whole(named), "plan", png=True),
-    )
+    places = overview.draw_places(marks.run, scene, named, marks.meter.survey, regions, style)
     shown, candidates = (
-        show_marks(each, reference, regions, scene, survey, place, style)
+        show_marks(each, reference, regions, scene, survey, places, style)
         for each, reference in ((readings, known.reference), (proposed, ""))
     )
-    return found._replace(
-        marks=shown,
-        like=like_parts(readings, scene.temperature),
-        proposals=[_shown(anomalies[mark["name"]], mark, marks.run, scene) for mark in candidates],
-    )
-
-
-def _inline(shown: overview.Overview) -> dict[str, Any]:
-    text = ", ".join(shown.seen) or shown.view
-    pictures = [inline_image(each, text, quality=88) for each in shown.pictures]
-    return {"view": shown.view, "pictures": pictures}
+    like = like_parts(readings, scene.temperature)
+    both = zip(candidates, facts, strict=True)
+    return Findings(places, shown, like, [{"mark": mark, **each} for mark, each in both])
 
 
 AUTOMATIC = ("B", "P")
@@ -432,16 +365,15 @@ def like_parts(
     return found
 
 
-def _shown(anomaly: Anomaly, mark: ShownMark, run: Run, scene: Scene) -> dict[str, Any]:
-    """A proposal, with the mark that it would become, for the template; numbers are formatted.
-    ``low`` and ``high`` are the 10th and 90th percentile over the views, ``position`` is in scene
-    units, ``photo`` the thermal photo's temperature there, None where it has no valid pixel, and
-    ``at_end`` whether that is an end of the recorded range."""
+def _facts(anomaly: Anomaly, run: Run, scene: Scene) -> dict[str, Any]:
+    """What was found of a proposal, for the template; numbers are formatted. ``low`` and ``high``
+    are the 10th and 90th percentile over the views, ``position`` is in scene units, ``photo`` the
+    thermal photo's temperature there, None where it has no valid pixel, and ``at_end`` whether that
+    is an end of the recorded range."""
     spot, temperature = anomaly.spot, scene.temperature
     photo = photo_value(scene.views[spot.view], spot)
     gained = run.image_model.thermal_gain is not None
     return {
-        "mark": mark,
         "contrast": tables.value_text(anomaly.contrast, temperature, sign=True),
         "low": _text(spot.low, temperature),
         "high": _text(spot.high, temperature),

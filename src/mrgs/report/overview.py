@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,15 +19,18 @@ from mrgs.maps.options import MapOptions
 from mrgs.maps.surfaces import grid_from_above, survey
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
+from mrgs.marks.tables import pixel_cm_text
 from mrgs.pictures import drawing
 from mrgs.pictures.drawing import LABEL_PX, RING_PX, Scale
 from mrgs.pictures.files import to_array, to_picture
+from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.palette import PaletteName, display_range, round_down
 from mrgs.pictures.values import in_unit, unit_label
 from mrgs.runs.baked import BakedModel, bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, TemperatureRange, View, in_order
 from mrgs.scene.depth_map import PhotoSurvey, SurfaceRenderer
+from mrgs.scene.preview import best_view
 
 
 class Style(NamedTuple):
@@ -326,9 +329,13 @@ def overviews(
     style: Style = PLAIN,
 ) -> list[Overview]:
     """The views that together see most marks by their middles, the one that sees most first; at
-    most ``MOST_OVERVIEWS``, by the survey of the scene's thermal training photos. SceneError if a
-    photo cannot be read."""
+    most ``MOST_OVERVIEWS``, by the survey of the scene's thermal training photos. Without marks,
+    the view that shows most of the scene. SceneError if a photo cannot be read."""
     thermal = [view for view in scene.train if THERMAL in view.images]
+    if not marks and thermal and len(scene.points.positions):
+        cameras = [view.images[THERMAL].camera for view in thermal]
+        view = thermal[best_view(cameras, scene.points.positions)]
+        return [overview(view, {}, scene, render, style)]
     names = np.array([*marks])
     middles = np.array([np.mean(mark.points, axis=0) for mark in marks.values()], np.float32)
     seen = [names[item.shown(middles).rows].tolist() for item in survey]
@@ -383,3 +390,64 @@ def _thermal(
     limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
     scale = style.scale(limits, scene.temperature)
     return Image.fromarray(scale.colorize(values)), scale
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where the marks are, as the report shows it.
+
+    Attributes:
+        overviews: each the name of a view and its ``pictures``.
+        plan: None without marks, or where the map shows them all.
+        map: None where the scene has none.
+        map_size: width and height of the map, m, and its pixel, cm.
+    """
+
+    from_the_front: bool
+    overviews: Sequence[Mapping[str, Any]]
+    plan: InlineImage | None
+    map: InlineImage | None
+    map_size: Sequence[str]
+    _drawn: TemperatureMap | None
+    _plan: Plan | None
+
+    def small(self, mark: Mark) -> Image.Image:
+        """The place of one mark on the map, or on the plan, for beside its pictures."""
+        if self._drawn is not None and self._drawn.shows(mark):
+            return self._drawn.small(mark)
+        assert self._plan is not None
+        return self._plan.small(mark)
+
+
+def draw_places(
+    run: Run,
+    scene: Scene,
+    marks: Mapping[str, Mark],
+    survey: PhotoSurvey,
+    regions: Regions,
+    style: Style,
+) -> Places:
+    """Draw marks into photos and renderings, on the plan and on the map; ``survey`` is that of the
+    scene's thermal training photos. SceneError if a photo cannot be read."""
+    drawn = temperature_map(run, scene, regions)
+    views = overviews(scene, marks, survey, regions.render, style)
+    plan = Plan(scene, list(marks.values())) if marks else None
+    size, image, whole = [], None, None
+    if drawn is not None:
+        grid = drawn.drawn.grid
+        size = [f"{pixels * grid.pixel_m:.1f}" for pixels in (grid.width, grid.height)]
+        size.append(pixel_cm_text(grid.pixel_m))
+        image = inline_image(drawn.picture(marks, style), "map", quality=90)
+    if plan is not None and not (drawn is not None and all(map(drawn.shows, marks.values()))):
+        whole = inline_image(plan.whole(marks), "plan", png=True)
+    shown = [
+        {
+            "view": each.view,
+            "pictures": [
+                inline_image(picture, ", ".join(each.seen) or each.view, quality=88)
+                for picture in each.pictures
+            ],
+        }
+        for each in views
+    ]
+    return Places(faces_one_side(scene), shown, whole, image, size, drawn, plan)
