@@ -189,9 +189,9 @@ def show_marks(
     for reading in readings:
         view = nearest_view(reading.mark, scene)
         shown = {
-            **tables.texts_of_reading(reading, reference, scene.temperature, scene.world),
             "factor": _factor(reading.low, tables.total_uncertainty(reading), survey),
             "chart": _chart(reading, scene),
+            **tables.texts_of_reading(reading, reference, scene.temperature, scene.world),
             "view": "" if view is None else view.name,
             "pictures": [] if view is None else mark_pictures(reading, view, regions, scene, style),
         }

@@ -11,7 +11,7 @@ from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from PIL import Image
 
@@ -30,6 +30,37 @@ from mrgs.scene import THERMAL, Modality, Scene, View, WorldFrame, in_order
 from mrgs.scene.radiometry import PhotoRecord
 from mrgs.survey import LABELS, Survey
 from mrgs.system.disk import read_text
+
+
+def contents_of(run: Run, scene: Scene, survey: Survey, t: Texts, appendix: bool) -> dict[str, Any]:
+    """What the template needs beside the findings, by its names; with scores and contact sheet if
+    there is to be an ``appendix``. ConfigError if the survey's logo cannot be read, RunError if
+    scores or contact sheet cannot."""
+    has_thermal = THERMAL in scene.modalities
+    return {
+        "run": run,
+        "name": scene.name,
+        "title": survey.title or "",
+        "subtitle": t.date(date.today()),
+        "language": t.language,
+        "t": t,
+        "survey": survey,
+        "cover": stated_rows(survey, t, on_cover=True),
+        "stated": stated_rows(survey, t),
+        "conditions": conditions_of(survey, thermal_pixel_m(scene)),
+        "capture": capture_rows(scene, survey, t),
+        "has_thermal": has_thermal,
+        "temperature": scene.temperature,
+        "depends_on_view": has_thermal and run.model.gaussians.depends_on_view(THERMAL),
+        "settings": settings_of(scene.records),
+        "setting_text": setting_text,
+        "notes": [*(t(note) for note in scene.notes), *crop_notes(run, t)],
+        "appendix": appendix,
+        "contact_sheet": read_contact_sheet(run) if appendix else None,
+        "scores": read_scores(run, t) if appendix else None,
+        "logo": read_logo(survey, run.folder.path),
+    }
+
 
 LEAST_DIFFERENCE_K = 10.0
 MOST_PIXEL_CM = 3.0

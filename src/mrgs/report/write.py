@@ -9,7 +9,7 @@ import logging
 import re
 import warnings
 from collections.abc import Callable, Sequence
-from datetime import date, datetime, timezone
+from datetime import datetime, timezone
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -22,8 +22,6 @@ from mrgs.marks.tables import DASH, PART_NAMES
 from mrgs.pictures.drawing import draw_text
 from mrgs.pictures.escape import without_controls
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
-from mrgs.pictures.settings import settings_of
-from mrgs.report import sections
 from mrgs.report.anomalies import Proposals, propose
 from mrgs.report.findings import (
     CHART_HEIGHT,
@@ -33,6 +31,7 @@ from mrgs.report.findings import (
     camera_effects,
     show_findings,
 )
+from mrgs.report.sections import contents_of
 from mrgs.report.texts import Language, Texts
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene
@@ -93,14 +92,14 @@ def report_run(
         require_docx()
     scene, t = scene or run.load_scene(), Texts(language)
     survey = survey_of(run.folder.path)
-    logo = sections.read_logo(survey, run.folder.path)
-    has_thermal = THERMAL in scene.modalities
+    contents = contents_of(run, scene, survey, t, appendix)
     begin(0)
     marks = open_marks(run, scene)
     regions = marks.meter.regions(marks.marks)
-    has_c = has_thermal and scene.temperature is not None
+    has_c = THERMAL in scene.modalities and scene.temperature is not None
     found = propose(marks, scene, regions, survey) if has_c else Proposals({}, 0)
     begin(1)
+    camera = camera_effects(run, t)
     findings = show_findings(marks, regions, found.anomalies, scene, survey, t)
     begin(2)
     every = (*findings.marks, *(each["mark"] for each in findings.proposals))
@@ -109,40 +108,20 @@ def report_run(
     page = write_html(
         run.folder.path / "report.html" if path is None else Path(path),
         "report/report.html",
-        findings=findings,
-        camera=camera_effects(run, t),
-        title=survey.title or "",
-        name=scene.name,
-        subtitle=t.date(date.today()),
-        logo=logo,
-        cover=sections.stated_rows(survey, t, on_cover=True),
-        language=language,
-        t=t,
-        survey=survey,
-        stated=sections.stated_rows(survey, t),
-        conditions=sections.conditions_of(survey, sections.thermal_pixel_m(scene)),
         styles=[PAGE_STYLE, "report/report.css"],
         quoted=quoted,
-        run=run,
-        has_thermal=has_thermal,
-        temperature=scene.temperature,
+        **contents,
+        camera=camera,
+        findings=findings,
+        every=every,
         held_back=found.held_back,
         judged=bool(findings.marks or marks.marks.dropped),
         assumptions=marks.meter.capture.notes if regions else (),
         doubts=() if marks.meter.uncertainty is None else marks.meter.uncertainty.notes,
         parts_of_uncertainty=parts,
         camera_is_known=PART_NAMES["camera"] in parts,
-        every=every,
         air_around=f"{air_uncertainty(survey):g}",
         chart=(CHART_WIDTH, CHART_HEIGHT, CHART_LEFT),
-        depends_on_view=has_thermal and run.model.gaussians.depends_on_view(THERMAL),
-        capture=sections.capture_rows(scene, survey, t),
-        settings=settings_of(scene.records),
-        setting_text=sections.setting_text,
-        notes=[*(t(note) for note in scene.notes), *sections.crop_notes(run, t)],
-        appendix=appendix,
-        scores=sections.read_scores(run, t) if appendix else None,
-        contact_sheet=sections.read_contact_sheet(run) if appendix else None,
     )
     if pdf:
         write_pdf(page, page.with_suffix(".pdf"))
