@@ -52,11 +52,13 @@ BANDS = {
 
 @dataclass(frozen=True, eq=False)
 class OrthographicMap:
-    """A map: its pixels, and its ``BANDS``, [7, H, W]; NaN where there is no surface, temperatures
-    also where no photo looked, the scatter where fewer than two did."""
+    """A map: its pixels, its ``BANDS``, [7, H, W], and the points of the scene that it shows,
+    [H, W, 3]; NaN where there is no surface, temperatures also where no photo looked, the scatter
+    where fewer than two did."""
 
     grid: MapGrid
     bands: Float32[np.ndarray, "b h w"]
+    points: Float32[np.ndarray, "h w 3"]
 
     @property
     def celsius(self) -> Float32[np.ndarray, "h w"]:
@@ -116,7 +118,7 @@ def draw_map(
     if appraise is not None:
         known = np.isfinite(bands[0])
         bands[0][known], bands[6][known] = appraise(points[known], bands[0][known])
-    return OrthographicMap(grid, bands)
+    return OrthographicMap(grid, bands, points)
 
 
 def _draw_part(

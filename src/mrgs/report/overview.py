@@ -13,7 +13,7 @@ from jaxtyping import Float32, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.maps.crs import coordinate_system
+from mrgs.maps.crs import LOCAL, coordinate_system
 from mrgs.maps.draw import OrthographicMap, map_from_above
 from mrgs.maps.facade import facade_map
 from mrgs.maps.options import MapOptions
@@ -289,11 +289,14 @@ above."""
 
 @dataclass(frozen=True, eq=False)
 class TemperatureMap:
-    """A map for a report: of a façade if it is ``from_the_front``, else of the scene from above."""
+    """A map for a report: of a façade if it is ``from_the_front``, else of the scene from above; in
+    the scene's units if it is not ``metric``."""
 
     drawn: OrthographicMap
     from_the_front: bool
     north: bool
+    metric: bool = True
+    unit: str = "°C"
 
     def shows(self, mark: Mark) -> bool:
         """Whether all of a mark is on the map."""
@@ -303,14 +306,16 @@ class TemperatureMap:
     def picture(self, marks: Mapping[str, Mark], style: Style = PLAIN) -> Image.Image:
         """The temperatures with legend and scale bar, and the marks on the map under their
         names."""
-        scale = map_scale(self.drawn, style.palette, style.limits)._replace(decimal=style.decimal)
+        scale = map_scale(self.drawn, style.palette, style.limits)
+        scale = scale._replace(decimal=style.decimal, unit=self.unit)
         body, metres_per_px = map_body(self.drawn, scale)
         zoom = self.drawn.grid.pixel_m / metres_per_px
         shown = {
             name: zoom * self._pixels(each) for name, each in marks.items() if self.shows(each)
         }
         draw_marks(body, marks, shown)
-        return frame_map(body, metres_per_px, scale, 0.0 if self.north else None)
+        metres = metres_per_px if self.metric else None
+        return frame_map(body, metres, scale, 0.0 if self.north else None)
 
     def small(self, mark: Mark) -> Image.Image:
         """The place of a mark on the map, in the colours of the photos, where there are any."""
@@ -362,13 +367,13 @@ def draw_temperature_map(
         found = celsius if regions is None else regions.corrected_at(points, celsius)
         return found, np.full_like(celsius, np.nan)
 
+    metric = scene.world.metric
     if faces_one_side(scene):
-        return TemperatureMap(
-            facade_map(baked, scene, MapOptions(), corrected, MOST_PX), True, False
-        )
-    system = coordinate_system(scene)
+        drawn = facade_map(baked, scene, MapOptions(), corrected, MOST_PX)
+        return TemperatureMap(drawn, True, False, metric)
+    system = coordinate_system(scene) if metric else LOCAL
     drawn = map_from_above(baked, scene, system, MapOptions(), corrected, MOST_PX)
-    return TemperatureMap(drawn, False, system.north)
+    return TemperatureMap(drawn, False, system.north, metric)
 
 
 OVERVIEW_PX = 900
