@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -189,7 +189,7 @@ def write_csv(
     reading takes for known."""
     rows = [facts_of_reading(each, temperature, world, assumed(each)) for each in readings]
     names = list(facts_of_reading(_NOTHING, temperature, world))
-    paths = [write_text(path, _csv_text(names, rows))]
+    paths = [write_rows(path, names, rows)]
     profiles = [
         {"name": reading.mark.name, "distance": distance, "value": _known(value)}
         for reading in readings
@@ -197,7 +197,7 @@ def write_csv(
     ]
     if profiles:
         beside = path.with_name(f"{path.stem}_profiles{path.suffix}")
-        paths.append(write_text(beside, _csv_text(["name", "distance", "value"], profiles)))
+        paths.append(write_rows(beside, ["name", "distance", "value"], profiles))
     return paths
 
 
@@ -214,14 +214,24 @@ def write_geojson(
     them; elsewhere the scene's own x, y, z, which the file states. Arguments and errors are those
     of ``write_csv``.
     """
+    facts = (facts_of_reading(each, temperature, world, assumed(each)) for each in readings)
+    marks = (reading.mark for reading in readings)
+    return write_features(path, zip(facts, marks, strict=True), world)
+
+
+def write_features(
+    path: Path, found: Iterable[tuple[Mapping[str, Any], Mark]], world: WorldFrame
+) -> Path:
+    """Write GeoJSON of facts and the mark that each is of, see ``write_geojson``; returns the path.
+    RunError if the file cannot be written."""
     on_earth = world.is_georeferenced
     features = [
         {
             "type": "Feature",
-            "properties": facts_of_reading(reading, temperature, world, assumed(reading)),
-            "geometry": _geometry(reading.mark, world if on_earth else None),
+            "properties": facts,
+            "geometry": _geometry(mark, world if on_earth else None),
         }
-        for reading in readings
+        for facts, mark in found
     ]
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if not on_earth:
@@ -246,12 +256,14 @@ def _geometry(mark: Mark, world: WorldFrame | None) -> dict[str, Any]:
     return {"type": "Polygon", "coordinates": [[*places, places[0]]]}
 
 
-def _csv_text(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
+def write_rows(path: Path, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Path:
+    """Write rows under the names of their columns as CSV; returns the path. RunError if the file
+    cannot be written."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, names, lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    return buffer.getvalue()
+    return write_text(path, buffer.getvalue())
 
 
 def _cell(value: Any) -> Any:
