@@ -168,12 +168,11 @@ def test_the_second_run_is_aligned(found):
 
 
 def test_what_is_new_and_what_is_gone_is_found_and_nothing_else(found):
-    print(*found.changes, sep="\n")
     assert found.common == pytest.approx(WEATHER_K, abs=0.1)
     assert sorted(each.kind for each in found.changes) == ["gone", "new"]
     for change in found.changes:
         exact, place = (-HOT_K, BEFORE) if change.kind == "gone" else (HOT_K, AFTER)
-        assert abs(change.difference - exact) < max(change.uncertainty, 0.3)
+        assert change.difference == pytest.approx(exact, rel=0.15)  # its edge is blurred
         middle = np.mean(change.mark.points, axis=0)
         np.testing.assert_allclose(middle[[0, 2]], place, atol=0.08)
         assert change.area == pytest.approx(math.pi * RADIUS**2, rel=0.3)

@@ -206,7 +206,7 @@ REFITS, TIMES_MEDIAN = 5, 2.5
 
 
 def _registration(found: Any) -> Registration:
-    return Registration(found.scale, found.rotation.matrix(), np.asarray(found.translation))
+    return Registration(float(found.scale), found.rotation.matrix(), np.asarray(found.translation))
 
 
 def _coincidence(

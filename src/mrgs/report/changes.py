@@ -62,8 +62,8 @@ CORE = 0.5
 """A change is where ΔT is at least this share of its largest values, the upper twentieth."""
 
 FEWEST_PLACES = 8
-LEAST_PX = 9.0
-"""Area of a change, in pixels of the photos: a camera measures what is three pixels wide."""
+LEAST_PX = 3.0
+"""Width of a change, in pixels of the photos: a camera measures nothing narrower."""
 
 CERTAIN = 2.0
 """Multiple of its ± by which a place must have changed: ± holds 95 of 100 places, and thousands are
@@ -416,12 +416,12 @@ class _Comparison:
             for date, each, (_, in_photos) in zip(self._dates, placed, celsius, strict=True)
         ]
         kind = kind_of(surface.before, surface.after, part, surface.surroundings(part, least_k))
-        outline, area = _outline(points, surface.pixel)
+        outline, area, width = _outline(points, surface.pixel)
         mark = Mark("D", "polygon", outline, self._eye(points))
         beside, least = self._difference(before, after, around, True)
         difference = self._difference(before, after, around, self._relative)
         certainty = abs(beside) / max(CERTAIN * least, least_k)
-        if area < LEAST_PX * surface.pixel**2:
+        if width < LEAST_PX * surface.pixel:
             certainty = 0.0
         return certainty, Compared(mark, kind, before, after, *difference, area, "", points)
 
@@ -502,8 +502,9 @@ def kind_of(
     return "shrunk" if adjoins else "gone"
 
 
-def _outline(points: Points, pixel: float) -> tuple[tuple[Place, ...], float]:
-    """The convex outline of points on a surface, in their plane, and the area that they cover."""
+def _outline(points: Points, pixel: float) -> tuple[tuple[Place, ...], float, float]:
+    """The convex outline of points on a surface, in their plane; the area that they cover; and how
+    wide they are."""
     middle = points.mean(axis=0)
     axes = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
     flat = (points - middle) @ axes.T
@@ -512,7 +513,8 @@ def _outline(points: Points, pixel: float) -> tuple[tuple[Place, ...], float]:
     taken[tuple(cells.T)] = True
     area = float(ndimage.binary_closing(taken, np.ones((2, 2))).sum()) * pixel**2
     corners = flat[ConvexHull(flat, qhull_options="QJ").vertices]
-    return places_of((middle + corners @ axes).tolist()), area
+    width = float(np.ptp(flat, axis=0).min()) + pixel
+    return places_of((middle + corners @ axes).tolist()), area, width
 
 
 HEADINGS = ("Place", "Kind", "First, °C", "Second, °C", "ΔT, K", "±", "Area", "x, y, z")
