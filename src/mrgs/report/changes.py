@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -28,7 +28,7 @@ from mrgs.maps.picture import write_geotiff
 from mrgs.maps.registration import Registration, register
 from mrgs.maps.surfaces import survey_pixel
 from mrgs.marks import MarkReading, RunMarks, open_marks
-from mrgs.marks.mark import Mark, Marks, Place, places_of
+from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.photo_readings import COVERAGE
 from mrgs.marks.tables import DASH, digits, write_features, write_rows
 from mrgs.marks.uncertainty import Budget, InputQuantity, Uncertainty
@@ -79,13 +79,15 @@ the edge of that place."""
 MOST_PLACES = 300_000
 
 
+ChangeKind = Literal["new", "gone", "grown", "shrunk", "warmer", "colder"]
+
+
 class Compared(NamedTuple):
     """A change or a mark on two dates; °C and K, lengths and places as in the first run.
 
     Attributes:
         mark: with its name and outline; of a change the outline is convex.
-        kind: of a change ``new``, ``gone``, ``grown``, ``shrunk``, ``warmer`` or ``colder``; of a
-            mark its own kind.
+        kind: of a change, see ``kind_of``, or of a mark.
         before: mean temperature on the first date, NaN where there is none.
         after: the same on the second date.
         difference: after − before, relative to the common change if that was asked for.
@@ -96,7 +98,7 @@ class Compared(NamedTuple):
     """
 
     mark: Mark
-    kind: str
+    kind: ChangeKind | MarkKind
     before: float
     after: float
     difference: float
@@ -478,9 +480,9 @@ def changed(
 
 def kind_of(
     before: Values, after: Values, part: Bool[np.ndarray, " n"], ring: Bool[np.ndarray, " n"]
-) -> str:
+) -> ChangeKind:
     """What has happened in a part of a surface, by its contrast to its unchanged surroundings on
-    both dates: see ``Compared.kind``."""
+    both dates."""
     change = after[part].mean() - before[part].mean()
     if not ring.any():
         return "warmer" if change > 0 else "colder"
@@ -612,7 +614,7 @@ def facts_of(found: Compared, world: WorldFrame) -> dict[str, Any]:
 def columns(world: WorldFrame) -> list[str]:
     """The columns of ``changes.csv``."""
     nowhere = Mark("-", "spot", ((0.0, 0.0, 0.0),), (0.0, 0.0, 1.0), radius=1.0)
-    return list(facts_of(Compared(nowhere, "", 0.0, 0.0, 0.0, 0.0), world))
+    return list(facts_of(Compared(nowhere, "spot", 0.0, 0.0, 0.0, 0.0), world))
 
 
 def _row(found: Compared, t: Texts, world: WorldFrame) -> list[str]:
