@@ -131,10 +131,6 @@ class _Date:
         found = self.uncertainty.of_photos(points.astype(np.float32))
         return np.asarray(found, np.float64)
 
-    def of_mean(self, points: Points, in_photos: Values) -> Uncertainty:
-        """Uncertainty of the mean over points on a surface."""
-        return self.dated(self.uncertainty.of_mark(points, in_photos, self.regions))
-
     def dated(self, uncertainty: Uncertainty) -> Uncertainty:
         """With the input quantities of this date told from those of the other: a surface keeps its
         emissivity, and a camera its calibration."""
@@ -268,10 +264,6 @@ def _check(first: Run, second: Run, least_k: float) -> None:
             raise RunError(f"{run.folder.path} has no temperatures in °C to be compared")
 
 
-def _names(scene: Scene) -> str:
-    return " + ".join(map(str, scene.modalities))
-
-
 def _same_camera(one: Scene, other: Scene) -> bool:
     """Whether one thermal camera took the photos of both, by its serial number."""
     serials = [{record.serial for record in each.records} for each in (one, other)]
@@ -303,9 +295,8 @@ class Surface:
         """The surface of two runs. RunError if they have none in common, SceneError if a photo
         cannot be read."""
         maps = list(dates[0].meter.survey)
-        points, pixel = _thinned(
-            np.concatenate([each.points() for each in maps]), survey_pixel(maps)
-        )
+        every = np.concatenate([each.points() for each in maps])
+        points, pixel = _thinned(every, survey_pixel(maps))
         placed = points, registration.apply(points)
         celsius = [date.celsius(each)[0] for date, each in zip(dates, placed, strict=True)]
         known = np.isfinite(celsius).all(axis=0)
@@ -381,11 +372,11 @@ def _thinned(points: Points, pixel: float) -> tuple[Points, float]:
     """The mean of the points in each cube, which is as wide as a pixel or wider, and its width."""
     while True:
         cubes = np.floor((points - points.min(axis=0)) / pixel).astype(np.int64)
-        _, cube, count = np.unique(cubes, axis=0, return_inverse=True, return_counts=True)
+        key = np.ravel_multi_index(tuple(cubes.T), tuple(cubes.max(axis=0) + 1))
+        _, cube, count = np.unique(key, return_inverse=True, return_counts=True)
         if len(count) <= MOST_PLACES:
             break
         pixel *= 1.4
-    cube = cube.ravel()
     means = [np.bincount(cube, weights=axis) / count for axis in points.T]
     return np.stack(means, axis=1), pixel
 
@@ -414,7 +405,7 @@ class _Comparison:
         celsius = [date.celsius(each) for date, each in zip(self._dates, placed, strict=True)]
         before, after = (float(corrected.mean()) for corrected, _ in celsius)
         around = [
-            date.of_mean(each, in_photos)
+            date.dated(date.uncertainty.of_mark(each, in_photos, date.regions))
             for date, each, (_, in_photos) in zip(self._dates, placed, celsius, strict=True)
         ]
         kind = kind_of(surface.before, surface.after, part, surface.surroundings(part, least_k))
@@ -560,11 +551,9 @@ def diff_runs(
     """
     _check(first, second, least_k)
     scenes = scenes or (first.load_scene(), second.load_scene())
-    if scenes[0].modalities != scenes[1].modalities:
-        raise RunError(
-            f"the runs show different modalities, {_names(scenes[0])} and {_names(scenes[1])}: "
-            f"compare runs of the same"
-        )
+    shown = [" + ".join(map(str, scene.modalities)) for scene in scenes]
+    if shown[0] != shown[1]:
+        raise RunError(f"the runs show different modalities: {shown[0]}, and {shown[1]}")
     registration = register(first, second, scenes)
     marked = [open_marks(run, scene) for run, scene in zip((first, second), scenes, strict=True)]
     marks = marked[0].marks
@@ -657,14 +646,10 @@ def _geotiff(shown: TemperatureMap, found: Differences, folder: Path) -> list[Pa
     return []
 
 
-SHARE_SHOWN = 0.5
-"""Percentage of the map beyond the first and the last colour."""
-
-
 def _map_picture(shown: TemperatureMap, found: Differences, t: Texts) -> Image.Image:
-    """The map with the outlines of changes and marks; what has not changed is in the middle of the
-    scale, which is beside it if the common change was not subtracted."""
-    low, high = display_range(shown.drawn.celsius, SHARE_SHOWN)
-    most = max(abs(low), abs(high), 1.0)
+    """The map with the outlines of changes and marks; in the middle of its scale is what has
+    changed as most of the surface has."""
+    middle = 0.0 if found.relative else found.common
+    most = max(1.0, *np.abs(np.subtract(display_range(shown.drawn.celsius), middle)))
     marks = {each.mark.name: each.mark for each in (*found.changes, *found.marks)}
-    return shown.picture(marks, Style("error", (-most, most), t.decimal))
+    return shown.picture(marks, Style("error", (middle - most, middle + most), t.decimal))
