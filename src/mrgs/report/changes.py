@@ -126,11 +126,6 @@ class _Date:
         celsius = in_unit(THERMAL, seen, self.run.temperature)
         return self.regions.corrected_at(points, celsius), celsius
 
-    def around(self, points: Points) -> Values:
-        """The uncertainty of °C of points by photos and model alone; NaN where no photo looked."""
-        found = self.uncertainty.of_photos(points.astype(np.float32))
-        return np.asarray(found, np.float64)
-
     def dated(self, uncertainty: Uncertainty) -> Uncertainty:
         """With the input quantities of this date told from those of the other: a surface keeps its
         emissivity, and a camera its calibration."""
@@ -159,6 +154,21 @@ class _Date:
             return 0.0
         offsets = drift.offsets().double().numpy()
         return COVERAGE * self.run.temperature.span_c * float(offsets.std())
+
+
+def _on_both(
+    dates: tuple[_Date, _Date], registration: Registration, points: Points
+) -> Float64[np.ndarray, "3 n"]:
+    """°C on both dates of points of the first run's surface, and the uncertainty of their
+    difference by photos and models alone; NaN where a date does not show them."""
+    found = np.full((4, len(points)), np.nan)
+    for number, (date, each) in enumerate(
+        zip(dates, (points, registration.apply(points)), strict=True)
+    ):
+        found[number] = date.celsius(each)[0]
+        found[2 + number] = date.uncertainty.of_photos(each.astype(np.float32))
+    found[:, np.isnan(found[:2]).any(axis=0)] = np.nan
+    return np.stack([found[0], found[1], np.hypot(found[2], found[3])])
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,12 +201,9 @@ class Differences:
         """ΔT, °C on both dates, and the uncertainty of ΔT by photos and models alone, of points on
         the first run's surface; NaN where a date does not show them. SceneError if a photo cannot
         be read."""
-        placed = points, self.registration.apply(points)
-        both = [date.celsius(each)[0] for date, each in zip(self.dates, placed, strict=True)]
-        around = [date.around(each) for date, each in zip(self.dates, placed, strict=True)]
-        difference = both[1] - both[0] - (self.common if self.relative else 0.0)
-        unseen = np.isnan(difference)
-        return np.stack([difference, *both, np.where(unseen, np.nan, np.hypot(*around))])
+        before, after, around = _on_both(self.dates, self.registration, points)
+        common = self.common if self.relative else 0.0
+        return np.stack([after - before - common, before, after, around])
 
     def rows(self, language: Language = "en") -> tuple[list[list[str]], list[list[str]]]:
         """Changes and marks as texts under ``HEADINGS``, and why there is no difference."""
@@ -297,16 +304,13 @@ class Surface:
         maps = list(dates[0].meter.survey)
         every = np.concatenate([each.points() for each in maps])
         points, pixel = _thinned(every, survey_pixel(maps))
-        placed = points, registration.apply(points)
-        celsius = [date.celsius(each)[0] for date, each in zip(dates, placed, strict=True)]
-        known = np.isfinite(celsius).all(axis=0)
+        values = _on_both(dates, registration, points)
+        known = np.isfinite(values).all(axis=0)
         if known.sum() < FEWEST_PLACES:
             raise RunError("the runs have no surface in common that thermal photos of both show")
-        around = [date.around(each[known]) for date, each in zip(dates, placed, strict=True)]
-        points = points[known]
-        pairs = KDTree(points).query_pairs(REACH_PX * pixel, output_type="ndarray")
-        before, after = (each[known] for each in celsius)
-        return cls(points, pixel, before, after, np.hypot(*around), pairs)
+        pairs = KDTree(points[known]).query_pairs(REACH_PX * pixel, output_type="ndarray")
+        before, after, around = values[:, known]
+        return cls(points[known], pixel, before, after, around, pairs)
 
     @cached_property
     def common(self) -> float:
