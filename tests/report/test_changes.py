@@ -25,7 +25,15 @@ from mrgs.marks.run_marks import open_marks
 from mrgs.marks.uncertainty import InputQuantity
 from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model
-from mrgs.report.changes import Differences, Surface, changed, diff_runs, kind_of, moved_mark
+from mrgs.report.changes import (
+    Differences,
+    Surface,
+    changed,
+    diff_runs,
+    kind_of,
+    moved_mark,
+    outline_of,
+)
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
 from mrgs.scene import (
@@ -318,3 +326,29 @@ def test_even_patches_count_with_their_whole_change():
     )
     assert new.sum() == 49
     assert gone.sum() == 25
+
+
+def test_a_large_round_change_has_an_outline_of_not_too_many_corners():
+    around = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
+    ring = 50 * np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+    filled = np.concatenate([share * ring for share in np.linspace(0.02, 1, 50)])
+    corners, area, width = outline_of(filled, 1.0)
+    assert 50 <= len(corners) <= 100
+    assert area == pytest.approx(np.pi * 50**2, rel=0.05)
+    assert width == pytest.approx(101, abs=1)
+
+
+@pytest.mark.parametrize("reach", [2.0, 4.0])
+def test_surroundings_are_what_is_near_and_unchanged(reach):
+    before, after = np.zeros((30, 30)), np.zeros((30, 30))
+    after[10:20, 10:20] = 3.0
+    after[22, 15] = 2.0
+    shown = surface(before, after)
+    shown = replace(shown, pixel=reach / 4)
+    part = (after == 3.0).ravel()
+    ring = shown.surroundings(part, 1.0).reshape(30, 30)
+    assert not ring[10:20, 10:20].any()
+    assert not ring[22, 15]
+    assert ring[15, 20]
+    assert ring[15, 22] == (reach == 4.0)
+    assert not ring[15, 25]

@@ -344,8 +344,8 @@ def _diff(command: commands.Diff) -> None:
     for rows in filter(None, (changes, marks)):
         print("\n".join(aligned([[*HEADINGS, ""], *rows], {0, 1, len(HEADINGS)})))
     common = number_text(found.common, 2, sign=True)
-    said = "subtracted" if found.relative else "not subtracted"
-    say(f"{len(changes)} changes; common change {common} K, {said}")
+    said = "subtracted from" if found.relative else "part of (without it: --relative)"
+    say(f"{len(changes)} changes; common change {common} K, {said} all ΔT")
     folder = command.output or command.second / "diff"
     print_exported(folder, found.write(folder, command.language, command.pdf))
 

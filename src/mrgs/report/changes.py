@@ -76,7 +76,7 @@ ADJOINING = 0.08
 """Share of the surroundings that are as hot or cold on both dates, from which on what changed is
 the edge of that place."""
 
-MOST_PLACES = 300_000
+MOST_PLACES, MOST_CORNERS = 300_000, 100
 
 
 ChangeKind = Literal["new", "gone", "grown", "shrunk", "warmer", "colder"]
@@ -318,11 +318,6 @@ class Surface:
         return float(np.median(self.after - self.before))
 
     @cached_property
-    def tree(self) -> KDTree:
-        """Finds the places about others."""
-        return KDTree(self.points)
-
-    @cached_property
     def beside_common(self) -> Values:
         """ΔT without the common change."""
         return self.after - self.before - self.common
@@ -366,9 +361,12 @@ class Surface:
 
     def surroundings(self, part: Bool[np.ndarray, " n"], least_k: float) -> Bool[np.ndarray, " n"]:
         """The places about a part that have not changed."""
-        near = self.tree.query_ball_point(self.points[part], RING_PX * self.pixel)
+        inside, reach = self.points[part], RING_PX * self.pixel
+        low, high = inside.min(axis=0) - reach, inside.max(axis=0) + reach
+        rows = np.flatnonzero(((self.points >= low) & (self.points <= high)).all(axis=1))
+        near = KDTree(inside).query(self.points[rows], distance_upper_bound=reach)[0]
         found = np.zeros(len(part), bool)
-        found[np.unique(np.concatenate([*map(np.asarray, near)]).astype(int))] = True
+        found[rows[np.isfinite(near)]] = True
         return found & ~part & (np.abs(self.beside_common) < least_k / 2)
 
 
@@ -413,7 +411,7 @@ class _Comparison:
             for date, each, (_, in_photos) in zip(self._dates, placed, celsius, strict=True)
         ]
         kind = kind_of(surface.before, surface.after, part, surface.surroundings(part, least_k))
-        outline, area, width = _outline(points, surface.pixel)
+        outline, area, width = outline_of(points, surface.pixel)
         mark = Mark("D", "polygon", outline, self._eye(points))
         beside, least = self._difference(before, after, around, True)
         difference = self._difference(before, after, around, self._relative)
@@ -499,7 +497,7 @@ def kind_of(
     return "shrunk" if adjoins else "gone"
 
 
-def _outline(points: Points, pixel: float) -> tuple[tuple[Place, ...], float, float]:
+def outline_of(points: Points, pixel: float) -> tuple[tuple[Place, ...], float, float]:
     """The convex outline of points on a surface, in their plane; the area that they cover; and how
     wide they are."""
     middle = points.mean(axis=0)
@@ -510,6 +508,7 @@ def _outline(points: Points, pixel: float) -> tuple[tuple[Place, ...], float, fl
     taken[tuple(cells.T)] = True
     area = float(ndimage.binary_closing(taken, np.ones((2, 2))).sum()) * pixel**2
     corners = flat[ConvexHull(flat, qhull_options="QJ").vertices]
+    corners = corners[:: len(corners) // MOST_CORNERS + 1]
     width = float(np.ptp(flat, axis=0).min()) + pixel
     return places_of((middle + corners @ axes).tolist()), area, width
 
