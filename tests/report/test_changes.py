@@ -8,6 +8,7 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,12 +23,14 @@ from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.spherical_harmonics import C0
 from mrgs.marks.mark import Mark, Marks
 from mrgs.marks.run_marks import open_marks
-from mrgs.marks.uncertainty import InputQuantity
+from mrgs.marks.uncertainty import InputQuantity, Uncertainty
 from mrgs.rasterizer.contract import AS_PUBLISHED
 from mrgs.render import Model
 from mrgs.report.changes import (
     Differences,
     Surface,
+    _Date,
+    _same_camera,
     changed,
     diff_runs,
     kind_of,
@@ -49,6 +52,7 @@ from mrgs.scene import (
     View,
     WorldFrame,
 )
+from mrgs.scene.radiometry import PhotoRecord
 
 CELSIUS = TemperatureRange(0.0, 30.0)
 WIDTH, HEIGHT, STEP, TILE = 4.0, 2.4, 0.05, 0.2
@@ -248,6 +252,51 @@ def test_metres_that_differ_are_refused(first, second):
     metric = replace(second[1], world=WorldFrame(True))
     with pytest.raises(RunError, match="metre"):
         diff_runs(first[0], second[0], scenes=(first[1], metric))
+
+
+def test_surfaces_that_do_not_coincide_are_refused(first, second, monkeypatch):
+    monkeypatch.setattr("mrgs.maps.registration.LEAST_OVERLAP", 1.1)
+    with pytest.raises(RunError, match="coincide"):
+        diff_runs(first[0], second[0], scenes=(first[1], second[1]))
+
+
+def test_the_thermal_photos_show_the_same_surface(first, second, monkeypatch):
+    monkeypatch.setattr("mrgs.report.changes.FEWEST_PLACES", 10**9)
+    with pytest.raises(RunError, match="in common"):
+        diff_runs(first[0], second[0], scenes=(first[1], second[1]))
+
+
+@pytest.mark.parametrize(
+    ("same_camera", "kept", "constants"), [(True, ["camera"], 1), (False, [], 0)]
+)
+def test_the_errors_of_each_date(same_camera, kept, constants):
+    names = "camera", "emissivity", "reflected", "distance"
+    stated = Uncertainty(0.1, 0.1, 0.1, {InputQuantity(name): 1.0 for name in names})
+    date = object.__new__(_Date)
+    date.number, date.same_camera = 2, same_camera
+    date.__dict__["constant_c"] = 0.5
+    shared = date.dated(stated).shared
+    assert [each.name for each in shared if each in stated.shared] == [*kept, "emissivity"]
+    assert sum(each.name == "constant" for each in shared) == constants
+
+
+def test_without_a_known_accuracy_the_drift_counts():
+    date = object.__new__(_Date)
+    date.number, date.same_camera = 1, False
+    date.__dict__["constant_c"] = 0.5
+    assert [*date.dated(Uncertainty(0.1, 0.1, 0.1)).shared.values()] == [0.5]
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [(["7"], ["7"], True), (["7"], ["8"], False), ([""], [""], False), (["7", "8"], ["7"], False)],
+)
+def test_a_camera_is_the_same_by_its_serial_number(one, other, same):
+    scenes = [
+        SimpleNamespace(records=[PhotoRecord(serial=each) for each in serials])
+        for serials in (one, other)
+    ]
+    assert _same_camera(*scenes) == same
 
 
 def test_pycolmap_is_of_an_extra(first, second, monkeypatch):
