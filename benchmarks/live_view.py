@@ -35,7 +35,7 @@ import websockets
 
 from mrgs import load_scene, make_config, train
 from mrgs.pictures.page_data import camera_facts
-from mrgs.scene.camera_paths import orbit
+from mrgs.scene.camera import orbit
 from mrgs.training import StepStatistics
 from mrgs.viewer import LiveView
 

@@ -1,8 +1,8 @@
 """Whether one place reads the same everywhere: `python -m benchmarks.one_place RUN...`
 
 Picks places at random in the held-out views of a run and compares what is said of each: a spot's
-temperature, ``temperature_at`` (also what the viewer reads out), the renderings of the training
-views that see it, pictures from the held-out view's place as it is and turned towards the place,
+temperature, ``temperature_at``, the renderings of the training views that see it, pictures from
+the held-out view's place as it is and turned towards the place and the viewer's cursor over them,
 the same as the exported page draws them, the thermal photos that see it, and in scenes of
 ``mrgs synth`` the exact temperature. Prints how far each is from the spot's, as a share of its ±.
 """
@@ -21,6 +21,7 @@ from benchmarks.interval_coverage import BORDER_PX, ExactView
 from mrgs.errors import ConfigError
 from mrgs.evaluation.evaluate import Truth
 from mrgs.marks import Mark, open_marks
+from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.surface import seen_depth, thermal_values
 from mrgs.runs.baked import bake
 from mrgs.runs.open import load_run
@@ -40,6 +41,8 @@ def compared(path: Path, seed: int, places: int = PLACES) -> list[dict[str, floa
     marks, generator = open_marks(run, scene), np.random.default_rng(seed)
     views = [view for view in scene.train if THERMAL in view.images]
     cameras = [view.images[THERMAL].camera for view in views]
+    picker = MarkPicker(marks.meter, scene)
+    regions = marks.meter.regions(marks.marks)
     baked = bake(run.model, cameras, scale)
 
     def celsius(rendering: Rendering) -> Celsius:
@@ -69,8 +72,14 @@ def compared(path: Path, seed: int, places: int = PLACES) -> list[dict[str, floa
         said["temperature_at"] = float(run.temperature_at(place.astype(np.float32))[0])
         pixel = y, x
         turned, middle = _turned(camera, place[0])
-        said["picture"] = celsius(run.render({THERMAL: camera}))[pixel]
-        said["picture, turned"] = celsius(run.render({THERMAL: turned}))[middle]
+        for name, eye, (row, column) in (
+            ("picture", camera, pixel),
+            ("picture, turned", turned, middle),
+        ):
+            rendering = run.render({THERMAL: eye})
+            said[name] = celsius(rendering)[row, column]
+            depth = seen_depth(rendering)
+            said[f"cursor, {name}"] = picker.temperature(eye, depth, (column, row), regions)
         said["page"] = celsius(baked.render({THERMAL: camera}))[pixel]
         said["page, turned"] = celsius(baked.render({THERMAL: turned}))[middle]
         said |= _of_photos(shown, place)

@@ -67,7 +67,7 @@ FORBIDDEN_ATTRIBUTES = {
 }
 
 
-BUDGET = {"lines": 60_000, "files": 337, "floors": 12}
+BUDGET = {"lines": 60_000, "files": 335, "floors": 12}
 """What ``src/mrgs`` may have at most: a new feature folds or deletes as much as it adds."""
 
 

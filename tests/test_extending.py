@@ -20,7 +20,8 @@ from mrgs.errors import MrgsWarning
 from mrgs.export import FORMATS
 from mrgs.field import RadianceField
 from mrgs.field.heat import FourierHeatTransformation
-from mrgs.prepare.pairs.inventory import Photo, inspect
+from mrgs.prepare.pairs.inventory import inspect
+from mrgs.prepare.pairs.photo import Photo
 from mrgs.runs import registry
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.system import operation

@@ -14,7 +14,6 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from benchmarks.growth.plan import Case
-from mrgs.data.lens import Lens
 from mrgs.data.ply import write_points
 from mrgs.data.transforms import (
     BOUNDS,
@@ -25,6 +24,7 @@ from mrgs.data.transforms import (
     write_transforms,
 )
 from mrgs.scene import THERMAL
+from mrgs.scene.lens import Lens
 
 HALF_WIDTH, HALF_HEIGHT, DEPTH = 4.0, 3.0, 0.1
 """Of the wall, in metres; its points lie within this depth."""

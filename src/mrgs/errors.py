@@ -49,6 +49,11 @@ class SceneError(MrgsError):
     """A scene folder, or a file in it, cannot be used."""
 
 
+def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()) -> SceneError:
+    """An error of one line that names the file first; for ``options`` see ``MrgsError``."""
+    return SceneError(f"{file}: {problem}".replace("\n", " "), options=options)
+
+
 class ToolError(SceneError):
     """A program that reads a file is missing or has failed; the next call may find it in order."""
 

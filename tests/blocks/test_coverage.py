@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
-from mrgs.blocks.coverage import only
+from mrgs.blocks.plan import only
 from mrgs.blocks.region import Region
 from mrgs.scene import RGB, Camera, Pixels, PointCloud, PosedImage, Scene, View
 

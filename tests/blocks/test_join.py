@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from mrgs.blocks.join import mean_image_model
+from mrgs.blocks.train import mean_image_model
 
 
 def cameras(log_sigma: float, residuals: list[float], visits: list[float]) -> dict:

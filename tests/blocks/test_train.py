@@ -14,8 +14,7 @@ import torch
 from safetensors.torch import load_file
 
 from mrgs.blocks import refinement
-from mrgs.blocks.coverage import Surveyor, counted_places, views_of
-from mrgs.blocks.plan import BlockOptions, make_plan, read_plan
+from mrgs.blocks.plan import BlockOptions, Surveyor, counted_places, make_plan, read_plan, views_of
 from mrgs.blocks.refinement import SEAM_WIDTH, Part
 from mrgs.blocks.region import Region, Ring, ScenePlane
 from mrgs.blocks.train import BlockTraining

@@ -11,7 +11,7 @@ import torch
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from mrgs.check.photos import WIDTH_PX, measure, sharpness
-from mrgs.data.files import scene_error
+from mrgs.errors import scene_error
 from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
 from mrgs.scene.radiometry import ObjectParameters, PhotoRecord
 from tests.check.conftest import Checked

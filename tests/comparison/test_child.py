@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from mrgs.comparison import child
-from mrgs.comparison.plan import Variant, configure
-from mrgs.comparison.runs import run_one
+from mrgs.comparison.plan import Variant, configure, run_one
 from mrgs.errors import KernelWarning, MrgsWarning
 from mrgs.system.strict_yaml import write_yaml
 from tests.helpers.comparison import tiny_options

@@ -16,8 +16,7 @@ from PIL import Image
 
 from mrgs.comparison import comparison
 from mrgs.comparison.comparison import compare
-from mrgs.comparison.plan import PlannedRun, Variant, plan
-from mrgs.comparison.runs import run_one
+from mrgs.comparison.plan import PlannedRun, Variant, plan, run_one
 from mrgs.errors import MrgsError
 from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import TrainedRun, open_run

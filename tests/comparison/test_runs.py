@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from PIL import Image, ImageOps
 
-from mrgs.comparison.plan import Variant, configure
-from mrgs.comparison.runs import (
+from mrgs.comparison.plan import (
     SceneData,
+    Variant,
+    configure,
     is_scored,
     require_same_config,
     require_same_data,

@@ -9,6 +9,7 @@ from PIL import Image
 from mrgs.data.radiometric import Overrides, read_exif, read_thermal_photo
 from mrgs.data.radiometric.exif import _facts
 from mrgs.errors import SceneError
+from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL
 from tests.corpus.photos import numbers, places, raw_photo, timed_jpeg, with_parts_reversed
@@ -353,7 +354,7 @@ def test_photos_that_were_edited_later_are_paired_by_when_they_were_taken(photos
         edited = clock(NOON + timedelta(days=90, seconds=200 - index))
         files[f"rgb/P{index + 3}.jpg"] = (timed_jpeg(f"{clock(taken)}+02:00", edited), {})
         files[f"thermal/T{index}.png"] = ("png", {"taken": taken})
-    found = find_pairs(photos(files), rule="time")
+    found = find_pairs(photos(files), PrepareOptions(pairs="time"))
     pairs = [(pair.photos[RGB].stem, pair.photos[THERMAL].stem) for pair in found.pairs]
     assert pairs == [(f"P{index + 3}", f"T{index}") for index in range(7)]
 
@@ -366,7 +367,7 @@ def test_zones_that_both_cameras_know_tell_which_photos_belong_together(photos):
         rgb = timed_jpeg(clock(taken + timedelta(hours=2)), zone="+02:00")
         files[f"rgb/P{index:02d}.jpg"] = (rgb, {})
         files[f"thermal/T{index + 5:02d}.jpg"] = (timed_jpeg(clock(taken), zone="+00:00"), {})
-    found = find_pairs(photos(files), rule="time")
+    found = find_pairs(photos(files), PrepareOptions(pairs="time"))
     assert [pair.photos[RGB].stem[1:] for pair in found.pairs] == [f"{i:02d}" for i in range(12)]
     assert found.warnings == ()
 
@@ -378,7 +379,7 @@ def test_a_clock_that_is_months_off_or_was_never_set(photos, days):
         taken = NOON + timedelta(seconds=second)
         files[f"rgb/P{index}.jpg"] = ("jpg", {"taken": taken})
         files[f"thermal/T{index}.png"] = ("png", {"taken": taken - timedelta(days=days)})
-    found = find_pairs(photos(files), rule="time")
+    found = find_pairs(photos(files), PrepareOptions(pairs="time"))
     assert [pair.photos[RGB].stem[1:] for pair in found.pairs] == list("0123456")
     assert found.warnings == ()
 
@@ -441,7 +442,7 @@ def test_pair_tables_of_spreadsheets_in_either_order(photos, tmp_path, lines):
     head = "SEP=;\n" if ";" in lines else ""
     table = "".join(lines.format(rgb=f"v/{i + 4}.jpg", thermal=f"t/{i}.tif") for i in range(3))
     (tmp_path / "pairs.csv").write_text(head + table)
-    found = find_pairs(root, table=tmp_path / "pairs.csv")
+    found = find_pairs(root, PrepareOptions(pair_table=tmp_path / "pairs.csv"))
     pairs = [(pair.photos[RGB].name, pair.photos[THERMAL].name) for pair in found.pairs]
     assert pairs == [(f"{i + 4}.jpg", f"{i}.tif") for i in range(3)]
 
@@ -452,7 +453,8 @@ def test_pair_tables_with_further_columns(photos, tmp_path):
     lines = [f"{index},t/{index}.tif,12:00,v/{index + 4}.jpg" for index in range(3)]
     table = tmp_path / "pairs.csv"
     table.write_text("\n".join(["# id,IR image,time,rgb_path,image_id", *lines]))
-    pairs = [(pair.photos[RGB].stem, pair.name) for pair in find_pairs(root, table=table).pairs]
+    found = find_pairs(root, PrepareOptions(pair_table=table)).pairs
+    pairs = [(pair.photos[RGB].stem, pair.name) for pair in found]
     assert pairs == [(f"{index + 4}", f"{index}") for index in range(3)]
 
 
@@ -460,10 +462,10 @@ def test_a_pair_table_of_plain_photos_follows_their_folders(photos, tmp_path):
     root = photos({f"{at}/{index}.jpg": "jpg" for at in ("ir", "daylight") for index in range(3)})
     table = tmp_path / "pairs.csv"
     table.write_text("".join(f"ir/{index}.jpg,daylight/{index}.jpg\n" for index in range(3)))
-    for pair in find_pairs(root, table=table).pairs:
+    for pair in find_pairs(root, PrepareOptions(pair_table=table)).pairs:
         assert pair.photos[RGB].parent.name == "daylight"
     table.write_text("rgb,thermal\n" + table.read_text())
-    for pair in find_pairs(root, table=table).pairs:
+    for pair in find_pairs(root, PrepareOptions(pair_table=table)).pairs:
         assert pair.photos[RGB].parent.name == "ir"
 
 

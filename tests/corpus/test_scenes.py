@@ -12,9 +12,9 @@ from PIL import Image
 
 from mrgs.check.rules import warn_of_problems
 from mrgs.data import load_scene
+from mrgs.data.cameras import lens_from_json
 from mrgs.data.files import on_disk
 from mrgs.data.load import read_bounds
-from mrgs.data.nerfstudio import lens_from_json
 from mrgs.data.ply import read_ply
 from mrgs.data.sources import ReadingNotes
 from mrgs.errors import MrgsWarning, SceneError

@@ -14,7 +14,7 @@ from mrgs.data.images import decode, probe, upright
 from mrgs.data.radiometric import Overrides, read_thermal_photo
 from mrgs.data.radiometric.exif import read_exif
 from mrgs.errors import MrgsWarning, SceneError
-from mrgs.prepare.rgb_photo import read_rgb
+from mrgs.prepare.convert import read_rgb
 from mrgs.scene import THERMAL
 from tests.corpus.tiffs import METADATA, scaled_by_gdal, write_by_gdal, write_tiff
 from tests.helpers.layouts import HEIGHT, WIDTH, SceneWriter

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from mrgs.data import kept
 from mrgs.data.kept import MISSING, Cache, Digests, digest, fingerprint, load, save, stamps
-from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts, GpsPosition, ObjectParameters, PhotoFacts
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare.contract import (
@@ -29,6 +28,7 @@ from mrgs.prepare.contract import (
 )
 from mrgs.prepare.rig.contract import RigCalibration, RigView
 from mrgs.scene import RGB, THERMAL, EarthPosition, PointCloud, WorldFrame
+from mrgs.scene.lens import Lens
 
 EXIF = ExifFacts("FLIR", None, datetime(2026, 3, 1, 12, 0, 0, 250_000), GpsPosition(48.1, -11.5))
 
@@ -74,7 +74,7 @@ def test_times_places_and_missing_values_come_back(tmp_path):
         ConvertedView(
             "a",
             {
-                RGB: ConvertedImage("images/a.jpg"),
+                RGB: ConvertedImage("images/a.jpg", (640, 480)),
                 THERMAL: ConvertedImage("thermal/a.tiff", (320, 240), "ab12"),
             },
             EXIF,
@@ -87,7 +87,7 @@ def test_times_places_and_missing_values_come_back(tmp_path):
             ),
             (-3.5, 41.0),
         ),
-        ConvertedView("b", {THERMAL: ConvertedImage("thermal/b.png")}, ExifFacts()),
+        ConvertedView("b", {THERMAL: ConvertedImage("thermal/b.png", (1, 2))}, ExifFacts()),
     )
     photos = ConvertedPhotos(views, (Skipped("c", "is cut off"),))
     assert stored_and_read(tmp_path, photos, ConvertedPhotos) == photos

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.data.lens import checked_lens
+from mrgs.data.cameras import checked_lens
 from mrgs.errors import SceneError
 from mrgs.scene.lens import WIDEST_ANGLE_DEG, Lens
 

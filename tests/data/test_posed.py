@@ -5,9 +5,9 @@ import pytest
 import torch
 from PIL import Image
 
-from mrgs.data.lens import Lens
 from mrgs.data.sources import ImageSource, check_files, decode_rgb, posed_image
 from mrgs.errors import SceneError
+from mrgs.scene.lens import Lens
 
 LENS = Lens(40, 31, 30.0, 31.0, 20.0, 15.0)
 EYE = torch.eye(4, dtype=torch.float64)

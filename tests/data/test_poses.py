@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from mrgs.data.poses import (
+from mrgs.data.cameras import (
     nearest_rotation,
     viewmat_from_colmap,
     viewmat_from_opengl,

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.data.lens import Lens
 from mrgs.data.undistort import resize
-from mrgs.scene.lens import pinhole_of, undistort
+from mrgs.scene.lens import Lens, pinhole_of, undistort
 
 LENSES = {
     "board thermal": Lens(160, 120, 161.1, 160.8, 76.1, 65.7, (-0.40296695, 0.36920666, 0.0, 0.0)),

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.evaluation.evaluate import evaluate
-from mrgs.evaluation.parts import Parts, score_parts
+from mrgs.evaluation.evaluate import Parts, evaluate, score_parts
 from mrgs.method.config import TrainConfig, make_config
 from mrgs.runs.open import open_run
 from mrgs.scene import THERMAL

@@ -21,7 +21,7 @@ from mrgs.run_files.folder import RunFolder
 from mrgs.runs.open import Run, load_run
 from mrgs.runs.trained_run import TrainedRun
 from mrgs.scene import RGB, THERMAL, Camera, Modality, Rendering
-from mrgs.scene.camera_paths import orbit
+from mrgs.scene.camera import orbit
 from mrgs.training import make_config
 from tests.helpers.colored_ball import colored_ball, photographed
 from tests.helpers.runs import trained_run

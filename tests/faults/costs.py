@@ -23,9 +23,9 @@ from mrgs.data.ply import read_ply
 from mrgs.data.radiometric import read_thermal_photo
 from mrgs.data.sources import ReadingNotes
 from mrgs.marks.store import CameraSpread, MarkStore
+from mrgs.prepare.convert import read_rgb
 from mrgs.prepare.pairs.find import by_table
 from mrgs.prepare.pairs.inventory import take_inventory
-from mrgs.prepare.rgb_photo import read_rgb
 from mrgs.prepare.thermal_camera import read_thermal_camera
 from mrgs.run_files import checkpoint
 from mrgs.run_files.folder import RunFolder

@@ -13,6 +13,7 @@ from mrgs.data.radiometric import read_thermal_photo
 from mrgs.errors import MrgsError
 from mrgs.prepare.existing import existing_poses
 from tests.faults.tally import Tally
+from tests.helpers.converted import sizes_of
 from tests.helpers.flir import FlirPhoto
 from tests.helpers.scenes import write_scene
 
@@ -41,6 +42,7 @@ def poses(folder: Path, examples: int) -> Tally:
     scene = write_scene(folder / "scene")
     content = json.loads((scene / "transforms.json").read_text())
     images = {path.stem: path for path in (scene / "images").iterdir()}
+    sizes = sizes_of(images)
     keys = st.sampled_from(sorted(content))
     in_frames = st.sampled_from(sorted(content["frames"][0]))
 
@@ -53,7 +55,7 @@ def poses(folder: Path, examples: int) -> Tally:
         else:
             changed[key] = value
         (scene / "transforms.json").write_text(json.dumps(changed), encoding="utf-8")
-        existing_poses(scene, images)
+        existing_poses(scene, images, sizes)
 
     return fuzz(examples, st.tuples(st.booleans(), keys, in_frames, JSON), read)
 

@@ -58,7 +58,7 @@ def readers(folder: Path) -> Mapping[str, Reader]:
     """Every reader of texts that a stranger may send, by its title."""
     scene = write_scene(folder / "scene")
     photos = take_inventory(scene)
-    names = [photos.name(photo) for photo in photos.photos]
+    names = [photo.name for photo in photos.photos]
     halves = names[: len(names) // 2], names[len(names) // 2 :]
     pairs = "rgb,thermal\n" + "".join(f"{a},{b}\n" for a, b in zip(*halves, strict=False))
     rows = "\n".join(";".join(f"{20 + x / 7 + y:.2f}" for x in range(6)) for y in range(5))

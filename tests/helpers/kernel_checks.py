@@ -8,8 +8,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from mrgs.system.operation import Operation
-from mrgs.system.operation_check import members
+from mrgs.system.operation import Operation, members
 
 
 def form_of(value: Any) -> Hashable:

@@ -16,11 +16,11 @@ import torch
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from mrgs.data.lens import Lens
 from mrgs.prepare.rig.adjust import rigid_motion
 from mrgs.prepare.rig.contract import RigCalibration, RigPair
 from mrgs.prepare.rig.refine import thermal_rays
 from mrgs.scene import Camera, Pixels, PointCloud, PosedImage
+from mrgs.scene.lens import Lens
 
 RGB = Lens(320, 240, 230.0, 230.0, 160.0, 120.0)
 THERMAL = Lens(160, 120, 150.0, 150.6, 77.0, 63.0, (-0.15, 0.05, 0.0, 0.0))

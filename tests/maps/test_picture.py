@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.maps.draw import OrthographicMap
-from mrgs.maps.picture import MARGIN, bar_length, frame_map, map_body
+from mrgs.maps.draw import MARGIN, OrthographicMap, bar_length, frame_map, map_body
 from mrgs.maps.surfaces import MapGrid
 from mrgs.pictures.drawing import PAPER, Scale
 

@@ -10,8 +10,7 @@ import pytest
 from mrgs.data import load_scene
 from mrgs.export.formats import FORMATS
 from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, stage_parts
-from mrgs.pipeline.intake import Intake
-from mrgs.pipeline.plan import QUALITIES
+from mrgs.pipeline.plan import QUALITIES, Intake
 from mrgs.pipeline.run import disk_bytes, needed_memory
 from mrgs.scene import RGB, THERMAL
 from mrgs.training import estimate_bytes

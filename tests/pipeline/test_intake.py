@@ -8,7 +8,7 @@ import pytest
 
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import ConfigError, SceneError
-from mrgs.pipeline.intake import is_scene, take_in
+from mrgs.pipeline.plan import is_scene, take_in
 from mrgs.prepare import PrepareOptions
 from mrgs.scene import RGB, THERMAL
 from tests.helpers.photos import photo

@@ -19,8 +19,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.pipeline import Monitor, PipelinePlan, PlannedStage, run_pipeline
 from mrgs.pipeline import run as run_module
 from mrgs.pipeline import stages as stages_module
-from mrgs.pipeline.intake import take_in
-from mrgs.pipeline.plan import QUALITIES, Quality
+from mrgs.pipeline.plan import QUALITIES, Quality, take_in
 from mrgs.pipeline.stages import LEDGER
 from mrgs.prepare import Preparation, PrepareOptions, StageReport
 from mrgs.survey import SURVEY_FILE, Survey, read_survey, write_survey

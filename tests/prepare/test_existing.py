@@ -10,8 +10,10 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
+from mrgs.prepare.contract import Reconstruction
 from mrgs.prepare.existing import existing_poses
 from mrgs.scene import EarthPosition, WorldFrame
+from tests.helpers.converted import sizes_of
 
 
 def photos(folder: Path, names: list[str], size: tuple[int, int] = (40, 30)) -> dict[str, Path]:
@@ -21,6 +23,11 @@ def photos(folder: Path, names: list[str], size: tuple[int, int] = (40, 30)) -> 
         images[name] = folder / f"{name}.png"
         Image.fromarray(np.zeros((size[1], size[0], 3), dtype=np.uint8)).save(images[name])
     return images
+
+
+def found_for(folder: Path, images: dict[str, Path], **options: object) -> Reconstruction:
+    """The poses in a folder for image files, whose sizes are those of the files."""
+    return existing_poses(folder, images, sizes_of(images), **options)
 
 
 def write_colmap(folder: Path, names: list[str], points: bool = True) -> None:
@@ -37,7 +44,7 @@ def write_colmap(folder: Path, names: list[str], points: bool = True) -> None:
 def test_transforms(small_scene, tmp_path):
     scene = load_scene(small_scene)
     truth = {view.name: view.camera.viewmat for view in scene.train}
-    found = existing_poses(small_scene, photos(tmp_path / "photos", [*truth, "another"]))
+    found = found_for(small_scene, photos(tmp_path / "photos", [*truth, "another"]))
     assert found.viewmats.keys() == truth.keys()
     for name, viewmat in found.viewmats.items():
         assert viewmat.numpy() == pytest.approx(truth[name].numpy())
@@ -48,9 +55,7 @@ def test_transforms(small_scene, tmp_path):
     (left,) = found.failed
     assert left.name == "another"
     assert "no pose" in left.reason
-    by_file = existing_poses(
-        small_scene / "transforms.json", photos(tmp_path / "photos", list(truth))
-    )
+    by_file = found_for(small_scene / "transforms.json", photos(tmp_path / "photos", list(truth)))
     assert by_file.viewmats.keys() == truth.keys()
 
 
@@ -64,14 +69,14 @@ def test_transforms_of_a_georeferenced_scene(small_scene, tmp_path):
     }
     (scene / "transforms.json").write_text(json.dumps(content))
     names = [view.name for view in load_scene(scene).train]
-    found = existing_poses(scene, photos(tmp_path / "photos", names))
+    found = found_for(scene, photos(tmp_path / "photos", names))
     assert found.world == WorldFrame(True, True, EarthPosition(48.0, 11.0, 500.0))
 
 
 @pytest.mark.parametrize("folder", ["sparse/0", "."])
 def test_colmap(tmp_path, folder):
     write_colmap(tmp_path / "model" / folder, ["rgb/a.jpg", "rgb/b.jpg", "rgb/c.JPG", "rgb/d.jpg"])
-    found = existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"]))
+    found = found_for(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"]))
     assert list(found.viewmats) == ["a", "b", "c"]
     assert found.viewmats["c"][0, 3] == pytest.approx(0.2)
     assert found.lenses["a"].fx == 35
@@ -82,7 +87,7 @@ def test_colmap(tmp_path, folder):
 def test_a_view_is_not_given_the_pose_of_another_photo_that_its_file_is_named_after(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
     files = photos(tmp_path / "photos", ["a", "b", "c", "d"])
-    found = existing_poses(
+    found = found_for(
         tmp_path / "model", {**{name: files[name] for name in "abc"}, "other": files["d"]}
     )
     assert list(found.viewmats) == ["a", "b", "c"]
@@ -91,7 +96,7 @@ def test_a_view_is_not_given_the_pose_of_another_photo_that_its_file_is_named_af
 
 def test_larger_photos_scale_the_lens(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg"])
-    lens = existing_poses(
+    lens = found_for(
         tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"], (80, 60))
     ).lenses["a"]
     assert (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy) == (80, 60, 70, 70, 40, 30)
@@ -100,12 +105,12 @@ def test_larger_photos_scale_the_lens(tmp_path):
 
 def test_without_points(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg"], points=False)
-    found = existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"]))
+    found = found_for(tmp_path / "model", photos(tmp_path / "photos", ["a", "b", "c"]))
     assert found.points.positions.shape == (0, 3)
     (warning,) = found.warnings
     assert "images.txt has no points" in warning
     files = photos(tmp_path / "again", ["a", "b", "c"])
-    alone = existing_poses(tmp_path / "model", files, two_cameras=False)
+    alone = found_for(tmp_path / "model", files, two_cameras=False)
     assert alone.warnings == (), "there is no thermal camera to be found"
 
 
@@ -113,7 +118,7 @@ def test_cropped_photos(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg"])
     images = photos(tmp_path / "photos", ["a", "b", "c"], (40, 20))
     with pytest.raises(SceneError) as error:
-        existing_poses(tmp_path / "model", images)
+        found_for(tmp_path / "model", images)
     for told in (str(images["a"]), "40×20", "40×30", "cropped"):
         assert told in str(error.value)
 
@@ -121,7 +126,7 @@ def test_cropped_photos(tmp_path):
 def test_other_names(tmp_path):
     write_colmap(tmp_path / "model", ["a.jpg", "b.jpg", "c.jpg", "d.jpg"])
     with pytest.raises(SceneError) as error:
-        existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "x", "y"]))
+        found_for(tmp_path / "model", photos(tmp_path / "photos", ["a", "x", "y"]))
     for told in (str(tmp_path / "model"), "1 of 3 photos", "a, b, c"):
         assert told in str(error.value)
 
@@ -129,14 +134,14 @@ def test_other_names(tmp_path):
 def test_names_that_stand_for_two_images(tmp_path):
     write_colmap(tmp_path / "model", ["one/a.jpg", "two/a.jpg", "c.jpg", "d.jpg"])
     with pytest.raises(SceneError, match="named a;"):
-        existing_poses(tmp_path / "model", photos(tmp_path / "photos", ["a", "c", "d"]))
+        found_for(tmp_path / "model", photos(tmp_path / "photos", ["a", "c", "d"]))
 
 
 def test_a_folder_without_poses(tmp_path):
     with pytest.raises(SceneError, match=r"no poses; .*transforms\.json, sparse/0/cameras\.bin"):
-        existing_poses(tmp_path, {})
+        found_for(tmp_path, {})
     with pytest.raises(SceneError, match=r"missing: .*folder"):
-        existing_poses(tmp_path / "missing", {})
+        found_for(tmp_path / "missing", {})
 
 
 def test_a_damaged_file_is_named(small_scene, tmp_path):
@@ -145,4 +150,4 @@ def test_a_damaged_file_is_named(small_scene, tmp_path):
     content["frames"][3]["transform_matrix"][0][0] = None
     (tmp_path / "scene" / "transforms.json").write_text(json.dumps(content))
     with pytest.raises(SceneError, match="transform_matrix of frame 3"):
-        existing_poses(tmp_path / "scene", {})
+        found_for(tmp_path / "scene", {})

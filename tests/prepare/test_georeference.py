@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mrgs.data.earth import SEMI_MAJOR_AXIS_M, enu
-from mrgs.data.lens import Lens
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Georeference, Reconstruction
-from mrgs.prepare.georeference import apply, centres, georeference, up_of_cameras
-from mrgs.prepare.known_distance import KnownDistance
+from mrgs.prepare.georeference import KnownDistance, apply, centres, georeference, up_of_cameras
 from mrgs.scene import EarthPosition, PointCloud, WorldFrame
+from mrgs.scene.lens import Lens
 
 LENS = Lens(400, 300, 300.0, 300.0, 200.0, 150.0, (-0.1, 0.02, 0.0, 0.0))
 PLACE = GpsPosition(48.137, 11.575, 520.0)

@@ -18,7 +18,6 @@ from PIL import Image
 
 from mrgs.data import load_scene
 from mrgs.data.kept import stamps
-from mrgs.data.lens import Lens
 from mrgs.data.ply import write_points
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import RunError, SceneError
@@ -30,6 +29,8 @@ from mrgs.prepare.run import Steps, locked
 from mrgs.prepare.thermal_camera import read_thermal_camera
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL
+from mrgs.scene.lens import Lens
+from tests.helpers.converted import sizes_of
 
 STAGES = ["pairs", "images", "poses", "scale and north", "thermal camera", "scene files", "page"]
 BOUNDS = Overrides(bounds_c=(10.0, 30.0))
@@ -69,7 +70,7 @@ class Fakes:
     ) -> Reconstruction:
         self.calls.append("thermal poses" if modality == THERMAL else "poses")
         progress("matching", 1, 2)
-        return replace(existing_poses(self.poses, images), images=modality)
+        return replace(existing_poses(self.poses, images, sizes_of(images)), images=modality)
 
     def calibrate(self, pairs, points, options, progress) -> RigCalibration:
         self.calls.append("thermal camera")

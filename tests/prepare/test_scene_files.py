@@ -14,7 +14,6 @@ import torch
 from PIL import Image
 
 from mrgs.data import load_scene
-from mrgs.data.lens import Lens
 from mrgs.data.radiometric import GpsPosition, ObjectParameters, Overrides, PhotoFacts
 from mrgs.errors import RunError, SceneError
 from mrgs.prepare import PrepareOptions
@@ -23,7 +22,7 @@ from mrgs.prepare.rig.contract import RigCalibration, RigView
 from mrgs.prepare.scene_files import write_scene
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
-from mrgs.scene.lens import pinhole_of
+from mrgs.scene.lens import Lens, pinhole_of
 from mrgs.scene.radiometry import Planck
 from tests.helpers.converted import converted_view
 
@@ -77,7 +76,12 @@ def convert(
         )
         range_c = (10.4 + i, 20.2 + i) if celsius else None
         views.append(
-            converted_view(name, {RGB: f"images/{name}.png", THERMAL: thermal}, range_c=range_c)
+            converted_view(
+                name,
+                {RGB: f"images/{name}.png", THERMAL: thermal},
+                sizes={THERMAL: thermal_size},
+                range_c=range_c,
+            )
         )
     return ConvertedPhotos(tuple(views), ())
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs.data.lens import Lens
 from mrgs.data.radiometric import PhotoFacts
 from mrgs.prepare.contract import (
     ConvertedPhotos,
@@ -25,6 +24,7 @@ from mrgs.prepare.stages import (
     summarize_thermal_camera,
 )
 from mrgs.scene import RGB, THERMAL, PointCloud
+from mrgs.scene.lens import Lens
 from mrgs.scene.radiometry import ObjectParameters
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform
 from tests.helpers.converted import converted_view

@@ -10,13 +10,13 @@ import pytest
 import torch
 from PIL import Image
 
-from mrgs.data.lens import Lens
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare import PrepareOptions
 from mrgs.prepare.contract import ConvertedPhotos, Georeference, Reconstruction
 from mrgs.prepare.thermal_camera import calibrate_thermal_camera, read_thermal_camera
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Modality, PointCloud
+from mrgs.scene.lens import Lens
 from tests.helpers.converted import converted_view
 
 LENS = {
@@ -62,10 +62,6 @@ def calibrate(tmp_path: Path, asked: list) -> Callable[..., object]:
             Image.fromarray(np.full(size[::-1], 100, np.uint8)).save(
                 tmp_path / folder / f"{name}.png"
             )
-    views = tuple(
-        converted_view(name, {RGB: f"images/{name}.png", THERMAL: f"thermal/{name}.png"})
-        for name in "ab"
-    )
     found = Reconstruction(
         {"b": torch.eye(4, dtype=torch.float64)},
         {"b": Lens(40, 30, 40.0, 40.0, 20.0, 15.0)},
@@ -76,11 +72,26 @@ def calibrate(tmp_path: Path, asked: list) -> Callable[..., object]:
         "test",
     )
 
-    def called(metric: bool = True, images: Modality = RGB, **options: object) -> object:
+    def called(
+        metric: bool = True,
+        images: Modality = RGB,
+        thermal_size: tuple[int, int] = (32, 24),
+        **options: object,
+    ) -> object:
+        views = tuple(
+            converted_view(
+                name,
+                {RGB: f"images/{name}.png", THERMAL: f"thermal/{name}.png"},
+                sizes={RGB: (40, 30), THERMAL: thermal_size},
+            )
+            for name in "ab"
+        )
         work = Work(tmp_path, tmp_path, PrepareOptions(**options))
         work.images, work.poses = ConvertedPhotos(views, ()), replace(found, images=images)
         work.georeference = replace(IDENTITY, metric=metric)
-        return calibrate_thermal_camera(work, lambda *arguments: asked.append(arguments))
+        file = work.options.thermal_camera
+        given = None if file is None else read_thermal_camera(file)
+        return calibrate_thermal_camera(work, lambda *arguments: asked.append(arguments), given)
 
     return called
 
@@ -104,16 +115,14 @@ def test_one_camera_needs_no_calibration(calibrate, asked):
     assert asked == []
 
 
-def test_one_camera_has_images_of_one_shape(calibrate, tmp_path):
-    Image.fromarray(np.full((20, 32), 100, np.uint8)).save(tmp_path / "thermal" / "b.png")
+def test_one_camera_has_images_of_one_shape(calibrate):
     with pytest.raises(SceneError, match=r"b: .*40×30 .*32×20"):
-        calibrate(one_camera=True)
+        calibrate(thermal_size=(32, 20), one_camera=True)
 
 
-def test_one_camera_of_which_one_image_lies_on_its_side(calibrate, tmp_path):
-    Image.fromarray(np.full((40, 30), 100, np.uint8)).save(tmp_path / "thermal" / "b.png")
+def test_one_camera_of_which_one_image_lies_on_its_side(calibrate):
     with pytest.raises(SceneError, match=r"b: .*30×40.*EXIF orientation"):
-        calibrate(one_camera=True)
+        calibrate(thermal_size=(30, 40), one_camera=True)
 
 
 def test_thermal_images_alone_have_no_second_camera(calibrate, asked):

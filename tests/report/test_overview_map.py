@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mrgs.errors import RunError
-from mrgs.maps.picture import MARGIN
+from mrgs.maps.draw import MARGIN
 from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.regions import Regions

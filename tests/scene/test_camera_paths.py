@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
-from mrgs.scene.camera_paths import focus_point, orbit
+from mrgs.scene.camera import focus_point, orbit
 
 K = torch.tensor([[50.0, 0, 16], [0, 60.0, 12], [0, 0, 1]], dtype=torch.float64)
 

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from mrgs.system.turns import FairLock, ctrl_c_waits
+from mrgs.system.threads import FairLock, ctrl_c_waits
 
 DEADLINE_S = 60
 
@@ -68,7 +68,7 @@ def test_the_thread_that_holds_it_may_take_it_again():
 
 CTRL_C_WHILE_WAITING = """
 import os, signal, sys, threading, time
-from mrgs.system.turns import FairLock
+from mrgs.system.threads import FairLock
 
 turns, held, pressed = FairLock(), threading.Event(), threading.Event()
 

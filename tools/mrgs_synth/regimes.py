@@ -24,7 +24,6 @@ from jaxtyping import Float64
 from PIL import Image
 from torch import Tensor
 
-from mrgs.data.lens import Lens
 from mrgs.data.load import assign_splits, read_bounds
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.ply import write_points
@@ -41,6 +40,7 @@ from mrgs.data.transforms import (
 )
 from mrgs.errors import ConfigError
 from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.scene.lens import Lens
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform
 from mrgs_synth.drift import Drift
 

@@ -12,8 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from mrgs.blocks.coverage import Surveyor, counted_places, views_of
-from mrgs.blocks.plan import BlockPlan
+from mrgs.blocks.plan import BlockPlan, Surveyor, counted_places, views_of
 from mrgs.blocks.region import Region, Ring, ScenePlane
 from mrgs.method.camera_model.image_model import ImageModel
 from mrgs.method.camera_model.point_spread import PointSpread

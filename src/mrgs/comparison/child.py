@@ -18,8 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from mrgs.comparison.plan import from_text
-from mrgs.comparison.runs import run_one
+from mrgs.comparison.plan import from_text, run_one
 from mrgs.errors import KernelWarning, MrgsError
 from mrgs.system.child import read_request, send, when_asked_to_stop
 

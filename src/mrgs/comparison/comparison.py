@@ -14,9 +14,16 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from mrgs.comparison.plan import Options, PlannedRun, neighbour_methods, plan
+from mrgs.comparison.plan import (
+    Options,
+    PlannedRun,
+    is_scored,
+    neighbour_methods,
+    plan,
+    read_metrics,
+    run_scores,
+)
 from mrgs.comparison.processes import Progress, run_jobs
-from mrgs.comparison.runs import is_scored, read_metrics, run_scores
 from mrgs.comparison.table import Outcome, Table, failed, outcome, to_csv, to_latex, to_markdown
 from mrgs.comparison.tables import NAMES, Outcomes, all_tables, scene_title
 from mrgs.data import load_scene

@@ -21,6 +21,7 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mrgs.data.cameras import checked_lens, viewmat_from_colmap
 from mrgs.data.files import (
     ImageFinder,
     composed,
@@ -28,16 +29,14 @@ from mrgs.data.files import (
     is_file,
     on_disk,
     read_bytes,
-    scene_error,
     without_image_suffix,
 )
 from mrgs.data.images import decode, probe
-from mrgs.data.lens import Lens, checked_lens
-from mrgs.data.poses import viewmat_from_colmap
 from mrgs.data.sources import ImageSource, ReadingNotes, SceneSource, ViewSource, point_cloud
 from mrgs.data.transforms import BOUNDS_FILES
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, scene_error
 from mrgs.scene import RGB, THERMAL, Modality
+from mrgs.scene.lens import Lens
 from mrgs.system.wording import Message, shown
 
 Row = TypeVar("Row")

@@ -13,9 +13,8 @@ from typing import Annotated, Any, TypeAlias
 
 import msgspec
 
-from mrgs.errors import SceneError
+from mrgs.errors import scene_error
 from mrgs.system.disk import read_regular
-from mrgs.system.typed_json import from_json
 from mrgs.system.wording import shown
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
@@ -23,11 +22,6 @@ MAX_FILE_BYTES = 4 * 2**30
 MAX_JSON_BYTES = 256 * 2**20
 MAX_MAGNITUDE = 1e7
 """Larger positions, pixel counts and focal lengths are damage: float32 has too few digits."""
-
-
-def scene_error(file: Path | str, problem: str, *, options: tuple[str, ...] = ()) -> SceneError:
-    """An error of one line that names the file first; for ``options`` see ``MrgsError``."""
-    return SceneError(f"{file}: {problem}".replace("\n", " "), options=options)
 
 
 def contained(root: Path, relative: str, named_in: Path | str) -> Path:
@@ -110,16 +104,6 @@ def read_json_object(path: Path) -> dict[str, Any]:
 
 Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
 """A finite number, no larger in magnitude than any real capture needs."""
-
-
-def json_value(
-    kind: Any, value: object, name: str, file: Path | str, remedy: str = "correct it"
-) -> Any:
-    """A value of a JSON file as a type, see ``from_json``; SceneError, with its name, if not."""
-    try:
-        return from_json(kind, value)
-    except ValueError as error:
-        raise scene_error(file, f"{name} is {shown(value)} ({error}); {remedy}") from None
 
 
 def composed(text: str) -> str:

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import BinaryIO, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -28,8 +28,8 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 from torch import Tensor
 
-from mrgs.data.files import read_bytes, scene_error
-from mrgs.errors import ConfigError, SceneError
+from mrgs.data.files import MAX_FILE_BYTES
+from mrgs.errors import ConfigError, SceneError, scene_error
 from mrgs.scene.radiometry import ZERO_CELSIUS_K
 from mrgs.system.disk import open_regular
 from mrgs.system.wording import quoted
@@ -94,7 +94,7 @@ def probe(path: Path) -> ImageInfo:
     """Size and kind of an image, from its header alone. SceneError if it is not an image, too
     large, or has pixels of a type that is not supported."""
     with opened(path) as image:
-        return ImageInfo(*stored_size(image), _kind(image, path))
+        return ImageInfo(*stored_size(image), kind_of(image, path))
 
 
 def upright(image: Image.Image, orientation: int) -> Image.Image:
@@ -196,7 +196,7 @@ def decode(path: Path, least_width: int | None = None) -> Decoded:
     pixels wide and its size divides: much faster, and each pixel is about the mean of those that it
     stands for. None decodes every pixel."""
     with opened(path) as image:
-        kind = _kind(image, path)
+        kind = kind_of(image, path)
         for share in DRAFT_SHARES if least_width is not None else ():
             width, height = image.width // share, image.height // share
             if (width * share, height * share) == image.size and width >= (least_width or 0):
@@ -262,7 +262,9 @@ def _mask(usable: np.ndarray) -> Bool[Tensor, "h w"] | None:
     return None if usable.all() else torch.from_numpy(usable)
 
 
-def _kind(image: Image.Image, path: Path) -> Kind:
+def kind_of(image: Image.Image, path: Path) -> Kind:
+    """The kind of an image that Pillow has just opened. SceneError for pixels of a type that is not
+    supported; ``path`` is for the message."""
     mode = image.mode
     if holds_numbers(image):
         return "float"
@@ -304,9 +306,9 @@ def opened(
                 try:
                     image: Image.Image = Image.open(file, formats=formats)
                     if _is_misread(image):
-                        image = _opened_by_gdal(path, content, most_pixels, image.mode == "I")
+                        image = _opened_by_gdal(file, path, most_pixels, image.mode == "I")
                 except UnidentifiedImageError:
-                    image = _opened_by_gdal(path, content, most_pixels, False)
+                    image = _opened_by_gdal(file, path, most_pixels, False)
             with image:
                 if image.width * image.height > most_pixels:
                     raise scene_error(path, too_large)
@@ -346,12 +348,13 @@ def _most_pixels(size: int) -> int:
 
 
 def _opened_by_gdal(
-    path: Path, content: bytes | None, most_pixels: int, has_integers: bool
+    file: BinaryIO, path: Path, most_pixels: int, has_integers: bool
 ) -> Image.Image:
     """A TIFF of one channel that Pillow does not know, or misreads: integers of 8 and 16 bits
     without a scale as they are, others as 32-bit floats, or as 32-bit integers if it
     ``has_integers``; ``UnidentifiedImageError`` if it is no TIFF at all."""
-    data = read_bytes(path) if content is None else content
+    file.seek(0)
+    data = file.read(MAX_FILE_BYTES)
     if not data.startswith(TIFF_SIGNATURES):
         raise UnidentifiedImageError
     try:

@@ -109,7 +109,9 @@ def load(path: Path, kind: Any, made_from: str) -> Any:
     """The result that ``save`` wrote with this fingerprint; ``MISSING`` if there is none. ``kind``
     is the type of the result, or that type or None."""
     try:
-        with open_regular(path), safe_open(path, "pt") as file:
+        if not path.is_file():  # a pipe would wait for ever
+            return MISSING
+        with safe_open(path, "pt") as file:
             metadata = file.metadata()
             if metadata["made_from"] != made_from:
                 return MISSING

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from mrgs.data.colmap import MODEL_FOLDERS, largest_model, read_colmap
-from mrgs.data.files import Number, contained, json_value, on_disk, read_json_object, scene_error
+from mrgs.data.files import Number, contained, on_disk, read_json_object
 from mrgs.data.images import Decoded, Kind, decode, probe, with_channels
 from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.radiometric.measurement import masked
@@ -34,11 +34,12 @@ from mrgs.data.sources import (
     posed_image,
 )
 from mrgs.data.transforms import BOUNDS_FILES
-from mrgs.errors import ConfigError, warn_user
+from mrgs.errors import ConfigError, scene_error, warn_user
 from mrgs.scene import THERMAL, Modality, Scene, TemperatureRange, View
 from mrgs.scene.point_cloud import RANDOM_POINTS, random_points
 from mrgs.scene.view import evenly_spaced
 from mrgs.system.memory import collector_paused
+from mrgs.system.typed_json import json_value
 from mrgs.system.wording import Message, shown
 
 

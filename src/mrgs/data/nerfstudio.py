@@ -10,7 +10,6 @@ those that Python has registered.
 
 from __future__ import annotations
 
-import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -21,6 +20,7 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 import numpy as np
 
+from mrgs.data.cameras import lens_from_json, matrix_from_json, viewmat_from_opengl
 from mrgs.data.colmap import find_model, read_points3d
 from mrgs.data.files import (
     MAX_MAGNITUDE,
@@ -29,15 +29,10 @@ from mrgs.data.files import (
     composed,
     contained,
     is_file,
-    json_value,
     read_json_object,
-    scene_error,
     without_image_suffix,
 )
-from mrgs.data.images import probe
-from mrgs.data.lens import Lens, checked_lens
 from mrgs.data.ply import read_ply
-from mrgs.data.poses import matrix_from_json, viewmat_from_opengl
 from mrgs.data.sources import (
     FilenameLists,
     ImageSource,
@@ -47,9 +42,11 @@ from mrgs.data.sources import (
     point_cloud,
 )
 from mrgs.data.transforms import RECORD
+from mrgs.errors import scene_error
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame, known_modalities
+from mrgs.scene.lens import Lens
 from mrgs.scene.radiometry import PhotoRecord
-from mrgs.system.typed_json import from_json
+from mrgs.system.typed_json import from_json, json_value
 from mrgs.system.wording import shown
 
 _NotNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=MAX_MAGNITUDE)]
@@ -61,10 +58,6 @@ _TAKEN = re.compile(
     r"images|.*masks|sparse|truth|train|val|test|eval|temperature_c|thermal_normalised|depth_.*"
 )
 """Names of other folders, in scenes and among renderings, that a modality must not have."""
-_FISHEYE = "OPENCV_FISHEYE"
-_MODELS = {
-    "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE", _FISHEYE
-}  # fmt: skip
 _LENS_KEYS = (
     "camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2",
     "is_fisheye", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov",
@@ -99,82 +92,6 @@ def read_transforms(root: Path, file: Path) -> SceneSource:
     damaged, or an image that it names is missing. ``root`` is the scene's folder, resolved; all
     paths in the file are relative to it."""
     return _TransformsReader(root, file).capture()
-
-
-def find_points(root: Path, file: Path) -> Path | None:
-    """The file that ``read_transforms`` reads the start points from; None if there are none.
-    SceneError if the transforms file is damaged, or names no path below the scene's folder."""
-    ply = _find_ply(root, file, read_json_object(file))
-    model = find_model(root) if ply is None else None
-    return ply if model is None else model.file("points3D")
-
-
-def _find_ply(root: Path, file: Path, top: Mapping[str, Any]) -> Path | None:
-    """The PLY with the start points: the one that the file names, else a ``sparse_pc.ply``."""
-    named = json_value(str | None, top.get("ply_file_path"), "ply_file_path", file)
-    ply = contained(root, named or "sparse_pc.ply", file)
-    return ply if named or is_file(ply) else None
-
-
-def lens_from_json(
-    values: Mapping[str, Any], what: str, file: Path, image: Path | None = None
-) -> Lens:
-    """A lens in nerfstudio's keys: ``camera_model``, ``w``, ``h``, ``fl_x``, ``cx``, ``k1`` and so
-    on; or in instant-ngp's: ``is_fisheye``, and an angle of view in place of the focal length.
-    SceneError if a number is missing or invalid, or the model is not known. ``what`` says whose
-    lens it is, for messages; ``image`` has the size that ``values`` may leave out."""
-
-    def number(name: str, default: float | None = None) -> float:
-        value = values.get(name)
-        found: float = json_value(
-            Number, default if value is None else value, f"{name} of {what}", file
-        )
-        return found
-
-    model = values.get("camera_model", "OPENCV")
-    if not isinstance(model, str) or model not in _MODELS:
-        known = ", ".join(sorted(_MODELS))
-        raise scene_error(
-            file, f"camera_model is {shown(model)}; undistort the images, or use one of {known}"
-        )
-    info = probe(image) if image and (values.get("w") is None or values.get("h") is None) else None
-    width = number("w", float(info.width) if info else None)
-    height = number("h", float(info.height) if info else None)
-    if width % 1 or height % 1:
-        raise scene_error(
-            file, f"the image size of {what}, {width}×{height}, is not whole; correct w and h"
-        )
-
-    def focal(axis: str, pixels: float) -> float | None:
-        """From ``fl_x``, or ``x_fov`` in degrees, or ``camera_angle_x`` in radians."""
-        angle = number(f"camera_angle_{axis}", math.radians(number(f"{axis}_fov", 0.0)))
-        if values.get(f"fl_{axis}") is not None:
-            return number(f"fl_{axis}")
-        return pixels / (2 * math.tan(angle / 2)) if 0 < angle < math.pi else None
-
-    fx, fy = focal("x", width), focal("y", height)
-    fx = fy if fx is None else fx
-    if fx is None:
-        raise scene_error(
-            file,
-            f"{what} has no focal length; add fl_x (pixels), camera_angle_x (radians, below π) or "
-            f"x_fov (degrees)",
-        )
-    flag = json_value(bool | None, values.get("is_fisheye"), f"is_fisheye of {what}", file)
-    fisheye = bool(flag) or model == _FISHEYE
-    k1, k2, k3, k4, p1, p2 = (number(name, 0.0) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    lens = Lens(
-        int(width),
-        int(height),
-        fx,
-        fx if fy is None else fy,
-        number("cx", width / 2),
-        number("cy", height / 2),
-        (k1, k2, k3, k4),
-        (0.0, 0.0) if fisheye else (p1, p2),
-        fisheye,
-    )
-    return checked_lens(lens, what, file)
 
 
 @dataclass(frozen=True)
@@ -386,8 +303,9 @@ class _TransformsReader:
                 self.file, f"applied_scale is {scale:g}; it must be positive: correct it"
             )
         scaling = np.eye(3, 4) * scale
-        ply = _find_ply(self.root, self.file, self.top)
-        if ply is not None:
+        named = json_value(str | None, self.top.get("ply_file_path"), "ply_file_path", self.file)
+        ply = contained(self.root, named or "sparse_pc.ply", self.file)
+        if named or is_file(ply):
             return point_cloud(*read_ply(ply), self.notes, scaling)
         model = find_model(self.root)
         if model is None:

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
 
-from mrgs.data.files import read_bytes, scene_error
-from mrgs.errors import SceneError
+from mrgs.data.files import read_bytes
+from mrgs.errors import SceneError, scene_error
 from mrgs.system.atomic import replacing
 from mrgs.system.memory import row_chunks
 from mrgs.system.wording import shown

@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float32, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrgs.data.files import scene_error
 from mrgs.data.images import (
     DRAFT_MARGIN,
     DRAFT_SHARES,
@@ -26,6 +25,7 @@ from mrgs.data.images import (
     with_channels,
 )
 from mrgs.data.undistort import resize
+from mrgs.errors import scene_error
 from mrgs.scene import RGB, Camera, Modality, Pixels, PointCloud, PosedImage, WorldFrame
 from mrgs.scene.lens import Lens, matrix_of, pinhole_of, undistort
 from mrgs.scene.point_cloud import GREY

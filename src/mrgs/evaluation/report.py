@@ -9,9 +9,8 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mrgs.evaluation.evaluate import TRUTH_FIGURES, Metrics
+from mrgs.evaluation.evaluate import TRUTH_FIGURES, Metrics, Parts
 from mrgs.evaluation.metrics import Figure, Figures, Missing, figure_names, to_json
-from mrgs.evaluation.parts import Parts
 from mrgs.pictures.escape import escape_markdown
 from mrgs.pictures.values import capitalised
 from mrgs.run_files.facts import ImageFingerprint, changes, fingerprints

@@ -20,10 +20,9 @@ from torch import Tensor
 from mrgs.data.undistort import reduced
 from mrgs.errors import ConfigError, SceneError, warn_user
 from mrgs.evaluation.contact_sheet import SheetRows, ViewImages, contact_sheet
-from mrgs.evaluation.evaluate import Metrics, Truth, ViewMetrics, evaluate
+from mrgs.evaluation.evaluate import Metrics, Parts, Truth, ViewMetrics, evaluate, score_parts
 from mrgs.evaluation.lpips import Lpips
 from mrgs.evaluation.metrics import psnr
-from mrgs.evaluation.parts import Parts, score_parts
 from mrgs.evaluation.report import RunFacts, ScoredData, write_report
 from mrgs.method.camera_model.pose_error import (
     Alignable,
@@ -48,7 +47,7 @@ from mrgs.render import bake_temperature_residuals
 from mrgs.run_files.folder import Pictures
 from mrgs.runs.open import Run, TrainedRun
 from mrgs.scene import CameraResponse, Modality, Rendering, Scene, View, ideal_cameras
-from mrgs.scene.camera_paths import orbit
+from mrgs.scene.camera import orbit
 from mrgs.scene.view import moved_cameras, moved_view
 from mrgs.system.gpu import HOST
 from mrgs.system.memory import give_back_freed

@@ -16,16 +16,18 @@ from mrgs.maps.crs import (
     require_metres,
     require_pyproj,
 )
-from mrgs.maps.draw import BANDS, OrthographicMap, map_from_above
-from mrgs.maps.facade import facade_map
-from mrgs.maps.picture import (
+from mrgs.maps.draw import (
+    BANDS,
     Caption,
+    OrthographicMap,
+    map_from_above,
     map_picture,
     map_scale,
     require_rasterio,
     write_geotiff,
     write_style,
 )
+from mrgs.maps.facade import facade_map
 from mrgs.pictures.files import write_png
 from mrgs.pictures.numbers import number_text
 from mrgs.scene import THERMAL, Scene

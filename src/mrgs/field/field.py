@@ -20,8 +20,8 @@ from mrgs.field.encoding import fourier_embedding, position_frame, take
 from mrgs.field.heat import FourierHeatTransformation, nearest_neighbours
 from mrgs.field.spherical_harmonics import C0, MAX_DEGREE, shade, up_to_degree
 from mrgs.scene import RGB, THERMAL, Gaussians, Modality
-from mrgs.system.limits import MOST_WEIGHT, MOST_WIDTH, require_within
 from mrgs.system.operation import operation
+from mrgs.system.strict_yaml import MOST_WEIGHT, MOST_WIDTH, require_within
 from mrgs.system.wording import shown
 
 MAX_NEIGHBOURS_N = 16

@@ -19,7 +19,7 @@ from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import see, steady_depth
+from mrgs.marks.surface import disc_mask, see, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, WorldFrame
@@ -238,6 +238,30 @@ class MarkPicker:
         points, eye = places_of(places), tuple(camera.position.tolist())
         radius = spot_radius(points[0], camera, self._scene) if kind == "spot" else 0.0
         return {"points": points, "eye": eye, "radius": radius}
+
+    def temperature(
+        self,
+        camera: Camera,
+        depth: Float[np.ndarray, "h w"],
+        pixel: tuple[int, int],
+        regions: Regions,
+    ) -> float:
+        """What a spot at a pixel (column, row) of a picture would read, from the picture's z-depths
+        alone; NaN where no photo sees the place, or the model changes."""
+        column, row = pixel
+        if not np.isfinite(depth[row, column]):
+            return np.nan
+        place = camera.unproject([column + 0.5, row + 0.5], depth[row, column])
+        radius = spot_radius(tuple(place.tolist()), camera, self._scene)
+        disc = disc_mask(camera, depth, place.double().numpy(), radius)
+        disc[row, column] = True
+        rows, columns = np.nonzero(disc)
+        pixels = torch.from_numpy(np.stack([columns, rows], axis=1) + 0.5)
+        places = camera.unproject(pixels, torch.from_numpy(depth[disc])).double().numpy()
+        unknown = np.full(len(places), np.nan)
+        found, _ = self.meter.temperatures(places, unknown, regions, camera.position.numpy())
+        known = found[np.isfinite(found)]
+        return float(known.mean()) if known.size else np.nan
 
 
 def spot_radius(place: Place, camera: Camera, scene: Scene | None) -> float:

@@ -164,8 +164,11 @@ def marked_pixels(surface: SeenSurface, mark: Mark) -> PixelPlaces:
     """The pixels of a spot or an area, or of the samples of a line."""
     if mark.kind == "line":
         return pixels_of(surface.camera, line_samples(mark)[0])
-    camera, is_spot = surface.camera, mark.kind == "spot"
-    mask = disc_mask(surface, mark) if is_spot else outline_mask(camera, mark.points)
+    camera = surface.camera
+    if mark.kind == "spot":
+        mask = disc_mask(camera, surface.depth, np.array(mark.points[0]), mark.radius)
+    else:
+        mask = outline_mask(camera, mark.points)
     rows, columns = np.nonzero(mask)
     return PixelPlaces(rows, columns, np.ones(len(rows), bool))
 
@@ -179,21 +182,19 @@ def outline_mask(camera: Camera, points: Sequence[Place]) -> Bool[np.ndarray, "h
     return np.asarray(image)
 
 
-def disc_mask(surface: SeenSurface, mark: Mark) -> Bool[np.ndarray, "h w"]:
-    """The pixels within a spot's radius of its middle that show its surface, [H, W]; none where the
-    model no longer has it."""
-    camera = surface.camera
-    pixel, depth = camera.project(torch.tensor(mark.points[0], dtype=torch.float64))
+def disc_mask(
+    camera: Camera, depth: Float[np.ndarray, "h w"], place: Float[np.ndarray, "3"], radius: float
+) -> Bool[np.ndarray, "h w"]:
+    """The pixels of an image of z-depths that show the surface of a place within a radius of it,
+    [H, W]; none where the model no longer has it."""
+    pixel, z = (each.numpy() for each in camera.project(torch.from_numpy(place)))
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    reach_px = mark.radius * camera.K[0, 0].item() / depth.item()
-    inside = np.hypot(columns - pixel[0].item(), rows - pixel[1].item()) <= reach_px
-    inside &= np.abs(surface.depth - depth.item()) < STILL_THERE * depth.item()
+    inside = np.hypot(columns - pixel[0], rows - pixel[1]) <= radius * camera.K[0, 0].item() / z
+    inside &= np.abs(depth - z) < STILL_THERE * z
     if not inside.any():
         return inside
-    middle = np.median(surface.depth[inside])
-    mask: Bool[np.ndarray, "h w"] = inside & (
-        np.abs(surface.depth - middle) < SAME_SURFACE * middle
-    )
+    middle = np.median(depth[inside])
+    mask: Bool[np.ndarray, "h w"] = inside & (np.abs(depth - middle) < SAME_SURFACE * middle)
     return mask
 
 

@@ -295,6 +295,7 @@ PART_NAMES = {
     "model": "model",
     "detail": "fine detail",
     "camera": "data sheet",
+    "evenness": "unevenness of the camera",
     "emissivity": "emissivity",
     "reflected": "reflected temperature",
     "distance": "distance",

@@ -40,10 +40,14 @@ USUAL_ACCURACY = 2.0
 """°C, or per cent of the reading, whichever is more: the limit of error in the data sheets of
 nearly all uncooled cameras."""
 
+EVENNESS = 0.2
+"""K: what an uncooled camera reads more or less at one place than at another, though its drift and
+its shading are corrected; they change while it is in use."""
+
 
 class InputQuantity(NamedTuple):
-    """The camera, or a setting and its value, from which temperatures are computed and whose error
-    is not known. Equal ones have the same error."""
+    """The camera, its evenness at a place, or a setting and its value, from which temperatures are
+    computed and whose error is not known. Equal ones have the same error."""
 
     name: str
     value: float = 0.0
@@ -102,7 +106,8 @@ class Uncertainty:
 class Budget:
     """The uncertainties that do not depend on the place, and what follows from them: medians of the
     photos' parameters, standard uncertainties (K for ``reflected_c``), the camera's limit of error
-    (K and per cent of °C), each None if not known; and what was assumed, one sentence each."""
+    (K and per cent of °C), each None if not known; its evenness, K, 0 where no real camera is
+    known; and what was assumed, one sentence each."""
 
     capture: CaptureSettings = field(default_factory=CaptureSettings)
     parameters: ObjectParameters | None = None
@@ -110,6 +115,7 @@ class Budget:
     reflected_c: float = REFLECTED_C
     distance_percent: float = DISTANCE_PERCENT
     accuracy: tuple[float, float] | None = None
+    evenness: float = 0.0
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -117,7 +123,8 @@ class Budget:
         """The budget of a scene's photos, with what a survey states."""
         records = [] if scene is None else scene.records
         parameters = usual_parameters(records)
-        accuracy, notes = _accuracy(survey, any(record.camera for record in records))
+        has_camera = any(record.camera for record in records)
+        accuracy, notes = _accuracy(survey, has_camera)
         stated = (
             survey.emissivity_uncertainty,
             survey.reflected_uncertainty_c,
@@ -137,8 +144,9 @@ class Budget:
                     distance=f"{distance:g}",
                 )
             )
-        capture = CaptureSettings.of(scene)
-        return cls(capture, parameters, emissivity, reflected, distance, accuracy, tuple(notes))
+        capture, evenness = CaptureSettings.of(scene), EVENNESS if has_camera else 0.0
+        settings = capture, parameters, emissivity, reflected, distance
+        return cls(*settings, accuracy, evenness, tuple(notes))
 
     def _gain(self, celsius: Values, surface: SurfaceSettings) -> Values:
         """Derivative of a surface's temperature by that of the photos."""
@@ -148,11 +156,15 @@ class Budget:
         return _slope(*((step, self.capture.corrected(celsius + step, surface)) for step in steps))
 
     def contributions(
-        self, celsius: Values, surface: SurfaceSettings
+        self, celsius: Values, surface: SurfaceSettings, place: float = 0.0
     ) -> dict[InputQuantity, Values]:
         """What each input quantity contributes to the uncertainty of a surface's temperatures, see
-        ``Uncertainty.shared``; ``celsius`` is what the photos give."""
+        ``Uncertainty.shared``; ``celsius`` is what the photos give, ``place`` any number that
+        differs from place to place."""
         found, nominal = {}, self.capture.corrected(celsius, surface)
+        if self.evenness:
+            quantity = InputQuantity("evenness", place)
+            found[quantity] = self.evenness * self._gain(celsius, surface)
         if self.accuracy is not None:
             kelvin, percent = self.accuracy
             limit = np.maximum(kelvin, percent / 100 * np.abs(celsius))
@@ -175,6 +187,7 @@ class Budget:
         of_photos: Uncertainty,
         celsius: Float64[np.ndarray, " n"],
         surfaces: Iterable[tuple[SurfaceSettings, Bool[np.ndarray, " n"]]] = (),
+        place: float = 0.0,
     ) -> Uncertainty:
         """Uncertainty of the mean over points, from its parts by photos and model as the photos
         have the place. ``surfaces`` have settings, and which points are on them; elsewhere those of
@@ -189,7 +202,7 @@ class Budget:
                 continue
             count += values.size
             gain += float(self._gain(values, surface).sum())
-            for quantity, part in self.contributions(values, surface).items():
+            for quantity, part in self.contributions(values, surface, place).items():
                 shared[quantity] = shared.get(quantity, 0.0) + float(part.sum())
         gain = gain / count if count else math.nan
         shared = {quantity: part / count for quantity, part in shared.items()}
@@ -326,7 +339,7 @@ class UncertaintyMeter:
         if self._budget is None or math.isnan(parts.photos):
             return parts
         surfaces = () if regions is None else regions.parts(places)
-        return self._budget.of_mean(parts, values, surfaces)
+        return self._budget.of_mean(parts, values, surfaces, float(places.mean()))
 
     def of_points(
         self,

@@ -20,8 +20,7 @@ from mrgs.method.optimizer import OptimizerConfig
 from mrgs.rasterizer.contract import DILATION_PX2, LEAST_DILATION_PX2, Dilation
 from mrgs.scene.capture import Capture
 from mrgs.scene.radiometry import BandRadiance
-from mrgs.system.limits import MOST_SEED, MOST_STEPS, require_within, whole_number
-from mrgs.system.strict_yaml import read_yaml
+from mrgs.system.strict_yaml import MOST_SEED, MOST_STEPS, read_yaml, require_within, whole_number
 from mrgs.system.wording import shown
 
 Preset = Literal["fast", "default", "paper"]

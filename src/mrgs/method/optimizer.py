@@ -13,7 +13,7 @@ from torch import Tensor
 from mrgs.errors import ConfigError
 from mrgs.method.adam import MOMENTS, Adam, ParameterGroup
 from mrgs.scene import THERMAL, Gaussians
-from mrgs.system.limits import MOST_RATE, require_within
+from mrgs.system.strict_yaml import MOST_RATE, require_within
 
 _ADAM = "adam."
 

@@ -14,7 +14,7 @@ from mrgs.pictures.files import shown_values
 from mrgs.pictures.palette import PALETTES, PaletteName, display_range, palette_table, tick_step
 from mrgs.pictures.values import capitalised, decimals_of, range_of, unit_label
 from mrgs.scene import Camera, Modality, Scene, TemperatureRange, evenly_spaced
-from mrgs.scene.camera_paths import focus_point
+from mrgs.scene.camera import focus_point
 from mrgs.survey import Survey
 
 STAGE_STYLE = "pictures/web/stage.css"

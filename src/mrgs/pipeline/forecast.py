@@ -19,8 +19,7 @@ from mrgs.errors import MrgsError
 from mrgs.export.page.write import MOST_PHOTOS
 from mrgs.export.write import BAKING
 from mrgs.method.config import TrainConfig
-from mrgs.pipeline.intake import Intake, Size, take_in
-from mrgs.pipeline.plan import QUALITIES, Quality
+from mrgs.pipeline.plan import QUALITIES, Intake, Quality, Size, take_in
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.options import PrepareOptions
 from mrgs.runs.open import Run

@@ -12,8 +12,15 @@ from mrgs.errors import ConfigError, MrgsError, RunError, SceneError
 from mrgs.export.points import require_laspy
 from mrgs.kernels.cache import are_compiled
 from mrgs.pipeline.forecast import Forecast, Workload, pace_so_far, reduced, stage_parts
-from mrgs.pipeline.intake import Intake, take_in
-from mrgs.pipeline.plan import QUALITIES, Monitor, PipelinePlan, PlannedStage, Quality
+from mrgs.pipeline.plan import (
+    QUALITIES,
+    Intake,
+    Monitor,
+    PipelinePlan,
+    PlannedStage,
+    Quality,
+    take_in,
+)
 from mrgs.pipeline.stages import LEDGER, Job
 from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.sfm.reconstruct import check_version, installed_version

@@ -21,8 +21,7 @@ from mrgs.evaluation import evaluate_run, render_run
 from mrgs.export import FORMATS, export
 from mrgs.marks.store import judged_content
 from mrgs.method.config import DEFAULT_METHOD
-from mrgs.pipeline.intake import Intake
-from mrgs.pipeline.plan import QUALITIES, Monitor, Quality
+from mrgs.pipeline.plan import QUALITIES, Intake, Monitor, Quality
 from mrgs.prepare import Preparation, PrepareOptions, prepare
 from mrgs.prepare.contract import CACHE_FOLDER
 from mrgs.prepare.page.check import check_scene

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mrgs.prepare.contract import Progress as Progress
     from mrgs.prepare.contract import Skipped as Skipped
     from mrgs.prepare.contract import StageReport as StageReport
-    from mrgs.prepare.known_distance import KnownDistance as KnownDistance
+    from mrgs.prepare.georeference import KnownDistance as KnownDistance
     from mrgs.prepare.options import PrepareOptions as PrepareOptions
     from mrgs.prepare.options import parse_known_distance as parse_known_distance
     from mrgs.prepare.options import parse_target as parse_target

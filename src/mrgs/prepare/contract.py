@@ -9,10 +9,10 @@ from pathlib import Path
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from mrgs.data.lens import Lens
 from mrgs.data.radiometric import ExifFacts, GpsPosition, PhotoFacts
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, EarthPosition, Modality, PointCloud, WorldFrame
+from mrgs.scene.lens import Lens
 
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, how many parts are done, and of all (0 and 0 if not known)."""
@@ -79,10 +79,10 @@ class Pairing:
 
 @dataclass(frozen=True)
 class ConvertedImage:
-    """An image file, relative to the scene; width and height in pixels, if known; SHA-256."""
+    """An image file, relative to the scene; its width and height in pixels; SHA-256."""
 
     file: str
-    size: tuple[int, int] | None = None
+    size: tuple[int, int]
     sha256: str = ""
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import hashlib
 import io
 import math
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -15,14 +16,23 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL import Image
+from PIL import Image, JpegImagePlugin
+from PIL.ExifTags import IFD, Base
+from PIL.TiffImagePlugin import IFDRational
 
-from mrgs.data.files import scene_error
-from mrgs.data.images import upright
+from mrgs.data.files import read_bytes
+from mrgs.data.images import as_stored, kind_of, opened, upright
 from mrgs.data.kept import Cache, Digests, Stamp, digest, stamp_of
-from mrgs.data.radiometric import ExifFacts, Overrides, ThermalPhoto, read_thermal_photo
+from mrgs.data.radiometric import (
+    ExifFacts,
+    Overrides,
+    ThermalPhoto,
+    VisibleImage,
+    read_thermal_photo,
+)
+from mrgs.data.radiometric.exif import clean_text
 from mrgs.data.transforms import TRANSFORMS
-from mrgs.errors import RunError, SceneError, ToolError
+from mrgs.errors import RunError, SceneError, ToolError, scene_error
 from mrgs.pictures.settings import SETTINGS
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import (
@@ -34,7 +44,6 @@ from mrgs.prepare.contract import (
     Progress,
     Skipped,
 )
-from mrgs.prepare.rgb_photo import ImageFile, read_embedded, read_rgb
 from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.scene.camera import field_of_view, focal_length
 from mrgs.system.atomic import remove, replacing
@@ -51,8 +60,19 @@ _VERSION = 10
 Orientations = Mapping[Modality, int]
 """The EXIF orientation of all photos of a modality."""
 
+_SUFFIXES = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png"}
+
 LYING = 5
 """From this EXIF orientation on, rows and columns change places in the upright image."""
+
+
+@dataclass(frozen=True)
+class ImageFile:
+    """An image file in memory: its bytes, suffix such as ``.jpg``, and width and height."""
+
+    content: bytes
+    suffix: str
+    size: tuple[int, int]
 
 
 class _Settings(NamedTuple):
@@ -171,13 +191,13 @@ def _cached(pair: PhotoPair, settings: _Settings, cache: Cache, contents: Digest
 def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> ConvertedView:
     """Read a pair, rotate it upright and write it."""
     scene, overrides, unit, orientations = settings
-    source = pair.photos[THERMAL]
+    source, rgb = pair.photos[THERMAL], pair.exif.get(RGB, ExifFacts())
     if unit is not None:
         overrides = dataclasses.replace(overrides, unit=unit)
     thermal = read_thermal_photo(source, overrides)
     files = {RGB: None, THERMAL: _thermal_file(thermal, orientations[THERMAL])}
     if RGB in pair.photos:
-        files[RGB] = read_rgb(pair.photos[RGB], orientations[RGB])
+        files[RGB] = read_rgb(pair.photos[RGB], orientations[RGB], rgb.orientation)
     elif pair.embedded:
         files[RGB] = read_embedded(thermal.facts.visible, source, orientations[THERMAL])
     if _stamps(pair) != stamps:
@@ -195,7 +215,6 @@ def _convert(pair: PhotoPair, stamps: Sequence[Stamp], settings: _Settings) -> C
             images[modality] = ConvertedImage(name, file.size, digest_of_file)
     _remove_images(scene, pair.name, keep=[image.file for image in images.values()])
     notes = () if unit is None else (f"The numbers are taken for {unit}.",)
-    rgb = pair.exif.get(RGB, ExifFacts())
     taken = thermal.facts.taken or rgb.taken
     view_deg = thermal.facts.field_of_view_deg
     if view_deg is not None and orientations[THERMAL] >= LYING:
@@ -221,6 +240,77 @@ def _thermal_file(thermal: ThermalPhoto, orientation: int) -> ImageFile:
     image, file = upright(Image.fromarray(pixels), orientation), io.BytesIO()
     image.save(file, suffix[1:].upper())
     return ImageFile(file.getvalue(), suffix, image.size)
+
+
+def read_rgb(path: Path, orientation: int, own: int = 1) -> ImageFile:
+    """A photo, rotated upright by the given EXIF orientation instead of its ``own``. If no rotation
+    is needed, its bytes are kept; else its format and quality, and of its EXIF data the camera, the
+    focal length and the time. SceneError for anything but a JPEG, PNG or TIFF image, and if it is
+    damaged, cut off or too large."""
+    data = read_bytes(path)
+    suffix = next((suffix for mark, suffix in _SUFFIXES.items() if data.startswith(mark)), None)
+    with opened(path, data) as image:
+        kind_of(image, path)
+        stored = as_stored(image)
+        stored.load()
+        if suffix is not None and orientation == own == 1:
+            return ImageFile(data, suffix, stored.size)
+        return _turned(stored, orientation, suffix or ".png")
+
+
+def read_embedded(visible: VisibleImage | None, path: Path, orientation: int) -> ImageFile:
+    """The RGB photo embedded in a thermal photo's file, with its path. SceneError if there is none,
+    or it is damaged."""
+    if visible is None:
+        raise scene_error(
+            path, "holds no visible photo, while others do; leave it out, or add its RGB photo"
+        )
+    image = Image.fromarray(visible.pixels())
+    if orientation == 1 and visible.data.startswith(b"\xff\xd8\xff"):
+        return ImageFile(visible.data, ".jpg", image.size)
+    return _turned(image, orientation, ".png")
+
+
+def _turned(original: Image.Image, orientation: int, suffix: str) -> ImageFile:
+    """The image rotated upright; a JPEG keeps the quality of the original, and some of its EXIF."""
+    image, file = upright(original, orientation), io.BytesIO()
+    if suffix == ".jpg" and isinstance(original, JpegImagePlugin.JpegImageFile):
+        sampling = JpegImagePlugin.get_sampling(original)
+        image.save(
+            file,
+            "JPEG",
+            qtables=original.quantization,
+            subsampling=sampling if sampling in (0, 1, 2) else 0,
+            exif=_kept_exif(original),
+        )
+    else:
+        mode = image.mode if image.mode in ("L", "RGB", "RGBA", "LA") else "RGB"
+        image.convert(mode).save(file, "PNG")
+    return ImageFile(file.getvalue(), suffix, image.size)
+
+
+def _kept_exif(original: Image.Image) -> bytes:
+    """The camera, focal length and time as new EXIF, as Pillow cannot write all that it reads;
+    empty if the original's is too damaged."""
+    kept = Image.Exif()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            main = original.getexif()
+            photo = main.get_ifd(IFD.Exif)
+            texts = {tag: clean_text(main.get(tag)) for tag in (Base.Make, Base.Model)}
+            kept.update({tag: text for tag, text in texts.items() if text is not None})
+            details = kept.get_ifd(IFD.Exif)
+            if taken := clean_text(photo.get(Base.DateTimeOriginal)):
+                details[Base.DateTimeOriginal] = taken
+            focal_mm, film_mm = photo.get(Base.FocalLength), photo.get(Base.FocalLengthIn35mmFilm)
+            if isinstance(focal_mm, (int, float, IFDRational)) and 0 < float(focal_mm) < 1e5:
+                details[Base.FocalLength] = IFDRational(float(focal_mm))
+            if isinstance(film_mm, int) and 0 < film_mm < 2**16:
+                details[Base.FocalLengthIn35mmFilm] = film_mm
+            return kept.tobytes()
+    except Exception:  # Pillow raises almost anything where tags are damaged; the pixels are fine
+        return b""
 
 
 def _common_orientations(pairs: Sequence[PhotoPair]) -> Orientations:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 
@@ -17,33 +17,23 @@ from mrgs.data.colmap import (
     read_images,
     read_points3d,
 )
-from mrgs.data.files import composed, is_file, scene_error, without_image_suffix
-from mrgs.data.images import probe
-from mrgs.data.kept import digest, stamps
-from mrgs.data.lens import Lens
-from mrgs.data.nerfstudio import find_points, find_transforms, read_transforms
+from mrgs.data.files import composed, without_image_suffix
+from mrgs.data.nerfstudio import find_transforms, read_transforms
 from mrgs.data.sources import ReadingNotes, point_cloud
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, scene_error
 from mrgs.prepare.contract import MIN_VIEWS, PhotoPair, Reconstruction, Skipped
 from mrgs.scene import Modality, PointCloud, WorldFrame
+from mrgs.scene.lens import Lens
 from mrgs.scene.modality import in_order
 
 Item = TypeVar("Item")
 _ASPECT_TOLERANCE = 0.01
 
 
-def state_of_poses(folder: Path) -> tuple[Any, ...]:
-    """What changes with the files that ``existing_poses`` reads in a folder, or with a transforms
-    file. SceneError if the folder cannot be listed, or the transforms file is damaged."""
-    if folder.is_dir():
-        return stamps(folder)
-    points = find_points(folder.parent.resolve(), folder) if _is_transforms(folder) else None
-    return digest(folder), None if points is None else digest(points)
-
-
 def existing_poses(
     folder: Path,
     images: Mapping[str, Path],
+    sizes: Mapping[str, tuple[int, int]],
     *,
     pairs: Sequence[PhotoPair] = (),
     two_cameras: bool = True,
@@ -57,6 +47,7 @@ def existing_poses(
     Args:
         folder: with the poses, or a transforms file.
         images: files by the views' names, without folders and extension.
+        sizes: width and height of each, in pixels.
         pairs: of the views, if the poses' images have the names of the photos.
         two_cameras: whether there is a thermal camera to be found, which needs points.
     """
@@ -92,7 +83,7 @@ def existing_poses(
     reason = f"{file} has no pose of this name"
     return Reconstruction(
         viewmats,
-        {name: _scaled(poses[name].lens, images[name]) for name in viewmats},
+        {name: _scaled(poses[name].lens, images[name], sizes[name]) for name in viewmats},
         cloud or PointCloud(torch.zeros(0, 3), torch.zeros(0, 3)),
         None,
         tuple(Skipped(name, reason) for name in images if name not in poses),
@@ -103,22 +94,20 @@ def existing_poses(
     )
 
 
-def _is_transforms(path: Path) -> bool:
-    return path.suffix == ".json" and is_file(path)
-
-
 def _read(
     folder: Path,
 ) -> tuple[Sequence[RegisteredImage], PointCloud | None, str, ReadingNotes, WorldFrame]:
     """Poses by the names of their images without folders and extension, points, the name of the
     file, what was repaired, and what is known of the world."""
-    root, file = folder.resolve(), None
-    if _is_transforms(folder):
+    if folder.is_dir():
+        root = folder.resolve()
+        file = find_transforms(root)
+    elif folder.suffix == ".json" and folder.is_file():
         root = folder.parent.resolve()
         file = root / folder.name
-    elif not folder.is_dir():
+    else:
         raise scene_error(folder, "is not a folder; give the one with the poses")
-    if file := file or find_transforms(root):
+    if file is not None:
         source = read_transforms(root, file)
         firsts = [(view.key, _first(view.images)) for view in source.views]
         poses = [RegisteredImage(_stem(key), image.lens, image.viewmat) for key, image in firsts]
@@ -148,13 +137,13 @@ def _stem(name: str) -> str:
     return composed(without_image_suffix(PurePosixPath(name.replace("\\", "/")).name))
 
 
-def _scaled(lens: Lens, path: Path) -> Lens:
+def _scaled(lens: Lens, path: Path, size: tuple[int, int]) -> Lens:
     """The lens at the size of the image, which must have the pose's aspect ratio."""
-    info = probe(path)
-    if abs(info.width / lens.width / (info.height / lens.height) - 1) > _ASPECT_TOLERANCE:
+    width, height = size
+    if abs(width / lens.width / (height / lens.height) - 1) > _ASPECT_TOLERANCE:
         raise SceneError(
-            f"{path} is {info.width}×{info.height} px, but its pose is for "
+            f"{path} is {width}×{height} px, but its pose is for "
             f"{lens.width}×{lens.height} px; give the photos as they were when the poses were "
             f"made, not cropped"
         )
-    return lens.resized(info.width, info.height)
+    return lens.resized(width, height)

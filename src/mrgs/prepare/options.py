@@ -9,8 +9,10 @@ from typing import Literal
 
 from mrgs.data.radiometric import Overrides
 from mrgs.errors import ConfigError
-from mrgs.prepare.known_distance import KnownDistance
+from mrgs.prepare.georeference import KnownDistance
 from mrgs.prepare.rig.contract import ChessboardTarget
+
+PairRule = Literal["auto", "names", "folders", "time", "thermal"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class PrepareOptions:
     """
 
     overrides: Overrides = field(default_factory=Overrides)
-    pairs: Literal["auto", "names", "folders", "time", "thermal"] = "auto"
+    pairs: PairRule = "auto"
     pair_table: Path | None = None
     tolerance_s: float = 2.0
     camera: str | None = None

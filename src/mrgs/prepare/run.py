@@ -9,9 +9,8 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from mrgs.data.files import scene_error
 from mrgs.data.transforms import TRANSFORMS
-from mrgs.errors import RunError
+from mrgs.errors import RunError, scene_error
 from mrgs.prepare import stages
 from mrgs.prepare.contract import CACHE_FOLDER, Preparation, Progress, Reconstruction, StageReport
 from mrgs.prepare.options import PrepareOptions

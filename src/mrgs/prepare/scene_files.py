@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
 
-from mrgs.data.images import probe
-from mrgs.data.lens import Lens
 from mrgs.data.ply import write_points
 from mrgs.data.transforms import (
     BOUNDS,
@@ -27,6 +24,7 @@ from mrgs.prepare.rig.contract import RigCalibration
 from mrgs.prepare.thermal_camera import EXTRINSICS
 from mrgs.prepare.work import Work
 from mrgs.scene import THERMAL, Modality, TemperatureRange
+from mrgs.scene.lens import Lens
 from mrgs.system.atomic import remove
 
 
@@ -78,7 +76,7 @@ def write_scene(work: Work) -> None:
         scene / TRANSFORMS,
         [_frame(view, posed, rig) for view in views],
         lens=posed.lenses[views[0].name] if _one_lens(posed) else None,
-        lenses=_thermal_lens(scene, views, posed, rig),
+        lenses=_thermal_lens(views, posed, rig),
         points=POINTS if len(points.positions) else None,
         split=split,
         facts={
@@ -110,7 +108,6 @@ def _one_lens(reconstruction: Reconstruction) -> bool:
 
 
 def _thermal_lens(
-    scene: Path,
     views: Sequence[ConvertedView],
     reconstruction: Reconstruction,
     rig: RigCalibration | None,
@@ -120,8 +117,5 @@ def _thermal_lens(
         return {THERMAL: rig.lens}
     if reconstruction.images == THERMAL:
         return {}
-    info = probe(scene / views[0].images[THERMAL].file)
-    lens = reconstruction.lenses[views[0].name]
-    if (info.width, info.height) == (lens.width, lens.height):
-        return {}
-    return {THERMAL: lens.resized(info.width, info.height)}
+    size, lens = views[0].images[THERMAL].size, reconstruction.lenses[views[0].name]
+    return {} if size == (lens.width, lens.height) else {THERMAL: lens.resized(*size)}

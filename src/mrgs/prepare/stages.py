@@ -27,7 +27,7 @@ from mrgs.prepare.contract import (
     TooFewPosesError,
 )
 from mrgs.prepare.convert import convert_photos
-from mrgs.prepare.existing import existing_poses, state_of_poses
+from mrgs.prepare.existing import existing_poses
 from mrgs.prepare.georeference import georeference
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.rig.contract import FEWEST_MATCHES, RigCalibration
@@ -35,12 +35,12 @@ from mrgs.prepare.thermal_camera import (
     Calibrate,
     calibrate_thermal_camera,
     in_metres_of_target,
+    read_thermal_camera,
     stated_field_of_view,
 )
 from mrgs.prepare.work import Work
-from mrgs.scene import THERMAL, Modality
+from mrgs.scene import RGB, THERMAL, Modality
 from mrgs.scene.camera import field_of_view
-from mrgs.scene.modality import in_order
 from mrgs.system.wording import counted
 
 
@@ -53,14 +53,7 @@ def pairs(work: Work) -> StageSummary:
         "pairs",
         Pairing,
         (work.photos, stamps(work.photos), table_content, *chosen),
-        lambda: find_pairs(
-            work.photos,
-            rule=options.pairs,
-            table=table,
-            tolerance_s=options.tolerance_s,
-            camera=options.camera,
-            progress=work.progress,
-        ),
+        lambda: find_pairs(work.photos, options, work.progress),
     )
     return summarize_pairs(work.pairing)
 
@@ -82,30 +75,26 @@ def poses(work: Work, reconstruct: Callable[..., Reconstruction]) -> StageSummar
     """Camera poses, given or by ``reconstruct``; they depend on the posed images and their GPS
     positions alone, so that other temperatures do not matter."""
     views = work.images.views
-    modality = in_order(modality for view in views for modality in view.images)[0]
+    modality = RGB if any(RGB in view.images for view in views) else THERMAL
     posed = {view.name: view.images[modality] for view in views if modality in view.images}
     files = {name: work.scene / image.file for name, image in posed.items()}
-    given = work.options.poses
-    two_cameras = modality != THERMAL and not work.options.one_camera
-    gps = work.gps
-    view_deg = None
+    gps, view_deg, given = work.gps, None, None
     if modality == THERMAL:
         view_deg = work.options.thermal_fov_deg or stated_field_of_view(views)
+    if work.options.poses is not None:
+        two_cameras = modality != THERMAL and not work.options.one_camera
+        folder, pairs = work.options.poses, work.pairing.pairs
+        sizes = {name: image.size for name, image in posed.items()}
+        given = existing_poses(folder, files, sizes, pairs=pairs, two_cameras=two_cameras)
+        given = replace(given, images=modality)
 
     def find() -> Reconstruction:
-        if given is None:
-            cache = work.scene / CACHE_FOLDER
-            return reconstruct(
-                files, cache, work.progress, modality=modality, gps=gps, field_of_view_deg=view_deg
-            )
-        pairs = work.pairing.pairs
-        found = existing_poses(given, files, pairs=pairs, two_cameras=two_cameras)
-        return replace(found, images=modality)
+        cache = work.scene / CACHE_FOLDER
+        return given or reconstruct(
+            files, cache, work.progress, modality=modality, gps=gps, field_of_view_deg=view_deg
+        )
 
-    content = None
-    if given is not None:
-        content = (work.pairing.pairs, given.resolve(), state_of_poses(given), two_cameras)
-    work.poses = work.cache.get("poses", Reconstruction, (posed, content, gps, view_deg), find)
+    work.poses = work.cache.get("poses", Reconstruction, (posed, given, gps, view_deg), find)
     return summarize_poses(work.poses)
 
 
@@ -125,14 +114,15 @@ def scale_and_north(work: Work) -> StageSummary:
 def thermal_camera(work: Work, calibrate: Calibrate) -> StageSummary:
     """Intrinsics and extrinsics of the thermal camera; a target may also rescale the world."""
     options, posed, metric = work.options, work.posed, work.metric
-    content = None if options.thermal_camera is None else digest(options.thermal_camera)
-    known = (options.one_camera, options.thermal_fov_deg, options.target, content)
+    file = options.thermal_camera
+    given = None if file is None else read_thermal_camera(file)
+    known = (options.one_camera, options.thermal_fov_deg, options.target, given)
     images = [(view.name, view.images) for view in work.images.views]
     found = work.cache.get(
         "thermal camera",
         RigCalibration | None,
         (posed, metric, images, known),
-        lambda: calibrate_thermal_camera(work, calibrate),
+        lambda: calibrate_thermal_camera(work, calibrate, given),
     )
     if work.georeference is not None:
         work.georeference, work.rig = in_metres_of_target(work.georeference, found)

@@ -8,21 +8,20 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 
+import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from mrgs.data.files import read_json_object, scene_error
-from mrgs.data.images import decode, probe
-from mrgs.data.lens import Lens
-from mrgs.data.nerfstudio import lens_from_json
-from mrgs.data.poses import matrix_from_json, nearest_rotation
+from mrgs.data.cameras import lens_from_json, matrix_from_json, nearest_rotation
+from mrgs.data.files import read_json_object
+from mrgs.data.images import decode
 from mrgs.data.sources import ImageSource, decode_rgb, posed_image
-from mrgs.errors import ConfigError
-from mrgs.prepare.contract import ConvertedView, Georeference
-from mrgs.prepare.options import PrepareOptions
+from mrgs.errors import ConfigError, scene_error
+from mrgs.prepare.contract import ConvertedImage, ConvertedView, Georeference
 from mrgs.prepare.rig.contract import RigCalibration, RigOptions, RigPair
 from mrgs.prepare.work import Work
 from mrgs.scene import RGB, THERMAL, Pixels
+from mrgs.scene.lens import Lens
 from mrgs.scene.rotations import rigid_transform
 from mrgs.system.wording import shown
 
@@ -73,27 +72,30 @@ Calibrate = Callable[..., RigCalibration]
 """Such as ``mrgs.prepare.rig.calibrate.calibrate_rig``."""
 
 
-def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration | None:
+def calibrate_thermal_camera(
+    work: Work, calibrate: Calibrate, given: ThermalCamera | None = None
+) -> RigCalibration | None:
     """Calibrate the thermal camera from the posed photos and the user's options, in the scene's
     world; None if one camera took both images of a pair, or if there are only thermal images.
-    SceneError if the photos do not determine the thermal camera, or a given one does not fit them;
-    ConfigError for an option on it, for a set of thermal images only."""
+    ``given`` is the content of ``options.thermal_camera``. SceneError if the photos do not
+    determine the thermal camera, or the given one does not fit them; ConfigError for an option on
+    it, for a set of thermal images only."""
     options, posed = work.options, work.posed
     if posed.images == THERMAL:
         names = ["thermal_camera", "target", "one_camera"]
         if options.poses is not None:  # else structure from motion takes it
             names.append("thermal_fov_deg")
-        given = tuple(name for name in names if getattr(options, name) not in (None, False))
-        if given:
+        vain = tuple(name for name in names if getattr(options, name) not in (None, False))
+        if vain:
             raise ConfigError(
                 "there are only thermal images, so options for a second camera have no effect; "
                 "remove them",
-                options=given,
+                options=vain,
             )
         return None
     views = [view for view in work.images.views if view.name in posed.viewmats]
     if options.one_camera:
-        _check_same_shape(work.scene, views[0])
+        _check_same_shape(views[0])
         return None
     pairs = [
         RigPair(
@@ -112,8 +114,16 @@ def calibrate_thermal_camera(work: Work, calibrate: Calibrate) -> RigCalibration
         )
         for view in views
     ]
-    known = _known(options, work.scene / views[0].images[THERMAL].file, work.metric)
-    known = replace(known, stated_field_of_view_deg=stated_field_of_view(views))
+    known = RigOptions(
+        thermal_lens=None if given is None else given.lens,
+        extrinsics=given.extrinsics if given and work.metric else None,
+        field_of_view_deg=options.thermal_fov_deg,
+        stated_field_of_view_deg=stated_field_of_view(views),
+        target=options.target,
+        metres_per_unit=1.0 if work.metric else None,
+    )
+    if options.thermal_camera is not None:
+        _check_fits(known, views[0].images[THERMAL], options.thermal_camera)
     return calibrate(pairs, posed.points, known, work.progress)
 
 
@@ -124,16 +134,16 @@ def stated_field_of_view(views: Sequence[ConvertedView]) -> float | None:
     return median(stated_deg) if stated_deg else None
 
 
-def _check_same_shape(scene: Path, view: ConvertedView) -> None:
+def _check_same_shape(view: ConvertedView) -> None:
     """Refuse two images of one camera that differ in shape."""
-    rgb, thermal = (probe(scene / view.images[modality].file) for modality in (RGB, THERMAL))
-    upright, turned = rgb.width / rgb.height, rgb.height / rgb.width
-    ratio = thermal.height / thermal.width
+    rgb, thermal = view.images[RGB].size, view.images[THERMAL].size
+    upright, turned = rgb[0] / rgb[1], rgb[1] / rgb[0]
+    ratio = thermal[1] / thermal[0]
     if abs(upright * ratio - 1) <= SHAPE_TOLERANCE:
         return
     sizes = (
-        f"its RGB image has {rgb.width}×{rgb.height} px and its thermal image "
-        f"{thermal.width}×{thermal.height}: they cannot show the same pixel for pixel, as from one "
+        f"its RGB image has {rgb[0]}×{rgb[1]} px and its thermal image "
+        f"{thermal[0]}×{thermal[1]}: they cannot show the same pixel for pixel, as from one "
         f"camera"
     )
     if abs(turned * ratio - 1) <= SHAPE_TOLERANCE:
@@ -150,34 +160,23 @@ def _first_channel(path: Path) -> Pixels:
     return Pixels(decoded.values[..., :1].contiguous(), decoded.valid)
 
 
-def _known(options: PrepareOptions, image: Path, metric: bool) -> RigOptions:
-    """The user's options for the thermal camera, in scene units; a ``SceneError`` if its file does
-    not fit the thermal images, or its offset cannot be used without metres."""
-    lens = motion = None
-    if (file := options.thermal_camera) is not None:
-        given = read_thermal_camera(file)
-        lens, motion = given.lens, given.extrinsics if metric else None
-        if lens is None and motion is None:
-            raise scene_error(
-                file,
-                "its offset is in metres, and these photos have no scale; give a known distance, "
-                "or the camera's lens",
-                options=("known_distance",),
-            )
-        info = probe(image)
-        if lens is not None and (lens.width, lens.height) != (info.width, info.height):
-            raise scene_error(
-                file,
-                f"is for images of {lens.width}×{lens.height} px, but {image.name} has "
-                f"{info.width}×{info.height} px; give the camera that took these photos",
-            )
-    return RigOptions(
-        thermal_lens=lens,
-        extrinsics=motion,
-        field_of_view_deg=options.thermal_fov_deg,
-        target=options.target,
-        metres_per_unit=1.0 if metric else None,
-    )
+def _check_fits(known: RigOptions, image: ConvertedImage, file: Path) -> None:
+    """Refuse the file of a thermal camera that does not fit the thermal images, or has nothing but
+    an offset, which cannot be used without metres."""
+    lens, (width, height) = known.thermal_lens, image.size
+    if lens is None and known.extrinsics is None:
+        raise scene_error(
+            file,
+            "its offset is in metres, and these photos have no scale; give a known distance, "
+            "or the camera's lens",
+            options=("known_distance",),
+        )
+    if lens is not None and (lens.width, lens.height) != (width, height):
+        raise scene_error(
+            file,
+            f"is for images of {lens.width}×{lens.height} px, but {Path(image.file).name} has "
+            f"{width}×{height} px; give the camera that took these photos",
+        )
 
 
 def in_metres_of_target(
@@ -195,10 +194,7 @@ def in_metres_of_target(
         text=f"The scale is that of the target's squares. "
         f"{georeference.text.removeprefix('The scale is arbitrary. ')}",
     )
-    views = tuple(replace(view, correction=_scaled(view.correction, metres)) for view in rig.views)
-    extrinsics = _scaled(rig.extrinsics, metres)
-    return georeference, replace(rig, extrinsics=extrinsics, views=views)
-
-
-def _scaled(motion: Float64[Tensor, "4 4"], factor: float) -> Float64[Tensor, "4 4"]:
-    return rigid_transform(motion[:3, :3], factor * motion[:3, 3])
+    in_metres = torch.ones(4, 4, dtype=torch.float64)
+    in_metres[:3, 3] = metres
+    views = tuple(replace(view, correction=in_metres * view.correction) for view in rig.views)
+    return georeference, replace(rig, extrinsics=in_metres * rig.extrinsics, views=views)

@@ -24,7 +24,7 @@ from scipy.spatial import ConvexHull, KDTree
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.maps.crs import coordinate_system, local_wkt
-from mrgs.maps.picture import write_geotiff
+from mrgs.maps.draw import write_geotiff
 from mrgs.maps.registration import Registration, register
 from mrgs.maps.surfaces import survey_pixel
 from mrgs.marks import MarkReading, RunMarks, open_marks
@@ -142,7 +142,7 @@ class _Date:
         """What input quantities contribute to a temperature, °C as the photos have it."""
         budget = Budget.of(self.scene, read_survey(self.run.folder.path / SURVEY_FILE))
         parts = budget.contributions(np.array([celsius]), budget.capture.surface)
-        shared = {quantity: float(part[0]) for quantity, part in parts.items()}
+        shared = {each: float(part[0]) for each, part in parts.items() if each.name != "evenness"}
         return self.dated(Uncertainty(shared=shared)).shared
 
     @cached_property

@@ -14,10 +14,9 @@ from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
 from mrgs.maps.crs import LOCAL, coordinate_system
-from mrgs.maps.draw import OrthographicMap, map_from_above
+from mrgs.maps.draw import OrthographicMap, frame_map, map_body, map_from_above, map_scale
 from mrgs.maps.facade import facade_map
 from mrgs.maps.options import MapOptions
-from mrgs.maps.picture import frame_map, map_body, map_scale
 from mrgs.marks.mark import Mark
 from mrgs.marks.regions import Regions
 from mrgs.pictures import drawing

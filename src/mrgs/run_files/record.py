@@ -20,7 +20,7 @@ from mrgs.run_files.folder import RunConfig, RunFolder
 from mrgs.system import gpu
 from mrgs.system.gpu import HOST
 from mrgs.system.memory import peak_resident
-from mrgs.system.turns import ctrl_c_waits
+from mrgs.system.threads import ctrl_c_waits
 
 LOG_EVERY = 10
 LOG_MODEL_EVERY = 100

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mrgs.errors import ConfigError
-from mrgs.system.limits import whole_number
+from mrgs.system.strict_yaml import whole_number
 
 Array: TypeAlias = Tensor | NDArray[Any] | Sequence[Any]
 """What public functions accept for an array. Masked elements (``np.ma``) count as NaN."""

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated, TypeAlias, TypeVar
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
+
+from mrgs.errors import scene_error
+from mrgs.system.wording import shown
 
 Record = TypeVar("Record")
 
@@ -27,3 +31,13 @@ def from_json(kind: type[Record], value: object) -> Record:
         problem, _, path = str(error).partition(" - at `$")
         where = path.strip("`").removeprefix(".")
         raise ValueError(f"{where}: {problem}" if where else problem) from None
+
+
+def json_value(
+    kind: Any, value: object, name: str, file: Path | str, remedy: str = "correct it"
+) -> Any:
+    """A value of a JSON file as a type, see ``from_json``; SceneError, with its name, if not."""
+    try:
+        return from_json(kind, value)
+    except ValueError as error:
+        raise scene_error(file, f"{name} is {shown(value)} ({error}); {remedy}") from None

@@ -25,11 +25,10 @@ from mrgs.run_files.folder import Pictures, RunFolder
 from mrgs.run_files.record import RunRecord, asks_to_stop
 from mrgs.scene import Scene
 from mrgs.system.gpu import lacks_memory
-from mrgs.system.limits import whole_number
 from mrgs.system.operation import kernels_disabled
-from mrgs.system.threads import require_own_threads
+from mrgs.system.strict_yaml import whole_number
+from mrgs.system.threads import FairLock, ctrl_c_waits, require_own_threads
 from mrgs.system.torch_modes import own_modes
-from mrgs.system.turns import FairLock, ctrl_c_waits
 from mrgs.training import checkpoint
 from mrgs.training.kernel_check import check_kernels, custom_definitions
 from mrgs.training.photos import TrainingPhotos

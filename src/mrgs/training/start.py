@@ -27,8 +27,8 @@ from mrgs.scene.capture import model_modalities
 from mrgs.system import gpu
 from mrgs.system.disk import warn_if_short
 from mrgs.system.gpu import HOST, DeviceName
-from mrgs.system.limits import whole_number
 from mrgs.system.operation import disable_kernels
+from mrgs.system.strict_yaml import whole_number
 from mrgs.system.threads import require_own_threads, will_compute
 from mrgs.system.torch_modes import own_modes, seeded
 from mrgs.training import checkpoint

@@ -18,6 +18,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.run_marks import MarkPicker
 from mrgs.marks.store import MarkStore, file_stamp
 from mrgs.marks.uncertainty import UncertaintyMeter
+from mrgs.scene import Camera
 from mrgs.survey import SURVEY_FILE, Survey, read_survey
 
 Listener = Callable[[], None]
@@ -105,14 +106,18 @@ class MarkBoard:
         return self._meter.uncertainty
 
     def temperature(
-        self, place: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], at_once: bool
+        self,
+        camera: Camera,
+        depth: Float[np.ndarray, "h w"],
+        pixel: tuple[int, int],
+        at_once: bool,
     ) -> float:
-        """Temperature of a place that an eye sees, as of a mark there; NaN where no photo sees it,
-        the model changes, or, ``at_once``, no mark or point has been read yet."""
+        """What a spot at a pixel (column, row) of a picture with these z-depths would read; NaN
+        where no photo sees it, the model changes, or, ``at_once``, no mark or point has been read
+        yet."""
         if at_once and not self._meter.survey.maps:
             return np.nan
-        found, _ = self._meter.temperatures(place[None], np.full(1, np.nan), self.regions, eye)
-        return float(found[0])
+        return self.picker.temperature(camera, depth, pixel, self.regions)
 
     def subscribe(self, listener: Listener) -> None:
         """Call a function after each change; to be called by one thread, as ``unsubscribe``."""

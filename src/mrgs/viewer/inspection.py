@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from mrgs.errors import ConfigError
 from mrgs.marks.mark import MarkKind
@@ -223,8 +223,8 @@ class Inspection:
     def click(self, x: float, y: float) -> PointReading | None:
         """Read the point at a place of the latest picture, x and y from 0 to 1; None if empty."""
         self.point = None
-        place = None if self.drawn is None else self.drawn.place(x, y)
-        if place is None:
+        drawn = self.drawn
+        if drawn is None or (place := drawn.place(x, y)) is None:
             return None
         pane, subject = place.pane, self.subject
         reading = subject.source.run(
@@ -239,7 +239,8 @@ class Inspection:
                 photo_value = value if np.isfinite(value) else None
             if THERMAL in reading.values:
                 here = reading.values[THERMAL]
-                here = replace(here, value=self._of_place(place, reading.depth, here.value))
+                depth = drawn.images[drawn.panes.index(pane)].depth
+                here = replace(here, value=self._of_place(place, depth, here.value))
                 reading = replace(reading, values={**reading.values, THERMAL: here})
             self.point = PointReading(reading, self._first_readable(pane), photo_value)
         return self.point
@@ -259,21 +260,27 @@ class Inspection:
         if not place.pixel_of(shown.solid) or not np.isfinite(value):
             return "no surface"
         if pane.kind not in ("uncertainty", "difference"):
-            if modality == THERMAL and shown.depth is not None:
-                value = self._of_place(place, place.pixel_of(shown.depth), value, at_once=True)
+            if modality == THERMAL:
+                value = self._of_place(place, shown.depth, value, at_once=True)
             return self.subject.format_value(modality, value)
         if pane.kind == "uncertainty":
             return f"± {self.subject.format_difference(modality, value)}"
         return self.subject.format_difference(modality, value, sign=True)
 
-    def _of_place(self, place: Place, depth: float, shown: float, at_once: bool = False) -> float:
-        """The temperature of a place at a depth, as of a mark there; what a picture has ``shown``
-        where that is not known, and beside the photo that it is compared with."""
-        board, camera = self.subject.board, place.pane.camera
-        if board is None or place.pane.photo is not None:
+    def _of_place(
+        self,
+        place: Place,
+        depth: Float[np.ndarray, "h w"] | None,
+        shown: float,
+        at_once: bool = False,
+    ) -> float:
+        """What a spot at a place of a picture with these depths would read; what the picture has
+        ``shown`` where that is not known, and beside the photo that it is compared with."""
+        board = self.subject.board
+        if board is None or depth is None or place.pane.photo is not None:
             return shown
-        position = camera.unproject([place.u * camera.width, place.v * camera.height], depth)
-        found = board.temperature(position.numpy(), camera.position.numpy(), at_once)
+        camera, pixel = place.pane.camera.resized(*depth.shape[::-1]), place.pixel_in(depth)
+        found = board.temperature(camera, depth, pixel, at_once)
         return found if np.isfinite(found) else shown
 
     def _first_readable(self, pane: Pane) -> Modality | None:

@@ -74,9 +74,14 @@ class Place(NamedTuple):
     u: float
     v: float
 
+    def pixel_in(self, image: np.ndarray) -> tuple[int, int]:
+        """Column and row of this place in an image of the pane, of any size."""
+        return int(self.u * image.shape[1]), int(self.v * image.shape[0])
+
     def pixel_of(self, image: np.ndarray) -> Any:
         """The pixel of an image of the pane, of any size, at this place."""
-        return image[int(self.v * image.shape[0]), int(self.u * image.shape[1])]
+        column, row = self.pixel_in(image)
+        return image[row, column]
 
 
 def fitted_size(width: int, height: int, longest: int) -> tuple[int, int]:

@@ -5,7 +5,7 @@ import torch
 
 from mrgs.baselines.thermonerf.model import ALL_ROWS, CHUNK_RAYS
 from mrgs.baselines.thermonerf.rays import CameraRays, frame_of
-from mrgs.baselines.thermonerf.step import new_model
+from mrgs.baselines.thermonerf.run import new_model
 from mrgs.data import load_scene
 from mrgs.scene import RGB, THERMAL
 

@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 from mrgs.baselines.thermonerf import ThermoNerfRun, train_thermonerf
-from mrgs.baselines.thermonerf import step as step_module
+from mrgs.baselines.thermonerf import run as run_module
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.run_files.checkpoint import load_facts, write_file
@@ -38,10 +38,10 @@ def folder(trained, tmp_path):
 
 def spoil(monkeypatch, steps):
     """Make the loss of some steps NaN."""
-    honest = step_module.distortion_loss
+    honest = run_module.distortion_loss
     calls = iter(range(1, 1_000))
     monkeypatch.setattr(
-        step_module,
+        run_module,
         "distortion_loss",
         lambda *args: honest(*args) * (torch.nan if next(calls) in steps else 1.0),
     )

@@ -106,11 +106,12 @@ def open_page(browser, baked, cameras, tmp_path) -> Iterator[Any]:
         marks: Sequence[PageMark] = (),
         regions: Regions | None = None,
         part_size: int = PART,
+        thermal_cameras: Sequence[Camera] = (),
         **options: Any,
     ) -> Any:
         content = PageContent(
             range_c=(0.0, 80.0), modalities=modalities, marks=marks, regions=regions,
-            part_size=part_size,
+            part_size=part_size, thermal_cameras=thermal_cameras,
         )  # fmt: skip
         write_page(shown, cameras, "Synthetic splats", path, content)
         page = new_page(browser, offline=True, **options)

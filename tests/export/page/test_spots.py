@@ -12,8 +12,9 @@ from PIL import Image
 
 from mrgs.export.page.write import PageContent, write_page
 from mrgs.pictures.html import inline_image
+from mrgs.scene import THERMAL
 from tests.helpers.browsers import collect_errors, needs_chromium, new_page, wait_until
-from tests.helpers.pages import SETTLED
+from tests.helpers.pages import SETTLED, fitted, read
 
 pytestmark = [needs_chromium, pytest.mark.slow]
 
@@ -58,6 +59,31 @@ def test_spots_are_listed_with_their_differences_and_drawn(open_page):
     assert [row[0] for row in rows_of(page)] == ["P1", "P2", "P3"]
     page.click("#clear-spots")
     assert not page.locator("#spots").is_visible()
+
+
+def test_a_spot_is_as_wide_as_three_pixels_of_the_nearest_photo(open_page, baked, cameras):
+    first = next(iter(cameras.values()))
+    coarse = first.with_width(24)
+    page = open_page(viewport=WINDOW, thermal_cameras=[coarse])
+    width, height = page.locator("#view").evaluate("view => [view.width, view.height]")
+    camera = fitted(first, width, height)
+    rendering = baked.render({THERMAL: camera}, surface=THERMAL)
+    celsius = baked.temperature.to_celsius(rendering[THERMAL].image[..., 0]).numpy()
+    depth = rendering.visible_depth().numpy()
+    changes = 0
+    for x, y in ((width // 2, height // 2), (width // 2 + 25, height // 2 - 30)):
+        eye = camera.unproject([x + 0.5, y + 0.5], float(depth[y, x])) - coarse.position
+        pixel = float(eye.norm() / coarse.K[0, 0])
+        reach = 1.5 * pixel * float(camera.K[0, 0]) / depth[y, x]
+        turns = np.arange(8) * np.pi / 4
+        columns = np.floor(x + 0.5 + reach * np.sqrt(0.5) * np.cos(turns)).astype(int)
+        rows = np.floor(y + 0.5 + reach * np.sqrt(0.5) * np.sin(turns)).astype(int)
+        same = np.abs(depth[rows, columns] - depth[y, x]) < 0.03 * depth[y, x]
+        expected = np.mean([celsius[y, x], *celsius[rows, columns][same]])
+        value, _ = read(page, x, y)
+        assert value == pytest.approx(float(expected), abs=0.05)
+        changes += abs(value - celsius[y, x]) > 0.5
+    assert changes
 
 
 def test_spots_palette_and_range_outlast_a_reload(open_page):

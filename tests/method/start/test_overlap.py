@@ -11,7 +11,7 @@ from mrgs import make_config, train
 from mrgs.errors import ConfigError, MrgsWarning
 from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.start.overlap import find_from_overlap, without_camera
-from mrgs.scene import THERMAL, Camera, Scene
+from mrgs.scene import THERMAL, Camera, Pixels, Scene
 from mrgs.scene.capture import Capture
 from mrgs.scene.radiometry import ZERO_CELSIUS_K
 from tests.helpers.drifting import HEIGHT, PAUSE, WIDTH, drifting_scene, offsets_c, shading_c
@@ -89,6 +89,22 @@ def test_a_photo_that_overlaps_with_none_drifts_like_those_before_and_after_it()
     offsets = started(scene).thermal_drift.offsets() * scene.temperature.span_c
     assert offsets[5].item() == pytest.approx(offsets[[4, 6]].mean().item(), abs=0.2)
     assert offsets[PAUSE] - offsets[PAUSE - 1] == pytest.approx(-6.5, abs=0.2)
+
+
+def test_what_stands_before_the_camera_in_one_photo_is_no_offset():
+    scene = drifting_scene()
+    views = list(scene.train)
+    image = views[7].images[THERMAL]
+
+    def look(width: int | None = None) -> Pixels:
+        pixels = image.load() if width is None else image.look(width)
+        values = pixels.values.clone()
+        values[:, : 2 * values.shape[1] // 3] = values.max()
+        return replace(pixels, values=values)
+
+    views[7] = replace(views[7], images={THERMAL: replace(image, load=look, load_at_least=look)})
+    scene = replace(scene, train=tuple(views))
+    assert error_c(started(scene).thermal_drift.offsets(), scene, offsets_c()) < 0.3
 
 
 def test_drawn_points_say_nothing():

@@ -41,10 +41,12 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Work:
         (scene / folder).mkdir(parents=True)
     for index, shot in enumerate(shots):
         stem = f"view {index}"
-        files = {}
+        files, sizes = {}, {}
         for modality, folder in IMAGE_FOLDERS.items():
             source = shot.images[modality].path
             files[modality] = f"{folder}/{stem}{source.suffix}"
+            lens = shot.images[modality].lens
+            sizes[modality] = lens.width, lens.height
             shutil.copy(source, scene / files[modality])
         notes = ("Emissivity 0.95, as the file says.",)
         name = HOSTILE if index == len(shots) - 1 else stem
@@ -52,6 +54,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Work:
             converted_view(
                 name,
                 files,
+                sizes=sizes,
                 facts=PhotoFacts("", camera="FLIR E60", notes=notes),
                 range_c=(-0.5, 82.5),
             )

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from mrgs.check.problem import views_text
-from mrgs.data.lens import Lens
 from mrgs.pictures.palette import round_down
 from mrgs.prepare.page.temperatures import histogram, spread_chart, temperatures
 from mrgs.prepare.page.views import (
@@ -24,9 +23,9 @@ from mrgs.prepare.page.views import (
     thermal_overlay,
     thumbnail_width,
 )
-from mrgs.prepare.page.world import World, frustum_size, orbit_facts
-from mrgs.prepare.page.write import lens_text
+from mrgs.prepare.page.write import World, frustum_size, lens_text, orbit_facts
 from mrgs.scene import RGB, THERMAL, Camera, PointCloud
+from mrgs.scene.lens import Lens
 
 
 def camera(x: float = 0.0, width: int = 64, height: int = 48) -> Camera:
@@ -190,9 +189,11 @@ def test_a_hundred_pairs_stay_under_six_megabytes():
         previews.append(Preview(f"v{index}", "training", True, images))
         overlays[f"v{index}"] = thermal.astype(np.float32)
     assert rgb.shape[1] == width
-    cards = pairs(previews, overlays, "°C", 10).cards
+    cards = pairs(previews, overlays, "°C", 10)["cards"]
     pictures = [
-        image for card in cards for image in (*card.images.values(), card.warped, card.edges)
+        image
+        for card in cards
+        for image in (*card["images"].values(), card["warped"], card["edges"])
     ]
     assert len(pictures) == 4 * len(cards)
     assert 10 * sum(len(picture.source) for picture in pictures) < 6e6

@@ -17,6 +17,7 @@ from PIL import Image
 
 from mrgs.errors import ConfigError, SceneError
 from mrgs.prepare.contract import Pairing, SeveralCamerasError
+from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.prepare.pairs.inventory import take_inventory
 from mrgs.scene import RGB, THERMAL
@@ -105,7 +106,7 @@ def at(seconds: float, **more: object) -> dict[str, object]:
 def test_names(photos, content, pairs):
     root = photos(content)
     for rule in ("auto", "names"):
-        found = find_pairs(root, rule=rule)
+        found = find_pairs(root, PrepareOptions(pairs=rule))
         assert [
             (pair.name, *both) for pair, both in zip(found.pairs, files(root, found), strict=True)
         ] == pairs
@@ -138,7 +139,7 @@ def test_names(photos, content, pairs):
 def test_folders(photos, content, pairs):
     root = photos(content)
     for rule in ("auto", "folders"):
-        found = find_pairs(root, rule=rule)
+        found = find_pairs(root, PrepareOptions(pairs=rule))
         assert files(root, found) == pairs
         assert "folders" in found.rule
 
@@ -178,7 +179,7 @@ def test_neighbours_that_were_taken_far_apart_are_no_pair(photos):
 def test_names_that_are_equal_to_the_letter_go_before_suffixes(photos, stems, rule):
     content = {f"thermal/{stem}.tif": "celsius" for stem in stems}
     root = photos(content | {f"rgb/{stem}.jpg": "jpg" for stem in stems})
-    found = find_pairs(root, rule=rule)
+    found = find_pairs(root, PrepareOptions(pairs=rule))
     assert sorted(files(root, found)) == [
         (f"rgb/{stem}.jpg", f"thermal/{stem}.tif") for stem in sorted(stems)
     ]
@@ -232,7 +233,7 @@ def test_a_backup_of_the_card_adds_no_views(photos):
         for folder in ("card", "card backup")
         for name, value in card.items()
     }
-    found = find_pairs(photos(content), rule="time")
+    found = find_pairs(photos(content), PrepareOptions(pairs="time"))
     assert [pair.photos[THERMAL].name for pair in found.pairs] == [
         "IR_0.jpg",
         "IR_1.jpg",
@@ -285,7 +286,7 @@ def test_times_of_two_clocks(photos):
     extra = {"rgb/P99.jpg": ("jpg", at(3700)), "rgb/P0.jpg": "jpg"}
     root = photos(thermal | rgb | extra)
     for rule in ("auto", "time"):
-        found = find_pairs(root, rule=rule)
+        found = find_pairs(root, PrepareOptions(pairs=rule))
         assert files(root, found) == list(zip(rgb, thermal, strict=True))
         assert "within 2 s" in found.rule
         assert "3601.0 s ahead" in found.rule
@@ -408,7 +409,7 @@ def test_thermal_photos_alone_although_there_are_others(photos):
             "IR_5.jpg": "flir",
         }
     )
-    found = find_pairs(root, rule="thermal")
+    found = find_pairs(root, PrepareOptions(pairs="thermal"))
     assert files(root, found) == [(None, "IR_1.jpg"), (None, "IR_3.jpg"), (None, "IR_5.jpg")]
     assert not any(pair.embedded for pair in found.pairs)
     assert "Only the thermal" in found.rule
@@ -532,7 +533,7 @@ def test_the_times_in_flirs_own_files_count(photos, word):
     content |= {
         f"c/{9 - i}.jpg": ("jpg", {"taken": taken + timedelta(seconds=60 * i)}) for i in range(3)
     }
-    found = find_pairs(photos(content), rule=word)
+    found = find_pairs(photos(content), PrepareOptions(pairs=word))
     assert [(pair.photos[RGB].name, pair.photos[THERMAL].name) for pair in found.pairs] == [
         (f"{9 - i}.jpg", f"IR{i}x.fff") for i in range(3)
     ]
@@ -587,7 +588,7 @@ def test_sets_that_cannot_be_used(photos, content, told):
 )
 def test_rules_that_do_not_fit(photos, rule, content, message):
     with pytest.raises(SceneError, match=message):
-        find_pairs(photos(content), rule=rule)
+        find_pairs(photos(content), PrepareOptions(pairs=rule))
 
 
 def test_a_folder_that_is_none(tmp_path):
@@ -598,7 +599,7 @@ def test_a_folder_that_is_none(tmp_path):
 @pytest.mark.parametrize("tolerance_s", [-1.0, float("nan"), float("inf")])
 def test_a_tolerance_that_is_no_time(tmp_path, tolerance_s):
     with pytest.raises(ConfigError, match="time difference"):
-        find_pairs(tmp_path, tolerance_s=tolerance_s)
+        find_pairs(tmp_path, PrepareOptions(tolerance_s=tolerance_s))
 
 
 FOLDERS = st.sampled_from(["", "rgb/", "thermal/", "IR/100/", "x/"])
@@ -659,18 +660,21 @@ def shuffled(walked):
 
 
 def test_the_headers_of_unchanged_files_are_read_once(photos):
-    """What was read before is the same object, and not merely equal."""
+    """What was read before is the same object, and not merely equal: the facts of the header."""
     root = photos({"a_rgb.jpg": "jpg", "a_thermal.tif": "celsius"})
     steps = []
     rgb, thermal = take_inventory(root, lambda *step: steps.append(step)).photos
     assert steps == [("reading headers", 0, 2), ("reading headers", 1, 2)]
     again = take_inventory(root).photos
-    assert again[0] is rgb
-    assert again[1] is thermal
+    assert again[0] == rgb
+    assert again[0].exif is rgb.exif
+    assert again[1] == thermal
+    assert again[1].exif is thermal.exif
     (root / "a_rgb.jpg").write_bytes(photo("jpg", size=(32, 12)))
     changed, same = take_inventory(root).photos
     assert changed.size == (32, 12)
-    assert same is thermal
+    assert same == thermal
+    assert same.exif is thermal.exif
 
 
 MIXED = {
@@ -698,7 +702,7 @@ def test_several_cameras_are_named_whatever_rule_finds_their_pairs(photos):
 )
 def test_the_photos_of_one_camera_are_used_alone(photos, camera, names):
     root = photos(MIXED)
-    found = find_pairs(root, camera=camera)
+    found = find_pairs(root, PrepareOptions(camera=camera))
     assert [pair.name for pair in found.pairs] == names
     assert all(pair.embedded or RGB in pair.photos for pair in found.pairs)
     assert camera in reasons(found)["stray.tiff"]
@@ -707,7 +711,7 @@ def test_the_photos_of_one_camera_are_used_alone(photos, camera, names):
 
 def test_a_camera_that_took_no_photo_is_told_with_those_that_did(photos):
     with pytest.raises(SceneError, match="E9") as refusal:
-        find_pairs(photos(MIXED), camera="E9")
+        find_pairs(photos(MIXED), PrepareOptions(camera="E9"))
     assert [name for name in ("M3T", "FLIR E8", "Testo") if name not in str(refusal.value)] == []
     assert refusal.value.options == ("camera",)
 
@@ -722,7 +726,8 @@ def test_photos_that_name_no_camera_are_of_the_only_one_with_their_size(photos):
     bare = {"a": (8, 6), "b": (16, 12), "c": (32, 24)}
     content |= {f"{name}.tiff": ("celsius", {"size": size}) for name, size in bare.items()}
     root = photos(content)
-    small, large = (find_pairs(root, rule="thermal", camera=name) for name in ("M3T", "E8"))
+    options = (PrepareOptions(pairs="thermal", camera=name) for name in ("M3T", "E8"))
+    small, large = (find_pairs(root, each) for each in options)
     assert [pair.name for pair in small.pairs] == ["a", "M3T0", "M3T1", "M3T2"]
     assert reasons(small)["b.tiff"] == "is not of M3T"
     assert any("1 thermal photo" in text and "c.tiff" in text for text in small.warnings)
@@ -738,13 +743,13 @@ def test_a_camera_that_was_chosen_is_not_asked_for_again(photos):
         for i in range(6)
     }
     with pytest.raises(SceneError, match="16 x 12") as refusal:
-        find_pairs(photos(content), camera="M3T")
+        find_pairs(photos(content), PrepareOptions(camera="M3T"))
     assert refusal.value.options == ()
 
 
 def test_one_camera_may_be_named_too(photos):
     content = {name: kind for name, kind in MIXED.items() if name.startswith("DJI")}
-    assert len(find_pairs(photos(content), camera="M3T").pairs) == 4
+    assert len(find_pairs(photos(content), PrepareOptions(camera="M3T")).pairs) == 4
 
 
 def test_a_table_of_several_cameras_is_cut_to_one(photos):
@@ -754,7 +759,8 @@ def test_a_table_of_several_cameras_is_cut_to_one(photos):
         f",FLIR{i}.jpg" for i in range(3)
     ]
     table.write_text("\n".join(["rgb,thermal", *rows]), encoding="utf-8")
-    assert [pair.name for pair in find_pairs(root, table=table, camera="FLIR E8").pairs] == [
+    found = find_pairs(root, PrepareOptions(pair_table=table, camera="FLIR E8"))
+    assert [pair.name for pair in found.pairs] == [
         "FLIR0", "FLIR1", "FLIR2",
     ]  # fmt: skip
 
@@ -764,7 +770,7 @@ def test_sizes_and_lenses_tell_cameras_of_one_model_apart(photos, name):
     sizes = {f"{i}.tiff": ("celsius", {"size": (8, 6) if i < 3 else (16, 12)}) for i in range(6)}
     with pytest.raises(SeveralCamerasError, match=name):
         find_pairs(photos(sizes))
-    assert len(find_pairs(photos(sizes, name), camera=name).pairs) == 3
+    assert len(find_pairs(photos(sizes, name), PrepareOptions(camera=name)).pairs) == 3
 
 
 def test_lenses_are_chosen_by_their_angle(photos):
@@ -772,4 +778,5 @@ def test_lenses_are_chosen_by_their_angle(photos):
     with pytest.raises(SeveralCamerasError) as refusal:
         find_pairs(root)
     assert refusal.value.cameras == ("25°", "45°")
-    assert [pair.name for pair in find_pairs(root, camera="45°").pairs] == ["4", "5", "6", "7"]
+    found = find_pairs(root, PrepareOptions(camera="45°"))
+    assert [pair.name for pair in found.pairs] == ["4", "5", "6", "7"]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.prepare.pairs.names import folder_modality, natural, read_stem, view_names
+from mrgs.prepare.pairs.photo import folder_modality, natural, read_stem, view_names
 from mrgs.scene import RGB, THERMAL
 
 

@@ -7,7 +7,8 @@ from pathlib import PurePosixPath
 import numpy as np
 import pytest
 
-from mrgs.prepare.pairs.inventory import Photo, inspect
+from mrgs.prepare.pairs.inventory import inspect
+from mrgs.prepare.pairs.photo import Photo
 from tests.helpers.flir import FlirPhoto
 from tests.helpers.photos import photo
 

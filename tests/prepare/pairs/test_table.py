@@ -5,6 +5,7 @@ import unicodedata
 import pytest
 
 from mrgs.errors import ConfigError, SceneError
+from mrgs.prepare.options import PrepareOptions
 from mrgs.prepare.pairs.find import find_pairs
 from mrgs.scene import RGB, THERMAL
 
@@ -25,7 +26,7 @@ def paired(photos, tmp_path):
         table = tmp_path / "pairs.csv"
         table.write_bytes(content.encode(encoding))
         root = photos(FILES)
-        found = find_pairs(root, table=table)
+        found = find_pairs(root, PrepareOptions(pair_table=table))
         assert "pairs.csv" in found.rule
         return [
             (
@@ -64,14 +65,14 @@ def test_tables_as_spreadsheets_write_them(photos, tmp_path, encoding, separator
     root = photos({name: "jpg" for names in files for name in names})
     assert [
         tuple(pair.photos[modality].relative_to(root).as_posix() for modality in (RGB, THERMAL))
-        for pair in find_pairs(root, table=table).pairs
+        for pair in find_pairs(root, PrepareOptions(pair_table=table)).pairs
     ] == files
 
 
 def test_photos_that_the_table_does_not_name(photos, tmp_path):
     table = tmp_path / "pairs.csv"
     table.write_text("eye/1.jpg,heat/a.jpg")
-    found = find_pairs(photos(FILES), table=table)
+    found = find_pairs(photos(FILES), PrepareOptions(pair_table=table))
     assert [(item.name, "pairs.csv" in item.reason) for item in found.skipped] == [
         ("eye/2.jpg", True),
         ("heat/b.jpg", True),
@@ -86,7 +87,7 @@ def test_names_in_another_unicode_form(photos, tmp_path, in_table, on_disk):
     content = {
         unicodedata.normalize(on_disk, name): "jpg" for name in ("Küche/ä.jpg", "Küche/ö.jpg")
     }
-    found = find_pairs(photos(content), table=table)
+    found = find_pairs(photos(content), PrepareOptions(pair_table=table))
     assert [(pair.photos[RGB].name, pair.photos[THERMAL].name) for pair in found.pairs] == [
         (unicodedata.normalize(on_disk, "ä.jpg"), unicodedata.normalize(on_disk, "ö.jpg"))
     ]
@@ -127,12 +128,12 @@ def test_a_link_that_leads_outside(paired, photos, tmp_path):
 
 def test_a_table_that_is_missing(photos, tmp_path):
     with pytest.raises(SceneError, match=r"pairs\.csv: cannot"):
-        find_pairs(photos(FILES), table=tmp_path / "pairs.csv")
+        find_pairs(photos(FILES), PrepareOptions(pair_table=tmp_path / "pairs.csv"))
 
 
 def test_a_table_and_a_rule(photos, tmp_path):
     with pytest.raises(ConfigError, match=r"table .* rule"):
-        find_pairs(photos(FILES), table=tmp_path / "pairs.csv", rule="time")
+        find_pairs(photos(FILES), PrepareOptions(pair_table=tmp_path / "pairs.csv", pairs="time"))
 
 
 def test_visible_photos_inside_and_outside_are_two_cameras(photos, tmp_path):
@@ -140,4 +141,4 @@ def test_visible_photos_inside_and_outside_are_two_cameras(photos, tmp_path):
     table = tmp_path / "pairs.csv"
     table.write_text(",a.jpg\nb_rgb.jpg,b.jpg")
     with pytest.raises(SceneError, match=r"a\.jpg .*embedded, b_rgb\.jpg"):
-        find_pairs(root, table=table)
+        find_pairs(root, PrepareOptions(pair_table=table))

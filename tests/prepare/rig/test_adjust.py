@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.data.lens import Lens
 from mrgs.prepare.rig import adjust as adjust_module
 from mrgs.prepare.rig.adjust import (
     MOTION,
@@ -19,6 +18,7 @@ from mrgs.prepare.rig.adjust import (
     pixel_sigma,
     project,
 )
+from mrgs.scene.lens import Lens
 
 LENS = Lens(640, 480, 640.0, 641.0, 312.0, 250.0, (-0.2, 0.1, 0.0, 0.0))
 VIEWS, PER_VIEW, NOISE_PX = 8, 60, 0.3

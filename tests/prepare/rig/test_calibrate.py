@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.data.lens import Lens
 from mrgs.errors import SceneError
 from mrgs.prepare.rig.calibrate import calibrate_rig
 from mrgs.prepare.rig.contract import FEWEST_MATCHES, RigOptions
 from mrgs.prepare.stages import summarize_thermal_camera
 from mrgs.scene import RGB, Pixels, PointCloud
+from mrgs.scene.lens import Lens
 from tests.helpers.rig_room import build_room
 
 KNOWN_FIELD = RigOptions(field_of_view_deg=56.0)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from mrgs.data.lens import Lens
 from mrgs.prepare.rig.chessboard import Corners, detect_chessboard
+from mrgs.scene.lens import Lens
 from tests.helpers.rig_room import draw_board, make_board
 
 TABLETOP = Path(__file__).parents[3] / "examples" / "tabletop"

@@ -5,7 +5,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrgs.data.lens import Lens
 from mrgs.prepare.rig.adjust import (
     LENS,
     POSE,
@@ -16,6 +15,7 @@ from mrgs.prepare.rig.adjust import (
     project_jacobian,
     rigid_motion,
 )
+from mrgs.scene.lens import Lens
 
 LENS_OF_TEST = Lens(640, 480, 644.4, 643.3, 304.6, 262.9, (-0.4, 0.37, 0.0, 0.0))
 

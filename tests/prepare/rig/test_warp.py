@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from mrgs.data.lens import Lens
 from mrgs.prepare.rig.adjust import rigid_motion
 from mrgs.prepare.rig.images import STEP_PX, InverseDepth, Plane, ReducedPair
 from mrgs.prepare.rig.refine import thermal_rays, warp
 from mrgs.scene import Camera
+from mrgs.scene.lens import Lens
 
 CAMERA = Camera(
     torch.tensor([[200.0, 0, 100], [0, 200.0, 80], [0, 0, 1]], dtype=torch.float64),

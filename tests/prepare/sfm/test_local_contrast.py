@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mrgs.prepare.sfm.working_folder import evened, local_contrast
+from mrgs.prepare.sfm.reconstruct import evened, local_contrast
 
 ROWS, COLUMNS = np.indices((192, 256))
 SQUARES = (20 + 0.5 * ((ROWS // 12 + COLUMNS // 12) % 2)).astype(np.float32)

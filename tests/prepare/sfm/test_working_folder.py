@@ -8,7 +8,7 @@ from PIL import Image
 
 from mrgs.errors import RunError
 from mrgs.prepare.sfm.job import read_job
-from mrgs.prepare.sfm.working_folder import set_up
+from mrgs.prepare.sfm.reconstruct import set_up
 
 
 def silent(step: str, done: int, of: int) -> None:

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mrgs.errors import ConfigError
-from mrgs.system.limits import MOST_RATE, MOST_SEED, MOST_STEPS, require_within
-from mrgs.system.strict_yaml import read_yaml
+from mrgs.system.strict_yaml import MOST_RATE, MOST_SEED, MOST_STEPS, read_yaml, require_within
 
 METHOD: Literal["thermonerf"] = "thermonerf"
 

@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mrgs.data.files import scene_error
 from mrgs.data.radiometric.exif import read_exif
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import FLOAT_UNITS
-from mrgs.errors import ToolError
+from mrgs.errors import ToolError, scene_error
 
 SIZES = ((640, 512), (1280, 1024), (336, 256), (160, 120), (320, 256), (640, 480))
 """Width and height of the thermal images of DJI's cameras, which bare numbers do not have."""

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from PIL import Image, UnidentifiedImageError
 from PIL.ExifTags import IFD, Base
 
-from mrgs.data.files import scene_error
 from mrgs.data.images import stored_size
+from mrgs.errors import scene_error
 
 _TIMES = (
     (Base.DateTimeOriginal, Base.SubsecTimeOriginal, Base.OffsetTimeOriginal),

@@ -16,7 +16,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float32, UInt16
 
-from mrgs.data.files import scene_error
 from mrgs.data.images import opened
 from mrgs.data.radiometric.exif import (
     JPEG_SIGNATURE,
@@ -29,7 +28,7 @@ from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, obj
 from mrgs.data.radiometric.photo import Alignment, Overrides, PhotoFacts, ThermalPhoto, VisibleImage
 from mrgs.data.radiometric.raster import finished
 from mrgs.data.radiometric.units import WIRIS_UNITS
-from mrgs.errors import SceneError
+from mrgs.errors import SceneError, scene_error
 from mrgs.scene.air import Atmosphere
 from mrgs.scene.radiometry import ZERO_CELSIUS_K, ObjectParameters, Planck
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
-from mrgs.data.files import scene_error
 from mrgs.data.images import LUMINANCE, as_stored, holds_numbers, numbers_of, opened
 from mrgs.data.radiometric.exif import read_exif
 from mrgs.data.radiometric.measurement import masked
@@ -21,6 +20,7 @@ from mrgs.data.radiometric.units import (
     stated_unit,
     typical,
 )
+from mrgs.errors import scene_error
 
 _GREY_TOLERANCE = 8
 """Channels that differ by at most this many of 255 steps are one shade, saved as a colour JPEG."""

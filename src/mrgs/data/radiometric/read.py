@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from mrgs.data.files import read_bytes, scene_error
+from mrgs.data.files import read_bytes
 from mrgs.data.images import TIFF_SIGNATURES
 from mrgs.data.radiometric.dji import read_bare_numbers, read_r_jpeg
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, flir_record, holds_dji_signal
@@ -15,6 +15,7 @@ from mrgs.data.radiometric.flir import FFF_SIGNATURES, read_flir
 from mrgs.data.radiometric.photo import Overrides, ThermalPhoto
 from mrgs.data.radiometric.raster import read_raster
 from mrgs.data.radiometric.table import read_table
+from mrgs.errors import scene_error
 
 MAX_BYTES = 256 * 2**20
 

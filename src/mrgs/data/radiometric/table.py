@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from mrgs.data.files import decoded_text, scene_error
+from mrgs.data.files import decoded_text
 from mrgs.data.radiometric import units
 from mrgs.data.radiometric.photo import Overrides, PhotoFacts, ThermalPhoto
 from mrgs.data.radiometric.raster import SATURATED, finished
+from mrgs.errors import scene_error
 
 MAX_BYTES = 32 * 2**20
 """A table of 3 megapixels takes 25 MB; longer texts, which would take minutes, are refused."""

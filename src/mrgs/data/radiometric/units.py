@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from mrgs.data.files import scene_error
+from mrgs.errors import scene_error
 from mrgs.scene.radiometry import ZERO_CELSIUS_K, are_everyday
 
 _ENOUGH = 100_000

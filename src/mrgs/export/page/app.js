@@ -66,8 +66,8 @@ class Page {
     this.partsShown = 0;
     this.drawnAt = -Infinity;
     this.drawMs = 0;
-    const { model, modalities, readable, areas } = this.facts;
-    this.worker.postMessage({ open: { ...model, modalities, readable, areas: areas?.areas } });
+    const { model, modalities, readable, areas, photos } = this.facts;
+    this.worker.postMessage({ open: { ...model, modalities, readable, photos, areas: areas?.areas } });
     this.worker.onmessage = ({ data }) => {
       if (data.failure) showFailure(data.failure);
       else if (data.depths) this.takeAreas(data.depths);

@@ -7,6 +7,11 @@ const TRANSMITTANCE_MIN = 1e-4;
 const FRUSTUM_MARGIN = 0.3;
 const SURFACE_TRANSMITTANCES = [0.6, 0.4];
 const STEEPEST = 4;
+const ALPHA_OF_SURFACE = 0.5;
+const SAME_SURFACE = 0.03;
+const SPOT_PX = 3;
+// A pixel of each eighth of a disc, on the circle that halves its area.
+const SPOT_PATTERN = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [Math.cos, Math.sin].map((part) => Math.SQRT1_2 * part((k * Math.PI) / 4)));
 const LARGEST_TAU2 = 2 * Math.log(255);
 
 let model;
@@ -24,13 +29,14 @@ onmessage = ({ data }) => {
 };
 
 // Room for all splats, of which none is there yet. The depths of areas come before the first part.
-function open({ slots, dilation, radiance, readable, areas, ...rest }) {
+function open({ slots, dilation, radiance, readable, areas, photos, ...rest }) {
   modalities = rest.modalities;
   if (areas) decoding = Promise.all(areas.map(decodeDepths)).then((depths) => postMessage({ depths }));
   model = {
     slots,
     dilation,
     radiance,
+    photos,
     active: [], // first and behind the last of the splats that are shown
     means: new Float32Array(3 * slots),
     axes: new Float32Array(9 * slots),
@@ -128,17 +134,45 @@ function countingSort(indices, key) {
 }
 
 // What a one-channel image shows at the pixel with the centre (x, y), and the depth of the surface, where half of the
-// light is blocked: blended here in full precision, because what the screen holds is rounded.
+// light is blocked: blended here in full precision, because what the screen holds is rounded. Where a spot of three pixels
+// of the nearest photo is wider than a pixel, the mean over it, as the program's own spots have it.
 function readPixel({ camera, x, y, modality }) {
   const appearance = model.appearances[modality];
+  const middle = readPixels(camera, [[x, y]], appearance)[0];
+  const about = spotAbout(camera, x, y, middle.depth);
+  const same = readPixels(camera, about, appearance).filter(
+    ({ alpha, depth }) => alpha >= ALPHA_OF_SURFACE && Math.abs(depth - middle.depth) < SAME_SURFACE * middle.depth,
+  );
+  const value = [middle, ...same].reduce((sum, each) => sum + valueOfBlend(model.radiance, modality, each.value), 0);
+  return { modality, value: value / (1 + same.length), depth: middle.depth, alpha: middle.alpha };
+}
+
+// Pixels about another that are within a spot there, none where it is no wider than a pixel.
+function spotAbout(camera, x, y, depth) {
+  const { rotation: r, position } = camera;
+  const seen = [((x - camera.cx) / camera.fx) * depth, ((y - camera.cy) / camera.fy) * depth, depth];
+  const place = [0, 1, 2].map((i) => position[i] + r[i] * seen[0] + r[3 + i] * seen[1] + r[6 + i] * seen[2]);
+  const sizes = model.photos.map(([pixel, ...eye]) => pixel * Math.hypot(...place.map((each, i) => each - eye[i])));
+  const reach = (0.5 * SPOT_PX * Math.min(...sizes) * camera.fx) / depth;
+  if (!(reach > 1 && reach < Infinity)) return [];
+  return SPOT_PATTERN.map(([dx, dy]) => [Math.floor(x + reach * dx) + 0.5, Math.floor(y + reach * dy) + 0.5]);
+}
+
+function readPixels(camera, pixels, appearance) {
   const dilation = dilationOf(model.dilation, camera);
-  const hits = [];
+  const hits = pixels.map(() => []);
   for (const [start, end] of model.active) {
     for (let i = start; i < end; i++) {
-      const hit = splatAt(camera, dilation, x, y, i, appearance.opacity[i]);
-      if (hit) hits.push(hit);
+      pixels.forEach(([x, y], k) => {
+        const hit = splatAt(camera, dilation, x, y, i, appearance.opacity[i]);
+        if (hit) hits[k].push(hit);
+      });
     }
   }
+  return hits.map((each) => blended(each, appearance, camera));
+}
+
+function blended(hits, appearance, camera) {
   hits.sort((a, b) => a.distance - b.distance || a.index - b.index);
   let transmittance = 1;
   let value = 0;
@@ -153,8 +187,7 @@ function readPixel({ camera, x, y, modality }) {
     depth += share * hit.depth;
     shares += share;
   }
-  const shown = valueOfBlend(model.radiance, modality, value);
-  return { modality, value: shown, depth: depth / Math.max(shares, 1e-9), alpha: 1 - transmittance };
+  return { value, depth: depth / Math.max(shares, 1e-9), alpha: 1 - transmittance };
 }
 
 function ofSurface(transmittance) {

@@ -151,6 +151,8 @@ class PageContent:
         marks, air, settings, photos: see ``page_marks``, ``air_facts``, ``settings_text`` and
             ``view_photos``.
         regions: surfaces with an emissivity of their own, whose temperatures the page corrects.
+        thermal_cameras: of the photos; spots are three pixels of the nearest wide, as marks are.
+            Without any they are a pixel of the picture.
         part_size: splats of a part, see ``PageModel``.
     """
 
@@ -161,6 +163,7 @@ class PageContent:
     start: str | None = None
     marks: Sequence[PageMark] = ()
     regions: Regions | None = None
+    thermal_cameras: Sequence[Camera] = ()
     length_unit: str = "scene units"
     air: Mapping[str, float | None] = field(default_factory=dict)
     settings: str = ""
@@ -184,6 +187,7 @@ def export(job: ExportJob) -> list[Path]:
         scene.train[best_view(scene.train_cameras, job.baked.means)].name,
         marks,
         job.regions,
+        [photo.camera for photo in scene.train_photos(THERMAL)],
         scene.world.length_unit,
         air_facts(survey) if job.run else {},
         settings_text(settings_of(scene.records), "given by the user"),
@@ -232,6 +236,10 @@ def write_page(
     facts = {
         "model": model.facts,
         "cameras": [page_data.camera_facts(camera) for camera in every],
+        "photos": [
+            [1 / camera.K[0, 0].item(), *camera.position.tolist()]
+            for camera in content.thermal_cameras
+        ],
         "world": page_data.world_facts(every),
         "palettes": page_data.palette_facts(PALETTE_CHOICES),
         "modalities": [_modality_facts(each, baked, every, content) for each in shown],

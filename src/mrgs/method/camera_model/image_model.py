@@ -20,7 +20,7 @@ from mrgs.method.camera_model.point_spread import PointSpread
 from mrgs.method.camera_model.pose_refinement import PoseRefinement
 from mrgs.scene import NOT_COARSER, THERMAL, Camera, Modality, Pixels, Rendering
 from mrgs.scene.capture import Capture, Viewpoint
-from mrgs.system.limits import MOST_RATE, require_within
+from mrgs.system.strict_yaml import MOST_RATE, require_within
 
 _RATES = ("point_spread_rate", "thermal_gain_rate", "poses_rate")
 

@@ -18,7 +18,7 @@ from mrgs.method.optimizer import GaussianOptimizer
 from mrgs.render import ScreenPoints
 from mrgs.scene import Gaussians
 from mrgs.scene.arrays import constant
-from mrgs.system.limits import MOST_STEPS, MOST_WEIGHT, require_within
+from mrgs.system.strict_yaml import MOST_STEPS, MOST_WEIGHT, require_within
 
 SPLIT_INTO = 2
 SPLIT_SHRINK = 1.6

@@ -12,8 +12,8 @@ from torch import Tensor
 from mrgs.errors import ConfigError
 from mrgs.method.losses.ssim import ssim_map
 from mrgs.scene import THERMAL, Modality
-from mrgs.system.limits import MOST_WEIGHT, require_within
 from mrgs.system.operation import operation
+from mrgs.system.strict_yaml import MOST_WEIGHT, require_within
 
 HALF_COVERED = 0.5
 """Where less is covered, a blended depth is that of no surface."""

@@ -15,8 +15,8 @@ from mrgs.errors import ConfigError
 from mrgs.method.losses.photometric import masked_mean
 from mrgs.method.losses.ssim import structural_similarity
 from mrgs.scene.radiometry import TemperatureRange
-from mrgs.system.limits import MOST_WEIGHT, require_within
 from mrgs.system.operation import operation
+from mrgs.system.strict_yaml import MOST_WEIGHT, require_within
 
 Plane: TypeAlias = Float[Tensor, "h w"]
 """A number for each pixel."""

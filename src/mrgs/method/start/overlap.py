@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from torch import Tensor
 
 from mrgs.data.images import probe
@@ -46,6 +47,10 @@ LEAST_ERROR_C = 0.02
 
 ALIKE = 25.0
 """Number of sightings that count as one: errors of neighbouring points are alike."""
+
+MOST_PAIRS, FEWEST_SHARED = 30, 40
+"""Other photos that a photo is compared with at most, those that show most of its points; fewer
+points that both show say nothing."""
 
 ITERATIONS, CONVERGED_C = 30, 1e-3
 
@@ -220,17 +225,20 @@ def _fitted(
     seen: _Sightings, priors: Float[np.ndarray, " c"], minutes: Float[np.ndarray, " p"]
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c c"]]:
     """Offsets of P photos and the coefficients of the shading, °C, with their covariance, by least
-    squares with Cauchy weights; each point's own temperature is eliminated as its weighted mean."""
+    squares with Geman and McClure's weights; each point's own temperature is eliminated as its
+    weighted mean."""
     photos, n, p = len(minutes), len(seen.value), 1 + seen.point.max(initial=-1)
     order = np.argsort(minutes)[: np.isfinite(minutes).sum()]
     one, next_one = order[:-1], order[1:]
     usual_c = DRIFT_C * np.sqrt(np.diff(minutes[order]).clip(1 / 60))
     columns = np.column_stack([seen.terms, seen.value])
+    left = seen.value - _starting_offsets(seen, photos)[seen.photo]
+    residuals = left - _medians(left, seen.point, p)[seen.point]
     weights, steps = seen.weight, np.ones(len(one))
-    residuals = seen.value - np.median(seen.value) if n else np.ones(0)
     found = np.full(len(priors), np.inf)
     for _ in range(ITERATIONS):
         noise_c = max(1.4826 * _weighted_median(np.abs(residuals), seen.weight), 1e-3)
+        weights = seen.weight / (1 + (residuals / (2 * noise_c)) ** 2) ** 2
         by_point = csr_array((weights, (seen.point, np.arange(n))), (p, n))
         by_photo = csr_array((weights, (seen.photo, np.arange(n))), (photos, n))
         shared = csr_array((weights, (seen.photo, seen.point)), (photos, p))
@@ -253,13 +261,52 @@ def _fitted(
         if np.abs(found - before).max() < CONVERGED_C:
             break
         left = seen.value - found[seen.photo] - seen.terms @ found[photos:]
-        if n:
-            residuals = left - ((by_point @ left) / total)[seen.point]
-            weights = seen.weight / (1 + (residuals / (2 * noise_c)) ** 2)
+        residuals = left - ((by_point @ left) / total)[seen.point]
         steps = 1 / (1 + ((found[next_one] - found[one]) / (2 * usual_c)) ** 2)
     gauge = np.eye(len(priors))
     gauge[:photos, :photos] -= 1 / photos
     return gauge @ found, gauge @ np.linalg.inv(precision) @ gauge
+
+
+def _starting_offsets(seen: _Sightings, photos: int) -> Float[np.ndarray, " p"]:
+    """Offsets of P photos, °C, by what most of the points that two photos show differ by, along the
+    tree of the pairs that agree best. A mean would take for an offset what stands before the camera
+    in one photo and hides the points that others see."""
+    order = np.lexsort((seen.point, seen.photo))
+    ends = np.searchsorted(seen.photo[order], np.arange(1, photos))
+    points, values = (np.split(each[order], ends) for each in (seen.point, seen.value))
+    known = csr_array((np.ones(len(order)), (seen.photo, seen.point)), (photos, 1 + MOST_POINTS))
+    shared = np.triu((known @ known.T).toarray(), 1)
+    apart, widths = np.zeros((2, photos, photos))
+    for one in range(photos):
+        for other in np.argsort(shared[one])[-MOST_PAIRS:]:
+            if shared[one, other] < FEWEST_SHARED:
+                continue
+            _, mine, others = np.intersect1d(points[one], points[other], True, True)
+            differences = np.sort(values[one][mine] - values[other][others])
+            half = len(differences) // 4
+            width = differences[half:] - differences[:-half]
+            at = int(width.argmin())
+            apart[other, one] = 0.5 * (differences[at] + differences[at + half])
+            apart[one, other], widths[one, other] = -apart[other, one], width[at] + 1e-9
+    offsets, tree = np.zeros(photos), minimum_spanning_tree(csr_array(widths))
+    left = set(range(photos))
+    while left:
+        order, before = breadth_first_order(tree, min(left), directed=False)
+        for photo in order[1:]:
+            offsets[photo] = offsets[before[photo]] + apart[before[photo], photo]
+        left -= set(order.tolist())
+    return offsets
+
+
+def _medians(
+    values: Float[np.ndarray, " n"], groups: Int[np.ndarray, " n"], count: int
+) -> Float[np.ndarray, " c"]:
+    """The median of each of C groups, the upper one of two."""
+    order = np.lexsort((values, groups))
+    first = np.searchsorted(groups[order], np.arange(count + 1))
+    middles: Float[np.ndarray, " c"] = values[order][(first[:-1] + first[1:]) // 2]
+    return middles
 
 
 def _weighted_median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:

@@ -12,9 +12,8 @@ from mrgs.check.problem import Evidence, ImageStatistics, Problem, cameras_by_mo
 from mrgs.check.rules import find_problems
 from mrgs.data import load_scene
 from mrgs.data.colmap import MODEL_FOLDERS
-from mrgs.data.files import scene_error
 from mrgs.data.transforms import pinhole_lens
-from mrgs.errors import MrgsWarning, SceneError
+from mrgs.errors import MrgsWarning, SceneError, scene_error
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.page.temperatures import setting_rows, temperatures
@@ -26,8 +25,7 @@ from mrgs.prepare.page.views import (
     thermal_overlays,
     thumbnail_width,
 )
-from mrgs.prepare.page.world import World
-from mrgs.prepare.page.write import lens_rows, write_scene_page
+from mrgs.prepare.page.write import World, lens_rows, write_scene_page
 from mrgs.scene import Modality, Pixels, Scene
 from mrgs.scene.view import evenly_spaced
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,13 +13,13 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from mrgs.data.images import DRAFT_MARGIN, decode, probe, with_channels
+from mrgs.data.images import DRAFT_MARGIN, decode, with_channels
 from mrgs.data.sources import decode_rgb
 from mrgs.data.undistort import reduced, sampled
 from mrgs.errors import SceneError
 from mrgs.pictures.drawing import Scale, scale_bar
 from mrgs.pictures.files import to_rgb8
-from mrgs.pictures.html import InlineImage, inline_image
+from mrgs.pictures.html import inline_image
 from mrgs.pictures.palette import colorize, display_range
 from mrgs.prepare.contract import ConvertedView, Progress
 from mrgs.prepare.rig.images import STEP_PX, inverse_depth
@@ -186,29 +186,6 @@ MOST_SHOWN = 120
 _BAR_PX = 420
 
 
-class Card(NamedTuple):
-    """One view on the page: the facts of ``Preview``, its images, the thermal image warped onto the
-    photo, and the steepest edges of that; None without poses."""
-
-    name: str
-    status: str
-    registered: bool
-    images: dict[Modality, InlineImage]
-    warped: InlineImage | None
-    edges: InlineImage | None
-
-
-class PairsSection(NamedTuple):
-    """The section ``pairs`` of ``sections.html``: the cards of the views that are shown, the number
-    of all, and the scale of the colours; None without thermal images."""
-
-    cards: list[Card]
-    total: int
-    has_overlays: bool
-    legend: str
-    bar: InlineImage | None
-
-
 def thumbnail_width(count: int) -> int:
     """The width in pixels at which the images of ``count`` pairs are shown."""
     return THUMBNAIL_PX if count <= LARGE_UP_TO else SMALL_THUMBNAIL_PX
@@ -219,25 +196,30 @@ def pairs(
     overlays: Mapping[str, Float32[np.ndarray, "h w"]],
     unit: str,
     total: int,
-) -> PairsSection:
-    """Draw the views that are shown, with the ``overlays`` of ``thermal_overlays``; the ``unit`` of
-    the thermal values is empty where they are relative."""
+) -> dict[str, Any]:
+    """The section ``pairs`` of ``sections.html``: the cards of the views that are shown, with the
+    ``overlays`` of ``thermal_overlays``, and the scale of the colours, None without thermal images;
+    the ``unit`` of the thermal values is empty where they are relative."""
     thermal = [view.images[THERMAL].pixels for view in previews if THERMAL in view.images]
     limits = (0.0, 1.0)
     if thermal:
         limits = display_range(np.concatenate([each.ravel()[::7] for each in thermal]))
     scale = Scale("inferno", *limits, unit)
     bar = scale_bar(scale, _BAR_PX, "horizontal")
-    return PairsSection(
-        [_card(preview, overlays.get(preview.name), scale) for preview in previews],
-        total,
-        bool(overlays),
-        "Temperatures" if unit else "Relative thermal values",
-        inline_image(bar, "scale of the thermal images", png=True) if thermal else None,
-    )
+    return {
+        "cards": [_card(preview, overlays.get(preview.name), scale) for preview in previews],
+        "total": total,
+        "has_overlays": bool(overlays),
+        "legend": "Temperatures" if unit else "Relative thermal values",
+        "bar": inline_image(bar, "scale of the thermal images", png=True) if thermal else None,
+    }
 
 
-def _card(preview: Preview, overlay: Float32[np.ndarray, "h w"] | None, scale: Scale) -> Card:
+def _card(
+    preview: Preview, overlay: Float32[np.ndarray, "h w"] | None, scale: Scale
+) -> dict[str, Any]:
+    """A view on the page: the facts of its preview, its images, the thermal image warped onto the
+    photo, and the steepest edges of that; None without poses."""
     images = {
         modality: inline_image(
             _picture(modality, image.pixels, scale),
@@ -250,7 +232,7 @@ def _card(preview: Preview, overlay: Float32[np.ndarray, "h w"] | None, scale: S
     if overlay is not None:
         warped = inline_image(_picture(THERMAL, overlay, scale), "", quality=72)
         edges = inline_image(edge_layer(overlay), "", png=True)
-    return Card(preview.name, preview.status, preview.registered, images, warped, edges)
+    return {**preview._asdict(), "images": images, "warped": warped, "edges": edges}
 
 
 def _picture(modality: Modality, pixels: np.ndarray, scale: Scale) -> Image.Image:
@@ -266,23 +248,16 @@ MOST_PHOTOS = 6
 MEASURED_PX = 760
 
 
-class MeasuredPhoto(NamedTuple):
-    """A photo to measure in: its view, the file's width and height in pixels, and the picture."""
-
-    view: str
-    width: int
-    height: int
-    picture: InlineImage
-
-
-def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[MeasuredPhoto]:
-    """Some of the photos of ``views``, which have a pose and an RGB image, evenly distributed, with
-    the lens distortion of the file. SceneError if a photo cannot be read."""
+def measured_photos(scene: Path, views: Sequence[ConvertedView]) -> list[dict[str, Any]]:
+    """Some photos to measure in, of ``views`` that have a pose and an RGB image, evenly
+    distributed, with the lens distortion of the file: each view, the file's width and height in
+    pixels, and the picture. SceneError if a photo cannot be read."""
     photos = []
     for index in evenly_spaced(len(views), MOST_PHOTOS):
-        name, file = views[index].name, scene / views[index].images[RGB].file
-        values, _ = decode_rgb(file, DRAFT_MARGIN * MEASURED_PX)
-        image = Image.fromarray(to_rgb8(reduced(values, None, MEASURED_PX)[0]))
-        info, picture = probe(file), inline_image(image, f"photo {name}", quality=75)
-        photos.append(MeasuredPhoto(name, info.width, info.height, picture))
+        name, image = views[index].name, views[index].images[RGB]
+        values, _ = decode_rgb(scene / image.file, DRAFT_MARGIN * MEASURED_PX)
+        shown = Image.fromarray(to_rgb8(reduced(values, None, MEASURED_PX)[0]))
+        picture = inline_image(shown, f"photo {name}", quality=75)
+        width, height = image.size
+        photos.append({"view": name, "width": width, "height": height, "picture": picture})
     return photos

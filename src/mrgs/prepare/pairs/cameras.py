@@ -10,12 +10,11 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mrgs.data.files import scene_error
-from mrgs.errors import SceneError, printable
+from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import MIN_VIEWS, SeveralCamerasError, Skipped
-from mrgs.prepare.pairs.inventory import Inventory, Photo
-from mrgs.prepare.pairs.names import PARTNER, REFERENCE
-from mrgs.prepare.pairs.rules import NEARLY, Match, Pair, by_modality
+from mrgs.prepare.pairs.inventory import Inventory
+from mrgs.prepare.pairs.photo import PARTNER, REFERENCE, Photo
+from mrgs.prepare.pairs.rules import NEARLY, Match, Pair
 from mrgs.scene import Modality
 from mrgs.system.wording import counted, listed, shown
 
@@ -46,7 +45,7 @@ def check_cameras(
         raise scene_error(
             inventory.root,
             f"the {PARTNER.title} photos are of different cameras: that of "
-            f"{inventory.name(embedded[0])} is embedded, {inventory.name(partners[0])} is a file "
+            f"{embedded[0].name} is embedded, {partners[0].name} is a file "
             f"of its own; use one of the two kinds",
         )
     warnings: tuple[str, ...] = ()
@@ -54,7 +53,7 @@ def check_cameras(
         photos = [pair.photos[modality] for pair in pairs if modality in pair.photos]
         if len(cameras := _by_camera(photos)) > 1:
             of_each = [
-                f"{len(own)} of {name} such as {inventory.name(own[0])}"
+                f"{len(own)} of {name} such as {own[0].name}"
                 for name, own in sorted(cameras.items(), key=lambda each: -len(each[1]))
             ]
             raise scene_error(
@@ -70,7 +69,7 @@ def check_cameras(
                 f"mm to {max(focal_mm):g} mm, yet one lens is assumed for all: leave out those "
                 f"that were zoomed.",
             )
-        warnings += _several(modality, photos, inventory)
+        warnings += _several(modality, photos)
     unknown = [item.name for item in inventory.skipped if item.reason == UNKNOWN_CAMERA]
     if unknown:
         count = counted(len(unknown), f"{REFERENCE.title} photo")
@@ -82,14 +81,14 @@ def check_cameras(
 
 
 def of_one_camera(
-    inventory: Inventory, root_name: str, camera: str | None, match: Callable[[Inventory], Match]
+    inventory: Inventory, camera: str | None, match: Callable[[Inventory], Match]
 ) -> Inventory:
     """The inventory without the photos of other thermal cameras than the chosen one, and without
     RGB photos of their models; all of it where none is chosen. A thermal photo that names no camera
     is of the one whose photos alone have its size. SceneError if there is no such
     camera. SeveralCamerasError if none is chosen, and several have pairs enough for a scene where
     each is matched apart: the rule for all photos may find only the pairs of one."""
-    references, partners = by_modality(inventory.photos, root_name)
+    references = inventory.references
     cameras = _by_camera(references)
     candidates = _candidates(references, cameras)
 
@@ -99,9 +98,9 @@ def of_one_camera(
             for photo, names in candidates.items()
             if names != [name]
         }
-        others = [each for each in partners if each.exif.model in cameras.keys() - {name}]
+        others = [each for each in inventory.others if each.exif.model in cameras.keys() - {name}]
         left_out |= dict.fromkeys(others, f"is not of {name}")
-        skipped = [Skipped(inventory.name(each), reason) for each, reason in left_out.items()]
+        skipped = [Skipped(each.name, reason) for each, reason in left_out.items()]
         kept = tuple(each for each in inventory.photos if each not in left_out)
         return replace(inventory, photos=kept, skipped=(*inventory.skipped, *skipped))
 
@@ -159,14 +158,14 @@ def _grouped(
     return groups
 
 
-def _several(modality: Modality, photos: Sequence[Photo], inventory: Inventory) -> tuple[str, ...]:
+def _several(modality: Modality, photos: Sequence[Photo]) -> tuple[str, ...]:
     """A warning about cameras of one model with serial numbers of their own."""
     by_serial = _grouped(photos, lambda photo: photo.serial)
     if len(by_serial) < 2:
         return ()
     most, other = sorted(by_serial.items(), key=lambda group: -len(group[1]))[:2]
     named = " and ".join(
-        f"{serial} ({len(own)}, such as {inventory.name(own[0])})" for serial, own in (most, other)
+        f"{serial} ({len(own)}, such as {own[0].name})" for serial, own in (most, other)
     )
     return (
         f"The {modality.title} photos are of {len(by_serial)} cameras of one model, by their "

@@ -8,31 +8,35 @@ import re
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
-from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes, scene_error
-from mrgs.errors import ConfigError, SceneError, printable
+from mrgs.data.files import contained, decoded_text, is_file, on_disk, read_bytes
+from mrgs.errors import ConfigError, SceneError, printable, scene_error
 from mrgs.prepare.contract import Pairing, PhotoPair, Progress, Skipped
+from mrgs.prepare.options import PairRule, PrepareOptions
 from mrgs.prepare.pairs.cameras import check_cameras, of_one_camera, shifted
-from mrgs.prepare.pairs.inventory import NOT_READ, Inventory, Photo, take_inventory
-from mrgs.prepare.pairs.names import HEADINGS, PARTNER, REFERENCE, natural, read_stem, view_names
+from mrgs.prepare.pairs.inventory import NOT_READ, Inventory, take_inventory
+from mrgs.prepare.pairs.photo import (
+    HEADINGS,
+    PARTNER,
+    REFERENCE,
+    Photo,
+    natural,
+    read_stem,
+    view_names,
+)
 from mrgs.prepare.pairs.rules import (
     NEARLY,
     Match,
     Pair,
     by_embedded,
     by_folders,
-    by_modality,
     by_names,
     by_numbers,
     by_time,
     in_order,
-    needed_root_name,
 )
 from mrgs.scene import Modality
 from mrgs.system.wording import counted, shown
-
-Rule = Literal["auto", "names", "folders", "time", "thermal"]
 
 _FEWEST_PAIRS = 3
 """With fewer, or with fewer than a tenth of the reference photos, a set that lacks most partners
@@ -40,27 +44,18 @@ is used without any."""
 
 
 def find_pairs(
-    photos: Path,
-    *,
-    rule: Rule = "auto",
-    table: Path | None = None,
-    tolerance_s: float = 2.0,
-    camera: str | None = None,
-    progress: Progress | None = None,
+    photos: Path, options: PrepareOptions | None = None, progress: Progress | None = None
 ) -> Pairing:
     """The photos of a folder and its subfolders that belong together.
 
-    Args:
-        rule: ``names`` compares the names of files (DJI's ``_T`` and ``_W``, FLIR's neighbouring
-            numbers, suffixes), or takes the RGB photos embedded in FLIR's files; ``folders`` looks
-            for equal names in folders such as ``rgb`` and ``thermal``; ``time`` compares the times
-            in EXIF; ``auto`` takes the one of these with the most pairs; ``thermal`` takes the
-            thermal photos only.
-        table: a CSV file with the pairs, ``rgb,thermal``, relative to the folder; instead of a
-            rule.
-        tolerance_s: maximum time difference within a pair, seconds.
-        camera: the thermal camera whose photos are used: its model, where these are equal the size
-            of its photos such as ``640 x 512``, and else its lens such as ``45°``.
+    Of the options, ``pairs`` is the rule: ``names`` compares the names of files (DJI's ``_T`` and
+    ``_W``, FLIR's neighbouring numbers, suffixes), or takes the RGB photos embedded in FLIR's
+    files; ``folders`` looks for equal names in folders such as ``rgb`` and ``thermal``; ``time``
+    compares the times in EXIF; ``auto`` takes the one of these with the most pairs; ``thermal``
+    takes the thermal photos only. ``pair_table`` is a CSV file with the pairs, ``rgb,thermal``,
+    relative to the folder, instead of a rule. ``camera`` is the model of the thermal camera, where
+    the models are equal the size of its photos such as ``640 x 512``, and else its lens such as
+    ``45°``.
 
     Returns:
         The pairs. Every other file, except hidden ones, is in ``skipped`` with a reason.
@@ -70,6 +65,10 @@ def find_pairs(
             different cameras (SeveralCamerasError: of which one can be chosen).
         ConfigError: both a rule and a table, or an invalid tolerance.
     """
+    options = options or PrepareOptions()
+    rule, table, camera, tolerance_s = (
+        options.pairs, options.pair_table, options.camera, options.tolerance_s
+    )  # fmt: skip
     if not (math.isfinite(tolerance_s) and tolerance_s >= 0):
         raise ConfigError(
             f"invalid time difference of {tolerance_s:g} s; give 0 s or more",
@@ -81,11 +80,10 @@ def find_pairs(
             options=("pair_table", "pairs"),
         )
     inventory = take_inventory(photos, progress)
-    root_name = needed_root_name(inventory.photos, inventory.root.resolve().name)
-    by_rule = partial(_match, root_name=root_name, rule=rule, tolerance_s=tolerance_s)
+    by_rule = partial(_match, rule=rule, tolerance_s=tolerance_s)
     match = by_table(table, inventory) if table else None
     if camera is not None or match is None:
-        inventory = of_one_camera(inventory, root_name, camera, by_rule)
+        inventory = of_one_camera(inventory, camera, by_rule)
     match = match or by_rule(inventory)
     kept = {*inventory.photos}
     pairs = [pair for pair in match.pairs if pair.reference in kept]
@@ -97,6 +95,7 @@ def find_pairs(
             f"{counted(len(unread), 'photo')} cannot be read, such as {printable(unread[0])}, so "
             f"there are no colours: save them as JPEG.",
         )
+    skipped = [*inventory.skipped, *_unused(inventory, match, pairs)]
     origins = []
     for pair in pairs:
         reference, origin = pair.reference, pair.reference.origin
@@ -111,7 +110,6 @@ def find_pairs(
         )
         for name, pair in zip(view_names(origins), pairs, strict=True)
     ]
-    skipped = [*inventory.skipped, *_unused(inventory, root_name, match, pairs)]
     return Pairing(
         tuple(sorted(found, key=lambda pair: natural(pair.name))),
         tuple(sorted(skipped, key=lambda item: natural(item.name))),
@@ -120,16 +118,16 @@ def find_pairs(
     )
 
 
-def _match(inventory: Inventory, root_name: str, rule: Rule, tolerance_s: float) -> Match:
+def _match(inventory: Inventory, rule: PairRule, tolerance_s: float) -> Match:
     """What the rule finds; with ``auto``, the best. Only the reference photos where no or too few
     partners are there."""
-    references, others = by_modality(inventory.photos, root_name)
+    references, others = inventory.references, inventory.others
     if rule == REFERENCE.name and references:
         return _alone(
             references, dict.fromkeys(others, f"only the {REFERENCE.title} photos are used")
         )
     pairable = min(len(references), len(others))
-    best = _best_match(inventory.photos, root_name, rule, tolerance_s, pairable)
+    best = _best_match(inventory.photos, rule, tolerance_s, pairable)
     count, least = _count(best), max(_FEWEST_PAIRS, len(references) / 10)
     if 2 * max(count, len(others)) < len(references) and count < least:
         found = len(others) + sum(photo.embedded for photo in references)
@@ -141,12 +139,12 @@ def _match(inventory: Inventory, root_name: str, rule: Rule, tolerance_s: float)
         reason = f"most {REFERENCE.title} photos have no {PARTNER.title} photo"
         return _alone(references, dict.fromkeys(others, reason), doubt if found else ())
     if best is None:
-        raise _no_pairs(inventory, references, others, rule, tolerance_s)
+        raise _no_pairs(inventory, rule, tolerance_s)
     return best
 
 
 def _best_match(
-    photos: Sequence[Photo], root_name: str, rule: Rule, tolerance_s: float, pairable: int
+    photos: Sequence[Photo], rule: PairRule, tolerance_s: float, pairable: int
 ) -> Match | None:
     """The match with the most pairs, the first of equal ones; numbers and times count only where
     names fail for most photos."""
@@ -154,14 +152,14 @@ def _best_match(
     if rule in ("auto", "names"):
         best = by_names(photos, tolerance_s)
     if rule in ("auto", "folders"):
-        best = max(best, by_folders(photos, root_name, tolerance_s), key=_count)
+        best = max(best, by_folders(photos, tolerance_s), key=_count)
     if rule in ("auto", "names"):
         if 2 * _count(best) <= pairable:
             best = max(best, by_numbers(photos), key=_count)
         embedded = by_embedded(photos)  # smaller than separate photos
         best = embedded if _count(best) < NEARLY * _count(embedded) else best
     if rule == "time" or (rule == "auto" and 2 * _count(best) < pairable):
-        best = max(best, by_time(photos, root_name, tolerance_s), key=_count)
+        best = max(best, by_time(photos, tolerance_s), key=_count)
     return best
 
 
@@ -177,13 +175,8 @@ def _alone(
     return Match(pairs, f"Only the {REFERENCE.title} photos are used.", "", reasons, warnings)
 
 
-def _no_pairs(
-    inventory: Inventory,
-    references: list[Photo],
-    others: list[Photo],
-    rule: Rule,
-    tolerance_s: float,
-) -> SceneError:
+def _no_pairs(inventory: Inventory, rule: PairRule, tolerance_s: float) -> SceneError:
+    references, others = inventory.references, inventory.others
     options: tuple[str, ...] = ("pair_table",)
     found = f"its {len(references)} {REFERENCE.title} and {len(others)} other photos make no pairs"
     equal_names = f"give them equal names in folders {PARTNER} and {REFERENCE}"
@@ -209,22 +202,15 @@ def _no_pairs(
     return scene_error(inventory.root, f"{found}: {why}", options=options)
 
 
-def _unused(inventory: Inventory, root_name: str, match: Match, pairs: list[Pair]) -> list[Skipped]:
+def _unused(inventory: Inventory, match: Match, pairs: list[Pair]) -> list[Skipped]:
     """All photos that are in no pair, with the reason."""
     used = {photo for pair in pairs for photo in pair.photos.values()}
-    references, _ = by_modality(inventory.photos, root_name)
-    wanted = dict.fromkeys(references, PARTNER)
-    reasons = {
-        photo: f"has no {wanted.get(photo, REFERENCE).title} photo {match.without}"
-        for photo in inventory.photos
-    }
+    reasons = dict.fromkeys(inventory.others, f"has no {REFERENCE.title} photo {match.without}")
+    lacking = f"has no {PARTNER.title} photo {match.without}"
+    reasons |= dict.fromkeys(inventory.references, lacking)
     alone = f"has no {PARTNER.title} photo, while others do"
     reasons |= {**match.reasons, **{pair.reference: alone for pair in match.pairs}}
-    return [
-        Skipped(inventory.name(photo), reasons[photo])
-        for photo in inventory.photos
-        if photo not in used
-    ]
+    return [Skipped(photo.name, reasons[photo]) for photo in inventory.photos if photo not in used]
 
 
 _MAX_BYTES = 16 * 2**20
@@ -250,13 +236,12 @@ def by_table(table: Path, inventory: Inventory) -> Match:
         if names[PARTNER]:
             partner = _photo(names[PARTNER], photos, inventory, table, number)
             is_swapped = partner.is_thermal and not reference.is_thermal
-            if is_swapped or (
-                not is_headed and by_modality((partner, reference), "")[0] == [partner]
-            ):
+            names_swap = partner.is_reference and not reference.is_reference
+            if is_swapped or (names_swap and not is_headed):
                 partner, reference = reference, partner
         for photo in filter(None, (partner, reference)):
             if (before := used.setdefault(photo, number)) != number:
-                both = f"lines {before} and {number} both name {inventory.name(photo)}"
+                both = f"lines {before} and {number} both name {photo.name}"
                 raise scene_error(table, f"{both}; delete one of them")
         if partner is reference:
             raise scene_error(

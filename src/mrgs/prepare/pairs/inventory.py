@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
-from mrgs.data.files import composed, decoded_text, read_bytes, scene_error, visible_files
+from mrgs.data.files import composed, decoded_text, read_bytes, visible_files
 from mrgs.data.images import holds_numbers, opened, stored_size
-from mrgs.data.kept import Stamp, digest, stamp_of
+from mrgs.data.kept import Stamp, stamp_of
 from mrgs.data.radiometric import ExifFacts, dji, flir, read_exif
 from mrgs.data.radiometric.exif import JPEG_SIGNATURE, RECORD_MARKS, flir_record
 from mrgs.data.radiometric.read import MAX_BYTES, Kind, reader_of
 from mrgs.data.radiometric.table import numbers_in
-from mrgs.errors import SceneError, printable
+from mrgs.errors import SceneError, printable, scene_error
 from mrgs.prepare.contract import Progress, Skipped
-from mrgs.prepare.pairs.names import folder_modality, natural
+from mrgs.prepare.pairs.photo import Photo, folder_modality, natural, told_apart
 from mrgs.scene import Modality
 from mrgs.system.disk import open_regular
-
-_PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image")
-"""In this order one file is preferred where several show the same."""
 
 _HEAD_BYTES = 2**20
 """The header of a JPEG without a thermal record rarely takes more."""
@@ -41,44 +40,6 @@ _HEIC = {b"ftyp" + brand for brand in (b"heic", b"heix", b"mif1", b"msf1", b"avi
 NOT_READ = "which is not read; save it as JPEG or PNG"
 
 
-@dataclass(frozen=True)
-class Photo:
-    """A file that can be a photo of a pair; None where its header does not say.
-
-    Attributes:
-        origin: path of the camera's original file without the extension, relative to the folder of
-            photos.
-        kind: of its content.
-        size: width and height in pixels.
-        needs_tool: whether only the maker's tool reads it.
-        embedded: whether a photo in visible light is inside.
-        focal_mm: focal length in mm.
-        field_of_view_deg: horizontal, of the thermal camera's lens.
-        serial: the camera's serial number.
-    """
-
-    path: Path
-    origin: PurePosixPath
-    kind: Kind
-    size: tuple[int, int] | None = None
-    needs_tool: bool = False
-    embedded: bool = False
-    exif: ExifFacts = field(default_factory=ExifFacts)
-    focal_mm: float | None = None
-    field_of_view_deg: float | None = None
-    serial: str | None = None
-
-    @property
-    def is_thermal(self) -> bool:
-        """Whether the content is thermal for certain; a plain image may be thermal as well."""
-        return self.kind != "image"
-
-    @property
-    def preference(self) -> int:
-        """Lower is better, where several files show the same."""
-        return len(_PREFERENCE) if self.needs_tool else _PREFERENCE.index(self.kind)
-
-
 def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
     """The photo in a file, or half a sentence with the reason why it is not one; ``relative`` is
     its path below the folder of photos."""
@@ -96,7 +57,10 @@ def inspect(path: Path, relative: PurePosixPath) -> Photo | str:
         if reader is None:
             return "is no photo"
         photo = _PHOTOS[reader.kind](path, origin, data)
-        return photo if isinstance(photo, str) else replace(photo, needs_tool=reader.needs_tool)
+        if isinstance(photo, str):
+            return photo
+        name = printable(relative.as_posix())
+        return replace(photo, needs_tool=reader.needs_tool, name=name)
     except SceneError as error:
         return str(error).removeprefix(f"{path}: ")
 
@@ -200,14 +164,15 @@ class Inventory:
     skipped: tuple[Skipped, ...]
     listings: dict[Path, dict[str, list[str]]] = field(default_factory=dict, compare=False)
 
-    def name(self, photo: Photo) -> str:
-        """The path of a photo's file for messages: below the folder."""
-        return below(self.root, photo.path)
+    @property
+    def references(self) -> list[Photo]:
+        """The photos of the reference modality."""
+        return [photo for photo in self.photos if photo.is_reference]
 
-
-def below(root: Path, path: Path) -> str:
-    """A path below a folder for messages, with slashes on every system."""
-    return printable(path.relative_to(root).as_posix())
+    @property
+    def others(self) -> list[Photo]:
+        """All other photos, which may be partners."""
+        return [photo for photo in self.photos if not photo.is_reference]
 
 
 def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
@@ -226,7 +191,7 @@ def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
             stamp = stamp_of(path) if path.exists() else None
             found = _inspected(path, relative, stamp) if stamp else inspect(path, relative)
         if isinstance(found, str):
-            skipped.append(Skipped(below(root, path), found))
+            skipped.append(Skipped(printable(relative.as_posix()), found))
         else:
             photos.append(found)
     if not photos:
@@ -239,9 +204,10 @@ def take_inventory(root: Path, progress: Progress | None = None) -> Inventory:
         raise scene_error(
             root, f"{what}; give the folder with the camera's JPEG, PNG or TIFF files"
         )
-    photos, copies = _without_copies(root, photos)
-    kept, replaced = _one_file_per_photo(root, photos)
-    return Inventory(root, tuple(kept), tuple(skipped + copies + replaced))
+    photos, copies = _without_copies(photos)
+    kept, replaced = _one_file_per_photo(photos)
+    photos = told_apart(kept, root.resolve().name)
+    return Inventory(root, tuple(photos), tuple(skipped + copies + replaced))
 
 
 @lru_cache(maxsize=20_000)
@@ -251,7 +217,7 @@ def _inspected(path: Path, relative: PurePosixPath, stamp: Stamp) -> Photo | str
     return inspect(path, relative)
 
 
-def _without_copies(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
+def _without_copies(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
     """The photos without copies: of files with the same name and content, as in a backup of the
     card, the one with the shortest path is kept.
 
@@ -264,19 +230,24 @@ def _without_copies(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[
         by_name.setdefault(key, []).append(photo)
     copies: dict[Photo, Photo] = {}
     for group in by_name.values():
-        originals: dict[str, Photo] = {}
-        for photo in sorted(group, key=lambda one: len(str(one.origin))) if group[1:] else ():
-            content = digest(photo.path)
-            if content and originals.setdefault(content, photo) is not photo:
-                copies[photo] = originals[content]
-    skipped = [
-        Skipped(below(root, photo.path), f"is a copy of {below(root, first.path)}")
-        for photo, first in copies.items()
-    ]
+        originals: list[Photo] = []
+        for photo in sorted(group, key=lambda one: len(str(one.origin))):
+            first = next((one for one in originals if _same_content(one.path, photo.path)), None)
+            if first is None:
+                originals.append(photo)
+            else:
+                copies[photo] = first
+    skipped = [Skipped(photo.name, f"is a copy of {first.name}") for photo, first in copies.items()]
     return [photo for photo in photos if photo not in copies], skipped
 
 
-def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
+def _same_content(first: Path, second: Path) -> bool:
+    with suppress(OSError):  # the next reader raises the error
+        return filecmp.cmp(first, second, shallow=False)
+    return False
+
+
+def _one_file_per_photo(photos: list[Photo]) -> tuple[list[Photo], list[Skipped]]:
     """The best file of each thermal photo; the others are skipped.
 
     Files of one stem in one folder are the same photo, and so are a DJI R-JPEG and the one file of
@@ -301,8 +272,8 @@ def _one_file_per_photo(root: Path, photos: list[Photo]) -> tuple[list[Photo], l
     kept, skipped = [], []
     for photo in photos:
         if best[photo] is not photo:
-            reason = f"the temperatures are taken from {below(root, best[photo].path)}"
-            skipped.append(Skipped(below(root, photo.path), reason))
+            reason = f"the temperatures are taken from {best[photo].name}"
+            skipped.append(Skipped(photo.name, reason))
         elif photo in used and used[photo].needs_tool:
             exif = replace(used[photo].exif, orientation=photo.exif.orientation)
             serial = used[photo].serial

@@ -1,6 +1,7 @@
 """Rules that pair photos. Each returns a match; ``find`` chooses among them.
 
-A pair has a photo of the reference modality (thermal) and its partner (RGB).
+A pair has a photo of the reference modality (thermal) and its partner (RGB). Where times decide,
+the offset between the clocks of the two cameras is found first.
 """
 
 from __future__ import annotations
@@ -13,17 +14,21 @@ from datetime import datetime, timedelta
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Float64
+from scipy.optimize import linear_sum_assignment
+
 from mrgs.data.files import composed
 from mrgs.errors import printable
-from mrgs.prepare.pairs.clocks import clock_offset, match_times
-from mrgs.prepare.pairs.inventory import Photo
-from mrgs.prepare.pairs.names import (
+from mrgs.prepare.pairs.photo import (
     PARTNER,
     PARTNER_MARKS,
     REFERENCE,
-    folder_modality,
+    Candidate,
+    Photo,
+    candidate_by_folder,
+    candidate_by_name,
     natural,
-    read_stem,
 )
 from mrgs.scene import Modality
 
@@ -69,59 +74,6 @@ class Match:
     warnings: tuple[str, ...] = ()
 
 
-class Candidate(NamedTuple):
-    """A photo with the facts in its name; photos of one moment have the same key."""
-
-    photo: Photo
-    modality: Modality | None
-    key: str
-    mark: str
-    moment: datetime | None
-
-    @property
-    def is_reference(self) -> bool:
-        """Whether the photo is known to be of the reference modality."""
-        return self.modality == REFERENCE
-
-
-def candidate_by_name(photo: Photo, folders: Sequence[str] | None = None) -> Candidate:
-    """Modality by content and file name; the folder is part of the key, or ``folders`` are."""
-    folders = photo.origin.parts[:-1] if folders is None else folders
-    facts = read_stem(photo.origin.name, photo.is_thermal)
-    key = composed("/".join([*folders, facts.key]).casefold())
-    modality = REFERENCE if photo.is_thermal else facts.modality
-    return Candidate(photo, modality, key, facts.mark, facts.moment)
-
-
-def candidate_by_folder(photo: Photo, root_name: str = "") -> Candidate:
-    """Modality by content and folder; the folder named after a modality is not part of the key. The
-    name of the folder of all photos is given where it counts; see ``needed_root_name``."""
-    named, folders = folder_modality([root_name, *photo.origin.parts[:-1]])
-    modality = REFERENCE if photo.is_thermal else named
-    return candidate_by_name(photo, folders)._replace(modality=modality)
-
-
-def needed_root_name(photos: Sequence[Photo], root_name: str) -> str:
-    """The name of the folder of all photos, where nothing else says what any of them is; else
-    empty: a folder of both cameras' photos may be called "thermal survey"."""
-    is_known = any(
-        photo.is_thermal or candidate_by_folder(photo).modality or candidate_by_name(photo).modality
-        for photo in photos
-    )
-    return "" if is_known else root_name
-
-
-def by_modality(photos: Sequence[Photo], root_name: str) -> tuple[list[Photo], list[Photo]]:
-    """All reference photos, and all others, which may be partners: by content, else by the folder,
-    else by the name."""
-    found: dict[bool, list[Photo]] = {True: [], False: []}
-    for photo in photos:
-        by_folder = candidate_by_folder(photo, root_name)
-        known = by_folder if by_folder.modality else candidate_by_name(photo)
-        found[known.is_reference].append(photo)
-    return found[True], found[False]
-
-
 def in_order(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
     """In natural order of the reference photos."""
     return tuple(sorted(pairs, key=lambda pair: natural(str(pair.reference.origin))))
@@ -137,10 +89,10 @@ def by_names(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     return Match(pairs, rule, "of its name", reasons)
 
 
-def by_folders(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
+def by_folders(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     """Equal names in folders such as ``rgb`` and ``thermal``, in equal folders around these, or
     else unique; names that are equal to the letter come before names with a camera suffix."""
-    candidates = [candidate_by_folder(photo, root_name) for photo in photos]
+    candidates = [candidate_by_folder(photo) for photo in photos]
     pairs: list[Pair] = []
     reasons: dict[Photo, str] = {}
 
@@ -298,7 +250,7 @@ def by_embedded(photos: Sequence[Photo]) -> Match | None:
     return Match(pairs, rule, reasons=reasons)
 
 
-def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Match | None:
+def by_time(photos: Sequence[Photo], tolerance_s: float) -> Match | None:
     """The nearest in time by EXIF, after the clocks are compared."""
     timed = [photo for photo in photos if photo.exif.taken is not None]
     in_zones = all(photo.exif.zone_s is not None for photo in timed)
@@ -310,8 +262,11 @@ def by_time(photos: Sequence[Photo], root_name: str, tolerance_s: float) -> Matc
         return photo.exif.taken - timedelta(seconds=zone_s or 0.0)
 
     references, partners = (
-        sorted(group, key=lambda photo: (moment(photo), natural(str(photo.origin))))
-        for group in by_modality(timed, root_name)
+        sorted(
+            (photo for photo in timed if photo.is_reference == wanted),
+            key=lambda photo: (moment(photo), natural(str(photo.origin))),
+        )
+        for wanted in (True, False)
     )
     if not references or not partners:
         return None
@@ -364,3 +319,111 @@ def _matched(
     partners_s = [(moment_of(one) - offset - start).total_seconds() for one in partners]
     matched = match_times(partners_s, references_s, tolerance_s)
     return [(references[j], partners[i]) for i, j in matched]
+
+
+_NEARLY = 0.9
+"""An offset with this share of another one's pairs is as good."""
+
+_TRIED = 24
+"""Number of the most frequent differences of two times that are tried as offsets."""
+
+_LOOKED_AT = 50_000
+"""Number of differences, the most frequent first, that are searched."""
+
+_FEWEST = 3
+"""Fewer pairs than this prove no offset."""
+
+_RANK_S = 1e-5
+"""Photos of the same second are ordered as if they were this far apart, seconds."""
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """Offset between the clocks of two cameras: time on the first minus time on the second, at the
+    same moment; the number of pairs with this offset; and another one with nearly as many, None if
+    there is none."""
+
+    seconds: float
+    pairs: int
+    rival: ClockOffset | None = None
+
+
+def match_times(
+    first_s: Sequence[float], second_s: Sequence[float], tolerance_s: float
+) -> list[tuple[int, int]]:
+    """Pairs of indices of photos at most ``tolerance_s`` seconds apart, by ascending times on one
+    clock: as many as possible, and then the nearest."""
+    first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
+    times = np.sort(np.concatenate([first, second]))
+    starts = times[1:][np.diff(times) > tolerance_s]  # no pair bridges these gaps
+    of_first, of_second = (np.searchsorted(starts, each, "right") for each in (first, second))
+    pairs: list[tuple[int, int]] = []
+    for cluster in np.intersect1d(of_first, of_second):
+        rows, columns = np.flatnonzero(of_first == cluster), np.flatnonzero(of_second == cluster)
+        apart = first[rows, None] - second[columns]
+        near = np.abs(apart) <= tolerance_s
+        # Squares keep the order where times are equal.
+        order = np.arange(len(rows))[:, None] - np.arange(len(columns))
+        cost = (apart + _RANK_S * order) ** 2
+        forbidden = (1 + cost[near].max(initial=0.0)) * (1 + min(cost.shape))
+        chosen = zip(*linear_sum_assignment(np.where(near, cost, forbidden)), strict=True)
+        pairs += [(int(rows[i]), int(columns[j])) for i, j in chosen if near[i, j]]
+    return sorted(pairs, key=lambda pair: pair[1])
+
+
+def clock_offset(
+    first_s: Sequence[float], second_s: Sequence[float], tolerance_s: float
+) -> ClockOffset:
+    """The clock offset with which most photos find a partner within ``tolerance_s`` seconds, by
+    ascending times; 0 where that is nearly as good."""
+    first, second = np.asarray(first_s, np.float64), np.asarray(second_s, np.float64)
+    in_step = ClockOffset(0.0, _count(first, second, tolerance_s))
+    smaller = min(len(first), len(second))
+    if smaller < _FEWEST or in_step.pairs >= _NEARLY * smaller:
+        return in_step
+    window_s = max(tolerance_s, 0.5)
+    tried = _frequent_differences(first, second, window_s)
+    found = sorted(
+        (ClockOffset(s, _count(first - s, second, tolerance_s)) for s in tried),
+        key=lambda one: -one.pairs,
+    )
+    best = found[0]
+    if best.pairs < max(_FEWEST, smaller / 2) or in_step.pairs >= _NEARLY * best.pairs:
+        return in_step
+    others = [one for one in found[1:] if abs(one.seconds - best.seconds) > 2 * window_s]
+    rival = others[0] if others and others[0].pairs >= _NEARLY * best.pairs else None
+    return ClockOffset(best.seconds, best.pairs, rival)
+
+
+def _frequent_differences(
+    first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], window_s: float
+) -> list[float]:
+    """The centres of the windows that hold most of the differences between all times of the two
+    cameras."""
+    differences = np.sort((first[:, None] - second).ravel())
+    ends = np.searchsorted(differences, differences + window_s, "right")
+    counts = ends - np.arange(len(differences))
+    centres: list[float] = []
+    for start in np.argsort(-counts, kind="stable")[:_LOOKED_AT]:
+        centre = float(np.median(differences[start : ends[start]]))
+        if all(abs(centre - other) > window_s / 2 for other in centres):
+            centres.append(centre)
+        if len(centres) == _TRIED:
+            break
+    return centres
+
+
+def _count(
+    first: Float64[np.ndarray, " m"], second: Float64[np.ndarray, " n"], tolerance_s: float
+) -> int:
+    """How many pairs there can be: with sorted times, taking the first that fits is best."""
+    i = j = pairs = 0
+    while i < len(first) and j < len(second):
+        apart = first[i] - second[j]
+        if abs(apart) <= tolerance_s:
+            i, j, pairs = i + 1, j + 1, pairs + 1
+        elif apart < 0:
+            i += 1
+        else:
+            j += 1
+    return pairs

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from mrgs.data.lens import Lens
+from mrgs.scene.lens import Lens
 from mrgs.scene.rotations import (
     cross_matrix,
     left_jacobian,

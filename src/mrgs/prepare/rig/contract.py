@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from mrgs.data.lens import Lens
 from mrgs.errors import ConfigError, SceneError
 from mrgs.scene import Pixels, PosedImage
+from mrgs.scene.lens import Lens
 
 FEWEST_CORNERS = 3
 _MOST_CORNERS = 50

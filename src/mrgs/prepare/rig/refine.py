@@ -14,13 +14,13 @@ from scipy.ndimage import gaussian_filter
 from torch import Tensor
 from torch.nn import functional
 
-from mrgs.data.lens import Lens
 from mrgs.data.undistort import sampled
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Progress
 from mrgs.prepare.rig.adjust import Adjusted, Observations, Prior, ThermalCameras, adjust
 from mrgs.prepare.rig.contract import FEWEST_MATCHES
 from mrgs.prepare.rig.images import STEP_PX, ReducedPair, structure
+from mrgs.scene.lens import Lens
 
 _BORDER_PX = 3
 _WHOLE_STEP_PX = 2

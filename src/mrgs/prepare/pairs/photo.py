@@ -1,4 +1,4 @@
-"""Camera and time of a photo from the names of its file and folders."""
+"""A photo of a folder, and its camera and time from the names of its file and folders."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
+from mrgs.data.files import composed
+from mrgs.data.radiometric import ExifFacts
+from mrgs.data.radiometric.read import Kind
 from mrgs.scene import RGB, THERMAL, Modality
 
 REFERENCE, PARTNER = THERMAL, RGB
@@ -51,8 +55,54 @@ _LAST_R = re.compile(r"(?:(?<=\d)[_\-]r|[_\-]rad)$", re.IGNORECASE)
 _STAMPED = re.compile(r"(.*?)(\d{14})[_\-](\d{3,6})[_\-]([a-z]+)(?:[_\-](.*))?", re.IGNORECASE)
 """DJI's newer names: ``DJI_20240131120000_0001_T_Waypoint1``."""
 
+_PREFERENCE: tuple[Kind, ...] = ("signal", "numbers", "table", "image")
+"""In this order one file is preferred where several show the same."""
+
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{p}{n}" for p in ("com", "lpt") for n in range(10))}
 _LONGEST_NAME = 100
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A file that can be a photo of a pair; None where its header does not say.
+
+    Attributes:
+        origin: path of the camera's original file without the extension, relative to the folder of
+            photos.
+        kind: of its content.
+        size: width and height in pixels.
+        needs_tool: whether only the maker's tool reads it.
+        embedded: whether a photo in visible light is inside.
+        focal_mm: focal length in mm.
+        field_of_view_deg: horizontal, of the thermal camera's lens.
+        serial: the camera's serial number.
+        name: the path below the folder of photos, for messages.
+        is_reference: whether it is of the reference modality: by content, else by the folder, else
+            by the name; see ``told_apart``.
+    """
+
+    path: Path
+    origin: PurePosixPath
+    kind: Kind
+    size: tuple[int, int] | None = None
+    needs_tool: bool = False
+    embedded: bool = False
+    exif: ExifFacts = field(default_factory=ExifFacts)
+    focal_mm: float | None = None
+    field_of_view_deg: float | None = None
+    serial: str | None = None
+    name: str = ""
+    is_reference: bool = False
+
+    @property
+    def is_thermal(self) -> bool:
+        """Whether the content is thermal for certain; a plain image may be thermal as well."""
+        return self.kind != "image"
+
+    @property
+    def preference(self) -> int:
+        """Lower is better, where several files show the same."""
+        return len(_PREFERENCE) if self.needs_tool else _PREFERENCE.index(self.kind)
 
 
 @dataclass(frozen=True)
@@ -122,6 +172,52 @@ def folder_modality(folders: Sequence[str]) -> tuple[Modality | None, tuple[str,
         if len(named) == 1:
             return named[0], (*folders[:index], *folders[index + 1 :])
     return None, tuple(folders)
+
+
+class Candidate(NamedTuple):
+    """A photo with the facts in its name; photos of one moment have the same key."""
+
+    photo: Photo
+    modality: Modality | None
+    key: str
+    mark: str
+    moment: datetime | None
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether the photo is known to be of the reference modality."""
+        return self.modality == REFERENCE
+
+
+def candidate_by_name(photo: Photo, folders: Sequence[str] | None = None) -> Candidate:
+    """Modality by content and file name; the folder is part of the key, or ``folders`` are."""
+    folders = photo.origin.parts[:-1] if folders is None else folders
+    facts = read_stem(photo.origin.name, photo.is_thermal)
+    key = composed("/".join([*folders, facts.key]).casefold())
+    modality = REFERENCE if photo.is_thermal else facts.modality
+    return Candidate(photo, modality, key, facts.mark, facts.moment)
+
+
+def candidate_by_folder(photo: Photo) -> Candidate:
+    """Modality by content and folder; the folder named after a modality is not part of the key."""
+    named, folders = folder_modality(photo.origin.parts[:-1])
+    modality = REFERENCE if photo.is_thermal else named
+    return candidate_by_name(photo, folders)._replace(modality=modality)
+
+
+def told_apart(photos: Sequence[Photo], root_name: str) -> list[Photo]:
+    """The photos, which know if they are of the reference modality. The name of the folder of all
+    photos counts where nothing else says what any of them is: a folder of both cameras' photos may
+    be called "thermal survey"."""
+    found = [
+        candidate_by_folder(photo).modality or candidate_by_name(photo).modality for photo in photos
+    ]
+    if not any(found):
+        found = [folder_modality([root_name])[0]] * len(photos)
+    return [
+        replace(photo, is_reference=modality == REFERENCE)
+        for photo, modality in zip(photos, found, strict=True)
+    ]
 
 
 def natural(text: str) -> tuple[list[tuple[int, int, str]], str]:
