@@ -13,6 +13,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import (
+    FEW_PHOTOS,
     OF_MARK,
     OF_POINT,
     ONE_PHOTO,
@@ -198,6 +199,14 @@ def test_the_data_sheet_is_a_limit_and_cancels_in_differences():
         math.hypot(one.uncertainty.own, two.uncertainty.own, camera[0] - camera[1])
     )
     assert math.isnan(one.difference_uncertainty)
+
+
+def test_samples_of_a_line_have_the_uncertainty_of_points():
+    line = Mark("L1", "line", ((-0.5, 0.0, 0.5), (0.5, 0.0, 0.5)), EYE)
+    profile = meter_of(Budget(accuracy=(2.0, 0.0))).read(line).profile
+    photos = OF_POINT.scatter * np.std(SHIFTS_C) * (1 + FEW_PHOTOS / 2)
+    assert profile.uncertainties.shape == profile.values.shape
+    assert np.nanmedian(profile.uncertainties) == pytest.approx(np.hypot(photos, 1.9), abs=0.02)
 
 
 def test_a_real_camera_is_uneven_from_place_to_place():
