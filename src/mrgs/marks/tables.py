@@ -287,6 +287,7 @@ PART_NAMES = {
     "emissivity": "emissivity",
     "reflected": "reflected temperature",
     "distance": "distance",
+    "air": "air temperature",
 }
 """What the parts of an uncertainty are called."""
 
