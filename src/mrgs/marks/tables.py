@@ -191,13 +191,13 @@ def write_csv(
     names = list(facts_of_reading(_NOTHING, temperature, world))
     paths = [write_rows(path, names, rows)]
     profiles = [
-        {"name": reading.mark.name, "distance": distance, "value": _known(value)}
+        {"name": reading.mark.name, "distance": at, "value": value, "uncertainty": around}
         for reading in readings
-        for distance, value in _samples(reading)
+        for at, value, around in _samples(reading)
     ]
     if profiles:
         beside = path.with_name(f"{path.stem}_profiles{path.suffix}")
-        paths.append(write_rows(beside, ["name", "distance", "value"], profiles))
+        paths.append(write_rows(beside, list(profiles[0]), profiles))
     return paths
 
 
@@ -299,6 +299,7 @@ PART_NAMES = {
     "emissivity": "emissivity",
     "reflected": "reflected temperature",
     "distance": "distance",
+    "air": "air temperature",
 }
 """What the parts of an uncertainty are called."""
 
@@ -336,7 +337,7 @@ def mark_text(
         "difference": difference_text(reading, temperature),
         "problem": reading.problem,
         "lines": _lines(reading, temperature, world),
-        "profile": [(at, _known(value)) for at, value in _samples(reading)],
+        "profile": [(at, value) for at, value, _ in _samples(reading)],
         "ends": _ends(reading, temperature, world),
         "note": mark.note,
         "severity": mark.severity,
@@ -384,12 +385,13 @@ def _lines(
     return lines
 
 
-def _samples(reading: MarkReading) -> list[tuple[float, float]]:
-    """Distance and value of a line's samples; NaN where there is no surface."""
-    profile = reading.profile
-    if profile is None:
+def _samples(reading: MarkReading) -> list[tuple[float, float | None, float | None]]:
+    """Distance, value and ± of a line's samples; None where not known."""
+    if (profile := reading.profile) is None:
         return []
-    return list(zip(profile.distances.tolist(), profile.values.tolist(), strict=True))
+    columns = profile.distances, profile.values, profile.uncertainties
+    samples = zip(*(each.tolist() for each in columns), strict=True)
+    return [(at, _known(value), _known(around)) for at, value, around in samples]
 
 
 def _ends(
