@@ -41,7 +41,7 @@ TOLERANCE = 0.02
 
 FEWEST_MATCHES, LEAST_SHARE = 100, 0.12
 """Fewer pairs that agree, or a smaller share of all, are no registration: of photos of different
-generated objects chance makes at most 5 % agree, of one object 60 % and more do."""
+generated objects chance made at most 5 % agree, and of one façade 68 % did."""
 
 LEAST_AGREEMENT = 0.6
 """Share of the surface that both dates' photos look at on which the models must coincide."""
