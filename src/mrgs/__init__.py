@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from mrgs.method.density import Strategy as Strategy
     from mrgs.method.losses.term import Term as Term
     from mrgs.report import report_run as report_run
+    from mrgs.report.changes import diff_runs as diff_runs
     from mrgs.runs.open import Run as Run
     from mrgs.runs.open import load_run as load_run
     from mrgs.runs.open import open_run as open_run

@@ -7,6 +7,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -217,3 +218,32 @@ def test_a_rendering_shows_what_is_in_the_box(run, capsys):
     said = capsys.readouterr().err
     inside = int((means <= means.median(dim=0).values).all(dim=1).sum())
     assert f"{len(means) - inside:,} Gaussians are left out" in said
+
+
+@pytest.mark.parametrize(("other", "word"), [("run", "twice"), ("nothing", "not a run")])
+def test_two_dates_are_two_runs(run, tmp_path, capsys, other, word):
+    second = run if other == "run" else tmp_path
+    assert main(["diff", str(run), str(second)]) == 2
+    assert word in capsys.readouterr().err
+
+
+def test_two_dates_are_listed_and_written(run, tmp_path, capsys, monkeypatch):
+    def compared(first, second, *, relative, least_k):
+        page = tmp_path / "diff.html"
+        page.write_text("page")
+        row = ["D1", "new", "1.0", "3.0", "+2.0", "0.3", "0.1 m²", "1, 2, 3", ""]
+        return SimpleNamespace(
+            common=1.25,
+            relative=relative,
+            rows=lambda: ([row], []),
+            write=lambda folder, language, pdf: [page],
+        )
+
+    monkeypatch.setattr("mrgs.report.changes.diff_runs", compared)
+    given = ["--relative", "--output", str(tmp_path)]
+    assert main(["diff", str(run), str(shutil.copytree(run, tmp_path / "b")), *given]) == 0
+    heading, change, summary, _, opened = lines(capsys)
+    assert heading.split()[0] == "Place"
+    assert change.split()[:2] == ["D1", "new"]
+    assert "+1.25 K" in summary
+    assert "diff.html" in opened

@@ -29,7 +29,9 @@ def test_a_facade_faces_a_point_of_the_compass(azimuth, words):
     east, north = math.sin(math.radians(azimuth)), math.cos(math.radians(azimuth))
     axes = np.array([[-north, east, 0.0], [0.0, 0.0, 1.0], [east, north, 0.0]])
     grid = MapGrid(axes, 1.0, np.zeros(2), 0.0, 2.0, 0.05, 60, 40, (-1.0, 1.0))
-    drawn = OrthographicMap(grid, np.ones((7, 40, 60), np.float32))
+    drawn = OrthographicMap(
+        grid, np.ones((7, 40, 60), np.float32), np.zeros((40, 60, 3), np.float32)
+    )
     scene = SimpleNamespace(name="house", world=WorldFrame(metric=True, north=True))
     caption, facts = elevation_texts(scene, drawn)
     size, facing, pixel = caption.subtitle.split(" · ")

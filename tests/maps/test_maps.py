@@ -277,7 +277,9 @@ def test_a_wanted_crs_is_used(tmp_path, front, few_photos):
 def test_north_is_said_to_be_up_only_where_it_is(front_scene, crs, place, north_deg):
     placed = replace(front_scene, world=WorldFrame(True, True, EarthPosition(*place, 0.0)))
     grid = MapGrid(np.eye(3), 1.0, np.zeros(2), 0.0, 2.0, 0.05, 60, 40, (-1.0, 1.0))
-    drawn = OrthographicMap(grid, np.ones((7, 40, 60), np.float32))
+    drawn = OrthographicMap(
+        grid, np.ones((7, 40, 60), np.float32), np.zeros((40, 60, 3), np.float32)
+    )
     caption, facts = ortho_texts("front", drawn, coordinate_system(placed, crs))
     assert abs((caption.north_deg - north_deg + 180) % 360 - 180) < 1
     assert ("north is up" in caption.subtitle) == (crs is None)

@@ -29,7 +29,9 @@ def test_the_n_of_the_arrow_lies_towards_north(angle):
 @pytest.mark.parametrize(("width", "shown"), [(60, 900), (901, 901), (4800, 2400)])
 def test_a_pixel_of_the_picture_is_as_wide_as_it_is_said_to_be(width, shown):
     grid = MapGrid(np.eye(3), 1.0, np.zeros(2), 0.0, 0.0, 0.05, width, 20, (-1.0, 1.0))
-    drawn = OrthographicMap(grid, np.ones((7, 20, width), np.float32))
+    drawn = OrthographicMap(
+        grid, np.ones((7, 20, width), np.float32), np.zeros((20, width, 3), np.float32)
+    )
     body, metres_per_px = map_body(drawn, Scale("grey", 0.0, 2.0, "°C"))
     assert body.width == shown
     assert metres_per_px * body.width == pytest.approx(0.05 * width)

@@ -12,14 +12,13 @@ import pytest
 from mrgs.marks import Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.uncertainty import Budget, Uncertainty
-from mrgs.scene.air import USUAL_AIR
 from mrgs.scene.radiometry import ObjectParameters, Planck
 from tests.marks.test_uncertainty import BOX, SETTINGS, meter_of, of_place
 
 R, B, F = 21_106.77 / 0.012545258, 1501.0, 1.0
 LAW = Planck(21_106.77, 0.012545258, B, F, 0.0)
 DRAWS = 200_000
-SIGMA = {"emissivity": 0.02, "reflected": 2.0, "distance": 0.1}
+SIGMA = {"emissivity": 0.02, "reflected": 2.0, "distance": 0.1, "air": 2.0}
 
 
 def signal_of(celsius):
@@ -28,6 +27,18 @@ def signal_of(celsius):
 
 def celsius_of(signal):
     return B / np.log(R / signal + F) - 273.15
+
+
+def transmission(metres, air_c, humidity):
+    """FLIR's formula, with the constants that its cameras store."""
+    water = humidity * np.exp(
+        1.5587 + 0.06939 * air_c - 2.7816e-4 * air_c**2 + 6.8455e-7 * air_c**3
+    )
+    near, far = (
+        np.exp(-np.sqrt(metres) * (alpha + beta * np.sqrt(water)))
+        for alpha, beta in ((0.006569, -0.002276), (0.01262, -0.00667))
+    )
+    return 1.9 * near - 0.9 * far
 
 
 @dataclass(frozen=True)
@@ -66,18 +77,16 @@ class Pair:
             return value * (1 + error) if name == "distance" else value + error
 
         at = self.photos
-        tau = USUAL_AIR.transmission(at.distance_m, at.atmospheric_c, at.humidity)
-        metres = true("distance", at.distance_m)
-        near = np.linspace(metres.min(), metres.max(), 500)
-        taus = [USUAL_AIR.transmission(x, at.atmospheric_c, at.humidity) for x in near]
-        true_tau = np.interp(metres, near, taus)
-        air = signal_of(at.atmospheric_c)
+        tau = transmission(at.distance_m, at.atmospheric_c, at.humidity)
+        metres, air_c = true("distance", at.distance_m), true("air", at.atmospheric_c)
+        true_tau = transmission(metres, air_c, at.humidity)
+        air, true_air = signal_of(at.atmospheric_c), signal_of(air_c)
         ends = []
         for own, celsius, surface in zip(self.own, self.in_photos, self.surfaces, strict=True):
             read = celsius + own / 2 * rng.normal(size=DRAWS)
             read += camera * np.maximum(2.0, 0.02 * celsius)
             left = at.emissivity * signal_of(read) + (1 - at.emissivity) * signal_of(at.reflected_c)
-            left = (tau * left + (true_tau - tau) * air) / true_tau
+            left = (tau * left + (1 - tau) * air - (1 - true_tau) * true_air) / true_tau
             emissivity = true("emissivity", surface.emissivity)
             reflected = signal_of(true("reflected", surface.reflected_c))
             ends.append(celsius_of((left - (1 - emissivity) * reflected) / emissivity))

@@ -13,6 +13,7 @@ from mrgs.marks import Mark, Marks
 from mrgs.marks.emissivity import CaptureSettings, SurfaceSettings
 from mrgs.marks.measure import MarkMeter
 from mrgs.marks.photo_readings import (
+    FEW_PHOTOS,
     OF_MARK,
     OF_POINT,
     ONE_PHOTO,
@@ -24,8 +25,9 @@ from mrgs.marks.tables import mark_text
 from mrgs.marks.uncertainty import Budget, InputQuantity, Uncertainty, UncertaintyMeter
 from mrgs.scene import THERMAL, Pixels, PosedImage, View, WorldFrame, ideal_cameras
 from mrgs.scene.air import USUAL_AIR
-from mrgs.scene.radiometry import ObjectParameters, Planck
+from mrgs.scene.radiometry import ObjectParameters, PhotoRecord, Planck
 from mrgs.survey import Survey
+from tests.helpers.drifting import drifting_scene
 from tests.helpers.walls import RANGE, camera_before_wall, render_wall
 
 EYE = (0.0, -5.0, 0.5)
@@ -197,6 +199,34 @@ def test_the_data_sheet_is_a_limit_and_cancels_in_differences():
         math.hypot(one.uncertainty.own, two.uncertainty.own, camera[0] - camera[1])
     )
     assert math.isnan(one.difference_uncertainty)
+
+
+def test_samples_of_a_line_have_the_uncertainty_of_points():
+    line = Mark("L1", "line", ((-0.5, 0.0, 0.5), (0.5, 0.0, 0.5)), EYE)
+    profile = meter_of(Budget(accuracy=(2.0, 0.0))).read(line).profile
+    photos = OF_POINT.scatter * np.std(SHIFTS_C) * (1 + FEW_PHOTOS / 2)
+    assert profile.uncertainties.shape == profile.values.shape
+    assert np.nanmedian(profile.uncertainties) == pytest.approx(np.hypot(photos, 1.9), abs=0.02)
+
+
+def test_a_real_camera_is_uneven_from_place_to_place():
+    budget = Budget(evenness=0.2)
+    other = replace(BOX, name="B2", points=tuple((x - 1.5, y, z) for x, y, z in BOX.points))
+    one, two = meter_of(budget).measure(Marks((BOX, other), reference="B1"))
+    assert one.uncertainty.known["evenness"] == pytest.approx(0.2)
+    assert one.uncertainty.total == pytest.approx(math.hypot(one.uncertainty.own, 0.2))
+    assert two.difference_uncertainty == pytest.approx(
+        math.hypot(one.uncertainty.own, two.uncertainty.own, 0.2, 0.2)
+    )
+    same = replace(BOX, name="B2")
+    assert meter_of(budget).measure(Marks((BOX, same), reference="B1"))[
+        1
+    ].difference_uncertainty == pytest.approx(math.sqrt(2) * one.uncertainty.own)
+    photos = drifting_scene()  # of which no camera is named
+    view = photos.train[0]
+    image = replace(view.images[THERMAL], record=PhotoRecord(camera="WIRIS Pro"))
+    known = replace(photos, train=(replace(view, images={THERMAL: image}), *photos.train[1:]))
+    assert [Budget.of(each, Survey()).evenness for each in (known, photos)] == [0.2, 0.0]
 
 
 @pytest.mark.parametrize(("celsius", "limit_c"), [(5.0, 1.0), (40.0, 4.0), (-40.0, 4.0)])

@@ -85,7 +85,7 @@ def test_only_surfaces_inside_a_heated_room_have_a_temperature_factor(mean: floa
 def test_a_profile_is_interrupted_where_there_is_no_surface():
     line = Mark("L1", "line", ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0)), (2.0, -4.0, 0.0))
     values = np.array([10.0, 20.0, np.nan, 15.0, 12.5])
-    profile = Profile(np.arange(5.0), values)
+    profile = Profile(np.arange(5.0), values, np.full(5, np.nan))
     reading = MarkReading(line, 14.0, 10.0, 20.0, length=4.0, profile=profile)
     scene = SimpleNamespace(temperature=TemperatureRange(0.0, 30.0), world=WorldFrame(metric=True))
     chart = _chart(reading, scene)

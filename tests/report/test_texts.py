@@ -15,6 +15,7 @@ import pytest
 import mrgs
 from mrgs.evaluation.report import COLUMNS
 from mrgs.marks.emissivity import CaptureSettings
+from mrgs.marks.mark import KINDS
 from mrgs.marks.measure import (
     NARROW_COLD,
     NARROW_HOT,
@@ -26,6 +27,7 @@ from mrgs.marks.measure import (
 from mrgs.marks.tables import PART_NAMES
 from mrgs.marks.uncertainty import Budget
 from mrgs.pictures.settings import SETTINGS
+from mrgs.report.changes import HEADINGS, ChangeKind
 from mrgs.report.sections import conditions_of
 from mrgs.report.texts import LANGUAGES, Texts, catalogue
 from mrgs.survey import LABELS, Side, Survey
@@ -38,7 +40,14 @@ def said() -> set[str]:
     """The sentences of the template, and those that reach it from the code."""
     sources = [
         files("mrgs").joinpath(f"report/{name}").read_text(encoding="utf-8")
-        for name in ("report.html", "findings.py", "sections.py", "write.py")
+        for name in (
+            "report.html",
+            "findings.py",
+            "sections.py",
+            "write.py",
+            "diff.html",
+            "changes.py",
+        )
     ]
     joined = re.sub(r'"\n\s+"', "", re.sub(r't\(\n\s+"', 't("', "".join(sources)))
     conditions = [
@@ -54,6 +63,9 @@ def said() -> set[str]:
         *(label for label, _ in LABELS.values()),
         *(text for row in conditions for text in (row.what, row.asked)),
         *PART_NAMES.values(),
+        *HEADINGS,
+        *get_args(ChangeKind),
+        *KINDS,
     }
 
 

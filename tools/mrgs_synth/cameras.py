@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from mrgs.scene import Camera
+from mrgs.scene import Camera, WorldFrame
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,37 @@ class CameraArc:
         return Camera(
             pinhole(self.fov_deg, width, height), torch.from_numpy(viewmat), width, height
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Coordinates that a scene is written in: x' = scale · rotation · x + shift, of x in metres,
+    which are the scene's units only if the scale is 1."""
+
+    scale: float
+    rotation: Float[np.ndarray, "3 3"]
+    shift: Float[np.ndarray, "3"]
+
+    @property
+    def world(self) -> WorldFrame:
+        """What the scene says of its coordinates."""
+        return WorldFrame(metric=self.scale == 1.0)
+
+    def points(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Points in these coordinates."""
+        return self.scale * positions @ self.rotation.T + self.shift
+
+    def camera(self, camera: Camera) -> Camera:
+        """A camera in these coordinates."""
+        turned = camera.viewmat[:3, :3].numpy() @ self.rotation.T
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = turned
+        viewmat[:3, 3] = self.scale * camera.viewmat[:3, 3].numpy() - turned @ self.shift
+        return Camera(camera.K, torch.from_numpy(viewmat), camera.width, camera.height)
+
+
+WORLD = Frame(1.0, np.eye(3), np.zeros(3))
+"""The stage's own coordinates."""
 
 
 def gaps(count: int, train_count: int) -> list[int]:

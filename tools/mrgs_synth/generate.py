@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ from jaxtyping import Float, UInt8
 from mrgs.errors import ConfigError
 from mrgs.scene import Camera
 from mrgs_synth.bands import BANDS, in_band
-from mrgs_synth.cameras import gaps
+from mrgs_synth.cameras import WORLD, Frame, gaps
 from mrgs_synth.electronics import electronics
 from mrgs_synth.facade import facade
 from mrgs_synth.hits import Hits, Triangles, first_hits
@@ -109,7 +110,32 @@ def synthesize(
         _check_size(width, height, imager)
     kind = drawn_kind(seed) if scene == "random" else scene
     stage = STAGES[kind](seed)
-    cameras = _cameras(stage, width, height, train_views, eval_views, seed)
+    cameras = stage_cameras(stage, width, height, train_views, eval_views, seed)
+    parameters = {"scene": scene, **({"kind": kind} if kind != scene else {})}
+    photograph_stage(
+        output, stage, cameras, samples=samples, seed=seed, every_truth=truth == "all",
+        bands=bands, camera=camera, progress=progress, parameters=parameters,
+    )  # fmt: skip
+
+
+def photograph_stage(
+    output: Path,
+    stage: Stage,
+    cameras: dict[str, Camera],
+    *,
+    samples: int,
+    seed: int,
+    every_truth: bool,
+    bands: Sequence[str] = (),
+    camera: CameraName | ThermalImager = "gaussian",
+    progress: Callable[[int, int], None] | None = None,
+    parameters: Mapping[str, Any] = MappingProxyType({}),
+    frame: Frame = WORLD,
+) -> None:
+    """Write a scene of a stage that named cameras photograph, see ``synthesize``; ``parameters``
+    are kept beside the seed, and the scene is in the coordinates of ``frame``. ConfigError if
+    ``output`` holds a scene already, or Mitsuba is not installed."""
+    imager = named_imager(camera)
     tracer = _tracer(stage, cameras, seed)
     target = SceneFolder.create(output)
     series = None
@@ -117,30 +143,35 @@ def synthesize(
         name = camera if isinstance(camera, str) else "custom"
         series = _series(name, imager, stage, cameras, seed)
     shots = _photograph(stage, tracer, cameras, samples, seed, progress, series)
-    _write_photos(target, shots, every_truth=truth == "all")
+    _write_photos(target, shots, every_truth, frame.scale)
     if series is None:
         _write_thermal(target, stage.sensor, shots, seed)
     else:
         _write_series(target, series, shots)
     for band in bands:
         _write_band(target, stage, band, cameras, samples, seed)
-    _write_points(target, stage, cameras, shots, seed)
+    _write_points(target, stage, cameras, shots, seed, frame)
     target.parameters(
-        {"scene": scene, **({"kind": kind} if kind != scene else {})}
-        | {"seed": seed, "samples": samples, **_stage_parameters(stage, series)}
+        {**parameters, "seed": seed, "samples": samples, **_stage_parameters(stage, series)}
     )
     target.transforms(
-        cameras,
+        {name: frame.camera(each) for name, each in cameras.items()},
         [BANDS[band].modality for band in bands],
+        world=frame.world,
         records={} if series is None else series.records(),
     )
 
 
 def _write_points(
-    target: SceneFolder, stage: Stage, cameras: dict[str, Camera], shots: dict[str, Shot], seed: int
+    target: SceneFolder,
+    stage: Stage,
+    cameras: dict[str, Camera],
+    shots: dict[str, Shot],
+    seed: int,
+    frame: Frame,
 ) -> None:
     train = [name for name in cameras if "_train_" in name]
-    points = sparse_points(
+    positions, colors = sparse_points(
         [cameras[name] for name in train],
         [shots[name].hits for name in train],
         [shots[name].photo for name in train],
@@ -148,7 +179,7 @@ def _write_points(
         stage.point_noise_m,
         np.random.default_rng([seed, 4]),
     )
-    target.points(*points)
+    target.points(frame.points(positions), colors)
 
 
 def _check(
@@ -191,7 +222,7 @@ def _tracer(stage: Stage, cameras: dict[str, Camera], seed: int) -> PathTracer:
     return tracer
 
 
-def _cameras(
+def stage_cameras(
     stage: Stage, width: int, height: int, train_views: int, eval_views: int, seed: int
 ) -> dict[str, Camera]:
     """The cameras by the name of their frame."""
@@ -258,11 +289,13 @@ def _photograph(
     return shots
 
 
-def _write_photos(target: SceneFolder, shots: dict[str, Shot], every_truth: bool) -> None:
+def _write_photos(
+    target: SceneFolder, shots: dict[str, Shot], every_truth: bool, scale: float
+) -> None:
     for name, shot in shots.items():
         target.rgb(name, shot.photo)
         if every_truth or "_eval_" in name:
-            target.truth(name, shot.exact_c, shot.hits.depth_m)
+            target.truth(name, shot.exact_c, scale * shot.hits.depth_m)
 
 
 def _write_thermal(

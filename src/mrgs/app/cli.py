@@ -161,6 +161,7 @@ def _run(argv: list[str] | None) -> int:
         commands.Measure: imported("mrgs.app.measuring", "measure"),
         commands.Export: _export,
         commands.Report: _report,
+        commands.Diff: _diff,
         commands.Demo: lambda given: follow_pipeline(
             _bundled_scene(), given, commands.PhotoOptions().options(), True
         ),
@@ -321,6 +322,32 @@ def _report(command: commands.Report) -> None:
         page = write(docx=command.docx, appendix=command.appendix, scene=scene, progress=progress)
     others = [name for name in ("pdf", "docx") if getattr(command, name)]
     say(f"report: {page}", *(f"{name}: {page.with_suffix(f'.{name}')}" for name in others))
+
+
+def _diff(command: commands.Diff) -> None:
+    from mrgs.pictures.numbers import number_text
+    from mrgs.report.changes import HEADINGS, diff_runs
+    from mrgs.report.write import require_weasyprint
+    from mrgs.runs.open import load_run
+    from mrgs.system.wording import aligned
+
+    if command.pdf:
+        require_weasyprint()
+
+    first, second = (
+        cropped(load_run(path, None, command.device)) for path in (command.first, command.second)
+    )
+    for run in (first, second):
+        note_unfinished(run)
+    found = diff_runs(first, second, relative=command.relative, least_k=command.least)
+    changes, marks = found.rows()
+    for rows in filter(None, (changes, marks)):
+        print("\n".join(aligned([[*HEADINGS, ""], *rows], {0, 1, len(HEADINGS)})))
+    common = number_text(found.common, 2, sign=True)
+    said = "subtracted from" if found.relative else "part of (without it: --relative)"
+    say(f"{len(changes)} changes; common change {common} K, {said} all ΔT")
+    folder = command.output or command.second / "diff"
+    print_exported(folder, found.write(folder, command.language, command.pdf))
 
 
 def _stated_survey(command: commands.Report) -> Survey | None:

@@ -422,6 +422,32 @@ class Measure:
 
 
 @dataclass(frozen=True)
+class Diff:
+    """Compare two runs of one object, such as before and after a repair.
+
+    Aligns the second run with the first and lists what has become warmer or colder, with its ΔT, ±
+    and area, and the marks of the first run on both dates: diff.html, CSV, GeoJSON and a map.
+    Needs mrgs[sfm].
+    """
+
+    first: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN_A")]
+    """Run of the earlier date."""
+    second: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN_B")]
+    """Run of the later date."""
+    output: Maybe[Path] = None
+    """Output folder; by default RUN_B/diff."""
+    relative: bool = False
+    """Subtract the change that most of the surface has in common, such as the weather's."""
+    least: float = 1.0
+    """Smallest change beside the common one that is listed, K."""
+    language: Literal["en", "de", "fr"] = "en"
+    """Language of the page."""
+    pdf: bool = False
+    """Also write a PDF beside it. Needs mrgs[report]."""
+    device: RenderDevice = "auto"
+
+
+@dataclass(frozen=True)
 class Demo:
     """Run the bundled scene: mrgs run on an example, in a few minutes."""
 
@@ -554,6 +580,7 @@ COMMANDS: dict[str, type] = {
     "render": Render,
     "view": ViewRun,
     "measure": Measure,
+    "diff": Diff,
     "export": Export,
     "report": Report,
     "compare": CompareMethods,

@@ -56,7 +56,7 @@ def print_error(text: str) -> None:
 def flag_of(parameter: str) -> str:
     """The flag of a parameter of the Python API, whose name may end with a unit:
     ``thermal_fov_deg`` is --thermal-fov."""
-    return "--" + re.sub("_(c|m|s|deg)$", "", parameter).replace("_", "-")
+    return "--" + re.sub("_(c|k|m|s|deg)$", "", parameter).replace("_", "-")
 
 
 def flags_of(error: MrgsError) -> str:

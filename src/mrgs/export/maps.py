@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -19,86 +16,22 @@ from mrgs.maps.crs import (
     require_metres,
     require_pyproj,
 )
-from mrgs.maps.draw import BANDS, Caption, OrthographicMap, draw_map, map_picture, map_scale
+from mrgs.maps.draw import (
+    BANDS,
+    Caption,
+    OrthographicMap,
+    draw_map,
+    map_picture,
+    map_scale,
+    require_rasterio,
+    write_geotiff,
+    write_style,
+)
 from mrgs.maps.facade import facade_grid
 from mrgs.maps.surfaces import grid_from_above, survey
-from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import write_png
 from mrgs.pictures.numbers import number_text
-from mrgs.pictures.palette import palette_table
 from mrgs.scene import THERMAL, Scene
-from mrgs.system.atomic import replacing, write_text
-from mrgs.system.lazy import optional_package
-
-TILE_PX = 256
-
-require_rasterio = partial(optional_package, "rasterio", "maps", "export")
-
-
-def write_geotiff(path: Path, drawn: OrthographicMap, wkt: str, tags: Mapping[str, str]) -> Path:
-    """Write the bands of a map in a coordinate system (WKT) with tags, tiled and compressed without
-    loss; returns the path. ConfigError if rasterio is not installed, RunError if the file cannot be
-    written."""
-    rasterio = require_rasterio()
-    grid = drawn.grid
-    profile = {
-        "driver": "GTiff", "dtype": "float32", "nodata": float("nan"), "count": len(BANDS),
-        "width": grid.width, "height": grid.height,
-        "crs": rasterio.crs.CRS.from_wkt(wkt),
-        "transform": rasterio.Affine(grid.pixel_m, 0.0, grid.left, 0.0, -grid.pixel_m, grid.top),
-        "tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX,
-        "compress": "deflate", "predictor": 3, "BIGTIFF": "IF_SAFER",
-    }  # fmt: skip
-    color = rasterio.enums.ColorInterp
-    with replacing(path) as temporary:
-        try:
-            with rasterio.open(temporary, "w", **profile) as file:
-                file.write(drawn.bands)
-                file.update_tags(**tags)
-                colors = {name: color[name] for name in ("red", "green", "blue")}
-                file.colorinterp = [colors.get(name, color.undefined) for name in BANDS]
-                for number, (name, unit) in enumerate(BANDS.items(), start=1):
-                    file.set_band_description(number, name)
-                    file.set_band_unit(number, unit)
-        except rasterio.errors.RasterioError as error:
-            raise OSError(0, f"GDAL: {error}") from error
-    return path
-
-
-STOPS = 16
-"""Colours between which QGIS interpolates."""
-
-
-def write_style(path: Path, scale: Scale) -> Path:
-    """Write the style of a map's first band, which QGIS applies by its name: ``NAME.qml`` beside
-    ``NAME.tif``; returns the path. RunError if the file cannot be written."""
-    low, high = min(scale.low, scale.high), max(scale.low, scale.high)
-    document = ElementTree.Element("qgis", styleCategories="Symbology")
-    renderer = ElementTree.SubElement(
-        ElementTree.SubElement(document, "pipe"),
-        "rasterrenderer",
-        type="singlebandpseudocolor", band="1", opacity="1", alphaBand="-1",
-        classificationMin=f"{low:.4f}", classificationMax=f"{high:.4f}",
-    )  # fmt: skip
-    ramp = ElementTree.SubElement(
-        ElementTree.SubElement(renderer, "rastershader"),
-        "colorrampshader",
-        colorRampType="INTERPOLATED", classificationMode="1", clip="0",
-        minimumValue=f"{low:.4f}", maximumValue=f"{high:.4f}",
-    )  # fmt: skip
-    shares = np.linspace(0, 1, STOPS)
-    values = scale.low + shares * (scale.high - scale.low)
-    colors = palette_table(scale.palette)[np.rint(255 * shares).astype(int)]
-    for value, color in sorted(zip(values.tolist(), colors.tolist(), strict=True)):
-        ElementTree.SubElement(
-            ramp,
-            "item",
-            value=f"{value:.4f}", label=f"{number_text(value, 1)} {scale.unit}", alpha="255",
-            color="#" + bytes(color).hex(),
-        )  # fmt: skip
-    ElementTree.indent(document)
-    return write_text(path, ElementTree.tostring(document, encoding="unicode") + "\n")
-
 
 UNSEEN = "white: no surface, or too few photos look there"
 COMPASS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
@@ -203,7 +136,9 @@ def _write_map(
         "map_up_in_scene": [round(float(x), 9) for x in grid.axes[1]],
     }
     tags = dict(line.split(": ", 1) for line in comment_lines(facts))
-    paths = described(write_geotiff(job.folder / f"{name}.tif", drawn, wkt, tags), facts)
+    paths = described(
+        write_geotiff(job.folder / f"{name}.tif", grid, drawn.bands, BANDS, wkt, tags), facts
+    )
     scale = map_scale(drawn, job.palette, job.range_c)
     style = write_style(job.folder / f"{name}.qml", scale)
     picture = map_picture(drawn, caption, scale)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from types import ModuleType
 from typing import Any
@@ -84,6 +84,10 @@ class CoordinateSystem:
         return np.einsum("ij,nj->ni", self.matrix[:3, :3], positions) + self.matrix[:3, 3]
 
 
+LOCAL = CoordinateSystem(LOCAL_NAME, "", np.eye(4), False, 0.0)
+"""A scene's own frame."""
+
+
 def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSystem:
     """The CRS of a scene in metres: where GPS placed the scene the wanted projected one, such as
     ``EPSG:25832``, or by default the UTM zone; else a local one. ConfigError if the scene is not
@@ -99,7 +103,7 @@ def coordinate_system(scene: Scene, wanted: str | None = None) -> CoordinateSyst
                 f"photos with GPS, or leave the CRS out",
                 options=("crs",),
             )
-        return CoordinateSystem(LOCAL_NAME, local_wkt(scene.name), np.eye(4), False, 0.0)
+        return replace(LOCAL, wkt=local_wkt(scene.name))
     pyproj = require_pyproj()
     crs = _utm(pyproj, world.origin) if wanted is None else _wanted(pyproj, wanted, world.origin)
     code = crs.to_authority()

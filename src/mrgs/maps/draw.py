@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import NamedTuple, TypeAlias
+from xml.etree import ElementTree
 
 import numpy as np
 import torch
@@ -17,10 +20,13 @@ from mrgs.maps import surfaces
 from mrgs.maps.surfaces import Coverage, MapGrid, PhotoStatistics, ShownPlaces
 from mrgs.pictures.drawing import INK, MUTED, PAPER, Scale, blank, draw_text, fit_text, scale_bar
 from mrgs.pictures.files import to_array
-from mrgs.pictures.palette import PaletteName, display_range, tick_labels
+from mrgs.pictures.numbers import number_text
+from mrgs.pictures.palette import PaletteName, display_range, palette_table, tick_labels
 from mrgs.runs.baked import BakedModel
 from mrgs.scene import RGB, THERMAL, Camera, Scene
 from mrgs.scene.depth_map import DepthMap
+from mrgs.system.atomic import replacing, write_text
+from mrgs.system.lazy import optional_package
 
 MAX_PIXELS = 50_000_000
 """Largest number of pixels of a map; drawing takes about 60 bytes per pixel."""
@@ -53,11 +59,13 @@ BANDS = {
 
 @dataclass(frozen=True, eq=False)
 class OrthographicMap:
-    """A map: its pixels, and its ``BANDS``, [7, H, W]; NaN where there is no surface, temperatures
-    also where no photo looked, the scatter where fewer than two did."""
+    """A map: its pixels, its ``BANDS``, [7, H, W], and the points of the scene that it shows,
+    [H, W, 3]; NaN where there is no surface, temperatures also where no photo looked, the scatter
+    where fewer than two did."""
 
     grid: MapGrid
     bands: Float32[np.ndarray, "b h w"]
+    points: Float32[np.ndarray, "h w 3"]
 
     @property
     def celsius(self) -> Float32[np.ndarray, "h w"]:
@@ -117,7 +125,7 @@ def draw_map(
     if appraise is not None:
         known = np.isfinite(bands[0])
         bands[0][known], bands[6][known] = appraise(points[known], bands[0][known])
-    return OrthographicMap(grid, bands)
+    return OrthographicMap(grid, bands, points)
 
 
 def _draw_part(
@@ -181,23 +189,25 @@ def map_picture(drawn: OrthographicMap, caption: Caption, scale: Scale) -> Image
 def map_body(drawn: OrthographicMap, scale: Scale) -> tuple[Image.Image, float]:
     """The temperatures of a map in colours, and the width of a pixel of the image, metres."""
     colors = scale.colorize(drawn.celsius)
-    colors[np.isnan(drawn.celsius)] = PAPER
+    if scale.palette != "error":  # whose middle is as good as white
+        colors[np.isnan(drawn.celsius)] = PAPER
     body, zoom = _fitted(Image.fromarray(colors))
     return body, drawn.grid.pixel_m / zoom
 
 
 def frame_map(
-    body: Image.Image, metres_per_px: float, scale: Scale, north_deg: float | None
+    body: Image.Image, metres_per_px: float | None, scale: Scale, north_deg: float | None
 ) -> Image.Image:
     """A map's image with its legend, a scale bar, and an arrow to the north, which is ``north_deg``
-    clockwise from up; without one if that is None."""
+    clockwise from up; without these if they are None."""
     legend = scale_bar(scale, min(body.height, 520), "vertical", size=20)
     width = max(body.width, 480) + legend.width + 3 * MARGIN
     picture = blank((width, body.height + 2 * MARGIN + 58))
     picture.paste(body, (MARGIN, MARGIN))
     picture.paste(legend, (width - MARGIN - legend.width, MARGIN))
     below = body.height + 2 * MARGIN
-    _draw_length(picture, (MARGIN, below), body.width, metres_per_px, scale.decimal)
+    if metres_per_px is not None:
+        _draw_length(picture, (MARGIN, below), body.width, metres_per_px, scale.decimal)
     if north_deg is not None:
         _draw_north(picture, (MARGIN + body.width - 24, below + 10), north_deg)
     return picture
@@ -257,3 +267,79 @@ def _draw_north(picture: Image.Image, middle: tuple[float, float], angle_deg: fl
     draw.polygon([tip, place(-20, 13), notch], fill=PAPER, outline=INK)
     x, y = place(32, 0)
     draw_text(picture, (x, y + 7), "N", 20, anchor="ms", bold=True)
+
+
+TILE_PX = 256
+
+require_rasterio = partial(optional_package, "rasterio", "maps", "export")
+
+
+def write_geotiff(
+    path: Path,
+    grid: MapGrid,
+    bands: Float32[np.ndarray, "b h w"],
+    units: Mapping[str, str],
+    wkt: str,
+    tags: Mapping[str, str],
+) -> Path:
+    """Write the bands of a map, their units by their names, in a coordinate system (WKT) with tags,
+    tiled and compressed without loss; returns the path. ConfigError if rasterio is not installed,
+    RunError if the file cannot be written."""
+    rasterio = require_rasterio()
+    profile = {
+        "driver": "GTiff", "dtype": "float32", "nodata": float("nan"), "count": len(units),
+        "width": grid.width, "height": grid.height,
+        "crs": rasterio.crs.CRS.from_wkt(wkt),
+        "transform": rasterio.Affine(grid.pixel_m, 0.0, grid.left, 0.0, -grid.pixel_m, grid.top),
+        "tiled": True, "blockxsize": TILE_PX, "blockysize": TILE_PX,
+        "compress": "deflate", "predictor": 3, "BIGTIFF": "IF_SAFER",
+    }  # fmt: skip
+    color = rasterio.enums.ColorInterp
+    with replacing(path) as temporary:
+        try:
+            with rasterio.open(temporary, "w", **profile) as file:
+                file.write(bands)
+                file.update_tags(**tags)
+                colors = {name: color[name] for name in ("red", "green", "blue")}
+                file.colorinterp = [colors.get(name, color.undefined) for name in units]
+                for number, (name, unit) in enumerate(units.items(), start=1):
+                    file.set_band_description(number, name)
+                    file.set_band_unit(number, unit)
+        except rasterio.errors.RasterioError as error:
+            raise OSError(0, f"GDAL: {error}") from error
+    return path
+
+
+STOPS = 16
+"""Colours between which QGIS interpolates."""
+
+
+def write_style(path: Path, scale: Scale) -> Path:
+    """Write the style of a map's first band, which QGIS applies by its name: ``NAME.qml`` beside
+    ``NAME.tif``; returns the path. RunError if the file cannot be written."""
+    low, high = min(scale.low, scale.high), max(scale.low, scale.high)
+    document = ElementTree.Element("qgis", styleCategories="Symbology")
+    renderer = ElementTree.SubElement(
+        ElementTree.SubElement(document, "pipe"),
+        "rasterrenderer",
+        type="singlebandpseudocolor", band="1", opacity="1", alphaBand="-1",
+        classificationMin=f"{low:.4f}", classificationMax=f"{high:.4f}",
+    )  # fmt: skip
+    ramp = ElementTree.SubElement(
+        ElementTree.SubElement(renderer, "rastershader"),
+        "colorrampshader",
+        colorRampType="INTERPOLATED", classificationMode="1", clip="0",
+        minimumValue=f"{low:.4f}", maximumValue=f"{high:.4f}",
+    )  # fmt: skip
+    shares = np.linspace(0, 1, STOPS)
+    values = scale.low + shares * (scale.high - scale.low)
+    colors = palette_table(scale.palette)[np.rint(255 * shares).astype(int)]
+    for value, color in sorted(zip(values.tolist(), colors.tolist(), strict=True)):
+        ElementTree.SubElement(
+            ramp,
+            "item",
+            value=f"{value:.4f}", label=f"{number_text(value, 1)} {scale.unit}", alpha="255",
+            color="#" + bytes(color).hex(),
+        )  # fmt: skip
+    ElementTree.indent(document)
+    return write_text(path, ElementTree.tostring(document, encoding="unicode") + "\n")

@@ -56,10 +56,12 @@ share of the range."""
 @dataclass(frozen=True, eq=False)
 class Profile:
     """The values along a line, in the unit of the reading, NaN where there is no surface, at
-    distances from its first point along its straight pieces, scene units."""
+    distances from its first point along its straight pieces, scene units; and the ± of each, as of
+    a point, NaN where no photo looked."""
 
     distances: Float[np.ndarray, " s"]
     values: Float[np.ndarray, " s"]
+    uncertainties: Float[np.ndarray, " s"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,9 +208,12 @@ class MarkMeter:
         shown = thermal_values(surface.rendering)[rows, columns][seen_there]
         values, in_photos = self.temperatures(places, shown, regions, np.array(mark.eye))
         if mark.kind == "line":
-            along = np.full(len(distances), np.nan)
+            along, around = np.full((2, len(distances)), np.nan)
             along[seen_there] = values
-            reading = replace(reading, profile=Profile(distances, along))
+            if uncertainty is not None:
+                points = places.astype(np.float32), in_photos.astype(np.float32)
+                around[seen_there] = uncertainty.of_points(*points, regions)
+            reading = replace(reading, profile=Profile(distances, along, around))
         reading = _with_values(reading, values, places)
         settings, share = regions.shares_at(places)[0]
         remarks = () if share >= ONE_SURFACE else (SEVERAL_SURFACES,)

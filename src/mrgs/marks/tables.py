@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -223,15 +223,15 @@ def write_csv(
     reading takes for known."""
     rows = [facts_of_reading(each, temperature, world, assumed(each)) for each in readings]
     names = list(facts_of_reading(_NOTHING, temperature, world))
-    paths = [write_text(path, _csv_text(names, rows))]
+    paths = [write_rows(path, names, rows)]
     profiles = [
-        {"name": reading.mark.name, "distance": distance, "value": _known(value)}
+        {"name": reading.mark.name, "distance": at, "value": value, "uncertainty": around}
         for reading in readings
-        for distance, value in _samples(reading)
+        for at, value, around in _samples(reading)
     ]
     if profiles:
         beside = path.with_name(f"{path.stem}_profiles{path.suffix}")
-        paths.append(write_text(beside, _csv_text(["name", "distance", "value"], profiles)))
+        paths.append(write_rows(beside, list(profiles[0]), profiles))
     return paths
 
 
@@ -248,14 +248,24 @@ def write_geojson(
     them; elsewhere the scene's own x, y, z, which the file states. Arguments and errors are those
     of ``write_csv``.
     """
+    facts = (facts_of_reading(each, temperature, world, assumed(each)) for each in readings)
+    marks = (reading.mark for reading in readings)
+    return write_features(path, zip(facts, marks, strict=True), world)
+
+
+def write_features(
+    path: Path, found: Iterable[tuple[Mapping[str, Any], Mark]], world: WorldFrame
+) -> Path:
+    """Write GeoJSON of facts and the mark that each is of, see ``write_geojson``; returns the path.
+    RunError if the file cannot be written."""
     on_earth = world.is_georeferenced
     features = [
         {
             "type": "Feature",
-            "properties": facts_of_reading(reading, temperature, world, assumed(reading)),
-            "geometry": _geometry(reading.mark, world if on_earth else None),
+            "properties": facts,
+            "geometry": _geometry(mark, world if on_earth else None),
         }
-        for reading in readings
+        for facts, mark in found
     ]
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if not on_earth:
@@ -280,12 +290,14 @@ def _geometry(mark: Mark, world: WorldFrame | None) -> dict[str, Any]:
     return {"type": "Polygon", "coordinates": [[*places, places[0]]]}
 
 
-def _csv_text(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
+def write_rows(path: Path, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Path:
+    """Write rows under the names of their columns as CSV; returns the path. RunError if the file
+    cannot be written."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, names, lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    return buffer.getvalue()
+    return write_text(path, buffer.getvalue())
 
 
 def _cell(value: Any) -> Any:
@@ -327,6 +339,7 @@ PART_NAMES = {
     "emissivity": "emissivity",
     "reflected": "reflected temperature",
     "distance": "distance",
+    "air": "air temperature",
 }
 """What the parts of an uncertainty are called."""
 
@@ -364,7 +377,7 @@ def mark_text(
         "difference": difference_text(reading, temperature),
         "problem": reading.problem,
         "lines": _lines(reading, temperature, world),
-        "profile": [(at, _known(value)) for at, value in _samples(reading)],
+        "profile": [(at, value) for at, value, _ in _samples(reading)],
         "ends": _ends(reading, temperature, world),
         "note": mark.note,
         "severity": mark.severity,
@@ -412,12 +425,13 @@ def _lines(
     return lines
 
 
-def _samples(reading: MarkReading) -> list[tuple[float, float]]:
-    """Distance and value of a line's samples; NaN where there is no surface."""
-    profile = reading.profile
-    if profile is None:
+def _samples(reading: MarkReading) -> list[tuple[float, float | None, float | None]]:
+    """Distance, value and ± of a line's samples; None where not known."""
+    if (profile := reading.profile) is None:
         return []
-    return list(zip(profile.distances.tolist(), profile.values.tolist(), strict=True))
+    columns = profile.distances, profile.values, profile.uncertainties
+    samples = zip(*(each.tolist() for each in columns), strict=True)
+    return [(at, _known(value), _known(around)) for at, value, around in samples]
 
 
 def _ends(

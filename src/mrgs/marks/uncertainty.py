@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -28,8 +28,9 @@ from mrgs.system.wording import Message
 
 Values: TypeAlias = Float64[np.ndarray, "..."]
 
-EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT = 0.02, 2.0, 10.0
-"""Standard uncertainties of settings where the survey states none."""
+EMISSIVITY, REFLECTED_C, DISTANCE_PERCENT, AIR_C = 0.02, 2.0, 10.0, 2.0
+"""Standard uncertainties of settings; that of the air before the camera always, the others where
+the survey states none."""
 
 WITHIN_LIMIT = 0.95
 """Share of a limit of error within which the error is in 95 of 100 cases, since all within the
@@ -239,6 +240,7 @@ class Budget:
         if given is not None:
             uncertainty = self.distance_percent / 100 * given.distance_m
             settings[InputQuantity("distance", given.distance_m)] = uncertainty
+            settings[InputQuantity("air", given.atmospheric_c)] = AIR_C
         return settings
 
     def _temperatures(self, celsius: Values, settings: Mapping[str, float]) -> Values:
@@ -246,9 +248,10 @@ class Budget:
         reaches the camera, τ S + (1 − τ) S_air with S what left the surface, stays."""
         signal, given, law = self.capture.received(celsius), self.parameters, self.capture.law
         if given is not None:
-            air = law.signal(given.atmospheric_c) + law.o
-            noted, tau = (_transmission(given, d) for d in (given.distance_m, settings["distance"]))
-            signal = (noted * signal + (tau - noted) * air) / tau
+            other = replace(given, distance_m=settings["distance"], atmospheric_c=settings["air"])
+            noted, tau = map(_transmission, (given, other))
+            of_air, of_other = (law.signal(each.atmospheric_c) + law.o for each in (given, other))
+            signal = (noted * signal + (1 - noted) * of_air - (1 - tau) * of_other) / tau
         surface = SurfaceSettings(settings["emissivity"], settings["reflected"])
         return self.capture.celsius_of(signal, surface)
 
@@ -272,9 +275,9 @@ def _share(value: float) -> float:
     return min(max(value, 0.01), 1.0)
 
 
-def _transmission(given: ObjectParameters, distance_m: float) -> float:
-    """Share of the radiation that the air lets through at a distance."""
-    return _share(USUAL_AIR.transmission(distance_m, given.atmospheric_c, given.humidity))
+def _transmission(given: ObjectParameters) -> float:
+    """Share of the radiation that the air lets through."""
+    return _share(USUAL_AIR.transmission(given.distance_m, given.atmospheric_c, given.humidity))
 
 
 def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | None, list[str]]:

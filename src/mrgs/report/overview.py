@@ -12,7 +12,7 @@ from jaxtyping import Float32, Float64
 from PIL import Image, ImageDraw
 
 from mrgs.errors import ConfigError, RunError
-from mrgs.maps.crs import coordinate_system
+from mrgs.maps.crs import LOCAL, coordinate_system
 from mrgs.maps.draw import OrthographicMap, draw_map, frame_map, map_body, map_scale
 from mrgs.maps.facade import facade_grid
 from mrgs.maps.options import MapOptions
@@ -220,11 +220,14 @@ above."""
 
 @dataclass(frozen=True, eq=False)
 class TemperatureMap:
-    """A map for a report: of a façade if it is ``from_the_front``, else of the scene from above."""
+    """A map for a report: of a façade if it is ``from_the_front``, else of the scene from above; in
+    the scene's units if it is not ``metric``."""
 
     drawn: OrthographicMap
     from_the_front: bool
     north: bool
+    metric: bool = True
+    unit: str = "°C"
 
     def shows(self, mark: Mark) -> bool:
         """Whether all of a mark is on the map."""
@@ -234,14 +237,16 @@ class TemperatureMap:
     def picture(self, marks: Mapping[str, Mark], style: Style = PLAIN) -> Image.Image:
         """The temperatures with legend and scale bar, and the marks on the map under their
         names."""
-        scale = map_scale(self.drawn, style.palette, style.limits)._replace(decimal=style.decimal)
+        scale = map_scale(self.drawn, style.palette, style.limits)
+        scale = scale._replace(decimal=style.decimal, unit=self.unit)
         body, metres_per_px = map_body(self.drawn, scale)
         zoom = self.drawn.grid.pixel_m / metres_per_px
         shown = {
             name: zoom * self._pixels(each) for name, each in marks.items() if self.shows(each)
         }
         draw_marks(body, marks, shown)
-        return frame_map(body, metres_per_px, scale, 0.0 if self.north else None)
+        metres = metres_per_px if self.metric else None
+        return frame_map(body, metres, scale, 0.0 if self.north else None)
 
     def small(self, mark: Mark) -> Image.Image:
         """The place of a mark on the map, in the colours of the photos, where there are any."""
@@ -294,15 +299,15 @@ def draw_temperature_map(
         return found, np.full_like(celsius, np.nan)
 
     maps = survey(baked, scene)
-    options = MapOptions()
+    options, metric = MapOptions(), scene.world.metric
     if faces_one_side(scene):
         grid, coverage, north = facade_grid(scene, maps, options, MOST_PX), None, False
     else:
-        system = coordinate_system(scene)
+        system = coordinate_system(scene) if metric else LOCAL
         grid, coverage = grid_from_above(scene, maps, system, options, MOST_PX)
         north = system.north
     drawn = draw_map(baked, scene, maps, grid, corrected, coverage)
-    return TemperatureMap(drawn, coverage is None, north)
+    return TemperatureMap(drawn, coverage is None, north, metric)
 
 
 OVERVIEW_PX = 900

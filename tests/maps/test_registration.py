@@ -1,0 +1,65 @@
+"""The similarity between pairs of points, most of which may be wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mrgs.maps.registration import FEWEST_MATCHES, _Features, _fitted, _pairs, require_pycolmap
+
+COUNT = 600
+
+
+def pairs(seed: int, right: float) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """Pairs of points, of which a share belongs together up to noise; scale and rotation."""
+    rng = np.random.default_rng(seed)
+    source = rng.uniform(-3, 3, (COUNT, 3))
+    scale, turn = float(rng.uniform(0.3, 3)), Rotation.random(random_state=seed).as_matrix()
+    target = scale * source @ turn.T + rng.uniform(-5, 5, 3)
+    target += rng.normal(0, 0.01 * scale, target.shape)
+    wrong = rng.random(COUNT) > right
+    target[wrong] = target[rng.permutation(np.flatnonzero(wrong))]
+    return source, target, scale, turn
+
+
+@given(seed=st.integers(0, 1000), right=st.floats(0.3, 1.0))
+def test_it_is_found_among_wrong_pairs(seed, right):
+    source, target, scale, turn = pairs(seed, right)
+    found = _fitted(require_pycolmap(), source, target, 0.08 * scale)
+    assert found is not None
+    assert found.scale == pytest.approx(scale, rel=0.01)
+    np.testing.assert_allclose(found.rotation, turn, atol=0.01)
+    assert found.matches >= 0.9 * right * COUNT - 30
+    assert 0 < found.residual < 0.03
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_chance_is_no_alignment(seed):
+    source, target, scale, _ = pairs(seed, 0.0)
+    assert _fitted(require_pycolmap(), source, target, 0.08 * scale) is None
+
+
+def test_few_pairs_are_no_alignment():
+    source, target, scale, _ = pairs(0, 1.0)
+    few = slice(FEWEST_MATCHES - 1)
+    assert _fitted(require_pycolmap(), source[few], target[few], 0.08 * scale) is None
+
+
+def test_features_are_matched_where_they_are_alike():
+    rng = np.random.default_rng(0)
+    features = rng.normal(0, 1, (40, 128)).astype(np.float32)
+    features /= np.linalg.norm(features, axis=1, keepdims=True)
+    places, order = rng.uniform(0, 1, (40, 3)), rng.permutation(40)
+    twins = features[order].copy()
+    twins[0] = twins[1]  # two that are alike match nothing
+    twins += rng.normal(0, 0.005, twins.shape).astype(np.float32)
+    twins /= np.linalg.norm(twins, axis=1, keepdims=True)
+    source, target = _pairs(
+        [_Features(features, places)], [_Features(twins, 10 + places[order]), _Features(
+            np.empty((0, 128), np.float32), np.empty((0, 3)))]
+    )  # fmt: skip
+    assert len(source) == 38
+    np.testing.assert_allclose(target, 10 + source)
