@@ -93,10 +93,6 @@ class Mark:
         """Whether its surface has an emissivity or a reflected temperature of its own."""
         return self.emissivity is not None or self.reflected_c is not None
 
-    def is_near(self, other: Mark) -> bool:
-        """Whether it is a spot in the place of another one."""
-        return math.dist(self.points[0], other.points[0]) < SAME_PLACE * self.radius
-
     @classmethod
     def from_json(cls, value: Any) -> Mark:
         """A mark from its JSON form; ConfigError if the value is not one."""
@@ -231,7 +227,8 @@ class Marks:
             free = iter(self.free_names(letter, len(marks)))
             left = [each for each in self.proposals if each.name.startswith(letter)]
             for mark in marks:
-                near = [each for each in left if each.is_near(mark)][:1]
+                away = [math.dist(each.points[0], mark.points[0]) for each in left]
+                near = [p for p, d in zip(left, away, strict=True) if d < SAME_PLACE * p.radius][:1]
                 name = near[0].name if near else next(free)
                 left = [each for each in left if each not in near]
                 proposals.append(replace(mark, name=name))

@@ -188,16 +188,16 @@ def show_marks(
     found = []
     for reading in readings:
         view = nearest_view(reading.mark, scene)
+        plan = places.small(reading.mark)
         shown = {
             "factor": _factor(reading.low, tables.total_uncertainty(reading), survey),
             "chart": _chart(reading, scene),
             **tables.texts_of_reading(reading, reference, scene.temperature, scene.world),
             "view": "" if view is None else view.name,
             "pictures": [] if view is None else mark_pictures(reading, view, regions, scene, style),
+            "plan": inline_image(plan, f"{reading.mark.name}, plan", quality=85),
         }
-        name = reading.mark.name
-        plan = inline_image(places.small(reading.mark), f"{name}, plan", quality=85)
-        found.append({**shown, "plan": plan})
+        found.append(shown)
     return found
 
 

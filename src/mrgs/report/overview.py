@@ -392,21 +392,16 @@ def _thermal(
     """The thermal image and its scale, which its surfaces use up; the sky may be beyond it."""
     values = in_unit(THERMAL, to_array(rendering[THERMAL].image[..., 0]), scene.temperature)
     surface = scene.reach.without_background(camera, rendering.surface_depth(THERMAL))
-    limits = display_range(np.where(np.isfinite(to_array(surface)), values, np.nan), TAIL_PERCENT)
+    limits = display_range(values[np.isfinite(to_array(surface))], TAIL_PERCENT)
     scale = style.scale(limits, scene.temperature)
     return Image.fromarray(scale.colorize(values)), scale
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the marks are, as the report shows it.
-
-    Attributes:
-        overviews: each the name of a view and its ``pictures``.
-        plan: None without marks, or where the map shows them all.
-        map: None where the scene has none.
-        map_size: width and height of the map, m, and its pixel, cm.
-    """
+    """Where marks are, for the template: views with their pictures; the plan, None without marks,
+    or where the map shows them all; the map, None where the scene has none, its width and height in
+    m, and its pixel in cm."""
 
     from_the_front: bool
     overviews: Sequence[Mapping[str, Any]]
@@ -445,14 +440,9 @@ def draw_places(
         image = inline_image(drawn.picture(marks, style), "map", quality=90)
     if plan is not None and not (drawn is not None and all(map(drawn.shows, marks.values()))):
         whole = inline_image(plan.whole(marks), "plan", png=True)
-    shown = [
-        {
-            "view": each.view,
-            "pictures": [
-                inline_image(picture, ", ".join(each.seen) or each.view, quality=88)
-                for picture in each.pictures
-            ],
-        }
-        for each in views
-    ]
+    shown = []
+    for each in views:
+        text = ", ".join(each.seen) or each.view
+        pictures = [inline_image(picture, text, quality=88) for picture in each.pictures]
+        shown.append({"view": each.view, "pictures": pictures})
     return Places(faces_one_side(scene), shown, whole, image, size, drawn, plan)
