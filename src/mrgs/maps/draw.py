@@ -89,8 +89,7 @@ def draw_map(
     temperatures are as the photos have them, without uncertainty; ``coverage`` leaves empty what
     too few photos show.
 
-    ConfigError if the map has more than ``MAX_PIXELS``, RunError if no photo shows anything of
-    it."""
+    ConfigError if the map has more than ``MAX_PIXELS``, RunError if no photo shows any of it."""
     if grid.width * grid.height > MAX_PIXELS:
         raise ConfigError(
             f"the map would have {grid.width}×{grid.height} pixels of {grid.pixel_m:g} m, more "

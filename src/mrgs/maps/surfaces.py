@@ -271,8 +271,7 @@ def photo_map(baked: BakedModel, scene: Scene, image: PosedImage) -> DepthMap:
 def _rendered(
     baked: BakedModel, scene: Scene, cameras: Mapping[Modality, Camera]
 ) -> tuple[Rendering, Plane]:
-    """A rendering, and the depth of the first modality with photos, infinite where it shows the
-    background."""
+    """A rendering, and the depth of the scene's first modality, infinite in the background."""
     surface = scene.modalities[0]
     rendering = baked.render(cameras, surface)
     depth = rendering.surface_depth(surface, MIN_ALPHA)

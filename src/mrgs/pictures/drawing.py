@@ -204,10 +204,7 @@ def draw_names(image: Image.Image, places: Mapping[str, Pixel]) -> dict[str, Box
 
 
 def _boxes_of(
-    image: Image.Image,
-    labels: Mapping[str, str],
-    places: Mapping[str, Pixel],
-    size: int,
+    image: Image.Image, labels: Mapping[str, str], places: Mapping[str, Pixel], size: int
 ) -> dict[str, Box]:
     """Boxes for the names that there is room for."""
     taken = np.zeros((image.height, image.width), bool)
@@ -227,8 +224,7 @@ def _boxes_of(
 
 
 def _boxes_about(x: float, y: float, wide: float, half: float) -> Iterator[Box]:
-    """Boxes of a size to the right and to the left of a place, then above and below it; the nearest
-    first."""
+    """Boxes of a size to the sides of a place, then above and below it; the nearest first."""
     for distance in range(MOST_STEPS):
         away = RING_PX + 2 + 2 * half * distance
         for down in range(-distance - 1, distance + 2):

@@ -31,11 +31,7 @@ def can_write_mp4() -> bool:
 
 @contextmanager
 def frame_writer(
-    folder: Path,
-    name: str,
-    size: tuple[int, int],
-    mp4: bool | None = None,
-    fps: int = VIDEO_FPS,
+    folder: Path, name: str, size: tuple[int, int], mp4: bool | None = None, fps: int = VIDEO_FPS
 ) -> Iterator[AddFrame]:
     """Give a function that writes frames into ``NAME/00000.png`` and so on and, if asked for or by
     default if imageio-ffmpeg is installed, into ``NAME.mp4``.

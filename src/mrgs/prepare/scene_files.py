@@ -108,9 +108,7 @@ def _one_lens(reconstruction: Reconstruction) -> bool:
 
 
 def _thermal_lens(
-    views: Sequence[ConvertedView],
-    reconstruction: Reconstruction,
-    rig: RigCalibration | None,
+    views: Sequence[ConvertedView], reconstruction: Reconstruction, rig: RigCalibration | None
 ) -> dict[Modality, Lens]:
     """The thermal camera's intrinsics, if they differ from those of the posed images."""
     if rig is not None:

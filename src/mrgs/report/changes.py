@@ -434,11 +434,7 @@ class _Comparison:
         return Compared(mark, mark.kind, one.mean, other.mean, *found, one.area, problem)
 
     def _difference(
-        self,
-        before: float,
-        after: float,
-        around: Sequence[Uncertainty],
-        relative: bool,
+        self, before: float, after: float, around: Sequence[Uncertainty], relative: bool
     ) -> tuple[float, float]:
         """ΔT and its uncertainty, in which what both dates share counts once."""
         one, other = around
@@ -498,8 +494,7 @@ def kind_of(
 
 
 def outline_of(points: Points, pixel: float) -> tuple[tuple[Place, ...], float, float]:
-    """The convex outline of points on a surface, in their plane; the area that they cover; and how
-    wide they are."""
+    """The convex outline of points on a surface, in their plane; their area and their width."""
     middle = points.mean(axis=0)
     axes = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
     flat = (points - middle) @ axes.T
@@ -588,8 +583,7 @@ def diff_runs(
 
 
 def facts_of(found: Compared, world: WorldFrame) -> dict[str, Any]:
-    """A change or a mark under the names of the columns of ``changes.csv``; None where there is no
-    value."""
+    """A change or a mark by the columns of ``changes.csv``; None where there is no value."""
     x, y, z = np.mean(found.mark.points, axis=0).tolist()
     numbers = {
         "first_c": found.before,
@@ -624,8 +618,7 @@ def _row(found: Compared, t: Texts, world: WorldFrame) -> list[str]:
 
 
 def _difference_map(found: Differences) -> TemperatureMap | None:
-    """The map of the first run with the bands ``BANDS``; None if it has none. SceneError if a photo
-    cannot be read."""
+    """The first run's map, if it has one, with ``BANDS``. SceneError if a photo cannot be read."""
     run, scene = found.dates[0].run, found.dates[0].scene
     try:
         baked = bake(run.model, scene.train_cameras, run.temperature)

@@ -66,8 +66,7 @@ def mark_pictures(
     scene: Scene,
     style: overview.Style = overview.PLAIN,
 ) -> list[InlineImage]:
-    """The thermal rendering of a view with its scale, and its photo. SceneError if the photo cannot
-    be read."""
+    """A view's thermal rendering with its scale, and its photo. SceneError if it cannot be read."""
     mark, camera = reading.mark, _about(reading.mark, view.images[THERMAL].camera)
     part = _part_about(mark, camera)
     photos = [_photo_about(mark, view.images[RGB])] if RGB in view.images else []
@@ -179,7 +178,7 @@ def show_marks(
     regions: Regions,
     scene: Scene,
     survey: Survey,
-    places: overview.Places,
+    places: overview.PlacePictures,
     style: overview.Style = overview.PLAIN,
 ) -> list[ShownMark]:
     """Measured marks as the template reads them: their ``texts_of_reading``; ``factor``, a dash
@@ -302,7 +301,7 @@ def camera_effects(run: Run, t: Texts) -> CameraEffects | None:
 class Findings(NamedTuple):
     """What was measured and what was found, and where; for ``like`` see ``like_parts``."""
 
-    places: overview.Places
+    places: overview.PlacePictures
     marks: Sequence[ShownMark]
     like: Sequence[Mapping[str, Any]]
     proposals: Sequence[Mapping[str, Any]]

@@ -57,8 +57,7 @@ STROKE_PX = 3
 def draw_marks(
     image: Image.Image, marks: Mapping[str, Mark], places: Mapping[str, Float64[np.ndarray, "_ 2"]]
 ) -> None:
-    """A ring about each spot and the outline of the other marks, then their names, at the pixels of
-    their corners."""
+    """A ring about each spot, the outline of the others, then names; places are their corners."""
     for name, corners in places.items():
         path = [*map(tuple, corners)]
         if marks[name].kind == "spot":
@@ -235,8 +234,7 @@ class TemperatureMap:
         return bool(((corners >= 0) & (corners <= size)).all())
 
     def picture(self, marks: Mapping[str, Mark], style: Style = PLAIN) -> Image.Image:
-        """The temperatures with legend and scale bar, and the marks on the map under their
-        names."""
+        """The temperatures with legend and scale bar, and the marks on it under their names."""
         scale = map_scale(self.drawn, style.palette, style.limits)
         scale = scale._replace(decimal=style.decimal, unit=self.unit)
         body, metres_per_px = map_body(self.drawn, scale)
@@ -357,11 +355,7 @@ def overviews(
 
 
 def overview(
-    view: View,
-    marks: Mapping[str, Mark],
-    scene: Scene,
-    render: SurfaceRenderer,
-    style: Style,
+    view: View, marks: Mapping[str, Mark], scene: Scene, render: SurfaceRenderer, style: Style
 ) -> Overview:
     """Photos and thermal rendering of a view with marks. SceneError if a photo cannot be read."""
     pictures = []
@@ -398,7 +392,7 @@ def _thermal(
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class PlacePictures:
     """Where marks are, for the template: views with their pictures; the plan, None without marks,
     or where the map shows them all; the map, None where the scene has none, its width and height in
     m, and its pixel in cm."""
@@ -426,7 +420,7 @@ def draw_places(
     survey: PhotoSurvey,
     regions: Regions,
     style: Style,
-) -> Places:
+) -> PlacePictures:
     """Draw marks into photos and renderings, on the plan and on the map; ``survey`` is that of the
     scene's thermal training photos. SceneError if a photo cannot be read."""
     drawn = temperature_map(run, scene, regions)
@@ -445,4 +439,4 @@ def draw_places(
         text = ", ".join(each.seen) or each.view
         pictures = [inline_image(picture, text, quality=88) for picture in each.pictures]
         shown.append({"view": each.view, "pictures": pictures})
-    return Places(faces_one_side(scene), shown, whole, image, size, drawn, plan)
+    return PlacePictures(faces_one_side(scene), shown, whole, image, size, drawn, plan)

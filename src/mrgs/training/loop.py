@@ -9,14 +9,7 @@ from typing import TypeVar
 
 import torch
 
-from mrgs.errors import (
-    ConfigError,
-    DeviceError,
-    NotFiniteError,
-    RunError,
-    TrainingError,
-    warn_user,
-)
+from mrgs.errors import ConfigError, DeviceError, NotFiniteError, RunError, TrainingError, warn_user
 from mrgs.method.config import TrainConfig
 from mrgs.method.losses.term import SceneScale
 from mrgs.method.parts import part_spreads

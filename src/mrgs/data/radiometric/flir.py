@@ -17,13 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt16
 
 from mrgs.data.images import opened
-from mrgs.data.radiometric.exif import (
-    JPEG_SIGNATURE,
-    ExifFacts,
-    clean_text,
-    flir_record,
-    read_exif,
-)
+from mrgs.data.radiometric.exif import JPEG_SIGNATURE, ExifFacts, clean_text, flir_record, read_exif
 from mrgs.data.radiometric.measurement import MAX_TRANSMISSION, Measurement, object_temperature
 from mrgs.data.radiometric.photo import Alignment, Overrides, PhotoFacts, ThermalPhoto, VisibleImage
 from mrgs.data.radiometric.raster import finished
