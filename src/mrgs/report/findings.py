@@ -67,7 +67,8 @@ def mark_pictures(
     style: overview.Style = overview.PLAIN,
 ) -> list[InlineImage]:
     """A view's thermal rendering with its scale, and its photo. SceneError if it cannot be read."""
-    mark, camera = reading.mark, _about(reading.mark, view.images[THERMAL].camera)
+    mark = reading.mark
+    camera = _about(mark, view.images[THERMAL].camera)
     part = _part_about(mark, camera)
     photos = [_photo_about(mark, view.images[RGB])] if RGB in view.images else []
     values = to_array(regions.render(camera)[THERMAL].image[..., 0])
@@ -115,8 +116,8 @@ def _part_about(mark: Mark, camera: Camera) -> tuple[slice, slice]:
 
 def _photo_about(mark: Mark, photo: PosedImage) -> tuple[Image.Image, Camera]:
     """The part of a photo about a mark, and its camera."""
-    whole = Image.fromarray(to_picture(RGB, photo.load().values, None, "grey"))
     wanted = _about(mark, photo.camera)
+    whole = Image.fromarray(to_picture(RGB, photo.load().values, None, "grey"))
     zoom = wanted.K[0, 0].item() / photo.camera.K[0, 0].item()
     left, top = (photo.camera.K[:2, 2] - wanted.K[:2, 2] / zoom).tolist()
     right, bottom = left + wanted.width / zoom, top + wanted.height / zoom
@@ -186,15 +187,15 @@ def show_marks(
     and ``chart``. SceneError if a photo cannot be read."""
     found = []
     for reading in readings:
-        view = nearest_view(reading.mark, scene)
-        plan = places.small(reading.mark)
+        mark = reading.mark
+        view = nearest_view(mark, scene)
         shown = {
             "factor": _factor(reading.low, tables.total_uncertainty(reading), survey),
             "chart": _chart(reading, scene),
             **tables.texts_of_reading(reading, reference, scene.temperature, scene.world),
             "view": "" if view is None else view.name,
             "pictures": [] if view is None else mark_pictures(reading, view, regions, scene, style),
-            "plan": inline_image(plan, f"{reading.mark.name}, plan", quality=85),
+            "plan": inline_image(places.small(mark), f"{mark.name}, plan", quality=85),
         }
         found.append(shown)
     return found
