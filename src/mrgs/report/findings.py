@@ -20,7 +20,7 @@ from mrgs.marks.regions import Regions
 from mrgs.marks.uncertainty import COVERAGE
 from mrgs.pictures import drawing
 from mrgs.pictures.drawing import Scale
-from mrgs.pictures.files import to_array, to_picture
+from mrgs.pictures.files import to_array
 from mrgs.pictures.html import InlineImage, inline_image
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range
@@ -30,6 +30,7 @@ from mrgs.report.anomalies import Anomaly, photo_value
 from mrgs.report.texts import Texts
 from mrgs.runs.open import Run
 from mrgs.scene import RGB, THERMAL, Camera, PosedImage, Scene, TemperatureRange, View
+from mrgs.scene.preview import to_rgb8
 from mrgs.survey import Survey
 
 WIDTH_PX = 640
@@ -117,7 +118,7 @@ def _part_about(mark: Mark, camera: Camera) -> tuple[slice, slice]:
 def _photo_about(mark: Mark, photo: PosedImage) -> tuple[Image.Image, Camera]:
     """The part of a photo about a mark, and its camera."""
     wanted = _about(mark, photo.camera)
-    whole = Image.fromarray(to_picture(RGB, photo.load().values, None, "grey"))
+    whole = Image.fromarray(to_rgb8(photo.load().values))
     zoom = wanted.K[0, 0].item() / photo.camera.K[0, 0].item()
     left, top = (photo.camera.K[:2, 2] - wanted.K[:2, 2] / zoom).tolist()
     right, bottom = left + wanted.width / zoom, top + wanted.height / zoom
