@@ -14,7 +14,11 @@ from typing import Any
 import jaxtyping
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = (ROOT / "src" / "mrgs", ROOT / "tools" / "mrgs_synth")
+PACKAGES = (
+    ROOT / "src" / "mrgs",
+    ROOT / "plugins" / "thermonerf" / "src" / "mrgs_thermonerf",
+    ROOT / "tools" / "mrgs_synth",
+)
 UNCHECKED = (
     "mrgs.kernels",
     "mrgs.app",
