@@ -21,6 +21,7 @@ PACKAGES = (
 )
 UNCHECKED = (
     "mrgs.kernels",
+    "mrgs_thermonerf.kernels",
     "mrgs.app",
 )
 """The decorators break Numba's cache and Triton's reading of a kernel's source; cli imports what it
