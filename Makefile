@@ -72,6 +72,13 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PIP) --no-build-isolation --editable .
 	@touch $@
 
+# A method in a package of its own, which the tests train too.
+$(VENV)/.plugins-installed: $(VENV)/.installed plugins/thermonerf/pyproject.toml
+	$(PIP) --no-build-isolation --editable ./plugins/thermonerf
+	@touch $@
+
+$(VENV)/.dev-installed: $(VENV)/.plugins-installed
+
 # uv takes a fifth of pip's time. It does not read pip's configuration: where that names an index, and
 # where uv fails, pip does it.
 $(VENV)/.%-installed: $(VENV)/.installed
@@ -82,8 +89,8 @@ $(VENV)/.%-installed: $(VENV)/.installed
 	@touch $@
 
 # Else each of the tests' processes would compile the same kernels, for a minute or more.
-KERNELS := $(shell find src/mrgs -path '*kernels*' -name '*.py')
-$(VENV)/.kernels-compiled: $(VENV)/.installed $(KERNELS)
+KERNELS := $(shell find src plugins -path '*kernels*' -name '*.py')
+$(VENV)/.kernels-compiled: $(VENV)/.plugins-installed $(KERNELS)
 	$(BIN)/python tools/compile_kernels.py $@
 
 # Pins every package that `make` can install, the indirect ones too, for every supported Python.

@@ -19,6 +19,10 @@ __all__ = ["without_collector"]
 
 SOURCE = Path(__file__).parents[1] / "src" / "mrgs"
 FILES = {path.relative_to(SOURCE).as_posix(): path for path in sorted(SOURCE.rglob("*.py"))}
+PLUGINS = Path(__file__).parents[1] / "plugins"
+ALL_FILES = FILES | {
+    path.relative_to(PLUGINS.parent).as_posix(): path for path in sorted(PLUGINS.rglob("*.py"))
+}
 
 FLOORS = {
     "errors": 0,
@@ -38,7 +42,7 @@ FLOORS = {
     "training": 6,
     "blocks": 7,
     "runs": 7,
-    "baselines": 8,
+    "plugins": 8,
     "evaluation": 8,
     "marks": 8,
     "maps": 8,
@@ -51,7 +55,7 @@ FLOORS = {
     "__main__": 12,
 }
 """A file imports from strictly lower floors and from its own room; ``mrgs`` itself imports on first
-use, from any."""
+use, from any. No file of ``mrgs`` imports from the plugins."""
 
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
 FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "joblib", "marshal", "shelve"}
@@ -72,8 +76,9 @@ BUDGET = {"lines": 60_000, "files": 335, "floors": 12}
 
 
 def room_of(dotted: str) -> str:
-    """The room of ``mrgs.room.module``; empty for ``mrgs`` itself."""
-    return [*dotted.split("."), ""][1]
+    """The room of ``mrgs.room.module``, and of a plugin's module; empty for ``mrgs`` itself."""
+    top, *below = dotted.split(".")
+    return [*below, ""][0] if top == "mrgs" else "plugins"
 
 
 @cache
@@ -91,14 +96,13 @@ def imported_modules(tree: ast.AST) -> list[str]:
 
 
 def parse(name: str) -> ast.Module:
-    return room_map.tree(FILES[name])
+    return room_map.tree(ALL_FILES[name])
 
 
 def misplaced_imports(room: str, tree: ast.AST) -> list[str]:
     """Imports that do not point downwards."""
-    targets = {
-        name: room_of(name) for name in imported_modules(tree) if name.split(".")[0] == "mrgs"
-    }
+    ours = ("mrgs", *(path.name for path in PLUGINS.glob("*/src/*")))
+    targets = {name: room_of(name) for name in imported_modules(tree) if name.split(".")[0] in ours}
     return [
         name
         for name, target in targets.items()
@@ -138,11 +142,11 @@ def prints(tree: ast.AST) -> bool:
 
 def found_in_files(search: Callable[[str], object]) -> dict[str, object]:
     """What a search finds, of the files in which it finds anything."""
-    return {name: found for name in FILES if (found := search(name))}
+    return {name: found for name in ALL_FILES if (found := search(name))}
 
 
 def test_imports_point_downwards():
-    rooms = {name: name.removesuffix(".py").split("/")[0] for name in FILES}
+    rooms = {name: name.removesuffix(".py").split("/")[0] for name in ALL_FILES}
     del rooms["__init__.py"]
     assert set(rooms.values()) - FLOORS.keys() == set(), "give each room a floor"
     found = {name: misplaced_imports(room, parse(name)) for name, room in rooms.items()}
@@ -157,6 +161,8 @@ def test_imports_point_downwards():
         ("evaluation", "from mrgs.viewer import view"),
         ("training", "def f():\n    from mrgs.app.cli import main"),
         ("runs", "from mrgs.evaluation.evaluate import score"),
+        ("runs", "from mrgs_thermonerf.run import open_thermonerf"),
+        ("plugins", "from mrgs.app.cli import main"),
     ],
 )
 def test_the_check_of_imports_can_fail(room, line):
@@ -220,14 +226,14 @@ def test_the_check_of_options_can_fail():
 def test_no_two_classes_have_the_same_name():
     defined = Counter(
         node.name
-        for name in FILES
+        for name in ALL_FILES
         for node in nodes(parse(name))
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
     assert [name for name, count in defined.items() if count > 1] == []
 
 
-@pytest.mark.parametrize("module", ["mrgs", "mrgs.app.cli"])
+@pytest.mark.parametrize("module", ["mrgs", "mrgs.app.cli", "mrgs_thermonerf"])
 def test_importing_is_cheap(module):
     """torch takes seconds to load: ``mrgs --help`` must not."""
     script = (

@@ -9,8 +9,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PLACES = (ROOT / "src" / "mrgs", ROOT, ROOT / "tools")
+DOCUMENTS = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "plugins").glob("*/README.md")),
+]
+PLACES = (ROOT / "src" / "mrgs", ROOT, ROOT / "tools", ROOT / "plugins" / "thermonerf")
 DECISIONS = ROOT / "docs" / "decisions"
 """A decision may name a file that has left the code since; then it names the commit as well."""
 

@@ -155,6 +155,9 @@ def test_one_version_everywhere() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == mrgs.__version__
     assert re.search(r"^## \[(.*?)\]", changelog, re.MULTILINE)[1] == mrgs.__version__
+    for plugin in ROOT.glob("plugins/*/pyproject.toml"):
+        text = plugin.read_text(encoding="utf-8")
+        assert re.search(r"^version = \"(.*)\"$", text, re.MULTILINE)[1] == mrgs.__version__
 
 
 def pinned() -> dict[str, str]:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from mrgs.baselines.thermonerf import train_thermonerf
 from mrgs.run_files.folder import RunFolder
 from mrgs.training import train
+from mrgs_thermonerf import train_thermonerf
 from tests.faults.runs import GAUSSIANS, NERF
 from tests.helpers.runs import made_once
 from tests.helpers.threads import one_torch_thread

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mrgs.baselines.thermonerf import run as nerf_checkpoint
 from mrgs.method.camera_model.image_model import ImageModelConfig
 from mrgs.training import checkpoint
+from mrgs_thermonerf import run as nerf_checkpoint
 from tests.helpers.thermonerf import small_config
 from tests.helpers.training import short_config
 

@@ -14,11 +14,11 @@ import torch
 from safetensors.torch import load, load_file
 from torch import Tensor
 
-from mrgs.baselines.thermonerf import open_thermonerf, train_thermonerf
 from mrgs.errors import DamagedCheckpointError, MrgsError, MrgsWarning, RunError
 from mrgs.runs.open import load_run
 from mrgs.training import train
 from mrgs.training.start import TrainOptions
+from mrgs_thermonerf import open_thermonerf, train_thermonerf
 from tests.faults.runs import GAUSSIANS, NERF, load_gaussians, load_nerf
 from tests.helpers.checkpoints import rewrite, rewrite_unchecked
 

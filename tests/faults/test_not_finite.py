@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 from torch import Tensor
 
-from mrgs.baselines.thermonerf import run as nerf_run
-from mrgs.baselines.thermonerf import train_thermonerf
-from mrgs.baselines.thermonerf.run import tensors_of as nerf_tensors
 from mrgs.errors import NotFiniteError, TrainingError
 from mrgs.run_files.folder import RunFolder
 from mrgs.training import loop, train
 from mrgs.training.checkpoint import tensors_of
 from mrgs.training.start import TrainOptions
+from mrgs_thermonerf import run as nerf_run
+from mrgs_thermonerf import train_thermonerf
+from mrgs_thermonerf.run import tensors_of as nerf_tensors
 from tests.faults.injections import not_finite, put
 from tests.faults.runs import GAUSSIANS, NERF
 

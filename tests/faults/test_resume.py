@@ -10,13 +10,13 @@ import pytest
 from PIL import Image
 
 from mrgs.app.cli import main
-from mrgs.baselines.thermonerf import train_thermonerf
 from mrgs.data.load import load_scene
 from mrgs.errors import MrgsWarning, RunError
 from mrgs.run_files.checkpoint import load_facts
 from mrgs.scene.capture import Capture
 from mrgs.training import train
 from mrgs.training.start import TrainOptions, open_training
+from mrgs_thermonerf import train_thermonerf
 from tests.faults.runs import GAUSSIANS, NERF
 
 KINDS = ("gaussians", pytest.param("nerf", marks=pytest.mark.slow))

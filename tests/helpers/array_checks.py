@@ -14,9 +14,14 @@ from typing import Any
 import jaxtyping
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = (ROOT / "src" / "mrgs", ROOT / "tools" / "mrgs_synth")
+PACKAGES = (
+    ROOT / "src" / "mrgs",
+    ROOT / "plugins" / "thermonerf" / "src" / "mrgs_thermonerf",
+    ROOT / "tools" / "mrgs_synth",
+)
 UNCHECKED = (
     "mrgs.kernels",
+    "mrgs_thermonerf.kernels",
     "mrgs.app",
 )
 """The decorators break Numba's cache and Triton's reading of a kernel's source; cli imports what it

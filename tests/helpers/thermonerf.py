@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from mrgs.baselines.thermonerf import ThermoNerfConfig
+from mrgs_thermonerf import ThermoNerfConfig
 
 
 def small_config(max_steps: int = 20, **changes: Any) -> ThermoNerfConfig:

@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from mrgs.baselines.thermonerf.kernels import hash_grid, perceptron
 from mrgs.field import FieldConfig, RadianceField
 from mrgs.field.appearance import ColorHead
 from mrgs.kernels import color_head, convolution, variation
@@ -20,6 +19,7 @@ from mrgs.kernels.heat.residuals import exchange, with_neighbours
 from mrgs.kernels.rasterize.cpu.rasterize import median_depth, rasterize
 from mrgs.kernels.ssim import cpu as ssim
 from mrgs.rasterizer import Geometry, Layer, Projection
+from mrgs_thermonerf.kernels import hash_grid, perceptron
 from tests.helpers.gaussians import random_gaussians
 
 N, K, WIDTH = 5, 3, 6

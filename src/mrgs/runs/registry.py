@@ -16,6 +16,9 @@ from mrgs.system.wording import shown
 PLUGINS = "mrgs.methods"
 """The entry points by which an installed package offers its ``Method`` objects."""
 
+IN_CHECKOUT = ("thermonerf",)
+"""Methods in packages of their own in the source checkout, ``plugins/NAME``."""
+
 
 def imported(module: str, name: str) -> Callable[..., Any]:
     """A function of a module that is imported when the function is first called."""
@@ -115,6 +118,11 @@ def find_method(name: str) -> Method:
     if name not in _METHODS:
         _register_plugins()
     if name not in _METHODS:
+        if name in IN_CHECKOUT:
+            raise ConfigError(
+                f"the method {name} is in the package mrgs-{name}, which is not installed: run "
+                f"`pip install ./plugins/{name}` in a checkout"
+            )
         raise ConfigError(f"unknown method {shown(name)}; choose one of {', '.join(_METHODS)}")
     return _METHODS[name]
 
@@ -141,17 +149,3 @@ for _name, _description in {
     "3dgs-rgbt": "3DGS with a temperature and one opacity",
 }.items():
     register(Method(_name, _description, partial(imported("mrgs.training", "make_config"), _name)))
-
-_NERF = "mrgs.baselines.thermonerf"
-register(
-    Method(
-        "thermonerf",
-        "a neural radiance field, on the CPU",
-        imported(_NERF, "make_config"),
-        imported(_NERF, "train_thermonerf"),
-        imported(_NERF, "open_thermonerf"),
-        imported(_NERF, "from_yaml"),
-        has_gaussians=False,
-        uses_gpu=False,
-    )
-)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.rays import PixelPool, frame_of
 from mrgs.data import load_scene
 from mrgs.errors import SceneError
 from mrgs.scene import RGB, THERMAL, Pixels, PosedImage, View
+from mrgs_thermonerf.rays import PixelPool, frame_of
 from tests.helpers.gaussians import NEAR_INFRARED
 from tests.helpers.scenes import write_scene
 

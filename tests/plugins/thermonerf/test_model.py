@@ -3,11 +3,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.model import ALL_ROWS, CHUNK_RAYS
-from mrgs.baselines.thermonerf.rays import CameraRays, frame_of
-from mrgs.baselines.thermonerf.run import new_model
 from mrgs.data import load_scene
 from mrgs.scene import RGB, THERMAL
+from mrgs_thermonerf.model import ALL_ROWS, CHUNK_RAYS
+from mrgs_thermonerf.rays import CameraRays, frame_of
+from mrgs_thermonerf.run import new_model
 
 
 def test_a_view_is_rendered_from_each_of_its_cameras(small_scene):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.networks import perceptron
+from mrgs_thermonerf.networks import perceptron
 
 
 @pytest.mark.parametrize(

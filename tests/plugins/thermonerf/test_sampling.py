@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.baselines.thermonerf.model import Spacing, even_edges, resample
+from mrgs_thermonerf.model import Spacing, even_edges, resample
 
 weights = st.lists(st.floats(0, 1, width=32), min_size=2, max_size=20)
 

@@ -8,7 +8,7 @@ from typing import Literal
 from mrgs.errors import ConfigError
 from mrgs.system.strict_yaml import MOST_RATE, MOST_SEED, MOST_STEPS, read_yaml, require_within
 
-METHOD: Literal["thermonerf"] = "thermonerf"
+NAME: Literal["thermonerf"] = "thermonerf"
 
 MOST_RAYS = 10**6
 """Of a batch."""
@@ -30,7 +30,7 @@ class ThermoNerfConfig:
         learning_rate_final: at the last step; in between it decays exponentially.
     """
 
-    method: Literal["thermonerf"] = METHOD
+    method: Literal["thermonerf"] = NAME
     max_steps: int = 4_000
     rays_per_batch: int = 1_024
     resolution: int | None = None

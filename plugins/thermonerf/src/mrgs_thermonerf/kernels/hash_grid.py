@@ -12,9 +12,9 @@ from numba import prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from mrgs.baselines.thermonerf.networks import CHANNELS, PRIMES
 from mrgs.kernels.jit import inner_function, parallel_kernel
 from mrgs.kernels.require import require
+from mrgs_thermonerf.networks import CHANNELS, PRIMES
 
 _SHARES = 4
 """Parts that the points of a level are cut into for the threads."""
@@ -32,7 +32,7 @@ def encode(
     resolutions: Int64[Tensor, " levels"],
     offsets: Int64[Tensor, " levels+1"],
 ) -> Float[Tensor, "n 4*levels"]:
-    """``mrgs.baselines.thermonerf.networks.encode`` for float32 or float64 on the CPU. ValueError
+    """``mrgs_thermonerf.networks.encode`` for float32 or float64 on the CPU. ValueError
     for tensors of other sizes or types, or levels that do not lie in the table."""
     levels = len(resolutions)
     require("points", points, (None, 3), (torch.float32, torch.float64))

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.baselines.thermonerf.model import composite, median_distance, render_weights
+from mrgs_thermonerf.model import composite, median_distance, render_weights
 
 
 def random(*shape: int, seed: int = 0) -> torch.Tensor:

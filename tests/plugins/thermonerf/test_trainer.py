@@ -9,8 +9,6 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from mrgs.baselines.thermonerf import ThermoNerfRun, train_thermonerf
-from mrgs.baselines.thermonerf import run as run_module
 from mrgs.errors import RunError, SceneError, TrainingError
 from mrgs.evaluation import evaluate_run, render_run
 from mrgs.run_files.checkpoint import load_facts, write_file
@@ -19,6 +17,8 @@ from mrgs.runs.open import load_run, open_run
 from mrgs.scene import RGB, THERMAL
 from mrgs.training import make_config, train
 from mrgs.training.start import Hooks, TrainOptions
+from mrgs_thermonerf import ThermoNerfRun, train_thermonerf
+from mrgs_thermonerf import run as run_module
 from tests.helpers.scenes import write_scene
 from tests.helpers.thermonerf import small_config
 

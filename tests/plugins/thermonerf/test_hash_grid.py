@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import torch
 
-from mrgs.baselines.thermonerf.networks import INITIAL_RANGE, GridSize, HashGrid
+from mrgs_thermonerf.networks import INITIAL_RANGE, GridSize, HashGrid
 
 
 def test_resolutions_grow_geometrically_between_the_two_ends():

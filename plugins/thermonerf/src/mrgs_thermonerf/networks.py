@@ -11,9 +11,9 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 from torch.nn.functional import linear, relu
 
-from mrgs.baselines.thermonerf.rays import contract
 from mrgs.field.spherical_harmonics import evaluate_sh
 from mrgs.system.operation import Kernel, operation, register_kernels
+from mrgs_thermonerf.rays import contract
 
 CHANNELS = 4
 """Features of an entry."""
@@ -98,7 +98,7 @@ def encode(
 register_kernels(
     Kernel(
         encode.name,
-        "mrgs.baselines.thermonerf.kernels.hash_grid.encode",
+        "mrgs_thermonerf.kernels.hash_grid.encode",
         "cpu",
         (torch.float32, torch.float64),
     )
@@ -157,9 +157,7 @@ def perceptron(
     return linear(relu(linear(inputs, hidden_weight, hidden_bias)), output_weight, output_bias)
 
 
-register_kernels(
-    Kernel(perceptron.name, "mrgs.baselines.thermonerf.kernels.perceptron.perceptron", "cpu")
-)
+register_kernels(Kernel(perceptron.name, "mrgs_thermonerf.kernels.perceptron.perceptron", "cpu"))
 
 HARMONICS = 16
 """Functions of the viewing direction that the colour head gets: all up to degree 3."""

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.rays import SceneFrame
+from mrgs_thermonerf.rays import SceneFrame
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -12,9 +12,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from mrgs.baselines.thermonerf.config import METHOD, ThermoNerfConfig, from_yaml
-from mrgs.baselines.thermonerf.model import ALL_ROWS, ThermoNerf, Traced
-from mrgs.baselines.thermonerf.rays import MODALITIES, Batch, PixelPool, SceneFrame, frame_of
 from mrgs.errors import DeviceError, RunError
 from mrgs.method.adam import Adam, ParameterGroup
 from mrgs.method.optimizer import are_finite
@@ -29,6 +26,9 @@ from mrgs.system.operation import checking
 from mrgs.system.threads import ctrl_c_waits
 from mrgs.system.torch_modes import own_modes, seeded
 from mrgs.training.start import DEFAULT_OPTIONS, NO_HOOKS, Hooks, TrainOptions, begun_run
+from mrgs_thermonerf.config import NAME, ThermoNerfConfig, from_yaml
+from mrgs_thermonerf.model import ALL_ROWS, ThermoNerf, Traced
+from mrgs_thermonerf.rays import MODALITIES, Batch, PixelPool, SceneFrame, frame_of
 
 CHECKED_RAYS = 32
 """Number of rays on which the kernels are compared with their plain definitions."""
@@ -105,8 +105,8 @@ def train_thermonerf(
     was asked for; other errors as for ``mrgs.train``."""
     require_cpu(options.device)
     folder = RunFolder(output)
-    if options.resume and folder.method != METHOD:
-        raise RunError(f"{folder.path} is a run of {folder.method}, not of {METHOD}")
+    if options.resume and folder.method != NAME:
+        raise RunError(f"{folder.path} is a run of {folder.method}, not of {NAME}")
     if isinstance(scene, Scene) and not options.resume:
         config = replace(config, resolution=scene.resolution)
     begun = begun_run(

@@ -5,9 +5,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.baselines.thermonerf.rays import contract, frame_of
 from mrgs.data import load_scene
 from mrgs.scene import RGB
+from mrgs_thermonerf.rays import contract, frame_of
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))

@@ -4,8 +4,8 @@ import math
 
 import torch
 
-from mrgs.baselines.thermonerf.rays import CameraRays, SceneFrame
 from mrgs.scene import Camera
+from mrgs_thermonerf.rays import CameraRays, SceneFrame
 
 
 def some_camera(width: int, height: int, angle: float) -> Camera:

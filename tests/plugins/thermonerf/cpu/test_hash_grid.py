@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrgs.baselines.thermonerf.networks import CHANNELS, encode
+from mrgs_thermonerf.networks import CHANNELS, encode
 
 RESOLUTIONS = torch.tensor([2, 3, 9, 40])
 SIZES = [27, 64, 256, 128]

@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from mrgs.baselines.thermonerf.networks import Field, Proposal, harmonics_of
-from mrgs.baselines.thermonerf.rays import CameraRays, Rays, SceneFrame
 from mrgs.scene import RGB, Blend, Camera, Modality, Rendering
+from mrgs_thermonerf.networks import Field, Proposal, harmonics_of
+from mrgs_thermonerf.rays import CameraRays, Rays, SceneFrame
 
 PerInterval: TypeAlias = Float[Tensor, "r s"]
 

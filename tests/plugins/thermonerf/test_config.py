@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from mrgs.baselines.thermonerf import ThermoNerfConfig, from_yaml, make_config
 from mrgs.errors import ConfigError
+from mrgs_thermonerf import ThermoNerfConfig, from_yaml, make_config
 from tests.helpers.thermonerf import small_config
 
 

@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrgs.baselines.thermonerf.run import (
+from mrgs_thermonerf.run import (
     distortion_loss,
     interlevel_loss,
     squared_error,

@@ -23,7 +23,7 @@ def perceptron(
     output_weight: Float[Tensor, "o h"],
     output_bias: Float[Tensor, " o"],
 ) -> Float[Tensor, "n o"]:
-    """``mrgs.baselines.thermonerf.networks.perceptron`` for float32 on the CPU. ValueError for
+    """``mrgs_thermonerf.networks.perceptron`` for float32 on the CPU. ValueError for
     tensors of other sizes or types."""
     require("inputs", inputs, (None, None))
     layers = (hidden_weight, hidden_bias, output_weight, output_bias)

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from mrgs.baselines.thermonerf.networks import (
+from mrgs_thermonerf.networks import (
     Field,
     GridSize,
     density_of,

@@ -1,1 +1,0 @@
-"""Methods that MrGS is compared with."""
