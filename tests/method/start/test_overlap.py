@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,16 @@ from mrgs.method.camera_model.image_model import ImageModel, ImageModelConfig
 from mrgs.method.start.overlap import find_from_overlap, without_camera
 from mrgs.scene import THERMAL, Camera, Pixels, Scene
 from mrgs.scene.capture import Capture
-from mrgs.scene.radiometry import ZERO_CELSIUS_K
-from tests.helpers.drifting import HEIGHT, PAUSE, WIDTH, drifting_scene, offsets_c, shading_c
+from mrgs.scene.radiometry import ZERO_CELSIUS_K, PhotoRecord
+from tests.helpers.drifting import (
+    HEIGHT,
+    PAUSE,
+    PHOTOS,
+    WIDTH,
+    drifting_scene,
+    offsets_c,
+    shading_c,
+)
 
 BOTH = ImageModelConfig(thermal_drift=True, thermal_shading=True)
 
@@ -105,6 +114,25 @@ def test_what_stands_before_the_camera_in_one_photo_is_no_offset():
     views[7] = replace(views[7], images={THERMAL: replace(image, load=look, load_at_least=look)})
     scene = replace(scene, train=tuple(views))
     assert error_c(started(scene).thermal_drift.offsets(), scene, offsets_c()) < 0.3
+
+
+def test_a_single_photo_may_be_off_though_the_next_ones_follow_within_a_second():
+    scene, off = drifting_scene(drift=0, shading=0), torch.zeros(PHOTOS).double()
+    off[7] = 4.0
+    views = []
+    for number, view in enumerate(scene.train):
+        image, record = view.images[THERMAL], PhotoRecord(taken=datetime(2024, 1, 1, 0, 0, number))
+
+        def look(width: int | None = None, image=image, number=number) -> Pixels:
+            pixels = image.load() if width is None else image.look(width)
+            values = pixels.values + float(off[number]) / scene.temperature.span_c
+            return replace(pixels, values=values)
+
+        changed = replace(image, load=look, load_at_least=look, record=record)
+        views.append(replace(view, images={THERMAL: changed}))
+    few = replace(scene.points, positions=scene.points.positions[::8], colors=None)
+    scene = replace(scene, train=tuple(views), points=few)
+    assert error_c(started(scene).thermal_drift.offsets(), scene, off - off.mean()) < 0.1
 
 
 def test_drawn_points_say_nothing():

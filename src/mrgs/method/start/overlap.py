@@ -232,9 +232,10 @@ def _fitted(
     one, next_one = order[:-1], order[1:]
     usual_c = DRIFT_C * np.sqrt(np.diff(minutes[order]).clip(1 / 60))
     columns = np.column_stack([seen.terms, seen.value])
-    left = seen.value - _starting_offsets(seen, photos)[seen.photo]
+    start = _starting_offsets(seen, photos)
+    left = seen.value - start[seen.photo]
     residuals = left - _medians(left, seen.point, p)[seen.point]
-    weights, steps = seen.weight, np.ones(len(one))
+    steps = 1 / (1 + ((start[next_one] - start[one]) / (2 * usual_c)) ** 2)
     found = np.full(len(priors), np.inf)
     for _ in range(ITERATIONS):
         noise_c = max(1.4826 * _weighted_median(np.abs(residuals), seen.weight), 1e-3)
