@@ -19,7 +19,7 @@ from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
 from mrgs.marks.stereo import PhotoStereo
 from mrgs.marks.store import CameraSpread, MarkStore
-from mrgs.marks.surface import disc_mask, see, steady_depth
+from mrgs.marks.surface import SAME_SURFACE, see, steady_depth
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Camera, Rendering, Scene, WorldFrame
@@ -30,6 +30,9 @@ from mrgs.training.checkpoint import shift_temperatures
 
 SPOT_PHOTO_PX = 3.0
 """Diameter of a spot in pixels of the nearest thermal photo, as on a camera's spot meter."""
+
+DISC_PX = 11
+"""Pixels across the disc that are looked at under a cursor, at most."""
 
 SPOT_SHARE = 0.01
 """Diameter of a spot as a share of its distance from the eye, where no photo is known."""
@@ -248,16 +251,18 @@ class MarkPicker:
     ) -> float:
         """What a spot at a pixel (column, row) of a picture would read, from the picture's z-depths
         alone; NaN where no photo sees the place, or the model changes."""
-        column, row = pixel
-        if not np.isfinite(depth[row, column]):
+        z = depth[pixel[1], pixel[0]]
+        if not np.isfinite(z):
             return np.nan
-        place = camera.unproject([column + 0.5, row + 0.5], depth[row, column])
+        place = camera.unproject(np.add(pixel, 0.5), z)
         radius = spot_radius(tuple(place.tolist()), camera, self._scene)
-        disc = disc_mask(camera, depth, place.double().numpy(), radius)
-        disc[row, column] = True
-        rows, columns = np.nonzero(disc)
-        pixels = torch.from_numpy(np.stack([columns, rows], axis=1) + 0.5)
-        places = camera.unproject(pixels, torch.from_numpy(depth[disc])).double().numpy()
+        steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, DISC_PX)] * 2), axis=-1)
+        disc = radius * camera.K[0, 0].item() / z * steps[np.hypot(*steps.T) <= 1]
+        pixels = np.unique(np.rint(np.add(pixel, disc)).astype(int), axis=0)
+        pixels = pixels[camera.contains(pixels + 0.5).numpy()]
+        around = depth[pixels[:, 1], pixels[:, 0]]
+        same = np.abs(around - z) < SAME_SURFACE * z
+        places = camera.unproject(pixels[same] + 0.5, around[same]).double().numpy()
         unknown = np.full(len(places), np.nan)
         found, _ = self.meter.temperatures(places, unknown, regions, camera.position.numpy())
         known = found[np.isfinite(found)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image
 
 from mrgs.export.page.write import PageContent, write_page
+from mrgs.marks.run_marks import spot_radius
 from mrgs.pictures.html import inline_image
 from mrgs.scene import THERMAL
 from tests.helpers.browsers import collect_errors, needs_chromium, new_page, wait_until
@@ -61,20 +63,24 @@ def test_spots_are_listed_with_their_differences_and_drawn(open_page):
     assert not page.locator("#spots").is_visible()
 
 
-def test_a_spot_is_as_wide_as_three_pixels_of_the_nearest_photo(open_page, baked, cameras):
+def test_a_spot_is_as_wide_as_the_programs(open_page, baked, cameras):
     first = next(iter(cameras.values()))
-    coarse = first.with_width(24)
-    page = open_page(viewport=WINDOW, thermal_cameras=[coarse])
+    # Two photos show the middle, and one beside it looks the other way.
+    behind = first.position + (first.position - first.viewmat[2, :3])
+    away = first.with_width(640).look_at(first.position, behind)
+    thermal = [first.with_width(24), first.with_width(16), away]
+    page = open_page(viewport=WINDOW, thermal_cameras=thermal)
     width, height = page.locator("#view").evaluate("view => [view.width, view.height]")
     camera = fitted(first, width, height)
     rendering = baked.render({THERMAL: camera}, surface=THERMAL)
     celsius = baked.temperature.to_celsius(rendering[THERMAL].image[..., 0]).numpy()
     depth = rendering.visible_depth().numpy()
+    scene = SimpleNamespace(train_photos=lambda _: [SimpleNamespace(camera=c) for c in thermal])
     changes = 0
     for x, y in ((width // 2, height // 2), (width // 2 + 25, height // 2 - 30)):
-        eye = camera.unproject([x + 0.5, y + 0.5], float(depth[y, x])) - coarse.position
-        pixel = float(eye.norm() / coarse.K[0, 0])
-        reach = 1.5 * pixel * float(camera.K[0, 0]) / depth[y, x]
+        place = camera.unproject([x + 0.5, y + 0.5], float(depth[y, x]))
+        radius = spot_radius(tuple(place.tolist()), camera, scene)
+        reach = radius * float(camera.K[0, 0]) / depth[y, x]
         turns = np.arange(8) * np.pi / 4
         columns = np.floor(x + 0.5 + reach * np.sqrt(0.5) * np.cos(turns)).astype(int)
         rows = np.floor(y + 0.5 + reach * np.sqrt(0.5) * np.sin(turns)).astype(int)

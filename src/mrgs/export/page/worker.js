@@ -135,41 +135,62 @@ function countingSort(indices, key) {
 
 // What a one-channel image shows at the pixel with the centre (x, y), and the depth of the surface, where half of the
 // light is blocked: blended here in full precision, because what the screen holds is rounded. Where a spot of three pixels
-// of the nearest photo is wider than a pixel, the mean over it, as the program's own spots have it.
-function readPixel({ camera, x, y, modality }) {
+// of the nearest photo is wider than a pixel, the mean over it, as the program's own spots have it; not for a question
+// with an id, which asks only whether a place is seen.
+function readPixel({ camera, x, y, modality, id }) {
   const appearance = model.appearances[modality];
-  const middle = readPixels(camera, [[x, y]], appearance)[0];
-  const about = spotAbout(camera, x, y, middle.depth);
-  const same = readPixels(camera, about, appearance).filter(
+  const [middle] = readPixels(camera, [x, y], 0, [[x, y]], appearance);
+  const reach = id === undefined ? spotReach(camera, x, y, middle.depth) : 0;
+  const about = SPOT_PATTERN.map(([dx, dy]) => [Math.floor(x + reach * dx) + 0.5, Math.floor(y + reach * dy) + 0.5]);
+  const same = (reach > 1 ? readPixels(camera, [x, y], reach, about, appearance) : []).filter(
     ({ alpha, depth }) => alpha >= ALPHA_OF_SURFACE && Math.abs(depth - middle.depth) < SAME_SURFACE * middle.depth,
   );
   const value = [middle, ...same].reduce((sum, each) => sum + valueOfBlend(model.radiance, modality, each.value), 0);
   return { modality, value: value / (1 + same.length), depth: middle.depth, alpha: middle.alpha };
 }
 
-// Pixels about another that are within a spot there, none where it is no wider than a pixel.
-function spotAbout(camera, x, y, depth) {
+// Half the width, in pixels, of a spot of three pixels of the nearest photo that shows the place; 0 if none does.
+function spotReach(camera, x, y, depth) {
   const { rotation: r, position } = camera;
   const seen = [((x - camera.cx) / camera.fx) * depth, ((y - camera.cy) / camera.fy) * depth, depth];
   const place = [0, 1, 2].map((i) => position[i] + r[i] * seen[0] + r[3 + i] * seen[1] + r[6 + i] * seen[2]);
-  const sizes = model.photos.map(([pixel, ...eye]) => pixel * Math.hypot(...place.map((each, i) => each - eye[i])));
-  const reach = (0.5 * SPOT_PX * Math.min(...sizes) * camera.fx) / depth;
-  if (!(reach > 1 && reach < Infinity)) return [];
-  return SPOT_PATTERN.map(([dx, dy]) => [Math.floor(x + reach * dx) + 0.5, Math.floor(y + reach * dy) + 0.5]);
+  let smallest = Infinity;
+  for (const { rotation, position: eye, fx, fy, cx, cy, width, height } of model.photos) {
+    const from = place.map((each, i) => each - eye[i]);
+    const [right, down, z] = [0, 3, 6].map((row) => dot(rotation.slice(row, row + 3), from));
+    const [u, v] = [(fx * right) / z + cx, (fy * down) / z + cy];
+    if (z > 0 && u >= 0 && u < width && v >= 0 && v < height) smallest = Math.min(smallest, z / fx);
+  }
+  return smallest < Infinity ? (0.5 * SPOT_PX * smallest * camera.fx) / depth : 0;
 }
 
-function readPixels(camera, pixels, appearance) {
+// Blends pixels that are no farther from the middle than the reach.
+function readPixels(camera, middle, reach, pixels, appearance) {
   const dilation = dilationOf(model.dilation, camera);
   const hits = pixels.map(() => []);
   for (const [start, end] of model.active) {
     for (let i = start; i < end; i++) {
-      pixels.forEach(([x, y], k) => {
-        const hit = splatAt(camera, dilation, x, y, i, appearance.opacity[i]);
+      if (reach && misses(camera, dilation, middle, reach, i)) continue;
+      for (let k = 0; k < pixels.length; k++) {
+        const hit = splatAt(camera, dilation, pixels[k][0], pixels[k][1], i, appearance.opacity[i]);
         if (hit) hits[k].push(hit);
-      });
+      }
     }
   }
   return hits.map((each) => blended(each, appearance, camera));
+}
+
+// Whether a splat is farther than the reach from a place of the image, by a circle about it.
+function misses(camera, dilation, [x, y], reach, i) {
+  const { rotation: r, translation: t, fx, fy, cx, cy } = camera;
+  const [mx, my, mz] = [model.means[3 * i], model.means[3 * i + 1], model.means[3 * i + 2]];
+  const z = r[6] * mx + r[7] * my + r[8] * mz + t[2];
+  if (z < NEAR_PLANE) return true;
+  const u = (r[0] * mx + r[1] * my + r[2] * mz + t[0]) / z;
+  const v = (r[3] * mx + r[4] * my + r[5] * mz + t[1]) / z;
+  const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
+  const radius = Math.sqrt(LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + dilation));
+  return Math.hypot(x - (fx * u + cx), y - (fy * v + cy)) > radius + reach;
 }
 
 function blended(hits, appearance, camera) {

@@ -236,10 +236,7 @@ def write_page(
     facts = {
         "model": model.facts,
         "cameras": [page_data.camera_facts(camera) for camera in every],
-        "photos": [
-            [1 / camera.K[0, 0].item(), *camera.position.tolist()]
-            for camera in content.thermal_cameras
-        ],
+        "photos": [page_data.camera_facts(camera) for camera in content.thermal_cameras],
         "world": page_data.world_facts(every),
         "palettes": page_data.palette_facts(PALETTE_CHOICES),
         "modalities": [_modality_facts(each, baked, every, content) for each in shown],
