@@ -209,6 +209,23 @@ def test_samples_of_a_line_have_the_uncertainty_of_points():
     assert np.nanmedian(profile.uncertainties) == pytest.approx(np.hypot(photos, 1.9), abs=0.02)
 
 
+def test_photos_that_show_none_of_the_points_are_not_rendered():
+    seen = photo_of_wall(1, 0.0)
+    camera = seen.images[THERMAL].camera
+    behind = camera.look_at([0.0, -5.0, 0.0], [0.0, -9.0, 0.0])
+    away = View("away", {THERMAL: replace(seen.images[THERMAL], camera=behind)})
+    rendered = []
+
+    def render(camera):
+        rendered.append(camera)
+        return render_wall(camera)
+
+    PhotoReadings(render, ideal_cameras, [seen, away], RANGE).of_points(
+        np.array(BOX.points, np.float32)
+    )
+    assert len(rendered) == 1
+
+
 def test_a_real_camera_is_uneven_from_place_to_place():
     budget = Budget(evenness=0.2)
     other = replace(BOX, name="B2", points=tuple((x - 1.5, y, z) for x, y, z in BOX.points))

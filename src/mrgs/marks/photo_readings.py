@@ -233,7 +233,9 @@ class PhotoReadings:
         found = []
         for rows in row_chunks(len(points)):
             sums = SightingSums(rows.stop - rows.start, OF_ONE_VALUE * self._step)
-            for index in range(len(self._views)):
+            for index, view in enumerate(self._views):
+                if not len(visible(view.images[THERMAL].camera, points[rows]).rows):
+                    continue
                 item = self[index]
                 shown = item.shown(points[rows])
                 sums.add(shown.rows, item.image[shown.pixels], shown.z)

@@ -139,13 +139,17 @@ class Budget:
             notes.append(
                 Message(
                     "Assumed as standard uncertainties: emissivity ± {emissivity}, reflected "
-                    "temperature ± {reflected} K, distance ± {distance} %.",
+                    "temperature ± {reflected} K, distance ± {distance} %, air ± {air} K.",
                     emissivity=f"{emissivity:g}",
                     reflected=f"{reflected:g}",
                     distance=f"{distance:g}",
+                    air=f"{AIR_C:g}",
                 )
             )
         capture, evenness = CaptureSettings.of(scene), EVENNESS if has_camera else 0.0
+        if evenness:
+            text = "The camera's unevenness is taken as ± {kelvin} K (95 %)."
+            notes.append(Message(text, kelvin=f"{evenness:g}"))
         settings = capture, parameters, emissivity, reflected, distance
         return cls(*settings, accuracy, evenness, tuple(notes))
 
