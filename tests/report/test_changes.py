@@ -218,6 +218,14 @@ def test_the_common_change_stays_unless_it_is_to_be_subtracted(first, second, fo
         assert one.difference == pytest.approx(other.difference + found.common)
 
 
+def test_changes_are_listed_of_which_no_photo_shows_enough(first, second, found, monkeypatch):
+    monkeypatch.setattr("mrgs.marks.photo_readings.LEAST_SHARE", 1.5)
+    close = diff_runs(first[0], second[0], relative=True, scenes=(first[1], second[1]))
+    assert {each.kind for each in close.changes} == {each.kind for each in found.changes}
+    for change in close.changes:
+        assert 0 < change.uncertainty < HOT_K / 2
+
+
 def test_one_run_has_no_two_dates(first):
     with pytest.raises(ConfigError, match="twice"):
         diff_runs(first[0], first[0])

@@ -126,6 +126,16 @@ class _Date:
         celsius = in_unit(THERMAL, seen, self.run.temperature)
         return self.regions.corrected_at(points, celsius), celsius
 
+    def of_change(self, points: Points, in_photos: Values) -> Uncertainty:
+        """Uncertainty of the mean of a change's places; where no single photo shows enough of them,
+        with what photos and models leave open at one of them (median)."""
+        found = self.uncertainty.of_mark(points, in_photos, self.regions)
+        if math.isnan(found.own):
+            at_one = float(np.median(self.uncertainty.of_photos(points.astype(np.float32))))
+            surfaces, place = self.regions.parts(points), float(points.mean())
+            found = self._budget.of_mean(Uncertainty(at_one), in_photos, surfaces, place)
+        return self.dated(found)
+
     def dated(self, uncertainty: Uncertainty) -> Uncertainty:
         """With the input quantities of this date told from those of the other: a surface keeps its
         emissivity, and a camera its calibration."""
@@ -140,10 +150,14 @@ class _Date:
 
     def common(self, celsius: float) -> Mapping[InputQuantity, float]:
         """What input quantities contribute to a temperature, °C as the photos have it."""
-        budget = Budget.of(self.scene, read_survey(self.run.folder.path / SURVEY_FILE))
+        budget = self._budget
         parts = budget.contributions(np.array([celsius]), budget.capture.surface)
         shared = {each: float(part[0]) for each, part in parts.items() if each.name != "evenness"}
         return self.dated(Uncertainty(shared=shared)).shared
+
+    @cached_property
+    def _budget(self) -> Budget:
+        return Budget.of(self.scene, read_survey(self.run.folder.path / SURVEY_FILE))
 
     @cached_property
     def constant_c(self) -> float:
@@ -407,7 +421,7 @@ class _Comparison:
         celsius = [date.celsius(each) for date, each in zip(self._dates, placed, strict=True)]
         before, after = (float(corrected.mean()) for corrected, _ in celsius)
         around = [
-            date.dated(date.uncertainty.of_mark(each, in_photos, date.regions))
+            date.of_change(each, in_photos)
             for date, each, (_, in_photos) in zip(self._dates, placed, celsius, strict=True)
         ]
         kind = kind_of(surface.before, surface.after, part, surface.surroundings(part, least_k))
