@@ -288,6 +288,14 @@ def test_the_errors_of_each_date(same_camera, kept, constants):
     assert sum(each.name == "constant" for each in shared) == constants
 
 
+def test_two_reflected_temperatures_of_one_date_both_count():
+    date = object.__new__(_Date)
+    date.number, date.same_camera = 2, True
+    date.__dict__["constant_c"] = 0.0
+    two = {InputQuantity("reflected", 20.0): 0.3, InputQuantity("reflected", 5.0): 0.4}
+    assert date.dated(Uncertainty(0.0, 0.0, 0.0, two)).total == pytest.approx(0.5)
+
+
 def test_without_a_known_accuracy_the_drift_counts():
     date = object.__new__(_Date)
     date.number, date.same_camera = 1, False

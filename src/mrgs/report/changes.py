@@ -141,10 +141,10 @@ class _Date:
         emissivity, and a camera its calibration."""
         kept = {"emissivity"} | ({"camera"} if self.same_camera else set())
         shared = {
-            each if each.name in kept else InputQuantity(each.name, float(self.number)): part
+            each if each.name in kept else each._replace(name=f"{each.name} {self.number}"): part
             for each, part in uncertainty.shared.items()
         }
-        if self.same_camera or not any(each.name == "camera" for each in shared):
+        if self.same_camera or not any(each.name == "camera" for each in uncertainty.shared):
             shared[InputQuantity("constant", float(self.number))] = self.constant_c
         return replace(uncertainty, shared=shared)
 
