@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import sys
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -209,6 +210,31 @@ def test_files(found, tmp_path):
     assert "3,0 K" in page
     assert "Same" in page
     assert "difference.png" in paths
+
+
+def of_scene(found: Differences, **changes) -> Differences:
+    """The same with another scene of the first date."""
+    date = copy(found.dates[0])
+    date.scene = replace(date.scene, **changes)
+    return replace(found, dates=(date, found.dates[1]))
+
+
+def test_without_metres_there_is_no_geotiff(found, tmp_path):
+    names = {path.name for path in of_scene(found, world=WorldFrame()).write(tmp_path)}
+    assert "difference.png" in names
+    assert "difference.tif" not in names
+
+
+def test_what_is_seen_from_all_sides_has_no_map(found, tmp_path, monkeypatch):
+    monkeypatch.setattr("mrgs.report.changes.draw_temperature_map", lambda *_: pytest.fail("drawn"))
+    lens = Camera.from_fov(200, 150, 65)
+    around = (lens.look_at((2 * x, 2 * y, 1.2), (0, 0, 1.2)) for x, y in ((1, 1), (-1, -1)))
+    views = (
+        replace(view, images={m: replace(i, camera=camera) for m, i in view.images.items()})
+        for view, camera in zip(found.dates[0].scene.train, around, strict=False)
+    )
+    names = {path.name for path in of_scene(found, train=tuple(views)).write(tmp_path)}
+    assert names == {"diff.html", "changes.csv", "changes.geojson"}
 
 
 def test_the_common_change_stays_unless_it_is_to_be_subtracted(first, second, found):

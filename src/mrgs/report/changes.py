@@ -37,7 +37,7 @@ from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit
-from mrgs.report.overview import Style, TemperatureMap, draw_temperature_map
+from mrgs.report.overview import Style, TemperatureMap, draw_temperature_map, has_map
 from mrgs.report.texts import Language, Texts
 from mrgs.report.write import require_weasyprint, write_pdf
 from mrgs.runs.baked import bake
@@ -229,8 +229,8 @@ class Differences:
 
     def write(self, folder: str | Path, language: Language = "en", pdf: bool = False) -> list[Path]:
         """Write ``diff.html``, ``changes.csv`` and ``changes.geojson`` into a folder; where the
-        first run has a map, also ``difference.png`` and, with mrgs[export], ``difference.tif``; and
-        on request the page as PDF. Returns the paths.
+        first run is a façade or seen from above also ``difference.png`` and, if it is in metres,
+        with mrgs[export] ``difference.tif``; and on request the page as PDF. Returns the paths.
 
         ConfigError if that needs weasyprint of mrgs[report], RunError if a file cannot be written,
         SceneError if a photo cannot be read."""
@@ -634,6 +634,8 @@ def _row(found: Compared, t: Texts, world: WorldFrame) -> list[str]:
 def _difference_map(found: Differences) -> TemperatureMap | None:
     """The first run's map, if it has one, with ``BANDS``. SceneError if a photo cannot be read."""
     run, scene = found.dates[0].run, found.dates[0].scene
+    if not has_map(scene):
+        return None
     try:
         baked = bake(run.model, scene.train_cameras, run.temperature)
         shown = draw_temperature_map(baked, scene)
@@ -646,11 +648,14 @@ def _difference_map(found: Differences) -> TemperatureMap | None:
 
 
 def _geotiff(shown: TemperatureMap, found: Differences, folder: Path) -> list[Path]:
-    """Write ``difference.tif``; returns its path, nothing if rasterio is not installed."""
+    """Write ``difference.tif``; returns its path, nothing if the first run is not in metres, which
+    coordinate systems have, or rasterio is not installed."""
     scene, drawn = found.dates[0].scene, shown.drawn
+    if not scene.world.metric:
+        return []
     wkt = local_wkt(scene.name)
     with suppress(ConfigError):
-        if scene.world.metric and not shown.from_the_front:
+        if not shown.from_the_front:
             wkt = coordinate_system(scene).wkt
         return [write_geotiff(folder / "difference.tif", drawn.grid, drawn.bands, BANDS, wkt, {})]
     return []
