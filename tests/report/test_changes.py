@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import sys
+import tracemalloc
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +33,7 @@ from mrgs.report.changes import (
     Surface,
     _Date,
     _same_camera,
+    _thinned,
     changed,
     diff_runs,
     kind_of,
@@ -406,6 +408,39 @@ def test_what_is_only_displaced_has_not_changed(seed, row, column):
     inner[2:-2, 2:-2] = True
     off = shown.certain[inner.ravel()]
     assert np.abs(off).max() <= abs(shown.common - 2.5) + 1e-9
+
+
+def map_of(*size: int, seed: int = 0, wide: float = 40.0) -> SimpleNamespace:
+    """As a depth map: random points of a wall, which are made when they are asked for."""
+    return SimpleNamespace(
+        points=lambda: np.random.default_rng(seed).uniform(0, (wide, wide, 0.5), (*size, 3))
+    )
+
+
+def test_places_are_the_means_over_all_maps():
+    maps = [map_of(3_000, seed=seed) for seed in range(4)]
+    every = np.concatenate([each.points() for each in maps])
+    (apart, pixel), (at_once, _) = (
+        _thinned(some, 1.0) for some in (maps, [SimpleNamespace(points=lambda: every)])
+    )
+    assert pixel == 1.0
+    assert len(apart) == 1600
+    np.testing.assert_allclose(apart, at_once)
+
+
+def test_many_maps_take_the_memory_of_one():
+    maps = [map_of(20_000, seed=seed) for seed in range(40)]
+    tracemalloc.start()
+    _thinned(maps, 1.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < sum(each.points().nbytes for each in maps)
+
+
+def test_far_points_have_larger_places():
+    points, pixel = _thinned([map_of(100), map_of(100, wide=1e12)], 1e-3)
+    assert 50 < len(points) <= 200
+    assert pixel > 1e-3
 
 
 def test_even_patches_count_with_their_whole_change():

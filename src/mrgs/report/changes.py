@@ -43,6 +43,7 @@ from mrgs.report.write import require_weasyprint, write_pdf
 from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, WorldFrame
+from mrgs.scene.depth_map import DepthMap
 from mrgs.survey import SURVEY_FILE, read_survey
 
 Points: TypeAlias = Float64[np.ndarray, "n 3"]
@@ -77,6 +78,8 @@ ADJOINING = 0.08
 the edge of that place."""
 
 MOST_PLACES, MOST_CORNERS = 300_000, 100
+MOST_CUBES = 2**62
+"""Numbers of more cubes are no integers of 64 bits."""
 
 
 ChangeKind = Literal["new", "gone", "grown", "shrunk", "warmer", "colder"]
@@ -316,8 +319,7 @@ class Surface:
         """The surface of two runs. RunError if they have none in common, SceneError if a photo
         cannot be read."""
         maps = list(dates[0].meter.survey)
-        every = np.concatenate([each.points() for each in maps])
-        points, pixel = _thinned(every, survey_pixel(maps))
+        points, pixel = _thinned(maps, survey_pixel(maps))
         values = _on_both(dates, registration, points)
         known = np.isfinite(values).all(axis=0)
         if known.sum() < FEWEST_PLACES:
@@ -384,17 +386,27 @@ class Surface:
         return found & ~part & (np.abs(self.beside_common) < least_k / 2)
 
 
-def _thinned(points: Points, pixel: float) -> tuple[Points, float]:
-    """The mean of the points in each cube, which is as wide as a pixel or wider, and its width."""
-    while True:
-        cubes = np.floor((points - points.min(axis=0)) / pixel).astype(np.int64)
-        key = np.ravel_multi_index(tuple(cubes.T), tuple(cubes.max(axis=0) + 1))
-        _, cube, count = np.unique(key, return_inverse=True, return_counts=True)
-        if len(count) <= MOST_PLACES:
-            break
-        pixel *= 1.4
-    means = [np.bincount(cube, weights=axis) / count for axis in points.T]
-    return np.stack(means, axis=1), pixel
+def _thinned(maps: Sequence[DepthMap], pixel: float) -> tuple[Points, float]:
+    """The mean of the maps' points in each cube, which is as wide as a pixel or wider, and its
+    width; map by map, for memory."""
+    points, weights = np.empty((0, 3)), np.empty(0)
+    origin = np.min([each.points().min(axis=0, initial=np.inf) for each in maps], axis=0)
+    for each in maps:
+        points = np.concatenate([points, each.points()])
+        weights = np.append(weights, np.ones(len(points) - len(weights)))
+        while len(points):
+            cubes = np.floor((points - origin) / pixel).astype(np.int64)
+            sizes = cubes.max(axis=0) + 1
+            if math.prod(sizes.tolist()) < MOST_CUBES:
+                key = np.ravel_multi_index(tuple(cubes.T), tuple(sizes))
+                _, cube, count = np.unique(key, return_inverse=True, return_counts=True)
+                if len(count) <= MOST_PLACES:
+                    total = np.bincount(cube, weights)
+                    means = [np.bincount(cube, weights * axis) / total for axis in points.T]
+                    points, weights = np.stack(means, axis=1), total
+                    break
+            pixel *= 1.4
+    return points, pixel
 
 
 class _Comparison:
