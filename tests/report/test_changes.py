@@ -254,6 +254,13 @@ def test_changes_are_listed_of_which_no_photo_shows_enough(first, second, found,
         assert 0 < change.uncertainty < HOT_K / 2
 
 
+def test_places_are_as_far_apart_as_pixels_of_the_coarser_date(found, monkeypatch):
+    sizes = iter((0.02, 0.2))
+    monkeypatch.setattr("mrgs.report.changes.survey_pixel", lambda maps: next(sizes))
+    surface = Surface.of(found.dates, found.registration)
+    assert surface.pixel == pytest.approx(0.2 / SCALE, rel=0.01)
+
+
 def test_one_run_has_no_two_dates(first):
     with pytest.raises(ConfigError, match="twice"):
         diff_runs(first[0], first[0])

@@ -303,9 +303,9 @@ def moved_mark(registration: Registration, mark: Mark) -> Mark:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The surface that both dates show, as places about ``pixel`` scene units apart: °C on both
-    dates, the uncertainty of their difference by photos and models, K, [N], and the pairs of
-    neighbours, [P, 2]."""
+    """The surface that both dates show, as places about ``pixel`` scene units apart, that of the
+    coarser date's photos: °C on both dates, the uncertainty of their difference by photos and
+    models, K, [N], and the pairs of neighbours, [P, 2]."""
 
     points: Points
     pixel: float
@@ -319,7 +319,8 @@ class Surface:
         """The surface of two runs. RunError if they have none in common, SceneError if a photo
         cannot be read."""
         maps = list(dates[0].meter.survey)
-        points, pixel = _thinned(maps, survey_pixel(maps))
+        first, second = survey_pixel(maps), survey_pixel([*dates[1].meter.survey])
+        points, pixel = _thinned(maps, max(first, second / registration.scale))
         values = _on_both(dates, registration, points)
         known = np.isfinite(values).all(axis=0)
         if known.sum() < FEWEST_PLACES:
