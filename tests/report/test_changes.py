@@ -214,6 +214,15 @@ def test_files(found, tmp_path):
     assert "difference.png" in paths
 
 
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [("en", "One place has changed by"), ("de", "Eine Stelle hat"), ("fr", "Un endroit a changé")],
+)
+def test_one_change_is_said_in_the_singular(found, tmp_path, language, said):
+    page = replace(found, changes=found.changes[:1]).write(tmp_path, language)[0].read_text()
+    assert f'<p class="lead">{said}' in page
+
+
 def of_scene(found: Differences, **changes) -> Differences:
     """The same with another scene of the first date."""
     date = copy(found.dates[0])
