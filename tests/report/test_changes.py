@@ -270,6 +270,16 @@ def test_places_are_as_far_apart_as_pixels_of_the_coarser_date(found, monkeypatc
     assert surface.pixel == pytest.approx(0.2 / SCALE, rel=0.01)
 
 
+def test_changes_have_names_of_their_own(first, second, found):
+    store = open_marks(*first).store
+    store.edit(lambda marks: replace(marks, marks=(*marks.marks, replace(marks.marks[0], name="D1"))))
+    try:
+        again = diff_runs(first[0], second[0], scenes=(first[1], second[1]))
+    finally:
+        store.edit(lambda marks: replace(marks, marks=marks.marks[:-1]))
+    assert [each.mark.name for each in again.changes] == ["D2", "D3"]
+
+
 def test_one_run_has_no_two_dates(first):
     with pytest.raises(ConfigError, match="twice"):
         diff_runs(first[0], first[0])

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -373,8 +374,8 @@ class Surface:
         kept = self.pairs[where[self.pairs].all(axis=1)]
         graph = sparse.coo_matrix((np.ones(len(kept)), kept.T), shape=(len(where),) * 2)
         labels = sparse.csgraph.connected_components(graph, directed=False)[1]
-        count = np.bincount(labels, weights=begins & where)
-        return [(labels == label) & where for label in np.flatnonzero(count >= FEWEST_PLACES)]
+        begun = np.bincount(labels, weights=begins & where)
+        return [(labels == label) & where for label in np.flatnonzero(begun >= FEWEST_PLACES)]
 
     def surroundings(self, part: Bool[np.ndarray, " n"], least_k: float) -> Bool[np.ndarray, " n"]:
         """The places about a part that have not changed."""
@@ -400,8 +401,8 @@ def _thinned(maps: Sequence[DepthMap], pixel: float) -> tuple[Points, float]:
             sizes = cubes.max(axis=0) + 1
             if math.prod(sizes.tolist()) < MOST_CUBES:
                 key = np.ravel_multi_index(tuple(cubes.T), tuple(sizes))
-                _, cube, count = np.unique(key, return_inverse=True, return_counts=True)
-                if len(count) <= MOST_PLACES:
+                taken, cube = np.unique(key, return_inverse=True)
+                if len(taken) <= MOST_PLACES:
                     total = np.bincount(cube, weights)
                     means = [np.bincount(cube, weights * axis) / total for axis in points.T]
                     points, weights = np.stack(means, axis=1), total
@@ -591,9 +592,11 @@ def diff_runs(
     comparison = _Comparison(dates, registration, surface, relative)
     found = [comparison.of_change(each, least_k) for each in surface.parts(least_k)]
     certain = sorted((each for each in found if each[0] >= 1), key=lambda each: -each[0])
+    taken = {each.name for each in marks.marks}
+    names = (name for number in count(1) if (name := f"D{number}") not in taken)
     changes = tuple(
-        each._replace(mark=replace(each.mark, name=f"D{number}"))
-        for number, (_, each) in enumerate(certain, 1)
+        each._replace(mark=replace(each.mark, name=name))
+        for name, (_, each) in zip(names, certain, strict=False)
     )
     readings = (date.meter.measure(date.marks, date.regions) for date in dates)
     return Differences(
