@@ -280,6 +280,12 @@ def test_changes_have_names_of_their_own(first, second, found):
     assert [each.mark.name for each in again.changes] == ["D2", "D3"]
 
 
+def test_what_is_too_narrow_is_not_measured(first, second, monkeypatch):
+    monkeypatch.setattr("mrgs.report.changes.LEAST_PX", math.inf)
+    monkeypatch.setattr(_Date, "of_change", lambda *_: pytest.fail("measured"))
+    assert diff_runs(first[0], second[0], scenes=(first[1], second[1])).changes == ()
+
+
 def test_one_run_has_no_two_dates(first):
     with pytest.raises(ConfigError, match="twice"):
         diff_runs(first[0], first[0])

@@ -427,10 +427,15 @@ class _Comparison:
         self._common = [date.common(float(c)) for date, c in zip(dates, medians, strict=True)]
         self.common_uncertainty = math.hypot(*changed(*self._common).values())
 
-    def of_change(self, part: Bool[np.ndarray, " n"], least_k: float) -> tuple[float, Compared]:
+    def of_change(
+        self, part: Bool[np.ndarray, " n"], least_k: float
+    ) -> tuple[float, Compared] | None:
         """A part of the surface that has changed, and how certain that is: 1 if its ΔT beside the
-        common change is just as large as it must be."""
+        common change is just as large as it must be; None if it is too narrow."""
         surface, points = self._surface, self._surface.points[part]
+        outline, area, width = outline_of(points, surface.pixel)
+        if width < LEAST_PX * surface.pixel:
+            return None
         placed = points, self._registration.apply(points)
         celsius = [date.celsius(each) for date, each in zip(self._dates, placed, strict=True)]
         before, after = (float(corrected.mean()) for corrected, _ in celsius)
@@ -439,13 +444,10 @@ class _Comparison:
             for date, each, (_, in_photos) in zip(self._dates, placed, celsius, strict=True)
         ]
         kind = kind_of(surface.before, surface.after, part, surface.surroundings(part, least_k))
-        outline, area, width = outline_of(points, surface.pixel)
         mark = Mark("D", "polygon", outline, self._eye(points))
         beside, least = self._difference(before, after, around, True)
         difference = self._difference(before, after, around, self._relative)
         certainty = abs(beside) / max(CERTAIN * least, least_k)
-        if width < LEAST_PX * surface.pixel:
-            certainty = 0.0
         return certainty, Compared(mark, kind, before, after, *difference, area, "", points)
 
     def of_mark(self, one: MarkReading, other: MarkReading) -> Compared:
@@ -590,8 +592,8 @@ def diff_runs(
     dates = _Date(marked[0], marks, 1, same), _Date(marked[1], moved, 2, same)
     surface = Surface.of(dates, registration)
     comparison = _Comparison(dates, registration, surface, relative)
-    found = [comparison.of_change(each, least_k) for each in surface.parts(least_k)]
-    certain = sorted((each for each in found if each[0] >= 1), key=lambda each: -each[0])
+    found = (comparison.of_change(each, least_k) for each in surface.parts(least_k))
+    certain = sorted((each for each in found if each and each[0] >= 1), key=lambda each: -each[0])
     taken = {each.name for each in marks.marks}
     names = (name for number in count(1) if (name := f"D{number}") not in taken)
     changes = tuple(
