@@ -272,12 +272,34 @@ def test_places_are_as_far_apart_as_pixels_of_the_coarser_date(found, monkeypatc
 
 def test_changes_have_names_of_their_own(first, second, found):
     store = open_marks(*first).store
-    store.edit(lambda marks: replace(marks, marks=(*marks.marks, replace(marks.marks[0], name="D1"))))
+    store.edit(
+        lambda marks: replace(marks, marks=(*marks.marks, replace(marks.marks[0], name="D1")))
+    )
     try:
         again = diff_runs(first[0], second[0], scenes=(first[1], second[1]))
     finally:
         store.edit(lambda marks: replace(marks, marks=marks.marks[:-1]))
     assert [each.mark.name for each in again.changes] == ["D2", "D3"]
+
+
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [("en", "not used: Pane."), ("de", "angewendet: Pane."), ("fr", "appliqués : Pane.")],
+)
+def test_what_only_the_second_runs_marks_state_is_said(
+    first, second, found, tmp_path, language, said
+):
+    corners = ((-0.5, 0.0, 0.2), (0.5, 0.0, 0.2), (0.5, 0.0, 0.8), (-0.5, 0.0, 0.8))
+    pane = Mark("Pane", "box", corners, (0.0, -2.0, 0.5), emissivity=0.6)
+    store = open_marks(*second).store
+    store.edit(lambda _: Marks((moved_mark(found.registration, pane),)))
+    try:
+        again = diff_runs(first[0], second[0], scenes=(first[1], second[1]))
+    finally:
+        store.edit(lambda _: Marks())
+    assert again.ignored == ("Pane",)
+    assert not found.ignored
+    assert said in again.write(tmp_path, language)[0].read_text()
 
 
 def test_what_is_too_narrow_is_not_measured(first, second, monkeypatch):

@@ -46,6 +46,7 @@ from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, WorldFrame
 from mrgs.scene.depth_map import DepthMap
 from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.system.wording import Message
 
 Points: TypeAlias = Float64[np.ndarray, "n 3"]
 Values: TypeAlias = Float64[np.ndarray, " n"]
@@ -203,6 +204,8 @@ class Differences:
         marks: the first run's marks.
         surface: places about a pixel of the photos apart, with °C on both dates.
         dates: the runs and what measures in them.
+        ignored: names of the second run's areas with settings of their own that are no such areas
+            of the first one, whose marks count on both dates.
     """
 
     registration: Registration
@@ -214,6 +217,7 @@ class Differences:
     marks: tuple[Compared, ...]
     surface: Surface
     dates: tuple[_Date, _Date]
+    ignored: tuple[str, ...] = ()
 
     def at(self, points: Points) -> Float64[np.ndarray, "4 n"]:
         """ΔT, °C on both dates, and the uncertainty of ΔT by photos and models alone, of points on
@@ -255,7 +259,14 @@ class Differences:
             figure = inline_image(picture, t("temperature difference"), png=True)
         changes, listed = self.rows(language)
         residual = f"{digits(self.registration.residual, 2)} {world.length_unit}"
-        notes = (note for each in self.dates for note in each.uncertainty.notes)
+        notes = [note for each in self.dates for note in each.uncertainty.notes]
+        if self.ignored:
+            said = Message(
+                "Settings that only the second run's marks have are not used: {name}. Give them to "
+                "marks of the first run.",
+                name=", ".join(self.ignored),
+            )
+            notes.append(said)
         page = write_html(
             folder / "diff.html",
             "report/diff.html",
@@ -403,9 +414,9 @@ def _thinned(maps: Sequence[DepthMap], pixel: float) -> tuple[Points, float]:
                 key = np.ravel_multi_index(tuple(cubes.T), tuple(sizes))
                 taken, cube = np.unique(key, return_inverse=True)
                 if len(taken) <= MOST_PLACES:
-                    total = np.bincount(cube, weights)
-                    means = [np.bincount(cube, weights * axis) / total for axis in points.T]
-                    points, weights = np.stack(means, axis=1), total
+                    sums = [np.bincount(cube, weights * axis) for axis in points.T]
+                    weights = np.bincount(cube, weights).astype(np.float64)
+                    points = np.stack(sums, axis=1) / weights[:, None]
                     break
             pixel *= 1.4
     return points, pixel
@@ -588,6 +599,8 @@ def diff_runs(
     moved = replace(
         marks, marks=tuple(moved_mark(registration, each) for each in marks.marks), proposals=()
     )
+    kept = {each.name for each in marks.marks if each.has_settings}
+    ignored = [each.name for each in marked[1].marks.marks if each.has_settings]
     same = _same_camera(*scenes)
     dates = _Date(marked[0], marks, 1, same), _Date(marked[1], moved, 2, same)
     surface = Surface.of(dates, registration)
@@ -611,6 +624,7 @@ def diff_runs(
         tuple(map(comparison.of_mark, *readings)),
         surface,
         dates,
+        tuple(name for name in ignored if name not in kept),
     )
 
 
