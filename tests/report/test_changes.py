@@ -31,6 +31,7 @@ from mrgs.render import Model
 from mrgs.report.changes import (
     Differences,
     Surface,
+    _Comparison,
     _Date,
     _same_camera,
     _thinned,
@@ -255,12 +256,18 @@ def test_the_common_change_stays_unless_it_is_to_be_subtracted(first, second, fo
         assert one.difference == pytest.approx(other.difference + found.common)
 
 
-def test_changes_are_listed_of_which_no_photo_shows_enough(first, second, found, monkeypatch):
-    monkeypatch.setattr("mrgs.marks.photo_readings.LEAST_SHARE", 1.5)
-    close = diff_runs(first[0], second[0], relative=True, scenes=(first[1], second[1]))
-    assert {each.kind for each in close.changes} == {each.kind for each in found.changes}
-    for change in close.changes:
-        assert 0 < change.uncertainty < HOT_K / 2
+@pytest.mark.parametrize("least_share", [0.95, 1.5])
+def test_a_change_has_an_uncertainty_though_no_photo_shows_enough_of_it(
+    found, monkeypatch, least_share
+):
+    """The whole wall, of which each photo shows at most four fifths."""
+    comparison = _Comparison(found.dates, found.registration, found.surface, True)
+    wall = np.ones(len(found.surface.points), bool)
+    _, usual = comparison.of_change(wall, 1.0)
+    monkeypatch.setattr("mrgs.marks.photo_readings.LEAST_SHARE", least_share)
+    _, change = comparison.of_change(wall, 1.0)
+    assert change.difference == usual.difference
+    assert 0.4 < change.uncertainty / usual.uncertainty < 2.5
 
 
 def test_places_are_as_far_apart_as_pixels_of_the_coarser_date(found, monkeypatch):
@@ -302,10 +309,10 @@ def test_what_only_the_second_runs_marks_state_is_said(
     assert said in again.write(tmp_path, language)[0].read_text()
 
 
-def test_what_is_too_narrow_is_not_measured(first, second, monkeypatch):
-    monkeypatch.setattr("mrgs.report.changes.LEAST_PX", math.inf)
-    monkeypatch.setattr(_Date, "of_change", lambda *_: pytest.fail("measured"))
-    assert diff_runs(first[0], second[0], scenes=(first[1], second[1])).changes == ()
+def test_what_is_too_narrow_is_not_measured(found):
+    coarse = replace(found.surface, pixel=10.0)
+    comparison = _Comparison(found.dates, found.registration, coarse, True)
+    assert comparison.of_change(np.ones(len(coarse.points), bool), 1.0) is None
 
 
 def test_one_run_has_no_two_dates(first):

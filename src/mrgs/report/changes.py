@@ -43,7 +43,7 @@ from mrgs.report.texts import Language, Texts
 from mrgs.report.write import require_weasyprint, write_pdf
 from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Scene, WorldFrame
+from mrgs.scene import THERMAL, Scene, WorldFrame, evenly_spaced
 from mrgs.scene.depth_map import DepthMap
 from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.system.wording import Message
@@ -79,7 +79,7 @@ ADJOINING = 0.08
 """Share of the surroundings that are as hot or cold on both dates, from which on what changed is
 the edge of that place."""
 
-MOST_PLACES, MOST_CORNERS = 300_000, 100
+MOST_PLACES, MOST_CORNERS, MOST_PIECES = 300_000, 100, 9
 MOST_CUBES = 2**62
 """Numbers of more cubes are no integers of 64 bits."""
 
@@ -133,12 +133,18 @@ class _Date:
 
     def of_change(self, points: Points, in_photos: Values) -> Uncertainty:
         """Uncertainty of the mean of a change's places; where no single photo shows enough of them,
-        with what photos and models leave open at one of them (median)."""
+        photos and model count as for the pieces that single photos show (root mean square)."""
         found = self.uncertainty.of_mark(points, in_photos, self.regions)
         if math.isnan(found.own):
-            at_one = float(np.median(self.uncertainty.of_photos(points.astype(np.float32))))
+            single = points.astype(np.float32)
+            shown = [each.shown(single).rows for each in self.meter.survey]
+            shown = [rows for rows in shown if len(rows) >= FEWEST_PLACES]
+            pieces = [shown[index] for index in evenly_spaced(len(shown), MOST_PIECES)]
+            every = [self.uncertainty.of_mark(points[each], in_photos[each]) for each in pieces]
+            own = [each.own for each in every if not math.isnan(each.own)]
+            part = float(np.sqrt(np.mean(np.square(own or self.uncertainty.of_photos(single)))))
             surfaces, place = self.regions.parts(points), float(points.mean())
-            found = self._budget.of_mean(Uncertainty(at_one), in_photos, surfaces, place)
+            found = self._budget.of_mean(Uncertainty(part), in_photos, surfaces, place)
         return self.dated(found)
 
     def dated(self, uncertainty: Uncertainty) -> Uncertainty:
