@@ -245,5 +245,5 @@ def test_two_dates_are_listed_and_written(run, tmp_path, capsys, monkeypatch):
     heading, change, summary, _, opened = lines(capsys)
     assert heading.split()[0] == "Place"
     assert change.split()[:2] == ["D1", "new"]
-    assert "+1.25 K" in summary
+    assert "1 change; common change +1.25 K" in summary
     assert "diff.html" in opened

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -46,6 +48,17 @@ def test_few_pairs_are_no_alignment():
     source, target, scale, _ = pairs(0, 1.0)
     few = slice(FEWEST_MATCHES - 1)
     assert _fitted(require_pycolmap(), source[few], target[few], 0.08 * scale) is None
+
+
+def test_pairs_that_have_no_similarity_are_no_alignment():
+    source, target, scale, _ = pairs(0, 1.0)
+    pycolmap = require_pycolmap()
+    without = SimpleNamespace(
+        RANSACOptions=pycolmap.RANSACOptions,
+        estimate_sim3d_robust=pycolmap.estimate_sim3d_robust,
+        estimate_sim3d=lambda source, target: None,
+    )
+    assert _fitted(without, source, target, 0.08 * scale) is None
 
 
 def test_features_are_matched_where_they_are_alike():

@@ -6,6 +6,8 @@ import csv
 import json
 import math
 import sys
+import tracemalloc
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,8 +31,10 @@ from mrgs.render import Model
 from mrgs.report.changes import (
     Differences,
     Surface,
+    _Comparison,
     _Date,
     _same_camera,
+    _thinned,
     changed,
     diff_runs,
     kind_of,
@@ -211,11 +215,104 @@ def test_files(found, tmp_path):
     assert "difference.png" in paths
 
 
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [("en", "One place has changed by"), ("de", "Eine Stelle hat"), ("fr", "Un endroit a changé")],
+)
+def test_one_change_is_said_in_the_singular(found, tmp_path, language, said):
+    page = replace(found, changes=found.changes[:1]).write(tmp_path, language)[0].read_text()
+    assert f'<p class="lead">{said}' in page
+
+
+def of_scene(found: Differences, **changes) -> Differences:
+    """The same with another scene of the first date."""
+    date = copy(found.dates[0])
+    date.scene = replace(date.scene, **changes)
+    return replace(found, dates=(date, found.dates[1]))
+
+
+def test_without_metres_there_is_no_geotiff(found, tmp_path):
+    names = {path.name for path in of_scene(found, world=WorldFrame()).write(tmp_path)}
+    assert "difference.png" in names
+    assert "difference.tif" not in names
+
+
+def test_what_is_seen_from_all_sides_has_no_map(found, tmp_path, monkeypatch):
+    monkeypatch.setattr("mrgs.report.changes.draw_temperature_map", lambda *_: pytest.fail("drawn"))
+    lens = Camera.from_fov(200, 150, 65)
+    around = (lens.look_at((2 * x, 2 * y, 1.2), (0, 0, 1.2)) for x, y in ((1, 1), (-1, -1)))
+    views = (
+        replace(view, images={m: replace(i, camera=camera) for m, i in view.images.items()})
+        for view, camera in zip(found.dates[0].scene.train, around, strict=False)
+    )
+    names = {path.name for path in of_scene(found, train=tuple(views)).write(tmp_path)}
+    assert names == {"diff.html", "changes.csv", "changes.geojson"}
+
+
 def test_the_common_change_stays_unless_it_is_to_be_subtracted(first, second, found):
     plain = diff_runs(first[0], second[0], scenes=(first[1], second[1]))
     assert len(plain.changes) == len(found.changes)
     for one, other in zip(plain.changes, found.changes, strict=True):
         assert one.difference == pytest.approx(other.difference + found.common)
+
+
+@pytest.mark.parametrize("least_share", [0.95, 1.5])
+def test_a_change_has_an_uncertainty_though_no_photo_shows_enough_of_it(
+    found, monkeypatch, least_share
+):
+    """The whole wall, of which each photo shows at most four fifths."""
+    comparison = _Comparison(found.dates, found.registration, found.surface, True)
+    wall = np.ones(len(found.surface.points), bool)
+    _, usual = comparison.of_change(wall, 1.0)
+    monkeypatch.setattr("mrgs.marks.photo_readings.LEAST_SHARE", least_share)
+    _, change = comparison.of_change(wall, 1.0)
+    assert change.difference == usual.difference
+    assert 0.4 < change.uncertainty / usual.uncertainty < 2.5
+
+
+def test_places_are_as_far_apart_as_pixels_of_the_coarser_date(found, monkeypatch):
+    sizes = iter((0.02, 0.2))
+    monkeypatch.setattr("mrgs.report.changes.survey_pixel", lambda maps: next(sizes))
+    surface = Surface.of(found.dates, found.registration)
+    assert surface.pixel == pytest.approx(0.2 / SCALE, rel=0.01)
+
+
+def test_changes_have_names_of_their_own(first, second, found):
+    store = open_marks(*first).store
+    store.edit(
+        lambda marks: replace(marks, marks=(*marks.marks, replace(marks.marks[0], name="D1")))
+    )
+    try:
+        again = diff_runs(first[0], second[0], scenes=(first[1], second[1]))
+    finally:
+        store.edit(lambda marks: replace(marks, marks=marks.marks[:-1]))
+    assert [each.mark.name for each in again.changes] == ["D2", "D3"]
+
+
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [("en", "not used: Pane."), ("de", "angewendet: Pane."), ("fr", "appliqués : Pane.")],
+)
+def test_what_only_the_second_runs_marks_state_is_said(
+    first, second, found, tmp_path, language, said
+):
+    corners = ((-0.5, 0.0, 0.2), (0.5, 0.0, 0.2), (0.5, 0.0, 0.8), (-0.5, 0.0, 0.8))
+    pane = Mark("Pane", "box", corners, (0.0, -2.0, 0.5), emissivity=0.6)
+    store = open_marks(*second).store
+    store.edit(lambda _: Marks((moved_mark(found.registration, pane),)))
+    try:
+        again = diff_runs(first[0], second[0], scenes=(first[1], second[1]))
+    finally:
+        store.edit(lambda _: Marks())
+    assert again.ignored == ("Pane",)
+    assert not found.ignored
+    assert said in again.write(tmp_path, language)[0].read_text()
+
+
+def test_what_is_too_narrow_is_not_measured(found):
+    coarse = replace(found.surface, pixel=10.0)
+    comparison = _Comparison(found.dates, found.registration, coarse, True)
+    assert comparison.of_change(np.ones(len(coarse.points), bool), 1.0) is None
 
 
 def test_one_run_has_no_two_dates(first):
@@ -278,6 +375,14 @@ def test_the_errors_of_each_date(same_camera, kept, constants):
     shared = date.dated(stated).shared
     assert [each.name for each in shared if each in stated.shared] == [*kept, "emissivity"]
     assert sum(each.name == "constant" for each in shared) == constants
+
+
+def test_two_reflected_temperatures_of_one_date_both_count():
+    date = object.__new__(_Date)
+    date.number, date.same_camera = 2, True
+    date.__dict__["constant_c"] = 0.0
+    two = {InputQuantity("reflected", 20.0): 0.3, InputQuantity("reflected", 5.0): 0.4}
+    assert date.dated(Uncertainty(0.0, 0.0, 0.0, two)).total == pytest.approx(0.5)
 
 
 def test_without_a_known_accuracy_the_drift_counts():
@@ -364,6 +469,39 @@ def test_what_is_only_displaced_has_not_changed(seed, row, column):
     inner[2:-2, 2:-2] = True
     off = shown.certain[inner.ravel()]
     assert np.abs(off).max() <= abs(shown.common - 2.5) + 1e-9
+
+
+def map_of(*size: int, seed: int = 0, wide: float = 40.0) -> SimpleNamespace:
+    """As a depth map: random points of a wall, which are made when they are asked for."""
+    return SimpleNamespace(
+        points=lambda: np.random.default_rng(seed).uniform(0, (wide, wide, 0.5), (*size, 3))
+    )
+
+
+def test_places_are_the_means_over_all_maps():
+    maps = [map_of(3_000, seed=seed) for seed in range(4)]
+    every = np.concatenate([each.points() for each in maps])
+    (apart, pixel), (at_once, _) = (
+        _thinned(some, 1.0) for some in (maps, [SimpleNamespace(points=lambda: every)])
+    )
+    assert pixel == 1.0
+    assert len(apart) == 1600
+    np.testing.assert_allclose(apart, at_once)
+
+
+def test_many_maps_take_the_memory_of_one():
+    maps = [map_of(20_000, seed=seed) for seed in range(40)]
+    tracemalloc.start()
+    _thinned(maps, 1.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < sum(each.points().nbytes for each in maps)
+
+
+def test_far_points_have_larger_places():
+    points, pixel = _thinned([map_of(100), map_of(100, wide=1e12)], 1e-3)
+    assert 50 < len(points) <= 200
+    assert pixel > 1e-3
 
 
 def test_even_patches_count_with_their_whole_change():

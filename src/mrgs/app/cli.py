@@ -329,7 +329,7 @@ def _diff(command: commands.Diff) -> None:
     from mrgs.report.changes import HEADINGS, diff_runs
     from mrgs.report.write import require_weasyprint
     from mrgs.runs.open import load_run
-    from mrgs.system.wording import aligned
+    from mrgs.system.wording import aligned, counted
 
     if command.pdf:
         require_weasyprint()
@@ -345,7 +345,7 @@ def _diff(command: commands.Diff) -> None:
         print("\n".join(aligned([[*HEADINGS, ""], *rows], {0, 1, len(HEADINGS)})))
     common = number_text(found.common, 2, sign=True)
     said = "subtracted from" if found.relative else "part of (without it: --relative)"
-    say(f"{len(changes)} changes; common change {common} K, {said} all ΔT")
+    say(f"{counted(len(changes), 'change')}; common change {common} K, {said} all ΔT")
     folder = command.output or command.second / "diff"
     print_exported(folder, found.write(folder, command.language, command.pdf))
 

@@ -183,7 +183,9 @@ def _fitted(pycolmap: Any, source: Points, target: Points, tolerance: float) -> 
     options.max_num_trials = 20_000
     robust = pycolmap.estimate_sim3d_robust(source, target, options)
     found = None if robust is None else robust["tgt_from_src"]
-    for _ in range(REFITS if found is not None else 0):
+    for _ in range(REFITS):
+        if found is None:
+            return None
         distance = np.linalg.norm(_registration(found).apply(source) - target, axis=1)
         inliers = distance < tolerance
         if inliers.sum() < max(FEWEST_MATCHES, LEAST_SHARE * len(source)):

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -37,13 +38,15 @@ from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.numbers import number_text
 from mrgs.pictures.palette import display_range
 from mrgs.pictures.values import in_unit
-from mrgs.report.overview import Style, TemperatureMap, draw_temperature_map
+from mrgs.report.overview import Style, TemperatureMap, draw_temperature_map, has_map
 from mrgs.report.texts import Language, Texts
 from mrgs.report.write import require_weasyprint, write_pdf
 from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
-from mrgs.scene import THERMAL, Scene, WorldFrame
+from mrgs.scene import THERMAL, Scene, WorldFrame, evenly_spaced
+from mrgs.scene.depth_map import DepthMap
 from mrgs.survey import SURVEY_FILE, read_survey
+from mrgs.system.wording import Message
 
 Points: TypeAlias = Float64[np.ndarray, "n 3"]
 Values: TypeAlias = Float64[np.ndarray, " n"]
@@ -76,7 +79,9 @@ ADJOINING = 0.08
 """Share of the surroundings that are as hot or cold on both dates, from which on what changed is
 the edge of that place."""
 
-MOST_PLACES, MOST_CORNERS = 300_000, 100
+MOST_PLACES, MOST_CORNERS, MOST_PIECES = 300_000, 100, 9
+MOST_CUBES = 2**62
+"""Numbers of more cubes are no integers of 64 bits."""
 
 
 ChangeKind = Literal["new", "gone", "grown", "shrunk", "warmer", "colder"]
@@ -126,24 +131,44 @@ class _Date:
         celsius = in_unit(THERMAL, seen, self.run.temperature)
         return self.regions.corrected_at(points, celsius), celsius
 
+    def of_change(self, points: Points, in_photos: Values) -> Uncertainty:
+        """Uncertainty of the mean of a change's places; where no single photo shows enough of them,
+        photos and model count as for the pieces that single photos show (root mean square)."""
+        found = self.uncertainty.of_mark(points, in_photos, self.regions)
+        if math.isnan(found.own):
+            single = points.astype(np.float32)
+            shown = [each.shown(single).rows for each in self.meter.survey]
+            shown = [rows for rows in shown if len(rows) >= FEWEST_PLACES]
+            pieces = [shown[index] for index in evenly_spaced(len(shown), MOST_PIECES)]
+            every = [self.uncertainty.of_mark(points[each], in_photos[each]) for each in pieces]
+            own = [each.own for each in every if not math.isnan(each.own)]
+            part = float(np.sqrt(np.mean(np.square(own or self.uncertainty.of_photos(single)))))
+            surfaces, place = self.regions.parts(points), float(points.mean())
+            found = self._budget.of_mean(Uncertainty(part), in_photos, surfaces, place)
+        return self.dated(found)
+
     def dated(self, uncertainty: Uncertainty) -> Uncertainty:
         """With the input quantities of this date told from those of the other: a surface keeps its
         emissivity, and a camera its calibration."""
         kept = {"emissivity"} | ({"camera"} if self.same_camera else set())
         shared = {
-            each if each.name in kept else InputQuantity(each.name, float(self.number)): part
+            each if each.name in kept else each._replace(name=f"{each.name} {self.number}"): part
             for each, part in uncertainty.shared.items()
         }
-        if self.same_camera or not any(each.name == "camera" for each in shared):
+        if self.same_camera or not any(each.name == "camera" for each in uncertainty.shared):
             shared[InputQuantity("constant", float(self.number))] = self.constant_c
         return replace(uncertainty, shared=shared)
 
     def common(self, celsius: float) -> Mapping[InputQuantity, float]:
         """What input quantities contribute to a temperature, °C as the photos have it."""
-        budget = Budget.of(self.scene, read_survey(self.run.folder.path / SURVEY_FILE))
+        budget = self._budget
         parts = budget.contributions(np.array([celsius]), budget.capture.surface)
         shared = {each: float(part[0]) for each, part in parts.items() if each.name != "evenness"}
         return self.dated(Uncertainty(shared=shared)).shared
+
+    @cached_property
+    def _budget(self) -> Budget:
+        return Budget.of(self.scene, read_survey(self.run.folder.path / SURVEY_FILE))
 
     @cached_property
     def constant_c(self) -> float:
@@ -185,6 +210,8 @@ class Differences:
         marks: the first run's marks.
         surface: places about a pixel of the photos apart, with °C on both dates.
         dates: the runs and what measures in them.
+        ignored: names of the second run's areas with settings of their own that are no such areas
+            of the first one, whose marks count on both dates.
     """
 
     registration: Registration
@@ -196,6 +223,7 @@ class Differences:
     marks: tuple[Compared, ...]
     surface: Surface
     dates: tuple[_Date, _Date]
+    ignored: tuple[str, ...] = ()
 
     def at(self, points: Points) -> Float64[np.ndarray, "4 n"]:
         """ΔT, °C on both dates, and the uncertainty of ΔT by photos and models alone, of points on
@@ -215,8 +243,8 @@ class Differences:
 
     def write(self, folder: str | Path, language: Language = "en", pdf: bool = False) -> list[Path]:
         """Write ``diff.html``, ``changes.csv`` and ``changes.geojson`` into a folder; where the
-        first run has a map, also ``difference.png`` and, with mrgs[export], ``difference.tif``; and
-        on request the page as PDF. Returns the paths.
+        first run is a façade or seen from above also ``difference.png`` and, if it is in metres,
+        with mrgs[export] ``difference.tif``; and on request the page as PDF. Returns the paths.
 
         ConfigError if that needs weasyprint of mrgs[report], RunError if a file cannot be written,
         SceneError if a photo cannot be read."""
@@ -237,7 +265,14 @@ class Differences:
             figure = inline_image(picture, t("temperature difference"), png=True)
         changes, listed = self.rows(language)
         residual = f"{digits(self.registration.residual, 2)} {world.length_unit}"
-        notes = (note for each in self.dates for note in each.uncertainty.notes)
+        notes = [note for each in self.dates for note in each.uncertainty.notes]
+        if self.ignored:
+            said = Message(
+                "Settings that only the second run's marks have are not used: {name}. Give them to "
+                "marks of the first run.",
+                name=", ".join(self.ignored),
+            )
+            notes.append(said)
         page = write_html(
             folder / "diff.html",
             "report/diff.html",
@@ -286,9 +321,9 @@ def moved_mark(registration: Registration, mark: Mark) -> Mark:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The surface that both dates show, as places about ``pixel`` scene units apart: °C on both
-    dates, the uncertainty of their difference by photos and models, K, [N], and the pairs of
-    neighbours, [P, 2]."""
+    """The surface that both dates show, as places about ``pixel`` scene units apart, that of the
+    coarser date's photos: °C on both dates, the uncertainty of their difference by photos and
+    models, K, [N], and the pairs of neighbours, [P, 2]."""
 
     points: Points
     pixel: float
@@ -302,8 +337,8 @@ class Surface:
         """The surface of two runs. RunError if they have none in common, SceneError if a photo
         cannot be read."""
         maps = list(dates[0].meter.survey)
-        every = np.concatenate([each.points() for each in maps])
-        points, pixel = _thinned(every, survey_pixel(maps))
+        first, second = survey_pixel(maps), survey_pixel([*dates[1].meter.survey])
+        points, pixel = _thinned(maps, max(first, second / registration.scale))
         values = _on_both(dates, registration, points)
         known = np.isfinite(values).all(axis=0)
         if known.sum() < FEWEST_PLACES:
@@ -356,8 +391,8 @@ class Surface:
         kept = self.pairs[where[self.pairs].all(axis=1)]
         graph = sparse.coo_matrix((np.ones(len(kept)), kept.T), shape=(len(where),) * 2)
         labels = sparse.csgraph.connected_components(graph, directed=False)[1]
-        count = np.bincount(labels, weights=begins & where)
-        return [(labels == label) & where for label in np.flatnonzero(count >= FEWEST_PLACES)]
+        begun = np.bincount(labels, weights=begins & where)
+        return [(labels == label) & where for label in np.flatnonzero(begun >= FEWEST_PLACES)]
 
     def surroundings(self, part: Bool[np.ndarray, " n"], least_k: float) -> Bool[np.ndarray, " n"]:
         """The places about a part that have not changed."""
@@ -370,17 +405,27 @@ class Surface:
         return found & ~part & (np.abs(self.beside_common) < least_k / 2)
 
 
-def _thinned(points: Points, pixel: float) -> tuple[Points, float]:
-    """The mean of the points in each cube, which is as wide as a pixel or wider, and its width."""
-    while True:
-        cubes = np.floor((points - points.min(axis=0)) / pixel).astype(np.int64)
-        key = np.ravel_multi_index(tuple(cubes.T), tuple(cubes.max(axis=0) + 1))
-        _, cube, count = np.unique(key, return_inverse=True, return_counts=True)
-        if len(count) <= MOST_PLACES:
-            break
-        pixel *= 1.4
-    means = [np.bincount(cube, weights=axis) / count for axis in points.T]
-    return np.stack(means, axis=1), pixel
+def _thinned(maps: Sequence[DepthMap], pixel: float) -> tuple[Points, float]:
+    """The mean of the maps' points in each cube, which is as wide as a pixel or wider, and its
+    width; map by map, for memory."""
+    points, weights = np.empty((0, 3)), np.empty(0)
+    origin = np.min([each.points().min(axis=0, initial=np.inf) for each in maps], axis=0)
+    for each in maps:
+        points = np.concatenate([points, each.points()])
+        weights = np.append(weights, np.ones(len(points) - len(weights)))
+        while len(points):
+            cubes = np.floor((points - origin) / pixel).astype(np.int64)
+            sizes = cubes.max(axis=0) + 1
+            if math.prod(sizes.tolist()) < MOST_CUBES:
+                key = np.ravel_multi_index(tuple(cubes.T), tuple(sizes))
+                taken, cube = np.unique(key, return_inverse=True)
+                if len(taken) <= MOST_PLACES:
+                    sums = [np.bincount(cube, weights * axis) for axis in points.T]
+                    weights = np.bincount(cube, weights).astype(np.float64)
+                    points = np.stack(sums, axis=1) / weights[:, None]
+                    break
+            pixel *= 1.4
+    return points, pixel
 
 
 class _Comparison:
@@ -399,25 +444,27 @@ class _Comparison:
         self._common = [date.common(float(c)) for date, c in zip(dates, medians, strict=True)]
         self.common_uncertainty = math.hypot(*changed(*self._common).values())
 
-    def of_change(self, part: Bool[np.ndarray, " n"], least_k: float) -> tuple[float, Compared]:
+    def of_change(
+        self, part: Bool[np.ndarray, " n"], least_k: float
+    ) -> tuple[float, Compared] | None:
         """A part of the surface that has changed, and how certain that is: 1 if its ΔT beside the
-        common change is just as large as it must be."""
+        common change is just as large as it must be; None if it is too narrow."""
         surface, points = self._surface, self._surface.points[part]
+        outline, area, width = outline_of(points, surface.pixel)
+        if width < LEAST_PX * surface.pixel:
+            return None
         placed = points, self._registration.apply(points)
         celsius = [date.celsius(each) for date, each in zip(self._dates, placed, strict=True)]
         before, after = (float(corrected.mean()) for corrected, _ in celsius)
         around = [
-            date.dated(date.uncertainty.of_mark(each, in_photos, date.regions))
+            date.of_change(each, in_photos)
             for date, each, (_, in_photos) in zip(self._dates, placed, celsius, strict=True)
         ]
         kind = kind_of(surface.before, surface.after, part, surface.surroundings(part, least_k))
-        outline, area, width = outline_of(points, surface.pixel)
         mark = Mark("D", "polygon", outline, self._eye(points))
         beside, least = self._difference(before, after, around, True)
         difference = self._difference(before, after, around, self._relative)
         certainty = abs(beside) / max(CERTAIN * least, least_k)
-        if width < LEAST_PX * surface.pixel:
-            certainty = 0.0
         return certainty, Compared(mark, kind, before, after, *difference, area, "", points)
 
     def of_mark(self, one: MarkReading, other: MarkReading) -> Compared:
@@ -558,15 +605,19 @@ def diff_runs(
     moved = replace(
         marks, marks=tuple(moved_mark(registration, each) for each in marks.marks), proposals=()
     )
+    kept = {each.name for each in marks.marks if each.has_settings}
+    ignored = [each.name for each in marked[1].marks.marks if each.has_settings]
     same = _same_camera(*scenes)
     dates = _Date(marked[0], marks, 1, same), _Date(marked[1], moved, 2, same)
     surface = Surface.of(dates, registration)
     comparison = _Comparison(dates, registration, surface, relative)
-    found = [comparison.of_change(each, least_k) for each in surface.parts(least_k)]
-    certain = sorted((each for each in found if each[0] >= 1), key=lambda each: -each[0])
+    found = (comparison.of_change(each, least_k) for each in surface.parts(least_k))
+    certain = sorted((each for each in found if each and each[0] >= 1), key=lambda each: -each[0])
+    taken = {each.name for each in marks.marks}
+    names = (name for number in count(1) if (name := f"D{number}") not in taken)
     changes = tuple(
-        each._replace(mark=replace(each.mark, name=f"D{number}"))
-        for number, (_, each) in enumerate(certain, 1)
+        each._replace(mark=replace(each.mark, name=name))
+        for name, (_, each) in zip(names, certain, strict=False)
     )
     readings = (date.meter.measure(date.marks, date.regions) for date in dates)
     return Differences(
@@ -579,6 +630,7 @@ def diff_runs(
         tuple(map(comparison.of_mark, *readings)),
         surface,
         dates,
+        tuple(name for name in ignored if name not in kept),
     )
 
 
@@ -620,6 +672,8 @@ def _row(found: Compared, t: Texts, world: WorldFrame) -> list[str]:
 def _difference_map(found: Differences) -> TemperatureMap | None:
     """The first run's map, if it has one, with ``BANDS``. SceneError if a photo cannot be read."""
     run, scene = found.dates[0].run, found.dates[0].scene
+    if not has_map(scene):
+        return None
     try:
         baked = bake(run.model, scene.train_cameras, run.temperature)
         shown = draw_temperature_map(baked, scene)
@@ -632,11 +686,14 @@ def _difference_map(found: Differences) -> TemperatureMap | None:
 
 
 def _geotiff(shown: TemperatureMap, found: Differences, folder: Path) -> list[Path]:
-    """Write ``difference.tif``; returns its path, nothing if rasterio is not installed."""
+    """Write ``difference.tif``; returns its path, nothing if the first run is not in metres, which
+    coordinate systems have, or rasterio is not installed."""
     scene, drawn = found.dates[0].scene, shown.drawn
+    if not scene.world.metric:
+        return []
     wkt = local_wkt(scene.name)
     with suppress(ConfigError):
-        if scene.world.metric and not shown.from_the_front:
+        if not shown.from_the_front:
             wkt = coordinate_system(scene).wkt
         return [write_geotiff(folder / "difference.tif", drawn.grid, drawn.bands, BANDS, wkt, {})]
     return []

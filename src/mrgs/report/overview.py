@@ -269,13 +269,16 @@ class TemperatureMap:
         return corners
 
 
+def has_map(scene: Scene) -> bool:
+    """Whether a scene is a façade or seen from above: a map shows its surfaces as its photos do."""
+    down = [-camera.forward[2].item() for camera in scene.train_cameras]
+    return faces_one_side(scene) or sum(down) / len(down) > LOOKS_DOWN
+
+
 def temperature_map(run: Run, scene: Scene, regions: Regions) -> TemperatureMap | None:
     """The map of a scene that has °C and metres, and is a façade or seen from above; None for all
     others. SceneError if a photo cannot be read."""
-    if scene.temperature is None or not scene.world.metric:
-        return None
-    down = [-camera.forward[2].item() for camera in scene.train_cameras]
-    if not (faces_one_side(scene) or sum(down) / len(down) > LOOKS_DOWN):
+    if scene.temperature is None or not scene.world.metric or not has_map(scene):
         return None
     baked = bake(run.model, scene.train_cameras, run.temperature)
     try:
