@@ -43,6 +43,14 @@ def viewer(small_run, balls) -> Iterator[Viewer]:
     viewer.close()
 
 
+@pytest.fixture
+def own_viewer(small_run, balls) -> Iterator[Viewer]:
+    """For tests after which a viewer may be busy with wrong tokens."""
+    viewer = open_viewer(small_run, balls, "127.0.0.1", 0)
+    yield viewer
+    viewer.close()
+
+
 def token(viewer: Viewer) -> str:
     return urlsplit(viewer.url).query
 
@@ -132,7 +140,8 @@ def test_odd_addresses_are_answered(viewer, path, status):
         assert connection.recv(12) == f"HTTP/1.1 {status}".encode()
 
 
-def test_wrong_tokens_wait_for_each_other_and_right_ones_do_not(viewer, monkeypatch):
+def test_wrong_tokens_wait_for_each_other_and_right_ones_do_not(own_viewer, monkeypatch):
+    viewer = own_viewer
     monkeypatch.setattr("mrgs.viewer.web.GUESS_S", 3600.0)
     guesses = [socket.create_connection(("127.0.0.1", viewer.port)) for _ in range(MOST_GUESSES)]
     for number, guess in enumerate(guesses):
