@@ -196,7 +196,7 @@ def _spots(marks: Any, seed: int) -> list[Mark]:
 def _print_alignment(seed: str, found: Differences, exact: dict[str, Any], common: float) -> None:
     points = found.surface.points
     target = exact["scale"] * points @ np.array(exact["rotation"]).T + np.array(exact["shift"])
-    off = np.linalg.norm(found.registration.apply(points) - target, axis=1) / exact["scale"]
+    off = np.linalg.norm(found.registration(points) - target, axis=1) / exact["scale"]
     r = found.registration
     print(
         f"{seed}: {r.matches} matches, residual {r.residual:.3f} m, off {np.median(off):.3f} m "

@@ -179,7 +179,7 @@ def test_the_second_run_is_aligned(found):
     assert r.scale == pytest.approx(SCALE, rel=3e-3)
     points = np.array([[-1.5, 0, 0.5], [1.5, 0, 2.0], [0, 0, 1]])
     exact = SCALE * points @ TURN.as_matrix().T + SHIFT
-    np.testing.assert_allclose(r.apply(points), exact, atol=0.02 * SCALE)
+    np.testing.assert_allclose(r(points), exact, atol=0.02 * SCALE)
     assert r.overlap > 0.8
 
 

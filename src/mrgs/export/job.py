@@ -28,7 +28,7 @@ from mrgs.maps.crs import place_facts
 from mrgs.maps.options import MapOptions
 from mrgs.marks.photo_readings import PhotoReadings
 from mrgs.marks.regions import Regions
-from mrgs.marks.run_marks import RunMarks
+from mrgs.marks.run_marks import RunMarks, thermal_cameras
 from mrgs.marks.uncertainty import UncertaintyMeter
 from mrgs.pictures.drawing import Scale
 from mrgs.pictures.files import to_array
@@ -159,7 +159,7 @@ class ExportJob:
         """``facts`` for files of ``splat_model``."""
         if self.regions is None:
             return self.facts
-        cameras = [photo.camera for photo in self.scene.train_photos(THERMAL)]
+        cameras = thermal_cameras(self.scene)
         note = correction_note(self.baked, self.splat_model, self.regions, cameras)
         return self.facts | {"temperature": self.facts["temperature"] | {"own_emissivity": note}}
 

@@ -23,6 +23,7 @@ from mrgs.pictures.files import to_array
 from mrgs.runs.open import Run
 from mrgs.scene import Scene, evenly_spaced
 from mrgs.scene.depth_map import MAX_STEP, MIN_ALPHA, DepthMap, visible
+from mrgs.scene.similarity import Similarity
 from mrgs.system.lazy import optional_package
 
 Points: TypeAlias = Float64[np.ndarray, "n 3"]
@@ -56,9 +57,8 @@ require_pycolmap = partial(optional_package, "pycolmap", "comparisons of two dat
 
 
 @dataclass(frozen=True, eq=False)
-class Registration:
-    """The similarity from the first run's coordinates to the second's: x' = scale · rotation · x +
-    shift.
+class Registration(Similarity):
+    """The similarity from the first run's coordinates to the second's.
 
     Attributes:
         matches: pairs of points that agree with it.
@@ -66,16 +66,9 @@ class Registration:
         overlap: share of the surface seen in the first run that the second one's photos show.
     """
 
-    scale: float
-    rotation: Float64[np.ndarray, "3 3"]
-    shift: Float64[np.ndarray, "3"]
     matches: int = 0
     residual: float = 0.0
     overlap: float = 1.0
-
-    def apply(self, points: Points) -> Points:
-        """Points of the first run in the second one's coordinates, [N, 3]."""
-        return self.scale * np.einsum("ij,nj->ni", self.rotation, points) + self.shift
 
 
 class _Features(NamedTuple):
@@ -103,7 +96,7 @@ def register(first: Run, second: Run, scenes: tuple[Scene, Scene]) -> Registrati
             f"sides?"
         )
     points = np.concatenate([each.points()[:: len(maps)] for each in maps])
-    overlap, agreement = _coincidence(others, fitted.apply(points).astype(np.float32))
+    overlap, agreement = _coincidence(others, fitted(points).astype(np.float32))
     if overlap < LEAST_OVERLAP or agreement < LEAST_AGREEMENT:
         raise RunError(
             f"{first.folder.path} and {second.folder.path} cannot be aligned: their surfaces "
@@ -186,7 +179,7 @@ def _fitted(pycolmap: Any, source: Points, target: Points, tolerance: float) -> 
     for _ in range(REFITS):
         if found is None:
             return None
-        distance = np.linalg.norm(_registration(found).apply(source) - target, axis=1)
+        distance = np.linalg.norm(_registration(found)(source) - target, axis=1)
         inliers = distance < tolerance
         if inliers.sum() < max(FEWEST_MATCHES, LEAST_SHARE * len(source)):
             return None

@@ -7,7 +7,7 @@ The constants were set on generated scenes with exact temperatures, and checked 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -211,15 +211,19 @@ class PhotoReadings:
             self._maps[index] = self._witness(self._views[index])
         return self._maps[index]
 
+    def _near(self, points: Float32[np.ndarray, "n 3"]) -> Iterator[DepthMap]:
+        """The photos that have any of the points in their image; the others are not rendered."""
+        for index, view in enumerate(self._views):
+            if len(visible(view.images[THERMAL].camera, points).rows):
+                yield self[index]
+
     def of_mark(self, points: Float32[np.ndarray, "n 3"], value: float) -> PhotoParts:
         """The parts of the uncertainty of a mark's mean, ``value`` as the photos have it, from
         points on its surface; one place. SceneError if a photo cannot be read."""
         sums = SightingSums(1, self._rounding_of_means)
-        for index, view in enumerate(self._views):
-            if not len(visible(view.images[THERMAL].camera, points).rows):
-                continue
-            shown = self[index].shown(points)
-            values = self[index].image[shown.pixels]
+        for item in self._near(points):
+            shown = item.shown(points)
+            values = item.image[shown.pixels]
             known = np.isfinite(values).all(axis=1)
             if known.sum() >= max(LEAST_SHARE * len(points), 1):
                 mean = values[known].mean(axis=0, dtype=np.float64, keepdims=True)
@@ -233,10 +237,7 @@ class PhotoReadings:
         found = []
         for rows in row_chunks(len(points)):
             sums = SightingSums(rows.stop - rows.start, OF_ONE_VALUE * self._step)
-            for index, view in enumerate(self._views):
-                if not len(visible(view.images[THERMAL].camera, points[rows]).rows):
-                    continue
-                item = self[index]
+            for item in self._near(points[rows]):
                 shown = item.shown(points[rows])
                 sums.add(shown.rows, item.image[shown.pixels], shown.z)
             found.append(sums.parts(OF_POINT))

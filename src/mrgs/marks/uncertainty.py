@@ -313,12 +313,12 @@ def _accuracy(survey: Survey, has_camera: bool) -> tuple[tuple[float, float] | N
 
 class UncertaintyMeter:
     """Estimates how far temperatures may be from the truth, in 95 of 100 cases, by the thermal
-    photos and a budget, None without known °C; ``notes`` are assumptions, one sentence each."""
+    photos and a ``budget``, None without known °C; ``notes`` are assumptions, one sentence each."""
 
     def __init__(self, readings: PhotoReadings, budget: Budget | None) -> None:
         self.notes = () if budget is None else budget.notes
         self._readings = readings
-        self._budget = budget
+        self.budget = budget
 
     @classmethod
     def of(
@@ -343,10 +343,10 @@ class UncertaintyMeter:
         of_photos = self._readings.of_mark(checked_points(places), float(values.mean()))
         photos, model, detail = (float(part[0]) for part in of_photos)
         parts = Uncertainty(photos, model, detail)
-        if self._budget is None or math.isnan(parts.photos):
+        if self.budget is None or math.isnan(parts.photos):
             return parts
         surfaces = () if regions is None else regions.parts(places)
-        return self._budget.of_mean(parts, values, surfaces, float(places.mean()))
+        return self.budget.of_mean(parts, values, surfaces, float(places.mean()))
 
     def of_points(
         self,
@@ -373,10 +373,10 @@ class UncertaintyMeter:
     ) -> Float[np.ndarray, "*shape"]:
         """The result of ``of_photos`` with the parts of camera and settings; see ``of_points``.
         ``eye`` sees the points, if they are pixels of an image."""
-        if self._budget is None:
+        if self.budget is None:
             return of_photos
         celsius = values.astype(np.float64)
-        total = self._budget.together(of_photos, celsius)
+        total = self.budget.together(of_photos, celsius)
         for settings, held in () if regions is None else regions.parts(points, eye):
-            total[held] = self._budget.together(of_photos[held], celsius[held], settings)
+            total[held] = self.budget.together(of_photos[held], celsius[held], settings)
         return total

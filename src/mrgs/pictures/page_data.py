@@ -26,8 +26,12 @@ MARKS_STYLE = "pictures/web/marks.css"
 BASE64_SCRIPT = "pictures/web/base64.js"
 """Script for bytes in a page, which the exported page's worker runs too."""
 
+GEOMETRY_SCRIPT = "pictures/web/geometry.js"
+"""Script for vectors and what cameras see, which ``navigation.js`` and that worker need."""
+
 STAGE_SCRIPTS = (
     BASE64_SCRIPT,
+    GEOMETRY_SCRIPT,
     "pictures/web/facts.js",
     "pictures/web/navigation.js",
     "pictures/web/numbers.js",

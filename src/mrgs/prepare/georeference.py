@@ -17,9 +17,9 @@ from mrgs.data.earth import ecef, enu
 from mrgs.data.radiometric import GpsPosition
 from mrgs.errors import SceneError
 from mrgs.prepare.contract import Georeference, Reconstruction
-from mrgs.prepare.similarity import Similarity, fit_robustly
 from mrgs.scene import PointCloud, WorldFrame
 from mrgs.scene.lens import Lens
+from mrgs.scene.similarity import Similarity, fit_robustly
 
 ARBITRARY = "The scale is arbitrary."
 KNOWN = "The scale is that of the known distance."

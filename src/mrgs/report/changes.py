@@ -32,7 +32,7 @@ from mrgs.marks import MarkReading, RunMarks, open_marks
 from mrgs.marks.mark import Mark, MarkKind, Marks, Place, places_of
 from mrgs.marks.photo_readings import COVERAGE
 from mrgs.marks.tables import DASH, digits, write_features, write_rows
-from mrgs.marks.uncertainty import Budget, InputQuantity, Uncertainty
+from mrgs.marks.uncertainty import InputQuantity, Uncertainty
 from mrgs.pictures.files import write_png
 from mrgs.pictures.html import PAGE_STYLE, inline_image, write_html
 from mrgs.pictures.numbers import number_text
@@ -45,7 +45,6 @@ from mrgs.runs.baked import bake
 from mrgs.runs.open import Run
 from mrgs.scene import THERMAL, Scene, WorldFrame, evenly_spaced
 from mrgs.scene.depth_map import DepthMap
-from mrgs.survey import SURVEY_FILE, read_survey
 from mrgs.system.wording import Message
 
 Points: TypeAlias = Float64[np.ndarray, "n 3"]
@@ -121,7 +120,9 @@ class _Date:
         self.number, self.same_camera = number, same_camera
         assert marked.scene is not None
         assert marked.meter.uncertainty is not None
+        assert marked.meter.uncertainty.budget is not None
         self.scene, self.uncertainty = marked.scene, marked.meter.uncertainty
+        self.budget = marked.meter.uncertainty.budget
         self.regions = self.meter.regions(marks)
 
     def celsius(self, points: Points) -> tuple[Values, Values]:
@@ -144,7 +145,7 @@ class _Date:
             own = [each.own for each in every if not math.isnan(each.own)]
             part = float(np.sqrt(np.mean(np.square(own or self.uncertainty.of_photos(single)))))
             surfaces, place = self.regions.parts(points), float(points.mean())
-            found = self._budget.of_mean(Uncertainty(part), in_photos, surfaces, place)
+            found = self.budget.of_mean(Uncertainty(part), in_photos, surfaces, place)
         return self.dated(found)
 
     def dated(self, uncertainty: Uncertainty) -> Uncertainty:
@@ -161,14 +162,10 @@ class _Date:
 
     def common(self, celsius: float) -> Mapping[InputQuantity, float]:
         """What input quantities contribute to a temperature, °C as the photos have it."""
-        budget = self._budget
+        budget = self.budget
         parts = budget.contributions(np.array([celsius]), budget.capture.surface)
         shared = {each: float(part[0]) for each, part in parts.items() if each.name != "evenness"}
         return self.dated(Uncertainty(shared=shared)).shared
-
-    @cached_property
-    def _budget(self) -> Budget:
-        return Budget.of(self.scene, read_survey(self.run.folder.path / SURVEY_FILE))
 
     @cached_property
     def constant_c(self) -> float:
@@ -187,9 +184,7 @@ def _on_both(
     """°C on both dates of points of the first run's surface, and the uncertainty of their
     difference by photos and models alone; NaN where a date does not show them."""
     found = np.full((4, len(points)), np.nan)
-    for number, (date, each) in enumerate(
-        zip(dates, (points, registration.apply(points)), strict=True)
-    ):
+    for number, (date, each) in enumerate(zip(dates, (points, registration(points)), strict=True)):
         found[number] = date.celsius(each)[0]
         found[2 + number] = date.uncertainty.of_photos(each.astype(np.float32))
     found[:, np.isnan(found[:2]).any(axis=0)] = np.nan
@@ -202,7 +197,6 @@ class Differences:
 
     Attributes:
         registration: from the first run's coordinates to the second one's.
-        common: the median of ΔT over that surface, K: the weather, or what drift leaves open.
         common_uncertainty: of ``common``, half the width of its interval.
         relative: whether ``common`` has been subtracted from all differences.
         least_k: smallest change beside ``common`` that is listed, K.
@@ -215,7 +209,6 @@ class Differences:
     """
 
     registration: Registration
-    common: float
     common_uncertainty: float
     relative: bool
     least_k: float
@@ -224,6 +217,11 @@ class Differences:
     surface: Surface
     dates: tuple[_Date, _Date]
     ignored: tuple[str, ...] = ()
+
+    @property
+    def common(self) -> float:
+        """The median of ΔT over the surface, K: the weather, or what drift leaves open."""
+        return self.surface.common
 
     def at(self, points: Points) -> Float64[np.ndarray, "4 n"]:
         """ΔT, °C on both dates, and the uncertainty of ΔT by photos and models alone, of points on
@@ -314,7 +312,7 @@ def _same_camera(one: Scene, other: Scene) -> bool:
 
 def moved_mark(registration: Registration, mark: Mark) -> Mark:
     """A mark of the first run in the second one's coordinates."""
-    *points, eye = registration.apply(np.array([*mark.points, mark.eye], np.float64)).tolist()
+    *points, eye = registration(np.array([*mark.points, mark.eye], np.float64)).tolist()
     radius = registration.scale * mark.radius
     return replace(mark, points=places_of(points), eye=tuple(eye), radius=radius)
 
@@ -453,7 +451,7 @@ class _Comparison:
         outline, area, width = outline_of(points, surface.pixel)
         if width < LEAST_PX * surface.pixel:
             return None
-        placed = points, self._registration.apply(points)
+        placed = points, self._registration(points)
         celsius = [date.celsius(each) for date, each in zip(self._dates, placed, strict=True)]
         before, after = (float(corrected.mean()) for corrected, _ in celsius)
         around = [
@@ -622,7 +620,6 @@ def diff_runs(
     readings = (date.meter.measure(date.marks, date.regions) for date in dates)
     return Differences(
         registration,
-        surface.common,
         comparison.common_uncertainty,
         relative,
         least_k,

@@ -151,15 +151,13 @@ function readPixel({ camera, x, y, modality, id }) {
 
 // Half the width, in pixels, of a spot of three pixels of the nearest photo that shows the place; 0 if none does.
 function spotReach(camera, x, y, depth) {
-  const { rotation: r, position } = camera;
-  const seen = [((x - camera.cx) / camera.fx) * depth, ((y - camera.cy) / camera.fy) * depth, depth];
-  const place = [0, 1, 2].map((i) => position[i] + r[i] * seen[0] + r[3 + i] * seen[1] + r[6 + i] * seen[2]);
+  const place = pointAt(camera, [x, y], depth);
   let smallest = Infinity;
-  for (const { rotation, position: eye, fx, fy, cx, cy, width, height } of model.photos) {
-    const from = place.map((each, i) => each - eye[i]);
-    const [right, down, z] = [0, 3, 6].map((row) => dot(rotation.slice(row, row + 3), from));
-    const [u, v] = [(fx * right) / z + cx, (fy * down) / z + cy];
-    if (z > 0 && u >= 0 && u < width && v >= 0 && v < height) smallest = Math.min(smallest, z / fx);
+  for (const photo of model.photos) {
+    const pixel = project(photo, place);
+    if (!pixel || !pixel.every((each, axis) => each >= 0 && each < [photo.width, photo.height][axis])) continue;
+    const z = dot(photo.rotation.slice(6), subtract(place, photo.position));
+    smallest = Math.min(smallest, z / photo.fx);
   }
   return smallest < Infinity ? (0.5 * SPOT_PX * smallest * camera.fx) / depth : 0;
 }
@@ -170,27 +168,15 @@ function readPixels(camera, middle, reach, pixels, appearance) {
   const hits = pixels.map(() => []);
   for (const [start, end] of model.active) {
     for (let i = start; i < end; i++) {
-      if (reach && misses(camera, dilation, middle, reach, i)) continue;
+      const splat = splatNear(camera, dilation, middle, reach, i);
+      if (!splat) continue;
       for (let k = 0; k < pixels.length; k++) {
-        const hit = splatAt(camera, dilation, pixels[k][0], pixels[k][1], i, appearance.opacity[i]);
+        const hit = hitAt(splat, dilation, pixels[k][0], pixels[k][1], appearance.opacity[i]);
         if (hit) hits[k].push(hit);
       }
     }
   }
   return hits.map((each) => blended(each, appearance, camera));
-}
-
-// Whether a splat is farther than the reach from a place of the image, by a circle about it.
-function misses(camera, dilation, [x, y], reach, i) {
-  const { rotation: r, translation: t, fx, fy, cx, cy } = camera;
-  const [mx, my, mz] = [model.means[3 * i], model.means[3 * i + 1], model.means[3 * i + 2]];
-  const z = r[6] * mx + r[7] * my + r[8] * mz + t[2];
-  if (z < NEAR_PLANE) return true;
-  const u = (r[0] * mx + r[1] * my + r[2] * mz + t[0]) / z;
-  const v = (r[3] * mx + r[4] * my + r[5] * mz + t[1]) / z;
-  const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
-  const radius = Math.sqrt(LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + dilation));
-  return Math.hypot(x - (fx * u + cx), y - (fy * v + cy)) > radius + reach;
 }
 
 function blended(hits, appearance, camera) {
@@ -244,9 +230,8 @@ function harmonics([x, y, z]) {
   ];
 }
 
-// The splat's alpha in an image at a pixel, and its z in the middle and where the pixel's ray meets it; nothing below
-// 1/255.
-function splatAt(camera, dilation, px, py, i, opacity) {
+// A splat as an image shows it, unless it is farther than the reach from a place of the image, by a circle about it.
+function splatNear(camera, dilation, [x, y], reach, i) {
   const { rotation: r, translation: t, fx, fy, cx, cy } = camera;
   const m = model.means;
   const [mx, my, mz] = [m[3 * i], m[3 * i + 1], m[3 * i + 2]];
@@ -256,25 +241,30 @@ function splatAt(camera, dilation, px, py, i, opacity) {
   const slopeY = (r[3] * mx + r[4] * my + r[5] * mz + t[1]) / z;
   const u = clampSlope(slopeX, cx, fx, camera.width);
   const v = clampSlope(slopeY, cy, fy, camera.height);
-  const dx = px - (fx * slopeX + cx);
-  const dy = py - (fy * slopeY + cy);
+  const [column, row] = [fx * slopeX + cx, fy * slopeY + cy];
   const focal = (model.largestScale[i] * Math.max(fx, fy)) / z;
-  if (dx * dx + dy * dy > LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + dilation)) return null;
+  const radius = reach + Math.sqrt(LARGEST_TAU2 * (focal * focal * (1 + u * u + v * v) + dilation));
+  if ((x - column) ** 2 + (y - row) ** 2 > radius * radius) return null;
   const along = alongAxes(r[6], r[7], r[8], i);
   if (dot(along, along) > z * z) return null;
   const n0 = alongAxes((fx / z) * (r[0] - u * r[6]), (fx / z) * (r[1] - u * r[7]), (fx / z) * (r[2] - u * r[8]), i);
   const n1 = alongAxes((fy / z) * (r[3] - v * r[6]), (fy / z) * (r[4] - v * r[7]), (fy / z) * (r[5] - v * r[8]), i);
-  const [xx, xy, yy] = [dot(n0, n0), dot(n0, n1), dot(n1, n1)];
+  const covariances = [dot(n0, n0), dot(n0, n1), dot(n1, n1), dot(n0, along), dot(n1, along)];
+  return { index: i, column, row, z, distance: z * Math.hypot(1, slopeX, slopeY), covariances };
+}
+
+// The splat's alpha at a pixel, and its z in the middle and where the pixel's ray meets it; nothing below 1/255.
+function hitAt({ index, column, row, z, distance, covariances }, dilation, px, py, opacity) {
+  const [xx, xy, yy, xz, yz] = covariances;
+  const [dx, dy] = [px - column, py - row];
   const determinant = xx * yy - xy * xy + dilation * (xx + yy + dilation);
   const squared = (yy + dilation) * dx * dx - 2 * xy * dx * dy + (xx + dilation) * dy * dy;
   const falloff = Math.exp((-0.5 * Math.max(squared, 0)) / determinant);
   const alpha = Math.min(ALPHA_MAX, opacity * falloff);
   if (alpha < ALPHA_MIN) return null;
-  const [xz, yz] = [dot(n0, along), dot(n1, along)];
   const slope = [(yy + dilation) * xz - xy * yz, (xx + dilation) * yz - xy * xz].map((each) => each / determinant);
   const nearness = 1 - (dx * slope[0] + dy * slope[1]) / z;
-  const distance = z * Math.hypot(1, slopeX, slopeY);
-  return { index: i, distance, depth: z / Math.max(nearness, 1 / STEEPEST), alpha };
+  return { index, distance, depth: z / Math.max(nearness, 1 / STEEPEST), alpha };
 }
 
 function clampSlope(slope, centre, focal, size) {
@@ -286,8 +276,4 @@ function clampSlope(slope, centre, focal, size) {
 function alongAxes(x, y, z, i) {
   const { axes } = model;
   return [9 * i, 9 * i + 3, 9 * i + 6].map((at) => x * axes[at] + y * axes[at + 1] + z * axes[at + 2]);
-}
-
-function dot(a, b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }

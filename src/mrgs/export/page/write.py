@@ -21,7 +21,7 @@ from mrgs.export.page.packing import GZIP_LEVEL, PART, PageModel
 from mrgs.export.splats import require_ascending
 from mrgs.marks.emissivity import CaptureSettings
 from mrgs.marks.regions import REGION_DEPTH, RegionPlane, Regions, SurfaceRegion
-from mrgs.marks.run_marks import RunMarks
+from mrgs.marks.run_marks import RunMarks, thermal_cameras
 from mrgs.marks.tables import corrected_text, label_text, mark_text
 from mrgs.pictures import page_data
 from mrgs.pictures.files import shown_values, to_picture
@@ -119,6 +119,7 @@ DRAWING = ("dilation", "radiance", "areas", "shaders", "surface", "renderer", "s
 OWN_SCRIPTS = (*DRAWING, "spots", "saving", "app")
 WORKER_SCRIPTS = [
     page_data.BASE64_SCRIPT,
+    page_data.GEOMETRY_SCRIPT,
     *(f"export/page/{name}.js" for name in ("dilation", "radiance", "decode", "worker")),
 ]
 ASSETS: dict[str, Any] = {
@@ -187,7 +188,7 @@ def export(job: ExportJob) -> list[Path]:
         scene.train[best_view(scene.train_cameras, job.baked.means)].name,
         marks,
         job.regions,
-        [photo.camera for photo in scene.train_photos(THERMAL)],
+        thermal_cameras(scene),
         scene.world.length_unit,
         air_facts(survey) if job.run else {},
         settings_text(settings_of(scene.records), "given by the user"),

@@ -22,7 +22,7 @@ from mrgs.check.photos import agreements, jump
 from mrgs.data import load_scene
 from mrgs.data.transforms import TRANSFORMS
 from mrgs.pictures.html import PAGE_STYLE, script_json, write_html
-from mrgs.pictures.page_data import BASE64_SCRIPT, camera_facts, world_facts
+from mrgs.pictures.page_data import BASE64_SCRIPT, GEOMETRY_SCRIPT, camera_facts, world_facts
 from mrgs.pictures.values import capitalised
 from mrgs.prepare.contract import Georeference, Reconstruction, Skipped, StageReport
 from mrgs.prepare.page.temperatures import setting_rows, temperatures
@@ -47,6 +47,7 @@ from mrgs.system.wording import counted, quoted
 PAGE = "prepare.html"
 SCRIPTS = (
     BASE64_SCRIPT,
+    GEOMETRY_SCRIPT,
     "pictures/web/navigation.js",
     "pictures/web/numbers.js",
     "prepare/page/orbit.js",

@@ -19,9 +19,9 @@ from mrgs.prepare.rig.chessboard import Corners, board_points, detect_chessboard
 from mrgs.prepare.rig.contract import ChessboardTarget, RigPair, TargetFit
 from mrgs.prepare.rig.images import grey_plane
 from mrgs.prepare.rig.search import Guess
-from mrgs.prepare.similarity import fit_similarity
 from mrgs.scene import Camera
 from mrgs.scene.rotations import matrix_from_rotvec, rigid_transform, rotvec_from_matrix
+from mrgs.scene.similarity import fit_similarity
 from mrgs.scene.view import evenly_spaced
 
 Coordinates: TypeAlias = Float[np.ndarray, "n 2"]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
-from mrgs.prepare.similarity import fit_robustly
+from mrgs.scene.similarity import fit_robustly
 
 NEAREST = 20
 MIN_SPREAD_M = 5.0

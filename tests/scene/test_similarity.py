@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mrgs.prepare.similarity import Similarity, fit_robustly, fit_similarity
+from mrgs.scene.similarity import Similarity, fit_robustly, fit_similarity
 
 
 def random_similarity(rng: np.random.Generator, dimensions: int) -> Similarity:
